@@ -1,4 +1,5 @@
-//! The capsule's hardware: everything that touches registers, shares state or waits. What decides is beside this folder.
+//! The capsule's hardware: everything that touches registers, shares state or waits. The files beside this folder
+//! make the decisions.
 
 pub(crate) mod channels;
 pub(crate) mod drive_train;

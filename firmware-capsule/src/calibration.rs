@@ -1,8 +1,8 @@
-//! What is known of one capsule: measured once, when a person says "this is unfolded", and kept in flash.
+//! The calibration of one capsule: measured once, when a person says "this is unfolded", and kept in flash.
 
 use crate::mechanics::{POSSIBLE_FOLD, Thread};
 
-/// Found by a calibration. Its evidence needs no temperature: lengths, and currents that later ones are compared with.
+/// Results of a calibration: lengths, and currents to compare later ones with. It needs no temperature.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Calibration {
     /// Thread from the unfolded end to the end force.
@@ -13,26 +13,26 @@ pub struct Calibration {
     pub rise: Thread,
     /// Thread from a quarter of the end force to the end force.
     pub long_rise: Thread,
-    /// Current winding at the folded end, less that of paying out in the last 0.3 mm of an unfolding's first, slow part: twice the
-    /// pull, whatever the friction.
+    /// Current while winding at the folded end, less the current while paying out the last 0.3 mm of the slow part of
+    /// an unfolding. Friction cancels, so this is twice the pull.
     pub tension_ma: u16,
-    /// Back-EMF of the motor as it was then, uV per count per second; 0 in records of an earlier layout.
+    /// Back-EMF of the motor at the calibration, uV per count per second; 0 in records of an earlier layout.
     pub back_emf_uv_cps: u16,
 }
 
-/// Version and the fields, little-endian.
+/// Length of the record: version and fields, little-endian.
 pub const RECORD: usize = 15;
 const VERSION: u8 = 3;
-/// The layout before, without the back-EMF.
+/// Version and length of the previous layout, which has no back-EMF.
 const SHORTER: (u8, usize) = (2, 13);
 
 impl Calibration {
-    /// As it is written to flash.
+    /// Encodes the record for the flash.
     pub fn record(&self) -> [u8; RECORD] {
         let mut record = [VERSION; RECORD];
         record[1..5].copy_from_slice(&self.folded.0.to_le_bytes());
         record[5..7].copy_from_slice(&self.no_load_ma.to_le_bytes());
-        // At most 28,500 um.
+        // At most 28,500 um, so 16 bits hold it.
         record[7..9].copy_from_slice(&(self.rise.0 as u16).to_le_bytes());
         record[9..11].copy_from_slice(&self.tension_ma.to_le_bytes());
         record[11..13].copy_from_slice(&(self.long_rise.0 as u16).to_le_bytes());
@@ -40,7 +40,7 @@ impl Calibration {
         record
     }
 
-    /// From a record in flash; `None` if it is not one of this layout, or not of a capsule.
+    /// Decodes a record from flash; `None` if its layout is unknown or its values fit no capsule.
     pub fn from_record(record: &[u8]) -> Option<Self> {
         let (fields, back_emf_uv_cps) = match *record {
             [VERSION, ref fields @ .., m, n] => (fields, u16::from_le_bytes([m, n])),

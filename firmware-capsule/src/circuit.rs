@@ -1,54 +1,55 @@
-//! Voltage, current and speed of the motor, which have to agree: `U = R i + k w`.
+//! Plausibility check of the motor's voltage, current and speed, which have to agree: `U = R i + k w`.
 //!
-//! The voltage is what the drive orders, the current what the amplifier shows, the speed what the encoder counts. An encoder that loses
-//! counts shows less speed than the voltage gives, an amplifier with too little gain or a moved zero another current. One equation
-//! does not tell which of the two it is, so it has a name for both.
+//! The drive orders the voltage, the amplifier measures the current, the encoder counts the speed. An encoder that
+//! loses counts shows too little speed for the voltage. An amplifier with too little gain or a shifted zero shows the
+//! wrong current. One equation cannot tell the two apart, so they share one fault.
 //!
-//! The equation is linear, and holds for the means over any time in which the motor is driven, also while it becomes faster.
+//! The equation is linear, so it also holds for means over any time in which the motor is driven, even while it
+//! accelerates.
 
 use crate::{mechanics::Counts, settings::Settings};
 
-/// Readings of a comparison: at 11 mm/s 450 counts, so that one count more or less is 0.2 %.
+/// Readings per comparison: at 11 mm/s these are 450 counts, so that an error of one count is 0.2 %.
 const READINGS: i32 = 48;
-/// Comparisons in a row that have to disagree while a motion goes on.
+/// Successive comparisons that must disagree before a running motion faults.
 const IN_A_ROW: u8 = 2;
-/// Readings from which a comparison that is cut short by the end of a motion counts.
+/// Minimum readings for a comparison that the end of a motion cuts short.
 const LEAST_READINGS: i32 = 16;
-/// Least speed of a comparison, counts/s: below it the start of the motor is in it.
+/// Minimum speed of a comparison, counts/s: slower ones include the motor's start.
 const LEAST_CPS: i32 = 1_500;
-/// Cell that the setting `motor_mohm` contains, mohm.
+/// Cell resistance included in the setting `motor_mohm`, mohm.
 const CELL_MILLIOHM: i32 = 500;
-/// Noise, rounding of the duty to 21 mV, and a zero that wanders, mA.
+/// Tolerance for noise, the duty's rounding to 21 mV and a drifting zero, mA.
 const NOISE_MA: i32 = 4;
-/// Of the current: 4 % for the bridge and the amplifier, 8 % for a winding that is 20 K warmer.
+/// Tolerance in percent of the current: 4 % for the bridge and the amplifier, 8 % for a winding that is 20 K warmer.
 const RESISTANCE_PERCENT: i32 = 12;
-/// Of the back-EMF: a magnet that is 20 K warmer gives 2.2 % less, so more current flows than by the constant that was measured; and
-/// nothing makes it give more.
+/// Tolerances in percent of the back-EMF. A magnet that is 20 K warmer gives 2.2 % less, so that more current flows
+/// than the measured constant predicts. Nothing makes it give more.
 const MORE_PERCENT: i32 = 3;
 const LESS_PERCENT: i32 = 1;
-/// Most current of the comparisons that the constant is measured by, mA.
+/// Largest current at which the motor constant is measured, mA: with little current the resistance matters little.
 const LIGHT_MA: i32 = 45;
-/// A constant further off than this from the setting is no motor's.
+/// Largest plausible deviation of a measured constant from the setting, percent.
 const POSSIBLE_PERCENT: u32 = 20;
 
-/// One reading, in the direction of the leg.
+/// One reading; the leg's direction counts as positive.
 #[derive(Clone, Copy, Debug)]
 pub struct Reading {
-    /// Drive until this reading, mV.
+    /// Drive up to this reading, mV.
     pub drive_mv: i16,
     /// Current, uA.
     pub current_ua: i32,
-    /// Encoder, counted in the direction of the leg.
+    /// Encoder counts in the direction of the leg.
     pub along: Counts,
     /// Battery under load, mV.
     pub battery_mv: u16,
-    /// How far that is below the battery at rest, mV.
+    /// Battery voltage at rest less `battery_mv`, mV.
     pub sag_mv: u16,
-    /// When.
+    /// Time of the reading.
     pub at_us: u64,
 }
 
-/// Sums over the readings of a comparison.
+/// Sums over the readings of one comparison.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sums {
     readings: i32,
@@ -58,30 +59,31 @@ struct Sums {
     began_us: u64,
 }
 
-/// What they say.
+/// Means over the readings of one comparison.
 #[derive(Clone, Copy, Debug)]
 struct Means {
     drive_mv: i32,
     current_ma: i32,
     cps: i32,
-    /// The voltage of the pulses may sag by twice this below the mean for which the duty is made.
+    /// Expected sag of the pulses below the mean voltage that the duty is made for. It may be off by its own size.
     pulses_sag_mv: i32,
     milliohm: i32,
 }
 
-/// Compares.
+/// Compares voltage, current and speed over a leg.
 #[derive(Clone, Debug, Default)]
 pub struct Circuit {
     sums: Sums,
     last: Option<Reading>,
-    /// Comparisons that disagree, with their sign, without one between them that agrees.
+    /// Comparisons in a row that disagree, with the sign of the excess current.
     against: i8,
-    /// Sum and number of the constants, uV per count/s.
+    /// Sum and number of the measured motor constants, uV per count/s.
     constant: (u32, u32),
 }
 
 impl Circuit {
-    /// Takes a reading of a driven motor; `None` if it is not driven, or was braked just now. True if the last comparisons disagree.
+    /// Takes a reading; `None` if the motor is not driven or was braked just now. Returns true if the last
+    /// comparisons disagree.
     pub fn take(
         &mut self,
         reading: Option<Reading>,
@@ -122,7 +124,8 @@ impl Circuit {
         self.against.unsigned_abs() >= IN_A_ROW
     }
 
-    /// A motion is about to end: whether the comparison that is under way disagrees, or the one before it did.
+    /// Verdict when a motion is about to end: the present comparison disagrees, or the one before if this one is too
+    /// short.
     pub fn disagrees_now(&self, known_uv_cps: u16, settings: &Settings) -> bool {
         if self.sums.readings < LEAST_READINGS {
             return self.against != 0;
@@ -131,13 +134,13 @@ impl Circuit {
             .is_some_and(|means| means.disagrees(known_uv_cps, settings) != 0)
     }
 
-    /// Constant of the motor, uV per count/s, by the comparisons with little current; 0 without one.
+    /// Motor constant measured by the comparisons with little current, uV per count/s; 0 if there was none.
     pub fn constant_uv_cps(&self) -> u16 {
         let (sum, count) = self.constant;
         u16::try_from(sum.checked_div(count).unwrap_or(0)).unwrap_or(u16::MAX)
     }
 
-    /// This constant is that of the motor in the settings; 0, none, is.
+    /// Accepts a constant that is close to the setting, and 0, which means not measured.
     pub fn is_possible(constant_uv_cps: u16, settings: &Settings) -> bool {
         let known = settings.back_emf_uv_per_cps;
         constant_uv_cps == 0
@@ -159,7 +162,7 @@ impl Circuit {
         let counts = last.along.since(self.sums.began).0;
         let cps = counts.checked_mul(1_000_000)?.checked_div(elapsed_us)?;
         let drive_mv = self.sums.drive_mv.checked_div(self.sums.readings)?;
-        // The pulses sag below the mean voltage that the duty is made for.
+        // In the pulses the battery sags below the mean voltage that the duty is made for.
         let battery_mv = i32::from(last.battery_mv).max(1);
         let duty = (drive_mv.clamp(0, battery_mv) * 1_000) / battery_mv;
         Some(Means {
@@ -173,7 +176,7 @@ impl Circuit {
 }
 
 impl Means {
-    /// 0 if they agree; the sign of the current that is too much.
+    /// 0 if they agree; otherwise the sign of the excess current.
     fn disagrees(&self, known_uv_cps: u16, settings: &Settings) -> i8 {
         if self.cps < LEAST_CPS {
             return 0;
@@ -186,7 +189,8 @@ impl Means {
         let of = |mv: i32| mv * 1_000 / self.milliohm.max(1);
         let expected_ma = of(self.drive_mv - self.pulses_sag_mv - back_mv);
         let least_ma = self.current_ma.abs().max(expected_ma.abs());
-        // All of the sag may be one of the pulses, by the cell's resistance, or none, in a cell that has polarised or collapses.
+        // The cell's resistance makes all of the sag occur in the pulses. A cell that has polarised or collapses sags
+        // all the time. Tolerate both.
         let resistance_ma = least_ma * RESISTANCE_PERCENT / 100 + of(self.pulses_sag_mv);
         let tolerated_ma = |percent| NOISE_MA + resistance_ma + of(back_mv) * percent / 100;
         match self.current_ma - expected_ma {

@@ -1,4 +1,4 @@
-//! Requests to replies: the only place where the protocol's messages meet the state machine.
+//! Executes requests: the only place where the protocol's messages meet the state machine.
 
 use crate::{
     fold::{Actions, Capsule, Command, Drive, Event},
@@ -23,32 +23,32 @@ use protocol::{
     table::{Request, Response},
 };
 
-/// What a request may need to know.
+/// The data that a request may need.
 pub struct Context<'a> {
-    /// Of the present or last motion.
+    /// Recording of the present or last motion.
     pub recording: &'a Recording,
-    /// Totals in flash.
+    /// Totals kept in flash.
     pub totals: &'a Totals,
-    /// Settings, value by value.
+    /// Settings as single values.
     pub values: &'a Values,
     /// The capsule's name.
     pub name: &'a str,
-    /// The motor stands, and has for long enough.
+    /// The motor has stood still for long enough.
     pub rests: bool,
     /// Device time.
     pub now_us: u64,
-    /// What common requests are answered from.
+    /// Source of the answers to the requests that both devices share.
     pub about: About<'a>,
 }
 
-/// A change of what is in flash.
+/// A change of the flash's content.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// A setting, and what all of them mean with it.
+    /// A setting, and the limits that follow from all settings with it.
     Value {
         /// The setting.
         setting: Setting,
-        /// All of them.
+        /// The limits after the change.
         settings: Settings,
     },
     /// The name.
@@ -57,7 +57,7 @@ pub enum Change {
     Reset,
 }
 
-/// Carries out one request; no actions after a query.
+/// Carries out one request. A query causes no actions.
 pub fn execute(
     request: Request,
     capsule: &mut Capsule,
@@ -133,22 +133,22 @@ fn respond(
         }),
         Request::SetName(name) => {
             may_write(capsule, context)?;
-            // A terminal would obey an escape sequence in it.
+            // An escape sequence in the name would control the reader's terminal.
             if name.name.chars().any(char::is_control) {
                 return Err(Refusal::NameNotPrintable);
             }
             let change = Change::Name(name.name.clone());
             return Ok((Response::SetName(name), Effect::Store(change)));
         }
-        // The rig's; the others have been answered above, and a Hello by the session.
+        // Only the rig's requests are left: the others are handled above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
 }
 
-/// While the flash is written the chip executes nothing: only with the motor at rest.
+/// Refuses unless the motor is at rest: the chip executes nothing while it writes its flash.
 fn may_write(capsule: &Capsule, context: &Context<'_>) -> Result<(), Refusal> {
-    // A motion that was accepted since the last reading is no rest either.
+    // Check `is_moving` too: a motion may have been accepted since the last reading.
     if capsule.is_moving() || !context.rests {
         return Err(Refusal::CapsuleBusy(capsule.state()));
     }

@@ -1,5 +1,5 @@
-//! Everything that control decides: readings, requests and the clock in; drive, replies and events out. Pure: the rest
-//! of the capsule is a trait, so that the host tests run what the control task runs.
+//! All decisions of control: takes readings, requests and the clock; returns drive, replies and events. Pure: a trait
+//! stands for the rest of the capsule, so that host tests run the same code as the control task.
 
 use crate::calibration::Calibration;
 use crate::commands::{Change, Context};
@@ -28,28 +28,28 @@ use protocol::{
     table::{Reply, Request},
 };
 
-/// A motor whose bridge has failed runs out without a brake, for 0.3 s.
+/// Standstill required before writing the flash. A motor coasts for 0.3 s if its bridge has failed and cannot brake.
 const STANDS_US: u64 = 500_000;
 
-/// A line of the encoder that lies on its edge may flicker: that is no motion.
+/// Counts that do not mean motion: an encoder line that rests on its edge may flicker.
 const FLICKER: u32 = 2;
 
 /// The rest of the capsule, as control sees it.
 pub trait Capsule {
-    /// Sets the bridge, or confirms what it is set to.
+    /// Sets the bridge, or repeats its present state.
     fn drive(&mut self, drive: Drive);
-    /// Shows this to telemetry.
+    /// Publishes this to telemetry.
     fn show(&mut self, telemetry: CapsuleTelemetry);
 }
 
-/// Owns the state machine, the events, the recording, and what is kept in flash.
+/// Owns the state machine, the events, the recording, and the data kept in flash.
 pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     capsule: C,
     machine: fold::Capsule,
     store: SettingsStore<F, Kept>,
-    /// Motions that have ended and are not yet in the totals, and their energy.
+    /// Number and energy of the motions that are not in the totals yet.
     ended: (u32, u64),
-    /// Position, and since when it has not changed with the bridge asleep.
+    /// Position, and the time since when it has not changed with the bridge asleep.
     resting: (Counts, u64),
     calibrated: Option<Calibration>,
     recording: Recording,
@@ -58,7 +58,7 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
 }
 
 impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
-    /// Control after a start, from what the previous one left, and from flash.
+    /// Starts control from the previous run's retained memory and from flash.
     pub fn new(capsule: C, flash: F, left: Retained, reset_cause: ResetCause) -> Self {
         let (store, usable) =
             SettingsStore::<F, Kept>::load_with(flash, |values| Settings::new(values).is_ok());
@@ -102,7 +102,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     pub fn read(&mut self, at_us: u64, sample: Sample) {
         let recorded = self.machine.is_moving() || self.machine.drive() != Drive::Off;
         let actions = self.machine.step(at_us, Event::Sample(sample));
-        // Before anything else: the motor runs on as it did until then.
+        // Set the bridge first: the motor keeps its old drive until then.
         self.perform(&actions);
         if recorded {
             let actuation = self.machine.actuation();
@@ -112,8 +112,8 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         self.keep(at_us, sample.counts);
     }
 
-    /// Writes what is to be kept, once the motor stands: the chip fetches no instruction meanwhile. What cannot be
-    /// written counts until the next start.
+    /// Writes pending data to flash, once the motor stands: the chip fetches no instruction during a write. Data that
+    /// cannot be written stay valid until the next start.
     fn keep(&mut self, at_us: u64, counts: Counts) {
         let (rests_at, since_us) = self.resting;
         let driven = self.machine.is_moving() || self.machine.drive() != Drive::Off;
@@ -139,7 +139,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             failed |= self.keep_totals(Totals {
                 actuations: before.actuations.saturating_add(actuations),
                 energy_mj: before.energy_mj.saturating_add(energy_mj),
-                // An end that has wandered costs the reference, not the fold.
+                // An end that has wandered costs the reference, but the capsule is still folded.
                 folded: matches!(
                     self.machine.state(),
                     CapsuleState::Folded | CapsuleState::WasFolded
@@ -151,7 +151,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         }
     }
 
-    /// Before the motor turns: a cut of the power under way must not leave "folded" behind.
+    /// Clears "folded" in flash before the motor turns, so that a power cut during the motion does not leave it set.
     fn leave_folded(&mut self, actions: &Actions) {
         let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
         let totals = self.store.records().totals;
@@ -167,7 +167,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         }
     }
 
-    /// True if they are not kept.
+    /// Writes the totals; true if that failed.
     fn keep_totals(&mut self, totals: Totals) -> bool {
         let kept = Kept {
             totals,
@@ -205,7 +205,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         }
     }
 
-    /// Flash first: what is in force is what the next start will find.
+    /// Changes the flash first, so that the values in force are those that the next start finds.
     fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
         let (settings, event) = match change {
             Change::Value { setting, settings } => {

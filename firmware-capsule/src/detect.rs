@@ -1,7 +1,7 @@
-//! What the motor's current, its encoder and the battery say about one leg of a motion.
+//! Judges one leg of a motion by the motor's current, its encoder and the battery.
 //!
-//! Every start and every reversal creates a new [`Detector`]. The current is the mean over one PWM period, and
-//! bounded by the speed loop: a healthy motor draws 250 mA at most, also from standstill and when it is blocked.
+//! Every start and every reversal creates a new [`Detector`]. The current is the mean over one PWM period. The speed
+//! loop bounds it: a healthy motor never draws more than 250 mA, even from standstill or blocked.
 
 use crate::sample::{Sample, Spooling};
 use crate::{
@@ -10,117 +10,121 @@ use crate::{
     window::Window,
 };
 
-/// After a start the motor accelerates, and the current says nothing about force.
+/// After a start the motor accelerates for this long, and its current says nothing about force.
 pub const BLANKING_US: u64 = 30_000;
-/// And so long after a brake within a leg: the motor takes up its speed again.
+/// The same after a brake within a leg, while the motor takes up its speed again.
 const AFTER_BRAKE_US: u64 = 40_000;
-/// The current is averaged over so many readings, and must have been driven in all of them.
+/// Readings over which the current is averaged. All of them must have been driven.
 const FORCE_READINGS: usize = 8;
-/// A load must last this long.
+/// Time that a load must last.
 const LOAD_DEBOUNCE_US: u64 = 2_000;
-/// A driven motor may make no progress for this long.
+/// Longest time that a driven motor may make no progress.
 pub const STANDSTILL_US: u64 = 40_000;
-/// Two encoder lines count as progress. With one channel broken the count flickers by one on the spot.
+/// Counts that make progress: two encoder lines, because one broken channel makes the count flicker by one on the
+/// spot.
 const PROGRESS_COUNTS: i32 = 8;
-/// So far the wrong way, 0.05 mm, and the encoder's lines are swapped.
+/// Counts in the wrong direction, 0.05 mm, that reveal swapped encoder lines.
 const WRONG_WAY_COUNTS: i32 = 40;
-/// Twice what the speed loop lets a healthy motor draw.
+/// Over-current: twice the current that the speed loop lets a healthy motor draw.
 pub const OVER_CURRENT_MA: u16 = 450;
-/// A motor that is braked against its speed draws 0.6 A.
+/// Largest plausible current against the drive: a motor braked from full speed draws 0.6 A.
 const MOST_BRAKING_MA: i16 = 800;
-/// Over-current must last this long.
+/// Time that an over-current must last.
 const OVER_CURRENT_DEBOUNCE_US: u64 = 2_000;
-/// Twice the current that was ordered, and this, is a short circuit, too.
+/// Short circuit: above twice the ordered current plus this.
 const SURPLUS_MA: u32 = 60;
-/// For so long: when something stops the motor, its back-EMF is overestimated for 3 ms.
+/// Time that this surplus must last. When something stops the motor, its back-EMF is overestimated for 3 ms.
 const SURPLUS_DEBOUNCE_US: u64 = 4_000;
-/// A motor that stands draws what was ordered, within winding, cell and amplifier; one that turns draws less, by its back-EMF.
+/// A blocked motor draws the ordered current, within the tolerances of winding, cell and amplifier. A turning one
+/// draws less than this share, by its back-EMF.
 const STALLED_PERCENT: u32 = 85;
-/// A sag must last this long.
+/// Time that a sag of the battery must last.
 const SAG_DEBOUNCE_US: u64 = 15_000;
-/// Below this a cell has collapsed: the chip's own supply goes with it, and what is measured against it means nothing.
+/// Below this the cell has collapsed. The chip's own supply falls with it, so that readings mean nothing.
 const COLLAPSED_MV: u16 = 2_000;
-/// So many readings of a leg, with others between them: a drive that the collapse ends lets the cell recover.
+/// Collapsed readings, not necessarily in a row, that end a leg: a collapse stops the drive, and the cell recovers
+/// meanwhile.
 const COLLAPSES: u8 = 5;
-/// Ignores nFAULT while the bridge wakes up (DRV8833: 1 ms).
+/// Time that nFAULT must last: the bridge needs up to 1 ms to wake up (DRV8833).
 const DRIVER_DEBOUNCE_US: u64 = 3_000;
-/// Near the end of the amplifier's range, 1,475 mA with the least supply.
+/// Current near the end of the amplifier's range, which is 1,475 mA at the lowest supply.
 const RAIL_MA: i16 = 1_300;
-/// A winding that draws so much pulls the battery down by more than this, if at least half of the time.
+/// A real current near that range sags the battery by at least this, if it is driven at least half of the time.
 const SHORT_SAG_MV: u16 = 100;
-/// Less than this is no current at all: a turning motor takes 10 mA at least.
+/// Below this no current flows: a turning motor draws at least 10 mA.
 const NOTHING_MA: u16 = 5;
-/// Readings that show nothing are not taken for a slack thread: a dead amplifier is named later.
+/// Readings without current after which the thread is not taken for slack. A dead amplifier is named later.
 const SILENT_READINGS: usize = 3;
-/// A current must be ordered for its absence to mean something.
+/// Smallest ordered current whose absence means something.
 const ORDERED_MA: u16 = 12;
-/// No current for this long, and its name is sought.
+/// Time without current after which its cause is determined.
 const SILENCE_US: u64 = 24_000;
-/// Readings before the present one with which the speed is compared: the silence, less the speed's own window.
+/// Age of the readings with which the speed is compared: the silence, less the window over which the speed is
+/// measured.
 const SILENCE_READINGS: usize = 22;
-/// A blocked motor that draws current pulls the battery down by this; the least resistance of a cell is 0.3 ohm.
+/// Least sag of the battery from a blocked motor that draws current; a cell has at least 0.3 ohm.
 const LEAST_SAG_MV: u16 = 15;
-/// Speed from which a sudden resistance is looked for, counts/s: 7 mm/s.
+/// Minimum speed for detecting a sudden resistance, counts/s: 7 mm/s.
 const FAST_CPS: i32 = 6_000;
-/// A sudden loss of speed is more than this, counts/s: one and a half counts in 2 ms. Rounding alone makes one.
+/// Sudden loss of speed, counts/s: more than one and a half counts in 2 ms, because rounding alone makes one.
 const STRUCK_LOSS_CPS: i32 = 750;
-/// From this speed on, counts/s, a loss of a fifth is more than rounding.
+/// Minimum speed at which the loss of a fifth exceeds rounding, counts/s.
 const SLOW_CPS_AT_LEAST: i32 = 3_000;
-/// Readings with which the order is compared.
+/// Readings within which the ordered current must not have fallen.
 const ORDERED_READINGS: usize = 20;
-/// Readings without a count after which a motor that pulls with the end force is asked whether it turns.
+/// Readings without a count after which a motor at the end force is suspected of a lost encoder.
 const STILL_READINGS: usize = 10;
-/// Speed times this is the stopping distance of a braked motor: its time constant with the bridge's resistance
-/// (0.6 ohm) in the loop, 6.9 ms, less a tenth for friction, plus 1 ms between two samples.
+/// Stopping distance of a braked motor over its speed: its time constant with the bridge's 0.6 ohm in the loop, 6.9
+/// ms, less a tenth for friction, plus 1 ms between two samples.
 const STOP_US: i64 = 7_300;
 
-/// What ends a leg at once.
+/// A condition that ends a leg at once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Trip {
     /// The bridge reports a fault (nFAULT).
     Driver,
     /// Short circuit.
     OverCurrent {
-        /// Measured.
+        /// Measured current.
         current_ma: u16,
     },
     /// The battery is empty.
     LowBattery {
-        /// Measured.
+        /// Measured voltage.
         battery_mv: u16,
     },
-    /// The motor stands still with the current that it was given.
+    /// The motor stands still although it draws the ordered current.
     Blocked,
-    /// The motor turns, by its current, and the encoder does not count.
+    /// The current shows that the motor turns, but the encoder does not count.
     EncoderLost,
-    /// The motor is driven, draws nothing, and does not turn.
+    /// The motor is driven but draws nothing and does not turn.
     BridgeSilent,
-    /// The motor turns, or pulls the battery down, and its current reads nothing.
+    /// The motor turns or sags the battery, but its current reads nothing.
     SenseLost,
 }
 
-/// What the current says about the thread.
+/// Load of the thread, judged by the current.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Load {
     /// The thread pulls with the end force.
     pub end_force: bool,
-    /// Current above the no-load current, while it can be told.
+    /// Current above the no-load current; none while it is unknown.
     pub excess_ma: Option<u16>,
-    /// The same without what makes the motor faster.
+    /// `excess_ma` less the current that accelerates the motor.
     pub pull_ma: Option<u16>,
-    /// Where the force rose above half of the end force, while it stays above.
+    /// Where the force rose above half of the end force; none once it has fallen again.
     pub rise_from: Option<Counts>,
-    /// The same for a quarter of it.
+    /// The same for a quarter of the end force.
     pub long_rise_from: Option<Counts>,
-    /// A fast motor is slowed down, or loaded more than the origami loads it there.
+    /// A fast motor is losing speed suddenly, or is loaded more than the origami loads it there.
     pub resisted: bool,
-    /// It is slowed down: its momentum pulls until it stands.
+    /// The motor is losing speed suddenly: its momentum pulls until it stands.
     pub struck: bool,
-    /// The last readings show no current at all, though some was ordered.
+    /// The last readings show no current although some was ordered.
     pub silent: bool,
 }
 
-/// A condition that must last before it counts.
+/// A condition that counts once it has lasted long enough.
 #[derive(Clone, Copy, Debug, Default)]
 struct Debounce(Option<(u64, Counts)>);
 
@@ -135,7 +139,7 @@ impl Debounce {
         (now_us.saturating_sub(since_us) >= for_us).then_some(began_at)
     }
 
-    /// Where the condition began, however long ago.
+    /// Where the condition began, even if it has not lasted yet.
     fn began_at(&self) -> Option<Counts> {
         self.0.map(|(_, began_at)| began_at)
     }
@@ -146,20 +150,20 @@ impl Debounce {
 pub struct Detector {
     spooling: Spooling,
     from_us: u64,
-    /// The motor has taken up its speed again.
+    /// From this time on the motor is back at its speed after a brake.
     steady_from_us: u64,
-    /// Battery before the drive.
+    /// Battery voltage without load, before the drive.
     rest_mv: u16,
     window: Window,
     started_at: Option<Counts>,
-    /// Furthest count so far, and when it was reached.
+    /// Furthest count so far, and the time at which it was reached.
     furthest: Option<(Counts, u64)>,
     driver: Debounce,
     over_current: Debounce,
     surplus: Debounce,
     sag: Debounce,
     collapses: u8,
-    /// The last voltage below the limit that could be measured, or the least that can be.
+    /// The last meaningful voltage below the limit; before the first, the lowest one that can be measured.
     sagged_mv: u16,
     silence: Debounce,
     end_force: Debounce,
@@ -168,7 +172,7 @@ pub struct Detector {
 }
 
 impl Detector {
-    /// For a leg whose drive begins at `from_us`, with a battery that has `rest_mv` without load.
+    /// Watches a leg whose drive begins at `from_us`. `rest_mv` is the battery voltage without load.
     pub fn new(spooling: Spooling, from_us: u64, rest_mv: u16) -> Self {
         Self {
             spooling,
@@ -191,17 +195,17 @@ impl Detector {
         }
     }
 
-    /// When the drive begins.
+    /// Time at which the drive begins.
     pub fn from_us(&self) -> u64 {
         self.from_us
     }
 
-    /// Which way the leg goes.
+    /// Direction of the leg.
     pub fn spooling(&self) -> Spooling {
         self.spooling
     }
 
-    /// The blanking is over: the current is a measure of force.
+    /// The blanking is over, so the current is a measure of force.
     pub fn sees_force(&self, now_us: u64) -> bool {
         now_us.saturating_sub(self.from_us) >= BLANKING_US
     }
@@ -211,7 +215,7 @@ impl Detector {
         self.spooling.along(self.window.speed_cps(8, 0))
     }
 
-    /// The same, and the least that it may have become in the last 3 ms.
+    /// The speed over the last 8 ms, and the lowest value that it may have reached in the last 3 ms.
     pub fn speeds_cps(&self) -> (i32, i32) {
         let cps = self.speed_cps();
         (
@@ -220,14 +224,14 @@ impl Detector {
         )
     }
 
-    /// How far the motor runs on in the leg's direction if it is braked now.
+    /// Distance that the motor runs on in the leg's direction if it is braked now.
     pub fn stopping_distance(&self) -> Counts {
         let counts = i64::from(self.speed_cps().max(0)).saturating_mul(STOP_US) / 1_000_000;
         Counts(i32::try_from(counts).unwrap_or(i32::MAX))
     }
 
-    /// Judges one sample, taken at `now_us` (not before [`Self::from_us`]), after a millisecond in which `ordered_ma`
-    /// should have flown; none while braking.
+    /// Judges one sample, taken at `now_us` (not before [`Self::from_us`]). `ordered_ma` should have flown in the
+    /// millisecond before it; none while braking.
     ///
     /// # Errors
     /// The [`Trip`] that ends the leg.
@@ -292,11 +296,11 @@ impl Detector {
             return Err(self.name_of_silence());
         }
         let mut load = self.load(now_us, counts, no_load_ma, settings);
-        // What is more than ordered may be a short circuit; its own debounce decides.
+        // A surplus may be a short circuit, which has its own debounce. It is not an end force.
         load.end_force &= !surplus;
         let stands = self.stands_still(now_us, counts);
         if load.end_force {
-            // A motor that is slow here may pull on while its encoder is lost.
+            // A motor whose encoder is lost reads as standing here, and would go on pulling.
             let name = self.counts_nothing().then(|| self.name_of_standstill());
             return match name {
                 Some(lost @ Trip::EncoderLost) => Err(lost),
@@ -309,14 +313,14 @@ impl Detector {
         Ok(load)
     }
 
-    /// No current either way over so many readings.
+    /// The mean current over this many readings is nothing, either way.
     fn draws_nothing(&self, over: usize) -> bool {
         let mean_ma = self.window.along_ma(over);
         mean_ma.is_some_and(|mean_ma| mean_ma.unsigned_abs() < NOTHING_MA.into())
     }
 
-    /// The amplifier's output lies at 0 V, a current that no motor draws: against the drive when it winds, without a sag of the
-    /// battery when it pays out.
+    /// The amplifier's output is open and lies at 0 V, which reads as a current that no motor draws. While winding,
+    /// it is against the drive. While paying out, the battery does not sag as it would under a real one.
     fn is_open(&self, along_ma: i16, battery_mv: u16) -> bool {
         match self.spooling {
             Spooling::Wind => along_ma < -RAIL_MA,
@@ -331,15 +335,16 @@ impl Detector {
         let means = self.window.means_ma(FORCE_READINGS).filter(|_| seen);
         let excess_ma = means.map(|(mean_ma, _)| mean_ma.saturating_sub(no_load_ma));
         let above = |level| excess_ma.is_some_and(|excess| excess >= level);
-        // What accelerates the motor does not pull at the thread.
+        // The current that accelerates the motor does not pull at the thread.
         let accelerating_ma = self.accelerating_ma();
         let pulls = |level| above(accelerating_ma.saturating_add(level));
         let end_force = pulls(settings.force_ma);
-        // Shorted for a moment, or not yet steady after it: the force has not gone.
+        // No reading while the motor is braked or not yet steady after it: the force is still there, so keep the
+        // start.
         let told = excess_ma.is_some();
         let rise_from = |rise: &mut Debounce, level_ma| {
             if told {
-                // Ripple does not end it.
+                // Hysteresis, so that ripple does not end it.
                 let ends_ma = level_ma - level_ma / 8;
                 let level_ma = rise.began_at().map_or(level_ma, |_| ends_ma);
                 rise.update(now_us, counts, above(level_ma), LOAD_DEBOUNCE_US)
@@ -367,37 +372,36 @@ impl Detector {
         }
     }
 
-    /// Over the last 2 ms the motor was slower than over 8 ms before, by more than it has been losing anyway, and not because
-    /// it was braked.
+    /// The motor has lost speed suddenly: over the last 2 ms it was slower than over the 8 ms before, by more than
+    /// its earlier trend, and not because it was braked.
     fn is_slowed(&self) -> bool {
         let earlier = self.spooling.along(self.window.speed_cps(28, 12));
         let before = self.spooling.along(self.window.speed_cps(12, 4));
         let now = self.spooling.along(self.window.speed_cps(2, 0));
-        // The middles of the three are 12 and 7 ms apart.
+        // The middles of the three windows are 12 and 7 ms apart.
         let losing = earlier.saturating_sub(before).max(0) / 12 * 7;
         let sudden = (before / 14).max(STRUCK_LOSS_CPS);
         let least = before.saturating_sub(losing).saturating_sub(sudden);
         self.window.is_driven(12) && before >= FAST_CPS && now < least
     }
 
-    /// Part of the current that makes the motor faster; none while it becomes slower.
+    /// Part of the current that accelerates the motor; 0 while it slows down.
     fn accelerating_ma(&self) -> u16 {
         let before = self.spooling.along(self.window.speed_cps(24, 12));
         let now = self.spooling.along(self.window.speed_cps(12, 0));
-        // Counts/s more than 12 ms before.
+        // Gain of speed over 12 ms, counts/s.
         let gained = now.saturating_sub(before).max(0).unsigned_abs();
         let cps2 = gained.saturating_mul(1_000) / 12;
         u16::try_from(cps2 / COASTING_CPS2_PER_MA).unwrap_or(u16::MAX)
     }
 
-    /// A slow motor has lost a fifth of its speed within 3 ms, beyond what it has been losing anyway, still turns, and not
-    /// because less current was ordered. The
-    /// current follows later, and the motor's momentum pulls meanwhile.
+    /// A slow motor has lost a fifth of its speed within 3 ms, beyond its earlier trend. It still turns, and no less
+    /// current was ordered. The current follows later; meanwhile the motor's momentum pulls.
     fn meets_something(&self) -> bool {
         let earlier = self.spooling.along(self.window.speed_cps(27, 11));
         let before = self.spooling.along(self.window.speed_cps(11, 3));
         let now = self.spooling.along(self.window.speed_cps(3, 0));
-        // The middles of the three are 12 and 5.5 ms apart.
+        // The middles of the three windows are 12 and 5.5 ms apart.
         let losing = earlier.saturating_sub(before).max(0) / 24 * 11;
         let turns = self.window.step(0).is_some_and(|step| step.abs() >= 2);
         before >= SLOW_CPS_AT_LEAST
@@ -406,12 +410,13 @@ impl Detector {
             && self.window.orders_most_now(ORDERED_READINGS)
     }
 
-    /// The encoder has counted nothing for 10 ms, one line that flickers at most.
+    /// The encoder has counted nothing for 10 ms, apart from one line that may flicker.
     fn counts_nothing(&self) -> bool {
         (0..STILL_READINGS).all(|age| self.window.step(age).is_some_and(|step| step.abs() <= 1))
     }
 
-    /// The counts end within 1 ms, for 3 ms: a motor needs longer to stop. Or they go the wrong way.
+    /// The counts stop within 1 ms and stay away for 3 ms, though a motor needs longer to stop. Or they run the wrong
+    /// way.
     fn turns_uncounted(&mut self, counts: Counts) -> bool {
         let started_at = *self.started_at.get_or_insert(counts);
         let way = self.spooling.along(counts.since(started_at).0);
@@ -431,18 +436,19 @@ impl Detector {
         else {
             return false;
         };
-        // A motor that is being stopped, because it has met something, may end as suddenly.
+        // A motor that is being braked, because it has met something, may stop as suddenly.
         if !self.window.is_driven(steps.len()) {
             return false;
         }
-        // Two steps lie between `d` and the first without progress. A jam takes 2 counts per ms and ms.
+        // Two steps lie between `d` and the first one without progress. A jam takes 2 counts per ms off the step in
+        // each ms.
         let (d, e, f) = (d.abs(), e.abs(), f.abs());
         let steady = d >= 8 || d >= 4 && e.max(f) <= d + 1;
         let stopped = [a, b, c].iter().all(|step| step.abs() <= 1) && (a + b + c).abs() <= 1;
         steady && stopped
     }
 
-    /// Mean of the current in the leg's direction over the last readings, if all of them were driven.
+    /// Mean current in the leg's direction over the last readings; none unless all of them were driven.
     pub fn mean_ma(&self) -> Option<u16> {
         self.window.means_ma(FORCE_READINGS).map(|(mean, _)| mean)
     }
@@ -452,7 +458,8 @@ impl Detector {
             .is_some_and(|(_, since_us)| now_us.saturating_sub(since_us) < STANDSTILL_US / 4)
     }
 
-    /// The motor turns, and its current reads nothing: a motor without current becomes slower.
+    /// Names the cause when the motor turns and its current reads nothing. A motor that really has no current slows
+    /// down.
     fn name_of_silence(&self) -> Trip {
         let before = self.spooling.along(
             self.window
@@ -474,7 +481,8 @@ impl Detector {
             .window
             .battery_mv(FORCE_READINGS)
             .map_or(0, |loaded_mv| self.rest_mv.saturating_sub(loaded_mv));
-        // A motor that turns uncounted is ordered as one that stands, and is braked by that for a while.
+        // Check the longer time too: a motor that turns uncounted is driven like a standing one, brakes by that, and
+        // draws nothing for a while.
         if self.draws_nothing(FORCE_READINGS) && self.draws_nothing(ORDERED_READINGS) {
             if sag_mv >= LEAST_SAG_MV {
                 Trip::SenseLost

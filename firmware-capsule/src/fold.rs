@@ -46,24 +46,25 @@ use protocol::{
     error::Refusal,
 };
 
-/// How long the motor is shorted after a motion: six of its time constants.
+/// Time that the motor is shorted after a motion: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
-/// How long a motor that meets something hard is shorted at most.
+/// Longest time that a motor is shorted after it has met something hard.
 const STRUCK_BRAKE_US: u64 = 10_000;
-/// And down to this speed, counts/s, 3.7 mm/s: should it be a false alarm, it must not stand. From standstill it takes more
-/// than the end force to start.
+/// Stop braking at this speed, counts/s, 3.7 mm/s, so that a false alarm cannot stall the motor: starting from
+/// standstill takes more than the end force.
 const STRUCK_CPS: i32 = 3_000;
-/// While it is faster than this it is driven against its direction. The speed is 2 ms old, and falls by 3 counts/ms in each.
+/// Above this speed, counts/s, drive the motor against its direction instead of shorting it. The speed is 2 ms old
+/// and falls by 3 counts/ms per ms.
 const PLUGGED_CPS: i32 = 4_500;
-/// Internal resistance of a good cell, until it is measured.
+/// Internal resistance of a good cell, used until it is measured.
 const CELL_MILLIOHM: u32 = 500;
-/// From this current out of the cell on its sag tells its resistance.
+/// Minimum current from the cell for measuring its resistance.
 const LOAD_MA: u32 = 50;
-/// Above the no-load current, the thread pulls: 0.3 N.
+/// Current above the no-load current at which the thread pulls: 0.3 N.
 const ENGAGED_MA: u16 = 7;
-/// Two slow windings of 28.5 mm, 5.7 s each, and two ways out.
+/// Time limit of a reference: two slow windings of 28.5 mm, 5.7 s each, and paying out twice.
 pub const REFERENCE_TIMEOUT_MS: u32 = 16_000;
-/// A partial fold is this far from either end: the ends have motions of their own.
+/// Least distance of a partial fold from either end: the ends have motions of their own.
 pub const PARTIAL_MARGIN: Thread = Thread(500);
 
 /// State of the bridge.
@@ -78,10 +79,10 @@ pub enum Drive {
     Millivolts(i16),
 }
 
-/// What the host can order.
+/// An order of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Command {
-    /// Measure how far it is from here, the unfolded end, to the end force.
+    /// Take this position as the unfolded end and measure the way to the end force.
     Calibrate,
     /// Wind gently to the end force, and stay there.
     CheckFolded,
@@ -91,7 +92,7 @@ pub enum Command {
     Fold,
     /// Pay out to zero.
     Unfold,
-    /// Wind or pay out to here.
+    /// Wind or pay out to this thread length.
     FoldTo(Thread),
     /// Motor off; never refused.
     Stop,
@@ -101,33 +102,33 @@ pub enum Command {
     Acknowledge,
 }
 
-/// What happens to the capsule.
+/// An input of the state machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// New readings. Every 1 ms while the bridge is awake.
+    /// New readings, every 1 ms while the bridge is awake.
     Sample(Sample),
-    /// Order of the host.
+    /// An order of the host.
     Command(Command),
-    /// No valid frame for longer than the link's time-out.
+    /// No valid frame has come for longer than the link's time-out.
     LinkSilent,
 }
 
-/// What the caller has to do.
+/// Output of a step, for the caller to carry out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Actions {
     /// Set the bridge to this.
     pub drive: Drive,
-    /// Record and send these, in this order.
+    /// Events to record and send, in this order.
     pub events: heapless::Vec<CapsuleEvent, 3>,
-    /// Why the command was refused, if it was.
+    /// Reason why the command was refused.
     pub refusal: Option<Refusal>,
-    /// Keep this in flash, as soon as the bridge sleeps.
+    /// Calibration to write to flash, as soon as the bridge sleeps.
     pub calibrated: Option<Calibration>,
 }
 
 impl Actions {
     fn emit(&mut self, event: CapsuleEvent) {
-        // One step emits at most a start, an end and a fault.
+        // The capacity suffices: one step emits at most a start, an end and a fault.
         let _ = self.events.push(event);
     }
 }
@@ -149,35 +150,35 @@ struct Actuation {
     kind: ActuationKind,
     leg: Leg,
     detector: Detector,
-    /// Where it began, and as much more as a partial winding stops early.
+    /// Thread at the start, plus the distance by which a partial winding stops early.
     from: Thread,
     started_us: u64,
     deadline_us: u64,
     governor: Governor,
     effort: Effort,
-    /// The end force is near.
+    /// The end force is near. Kept for the hysteresis.
     near: bool,
-    /// Shorted until then: the motor has met something.
+    /// The motor has met something: braked until this time.
     struck_until_us: u64,
-    /// Battery before the drive.
+    /// Battery voltage before the drive.
     rest_mv: u16,
-    /// Where the thread was slack at the start, so that the first current is the no-load current.
+    /// Count at the start if the thread was slack there; the current that follows is then the no-load current.
     slack_from: Option<Counts>,
     slack: Mean,
-    /// Current winding at the folded end, before a thread that must be taut is paid out.
+    /// Current while winding at the folded end, before the taut thread is paid out.
     winding_ma: Option<u16>,
-    /// Its current then.
+    /// Current while paying out the taut thread.
     taut: Mean,
-    /// Pull just before the calibrated end over what it was there, in thousandths.
+    /// Pull just before the calibrated end over the calibration's pull there, in thousandths.
     share: Mean,
-    /// So often may the slow part that it is measured in be prolonged.
+    /// Extensions left for the tension zone.
     prolongations: u8,
     circuit: Circuit,
-    /// Back-EMF that a calibration has measured on its way to the end.
+    /// Back-EMF that a calibration has measured on its way to the folded end.
     back_emf_uv_cps: u16,
-    /// A calibration that lacks its tension.
+    /// Length and rise that a calibration has found; its tension is measured afterwards.
     found: Option<(Thread, Rise)>,
-    /// With the end force that the friction of this motion asks for.
+    /// Settings with the end force scaled to this motion's friction.
     settings: Settings,
 }
 
@@ -186,16 +187,16 @@ struct Actuation {
 pub struct Capsule {
     mode: Mode,
     referenced: bool,
-    /// The amplifier's offset before the last motion, until its zero has been looked at again.
+    /// The amplifier's offset before the last motion, for comparison with the one after it.
     offset_before_ma: i16,
     /// Count at thread zero.
     zero: Counts,
-    /// So much less thread than calibrated is believed to be wound at the folded end.
+    /// Safety margin: the thread at the folded end may be this much shorter than calibrated.
     spare: Thread,
-    /// How much later than calibrated the last fold felt its force: by another friction, or because the count has moved. Nothing
-    /// tells which, so an unfolding ends this much before zero.
+    /// How much later than calibrated the last fold felt its force. Either the friction has changed or the count has
+    /// moved. Nothing tells which, so an unfolding ends this much before zero.
     doubt: Thread,
-    /// How much further on than calibrated the folded end is: thread and origami have become longer.
+    /// How far the folded end has crept past the calibrated one: thread and origami stretch with time.
     crept: Thread,
     sample: Sample,
     sample_us: u64,
@@ -203,9 +204,9 @@ pub struct Capsule {
     brake_until_us: u64,
     no_load_ma: u16,
     calibration: Option<Calibration>,
-    /// Internal resistance of the cell, as the last motion under load has shown it.
+    /// Internal resistance of the cell, as measured in the last motion under load.
     cell_milliohm: u32,
-    /// The last motion of the run before ended folded, and nothing has moved since.
+    /// The last motion before the reset ended folded, and nothing has moved since.
     was_folded: bool,
     drift: Drift,
     settings: Settings,
@@ -213,8 +214,8 @@ pub struct Capsule {
 }
 
 impl Capsule {
-    /// At the start of the device, position unknown. `fault` is what ended the last run of the firmware, if a
-    /// fault did; `calibration`, whether it `was_folded`, and `settings` come from flash.
+    /// A started device with an unknown position. `fault` is the fault that ended the previous run of the firmware,
+    /// if one did. `calibration`, `was_folded` and `settings` come from flash.
     pub fn new(
         fault: Option<CapsuleFault>,
         calibration: Option<Calibration>,
@@ -284,7 +285,7 @@ impl Capsule {
         self.referenced
     }
 
-    /// Thread on the spool at the last sample. Before the first reference it counts from an arbitrary zero.
+    /// Thread on the spool at the last sample. Counts from an arbitrary zero before the first reference.
     pub fn thread(&self) -> Thread {
         self.sample.counts.since(self.zero).thread()
     }
@@ -294,7 +295,7 @@ impl Capsule {
         self.zero
     }
 
-    /// What is known of this capsule.
+    /// The capsule's calibration, if it has one.
     pub fn calibration(&self) -> Option<&Calibration> {
         self.calibration.as_ref()
     }
@@ -304,26 +305,26 @@ impl Capsule {
         &self.sample
     }
 
-    /// The bridge's state after the last event.
+    /// State of the bridge after the last event.
     pub fn drive(&self) -> Drive {
         self.drive
     }
 
-    /// What a person can change.
+    /// The settings in force.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// Other settings are in force. Not while it moves.
+    /// Puts other settings in force. Not to be called during a motion.
     pub fn set_settings(&mut self, settings: Settings) {
-        // A measured current stays, unless somebody knows better.
+        // Adopt a changed no-load current only if no calibration has measured it.
         if self.calibration.is_none() && settings.no_load_ma != self.settings.no_load_ma {
             self.no_load_ma = settings.no_load_ma;
         }
         self.settings = settings;
     }
 
-    /// The present or last actuation.
+    /// Record of the present or last actuation.
     pub fn record(&self) -> ActuationRecord {
         self.recorder.record()
     }
@@ -344,7 +345,7 @@ impl Capsule {
         }
     }
 
-    /// Takes one event. `now_us` must not run backwards; if it does, time stands still for the machine.
+    /// Takes one event. `now_us` must not run backwards; if it does, the machine keeps its last time.
     pub fn step(&mut self, now_us: u64, event: Event) -> Actions {
         let mut actions = Actions::default();
         match event {
@@ -361,7 +362,7 @@ impl Capsule {
 
     fn on_sample(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
         if let (Drive::Millivolts(drive_mv), Mode::Moving(actuation)) = (self.drive, &self.mode) {
-            // The last sample before a start is up to 100 ms old, and the motor was not driven then.
+            // The last sample before a start is up to 100 ms old, but the motor was not driven then.
             let since_us = self.sample_us.max(actuation.started_us);
             self.recorder.add_energy(
                 &sample,
@@ -408,7 +409,7 @@ impl Capsule {
             .step(aim, speeds, battery_mv, &self.settings);
     }
 
-    /// Judges the last sample while moving.
+    /// Judges the last sample of a moving capsule.
     fn supervise(&mut self, now_us: u64, actions: &mut Actions) {
         if let Err(fault) = self.judge(now_us, actions) {
             self.fail(now_us, fault, actions);
@@ -439,7 +440,7 @@ impl Capsule {
                 &actuation.settings,
             );
             match (checked, actuation.leg) {
-                // A thread that cannot be wound with all that the motor is given pulls.
+                // The motor cannot wind the thread with all its current, so the thread pulls.
                 (Err(Trip::Blocked), Leg::Feel { .. }) => Load {
                     end_force: true,
                     ..Load::default()
@@ -447,7 +448,7 @@ impl Capsule {
                 (checked, _) => checked.map_err(|trip| fault_of(trip, thread))?,
             }
         } else {
-            // The first sample of a leg was taken before its drive: only its position counts.
+            // The first sample of a leg was taken before its drive, so only its position counts.
             Load::default()
         };
         if let Some(excess_ma) = load.excess_ma {
@@ -494,7 +495,7 @@ impl Capsule {
             stopping,
             (self.calibration.as_ref(), &self.settings),
         );
-        // No end counts that was found by a current or by counts which disagree.
+        // Accept no end that was found by current or counts which contradict each other.
         let ends = matches!(
             decided,
             Err(_) | Ok(Decision::Folded | Decision::EndFound { .. })
@@ -541,11 +542,11 @@ impl Capsule {
                 }
                 return Ok(());
             }
-            // The folded thread pulls as it did: back to where it was.
+            // The folded thread pulls as it did at the calibration: wind back to the start.
             Decision::Arrived if actuation.kind == ActuationKind::CheckFolded => {
                 match actuation.leg.spooling() {
                     Spooling::PayOut => {
-                        // Whatever the friction asks for.
+                        // Allow the largest end force: friction must not end the way back.
                         actuation.settings = self.settings.with_force(FRICTION_FORCE.1);
                         Leg::Wind {
                             end,
@@ -574,7 +575,7 @@ impl Capsule {
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
-        // The motor is braked, then driven the other way.
+        // Brake the motor first, then drive it the other way.
         let from_us = now_us.saturating_add(BRAKE_US);
         self.brake_until_us = from_us;
         actuation.leg = next;
@@ -594,7 +595,7 @@ impl Capsule {
         actuation.circuit.disagrees_now(known, &self.settings)
     }
 
-    /// The end force has been found, so the zero is known; the leg that follows, if one does.
+    /// Sets the zero once the end force has been found. Returns the next leg, if there is one.
     fn end_found(
         &mut self,
         wound: Thread,
@@ -623,8 +624,8 @@ impl Capsule {
                 actuation.back_emf_uv_cps = constant;
             }
         }
-        // The end may be found before where the calibration found it: the thread is believed shorter, so that an unfolding ends
-        // before zero. What this run has wound itself is there.
+        // The end may be found earlier than the calibration found it. Believe the thread shorter then, so that an
+        // unfolding ends before zero. Thread that this run has wound itself is certain.
         self.spare = match purpose {
             Purpose::Calibrate => {
                 self.crept = Thread(0);
@@ -640,7 +641,7 @@ impl Capsule {
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
         (self.drift, self.doubt) = (Drift::default(), Thread(0));
-        // A calibration counts only with its last part, the tension.
+        // A calibration is complete only after its last part, the tension.
         self.referenced = purpose != Purpose::Calibrate;
         if matches!(purpose, Purpose::Check { .. }) {
             return Ok(None);
@@ -658,7 +659,7 @@ impl Capsule {
         }
     }
 
-    /// At rest with the thread anywhere. A reference run stopped after it found the zero knows its position.
+    /// Mode at rest between the ends. A reference run that is stopped after it has found the zero keeps its position.
     fn resting_between_ends(&self) -> Mode {
         if self.referenced {
             Mode::Stopped
@@ -667,7 +668,7 @@ impl Capsule {
         }
     }
 
-    /// Ends the motion, if there is one, and latches the fault.
+    /// Latches the fault, and ends the motion if there is one.
     fn fail(&mut self, now_us: u64, fault: CapsuleFault, actions: &mut Actions) {
         let latched = self.fault();
         if latched == Some(fault)
@@ -689,7 +690,7 @@ impl Capsule {
     }
 
     fn end(&mut self, now_us: u64, mode: Mode, outcome: ActuationOutcome, actions: &mut Actions) {
-        // Without drive there is nothing to brake.
+        // An undriven motor needs no brake.
         if self.drive != Drive::Off {
             self.brake_until_us = now_us.saturating_add(BRAKE_US);
         }

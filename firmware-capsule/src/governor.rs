@@ -1,30 +1,30 @@
-//! Speed loop on the encoder, with the current bounded by what is known of the motor.
+//! Speed loop on the encoder, with the current bounded by the motor's equation.
 //!
-//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - e) / R` whatever the inductance
-//! is, with the back-EMF `e` from the speed. The loop asks for a current and turns it into a duty; so the current is bounded
-//! from the first pulse on, whether it is measured or not. To slow down, the motor is shorted for a millisecond at a
-//! time, which takes 14 % of its speed and nothing from the battery.
+//! The bridge shorts the motor between the pulses, so a duty `D` gives the mean current `(D V - e) / R` at any
+//! inductance. The back-EMF `e` follows from the speed. The loop asks for a current and converts it to a duty, so the
+//! current is bounded from the first pulse on, even if it is never measured. To slow down, the loop shorts the motor
+//! for a millisecond at a time. That takes 14 % of its speed and nothing from the battery.
 
 use crate::settings::Settings;
 
-/// Integral part, uA per count/s and ms, times 1/4: a time constant of 67 ms.
+/// Integral gain, uA per count/s and ms, times 1/4: a time constant of 67 ms.
 const INTEGRAL_QUARTERS: i32 = 1;
-/// The same while the motor hardly turns: it has a load to get over.
+/// The same while the motor hardly turns, to get a load moving sooner.
 const STANDING_QUARTERS: i32 = 4;
-/// A motor that is faster than it should be by a quarter, or by this, is braked.
+/// Excess speed above which the motor is braked, counts/s; or a quarter of the aim, if that is more.
 const BRAKE_ABOVE_CPS: i32 = 500;
 
-/// Current with which a motor that meets something is stopped.
+/// Current against the motion that stops a motor which meets something, mA.
 const PLUG_MA: u32 = 600;
-/// And the most voltage for it: what an empty cell has.
+/// Largest voltage for it, mV: an empty cell has no more.
 const MOST_PLUG_MV: i64 = -2_500;
 
-/// What the speed loop wants.
+/// Output of the speed loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effort {
-    /// Shorted.
+    /// Motor shorted.
     Brake,
-    /// Duty times battery voltage, in the direction of the leg; negative is against it.
+    /// Duty times battery voltage, positive in the direction of the leg.
     Millivolts(i16),
 }
 
@@ -33,9 +33,9 @@ pub enum Effort {
 pub struct Aim {
     /// Speed in the direction of the leg, counts/s.
     pub cps: i32,
-    /// Most current.
+    /// Largest current, mA.
     pub limit_ma: u16,
-    /// Most current at that speed. What needs more is moved more slowly.
+    /// Largest current that the integral part may hold, mA. A heavier load is moved more slowly.
     pub held_ma: u16,
 }
 
@@ -44,38 +44,38 @@ pub struct Aim {
 pub struct Governor {
     integral_ua: i32,
     ordered_ma: Option<u16>,
-    /// The last effort was all that the battery has.
+    /// The last effort asked for all that the battery has.
     saturated: bool,
-    /// For so many milliseconds the motor has been shorted without a pause.
+    /// Consecutive milliseconds of braking.
     braked_ms: u8,
 }
 
 impl Governor {
-    /// Current that the last effort was meant to give; none while braking.
+    /// Current that the last effort was meant to give, mA; none while braking.
     pub fn ordered_ma(&self) -> Option<u16> {
         self.ordered_ma
     }
 
-    /// Drives the motor against its direction, with more current than a short circuit would give.
+    /// Drives the motor against its direction, which brakes it harder than a short circuit.
     pub fn plug(&mut self, cps: i32, settings: &Settings) -> Effort {
         self.ordered_ma = None;
         self.braked_ms = self.braked_ms.saturating_add(1);
         let back_mv = cps.max(0) as u32 * settings.back_emf_uv_per_cps / 1_000;
         let against_mv = PLUG_MA * settings.loop_milliohm / 1_000;
         let millivolts = i64::from(back_mv) - i64::from(against_mv);
-        // A short circuit is the least of it.
+        // At least as strong as a short circuit, which is 0 mV.
         Effort::Millivolts(millivolts.clamp(MOST_PLUG_MV, 0) as i16)
     }
 
-    /// Shorts the motor for a millisecond, whatever its speed.
+    /// Shorts the motor for a millisecond at any speed.
     pub fn brake(&mut self) -> Effort {
         self.ordered_ma = None;
         self.braked_ms = self.braked_ms.saturating_add(1);
         Effort::Brake
     }
 
-    /// Once a millisecond, with the speed in the direction of the leg, and the least that it may be by now: the current
-    /// is bounded also while something stops the motor.
+    /// Runs the loop once a millisecond. Takes the speed in the direction of the leg, and the lowest value that it
+    /// may have by now, so that the current stays bounded while something stops the motor.
     pub fn step(
         &mut self,
         aim: Aim,
@@ -84,7 +84,7 @@ impl Governor {
         settings: &Settings,
     ) -> Effort {
         let error = aim.cps.saturating_sub(cps);
-        // The speed is a mean over 3 ms; while the motor is shorted, it is less by now.
+        // The speed is a mean over past milliseconds. A shorted motor is slower by now.
         let by_now_cps = match self.braked_ms {
             0 => least_cps,
             1 => least_cps - least_cps / 8,
@@ -96,9 +96,9 @@ impl Governor {
         self.braked_ms = 0;
         let limit_ua = i32::from(aim.limit_ma) * 1_000;
         let held_ua = i32::from(aim.held_ma.min(aim.limit_ma)) * 1_000;
-        // While the proportional part alone is at the limit, the integral part would only wind up.
+        // Anti-windup: hold the integral part while the proportional part alone reaches the limit...
         let proportional_ua = error.saturating_mul(settings.proportional_ua);
-        // So it would while the battery gives no more.
+        // ... and while the battery gives no more.
         if proportional_ua < limit_ua && !(self.saturated && error > 0) {
             let quarters = if cps < aim.cps / 8 {
                 STANDING_QUARTERS
@@ -118,11 +118,11 @@ impl Governor {
     }
 }
 
-/// Duty times battery voltage that gives this mean current at this speed.
+/// Duty times battery voltage that gives this mean current at this speed, mV.
 fn drive_mv(current_ua: u32, cps: i32, battery_mv: u16, settings: &Settings) -> u16 {
-    // A motor that turns the other way adds to the current; its speed counts as none.
+    // Backward rotation adds to the current; count it as standstill.
     let back_mv = (cps.max(0) as u32).saturating_mul(settings.back_emf_uv_per_cps) / 1_000;
-    // uA * mohm / 1000 = uV, a quarter of both: 250 mA and 20 ohm fit.
+    // uA * mohm / 1000 = uV. A quarter of both factors, so that 250 mA and 20 ohm fit.
     let resistive_mv = (current_ua / 4).saturating_mul(settings.loop_milliohm / 4) / 62_500;
     let drive_mv = back_mv.saturating_add(resistive_mv);
     drive_mv.min(battery_mv.into()) as u16

@@ -1,36 +1,36 @@
-//! What a capsule keeps in flash beside settings and name: its calibration, and totals with how the last motion ended. Their
-//! numbers in the log are those of the rig's first two settings.
+//! Data that a capsule keeps in flash beside settings and name: its calibration, and totals with the end of the last
+//! motion. In the log they use the numbers of the rig's first two settings.
 //!
-//! A record is 24 bytes with its head, and one is written after each motion, once the motor stands; another one before
-//! a motion that leaves the folded end. Three sectors of 16 KiB, 10,000 erasures each (data sheet), are worth 20
+//! A record takes 24 bytes with its head. One is written after each motion, once the motor stands, and one before a
+//! motion that leaves the folded end. Three sectors of 16 KiB with 10,000 erasures each (data sheet) last for 20
 //! million records.
 
 use crate::calibration::Calibration;
 use device::settings::{Record, Records};
 use protocol::{settings::SettingKey, system::DeviceKind};
 
-/// Number of the calibration's record.
+/// Number of the calibration's record in the log.
 pub const CALIBRATION: u8 = 0;
-/// Number of the totals' record.
+/// Number of the totals' record in the log.
 pub const TOTALS: u8 = 1;
-/// No setting of a capsule has their numbers.
+/// These numbers must not belong to settings of a capsule.
 const _: () = assert!(
     !SettingKey::ALL[CALIBRATION as usize].is_of(DeviceKind::Capsule)
         && !SettingKey::ALL[TOTALS as usize].is_of(DeviceKind::Capsule)
 );
 
-/// Over the life of the capsule.
+/// Totals over the life of the capsule.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Totals {
-    /// Motions.
+    /// Number of motions.
     pub actuations: u32,
-    /// Energy drawn by the motor.
+    /// Energy drawn by the motor, mJ.
     pub energy_mj: u64,
-    /// The last motion ended folded, or as good as that (its end had wandered), and none has begun since.
+    /// The last motion ended folded, perhaps at an end that had wandered, and none has begun since.
     pub folded: bool,
 }
 
-/// Version and the fields, little-endian.
+/// Length of the record: version and fields, little-endian.
 const TOTALS_RECORD: usize = 14;
 const VERSION: u8 = 1;
 
@@ -60,7 +60,7 @@ impl Totals {
 pub struct Kept {
     /// `None` before the first one.
     pub calibration: Option<Calibration>,
-    /// From 0 in a new capsule.
+    /// All 0 in a new capsule.
     pub totals: Totals,
 }
 

@@ -1,34 +1,36 @@
-//! The legs of a motion: how fast each one is, and where it ends.
+//! The legs of a motion: the speed of each, and where it ends.
 //!
 //! # How the zero is found
 //!
 //! Paying out can be counted but not felt: behind the worm gear, a slack thread and one that has wound itself
-//! backwards onto the spool look the same. The sharp mark is the other end, where the force grows by 3 N per mm and
-//! more. How far that is from the unfolded end depends on the stiffness of the origami, so it is measured once per
-//! capsule: a person says "this is unfolded" ([`Purpose::Calibrate`]), and the run winds slowly to the end force and pays
-//! out exactly what it wound. From then on a reference run winds to the same force and pays out the length that is
-//! known; it ends unfolded, wherever it began.
+//! backwards onto the spool look the same. The sharp mark is the other end, where the force grows by at least 3 N per
+//! mm. Its distance from the unfolded end depends on the stiffness of the origami, so each capsule is calibrated
+//! once. A person says "this is unfolded" ([`Purpose::Calibrate`]); the run winds slowly to the end force and pays
+//! out exactly what it wound. A reference run later winds to the same force and pays out the known length, so it ends
+//! unfolded wherever it began.
 //!
-//! An obstacle stops the thread with the end force, too. If it were taken for the folded end, the run would pay out
-//! past zero by the thread that was not wound. The rise tells the two apart: the thread from half of the end force to all of it, and that from a
-//! quarter, have to be those of the calibration. What something soft in the way can hide in that is [`FOUND_BY_RISE`](crate::mechanics::FOUND_BY_RISE), and
-//! so much before its zero does such a run believe the thread to end. A rise that is too short may also mean
-//! that the origami was folded from the start, so a reference run backs off and tries once more; the
-//! second try decides. It backs off by [`BACK_OFF`] at a time, and only while it then feels, winding, that the thread still pulls: a thread that
-//! pulls is past its slack, and further from zero than that. A check never pays out past where it began.
+//! An obstacle stops the thread with the end force, too. A run that took it for the folded end would pay out past
+//! zero by the thread that it had not wound. The rise tells the two apart: the lengths from half and from a quarter
+//! of the end force to all of it must match the calibration. Something soft in the way can still hide an error of
+//! [`FOUND_BY_RISE`](crate::mechanics::FOUND_BY_RISE), so such a run pays out less by that.
+//!
+//! A rise that is too short may also mean that the origami was folded from the start. A reference run then backs off
+//! and tries once more; the second try decides. It backs off by [`BACK_OFF`] at a time, and only while it feels,
+//! winding, that the thread still pulls: such a thread is past its slack, and further from zero than `BACK_OFF`. A
+//! check never pays out past where it began.
 //!
 //! # Folded is not a force alone
 //!
-//! A fold ends on force, but it is folded only where the calibration says, within [`Settings::end_tolerance`]: an
-//! obstacle in the last millimetres has force and rise of the right kind, and is short. That is called a jam. Beyond
-//! the calibrated end, by [`Settings::end_overrun`], the thread is broken or has slipped.
+//! A fold ends on force, but it is folded only where the calibration says, within [`Settings::end_tolerance`]. An
+//! obstacle in the last millimetres has a similar force and rise, but ends the fold short: that is a jam. Beyond the
+//! calibrated end, by [`Settings::end_overrun`], the thread is broken or has slipped.
 //!
 //! # Speeds
 //!
-//! A thread that catches has to stop the motor, and the motor's own momentum pulls with 27 N at its no-load speed, whatever
-//! the current does; so winding is bounded to [`Settings::fold_cps`]: at 13.5 mm/s a jam in the last
-//! 2 mm reaches 20.8 N, at 12.9 mm/s 19.6 N. Paying out is bounded by what the motor would coast if the power were
-//! cut: it must stand before zero without a brake.
+//! A thread that catches has to stop the motor. At no-load speed the motor's momentum alone pulls with 27 N, whatever
+//! the current. So [`Settings::fold_cps`] limits winding: at 13.5 mm/s a jam in the last 2 mm reaches 20.8 N, at 12.9
+//! mm/s 19.6 N. Paying out is limited by coasting: if the power is cut, the motor must stop before zero without a
+//! brake.
 
 use crate::calibration::Calibration;
 use crate::detect::Load;
@@ -38,63 +40,63 @@ use crate::sample::Spooling;
 use crate::settings::Settings;
 use protocol::capsule::CapsuleFault;
 
-/// Above the no-load current: from this pull on, a fold becomes slower, so that pull and momentum together do not grow. It
-/// ends a fold with less current than one that keeps its speed.
+/// Current above the no-load current from which a fold slows down, so that pull and momentum do not add up. A slow
+/// fold also ends with less current than a fast one.
 const LOADED_FROM_MA: u16 = 68;
-/// The last of paying out: 2 mm/s.
+/// Speed of the last part of paying out, counts/s: 2 mm/s.
 const LAST_CPS: i32 = 1_600;
-/// A fold is slow for this much before its calibrated end: 0.25 mm to become slow, and the zone in which its force is compared with
-/// the calibration's, which was as slow.
+/// Slow part of a fold before its calibrated end: 0.25 mm to slow down, then the range in which its force is compared
+/// with that of the equally slow calibration.
 pub const SLOW_ZONE: Thread = Thread(600);
-/// The first of an unfolding is slow, so that its current tells whether the thread pulls. What it takes to start the motor
-/// is almost gone by then.
+/// Slow first part of an unfolding, in which the current tells whether the thread pulls. The extra current for
+/// starting the motor fades within it.
 pub const TENSION_ZONE: Thread = Thread(700);
-/// A leg that pays out is braked so that the motor stops this far before its end. The stopping distance, 0.01 mm at
-/// 2 mm/s, must be predicted to within this.
+/// A leg that pays out brakes so that the motor stops this far before its end. The predicted stopping distance, 0.01
+/// mm at 2 mm/s, must not be further off than this.
 pub const STOP_MARGIN: Thread = Thread(40);
-/// Most current: it accelerates the motor to full speed within 20 ms, and is what a cell of 40 mAh likes to give.
+/// Largest current, mA: accelerates the motor to full speed within 20 ms, and suits a cell of 40 mAh.
 pub const MOST_MA: u16 = 220;
-/// Most current above the no-load current where force ends the leg: 8.5 N, 11.3 N with the least friction.
+/// Largest current above the no-load current where force ends the leg, mA: 8.5 N, 11.3 N with the least friction.
 const FORCE_LIMIT_MA: u16 = 200;
-/// Most current for the last of paying out: what a lost encoder could do there is bounded by it.
+/// Largest current for the last part of paying out, mA: limits the damage if the encoder is lost there.
 const LAST_LIMIT_MA: u16 = 60;
-/// The last of paying out.
+/// Length of the last part of paying out.
 const LAST_ZONE: Thread = Thread(1_500);
 
-/// What a run to the folded end is for.
+/// Purpose of a run to the folded end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// To measure how far it is; it began unfolded.
+    /// Measure the distance from the unfolded start.
     Calibrate,
-    /// To find the zero.
+    /// Find the zero.
     Reference,
-    /// To see whether it is folded; `believed` if nothing has moved since it was.
+    /// See whether the capsule is folded.
     Check {
-        /// The last motion that is known of ended folded.
+        /// The last known motion ended folded, and nothing has moved since.
         believed: bool,
     },
 }
 
-/// What follows when the pull has been felt.
+/// Continuation once the pull has been felt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
-    /// The thread is paid out to here.
+    /// Pay out to this thread length.
     PayOut(Thread),
-    /// A reference run backs off further, if the thread pulls, and else tries again.
+    /// Back off further if the thread pulls; otherwise try again to find the end.
     BackOff {
-        /// Where it began.
+        /// Where the reference run began.
         origin: Counts,
-        /// So often.
+        /// Back-offs left.
         left: u8,
     },
 }
 
-/// How far it was from shares of the end force to all of it.
+/// Lengths of thread over which the force rose to the end force.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Rise {
-    /// From half.
+    /// From half of the end force.
     pub half: Thread,
-    /// From a quarter.
+    /// From a quarter of the end force.
     pub quarter: Thread,
 }
 
@@ -108,8 +110,9 @@ impl Rise {
         }
     }
 
-    /// It is that of the calibrated origami: within a quarter of it, and as much longer from a quarter as it was, to an eighth. What rises along
-    /// a straight line has the half's rise and half as much again; the origami's grows by more than as much again.
+    /// The rise matches the calibrated origami: from half of the force within a quarter of its length. From a quarter
+    /// of the force, its length over that from half may fall short of the calibrated ratio by an eighth. A linear
+    /// rise has a ratio of 1.5; the origami's is above 2.
     pub fn is_of(self, calibration: &Calibration) -> bool {
         let (half, quarter) = (i64::from(self.half.0), i64::from(self.quarter.0));
         let (known, long) = (
@@ -129,7 +132,7 @@ pub enum Leg {
         origin: Counts,
         /// The second try, after a back-off.
         second: bool,
-        /// What for.
+        /// Purpose of the run.
         purpose: Purpose,
     },
     /// Pay out a little, to measure the rise on a second try.
@@ -138,26 +141,26 @@ pub enum Leg {
         to: Counts,
         /// Where the reference run began.
         origin: Counts,
-        /// So often again.
+        /// Back-offs left after this one.
         left: u8,
     },
     /// Wind a little, to feel whether the thread pulls.
     Feel {
-        /// Where from.
+        /// Where the leg began.
         from: Counts,
-        /// What for.
+        /// Continuation once the pull is known.
         then: Then,
     },
-    /// Wind to the end force, for the fold.
+    /// Wind to the end force for a fold.
     Wind {
         /// Thread at the calibrated end.
         end: Thread,
-        /// Something resisted on the way: slow from there.
+        /// Something has resisted on the way: stay slow from now on.
         careful: bool,
-        /// Stop here instead, before the end.
+        /// Target of a partial winding, before the end.
         short: Option<Thread>,
     },
-    /// Pay out to zero, or not so far.
+    /// Pay out to zero or to a partial target.
     PayOut {
         /// Where to stop.
         to: Thread,
@@ -166,50 +169,50 @@ pub enum Leg {
     },
 }
 
-/// What one sample means for a leg.
+/// Consequence of one sample for a leg.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Decision {
     /// The leg goes on.
     Continue,
-    /// The leg is over; the motion goes on with this one.
+    /// The leg is over. The motion continues with this one.
     Reverse(Leg),
-    /// The pull was felt: the motion goes on with this one, the other way.
+    /// The pull has been felt. The motion continues with this leg, in the other direction.
     Felt(Leg),
-    /// The leg goes on like this one.
+    /// The leg continues as this one.
     Careful(Leg),
-    /// The end force is that of the folded origami: `wound` from the origin, `rise` from half of the end force.
+    /// The end force is that of the folded origami.
     EndFound {
-        /// Since the run began.
+        /// Thread wound since the run began.
         wound: Thread,
-        /// Since shares of the end force.
+        /// Rise to the end force.
         rise: Rise,
-        /// What it was looked for.
+        /// Purpose of the run.
         purpose: Purpose,
     },
     /// Folded.
     Folded,
     /// Paid out to zero.
     Unfolded,
-    /// Where a partial fold was to stop.
+    /// A partial motion has reached its target.
     Arrived,
 }
 
-/// Least speed at which the motor, coasting with this no-load current, ends so many counts further. A quarter less
-/// friction than measured is allowed for.
+/// Lowest speed at which a motor with this no-load current coasts over this many counts. Allows for a quarter less
+/// friction than measured.
 fn coasting_cps(counts: i32, no_load_ma: u16) -> i32 {
     let deceleration = u64::from(COASTING_CPS2_PER_MA) * u64::from(no_load_ma) * 3 / 4;
     let square = 2 * deceleration * u64::from(counts.max(0).unsigned_abs());
     i32::try_from(square.isqrt()).unwrap_or(i32::MAX)
 }
 
-/// With so much current above the no-load current, the end force is near; it `was` so before.
+/// The end force is near at this current above the no-load current. `was`: the previous result (hysteresis).
 pub fn is_near(was: bool, excess_ma: u16, settings: &Settings) -> bool {
     let (from_ma, to_ma) = settings.near_ma;
     excess_ma >= if was { to_ma } else { from_ma }
 }
 
 impl Leg {
-    /// Which way the spool turns.
+    /// Direction of the spool.
     pub fn spooling(self) -> Spooling {
         match self {
             Leg::Seek { .. } | Leg::Feel { .. } | Leg::Wind { .. } => Spooling::Wind,
@@ -217,7 +220,7 @@ impl Leg {
         }
     }
 
-    /// Speed and current with `thread` on the spool; `near` is [`is_near`].
+    /// Speed and current for `thread` on the spool. `near` is the result of [`is_near`].
     pub fn aim(self, thread: Thread, no_load_ma: u16, near: bool, settings: &Settings) -> Aim {
         let slow = Aim {
             cps: if near {
@@ -269,7 +272,7 @@ impl Leg {
         }
     }
 
-    /// Judges the leg at `counts`. `zero` is the count of thread zero, `stopping` the distance that the motor runs
+    /// Judges the leg at `counts`. `zero` is the count of thread zero; `stopping` is the distance that the motor runs
     /// on if it is braked now.
     ///
     /// # Errors
@@ -287,7 +290,7 @@ impl Leg {
         let jam = CapsuleFault::Jam {
             thread_um: thread.0,
         };
-        // Past the last possible end: without load the thread is broken; with load there is more of it than there was.
+        // Past the last possible end: without load the thread is broken; under load it has become longer.
         let past_the_end = match load.excess_ma {
             Some(excess_ma) if excess_ma >= LOADED_MA => CapsuleFault::SpoolSlip,
             _ => CapsuleFault::ThreadBroken,
@@ -338,7 +341,7 @@ impl Leg {
                 } else if second || purpose != Purpose::Reference {
                     return Err(jam);
                 } else {
-                    // It pulls with the end force.
+                    // The thread pulls with the end force.
                     Decision::Reverse(Leg::BackOff {
                         to: counts.back(BACK_OFF.counts()),
                         origin,
@@ -382,7 +385,7 @@ impl Leg {
 }
 
 impl Leg {
-    /// What follows when it has been felt whether the thread `pulls`.
+    /// Chooses the next leg, now that it is known whether the thread `pulls`.
     pub fn felt(self, counts: Counts, thread: Thread, pulls: bool, then: Then) -> Decision {
         match then {
             Then::PayOut(to) => Decision::Felt(Leg::PayOut {
@@ -410,9 +413,9 @@ fn pulls(load: &Load) -> bool {
         .is_some_and(|excess_ma| excess_ma >= LOADED_MA)
 }
 
-/// A thread that pulls with 0.5 N, at least.
+/// Minimum current above the no-load current of a thread that pulls, mA: 0.5 N.
 const LOADED_MA: u16 = 12;
-/// The pull can be felt from here on, once the motor is steady; and at the latest here.
+/// Distances after which the pull is judged: the first once the motor is steady, the second in any case.
 const FELT_AFTER: Thread = Thread(120);
 const FELT_AT_MOST: Thread = Thread(300);
 

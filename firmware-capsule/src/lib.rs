@@ -1,5 +1,5 @@
-//! The capsule's logic without its hardware: mechanics, detection, state machine, commands. Tested on the host;
-//! the image in `main.rs` wires it to the STM32F411.
+//! The capsule's logic without its hardware: mechanics, detection, state machine, commands. The host tests it. The
+//! image in `main.rs` wires it to the STM32F411.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -1,4 +1,4 @@
-//! The capsule's image. What decides is the library; `board` wires it to the chip.
+//! The capsule's image. The library makes the decisions; `board` wires it to the chip.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 #![deny(unsafe_code)]
 

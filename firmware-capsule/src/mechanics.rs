@@ -70,30 +70,29 @@ const fn rescale(value: i32, numerator: i64, denominator: i64) -> i32 {
     }
 }
 
-/// A no-load current above this was not measured on a slack thread.
+/// Largest plausible no-load current, mA: a higher one was not measured on a slack thread.
 pub const MOST_NO_LOAD_MA: u16 = 30;
 
 /// Deceleration of a motor that coasts without load, counts/s2 per mA of no-load current: friction over inertia.
 pub const COASTING_CPS2_PER_MA: u32 = 4_200;
 
-/// Least thread wound between half of the end force and the end force if it is the origami that pulls. The origami takes
-/// 1.6 mm, with half to four times the assumed stiffness 1.0 to 3 mm; a hard stop or a caught thread takes almost
-/// none.
+/// Minimum length of thread from half of the end force to all of it that can be the origami's. The origami takes 1.6
+/// mm; with half to four times the assumed stiffness 1.0 to 3 mm. A hard stop or a caught thread takes almost none.
 pub const LEAST_RISE: Thread = Thread(500);
 
-/// What a calibration can be, whatever the settings are: the shortest and the longest fold that they allow.
+/// Range of a plausible calibration: the shortest and longest fold that any settings allow.
 pub const POSSIBLE_FOLD: (Thread, Thread) = (Thread(8_000), Thread(28_000));
 
-/// How much less thread than calibrated is wound where the end of a folded capsule is found again: the worst seen was 0.1 mm, and
-/// zero is not to be passed.
+/// Safety margin subtracted from the calibrated length where a folded capsule's end is found again: the worst error
+/// seen was 0.1 mm, and an unfolding must not pass zero.
 pub const FOUND_AGAIN: Thread = Thread(100);
-/// The same where only the way in which the force rises says that it is the end: something soft in the way, of 0.3 to 300 N/mm anywhere, that
-/// raises the force like the origami itself ends it up to 1.1 mm early.
+/// The same where only the rise tells that it is the end. Something soft in the way, of 0.3 to 300 N/mm at any place,
+/// can raise the force like the origami and end the run up to 1.1 mm early.
 pub const FOUND_BY_RISE: Thread = Thread(1_300);
-/// How far a reference run backs off at once before it feels whether the thread still pulls: less than the slack, so that a thread that
-/// pulled before cannot have been paid out past zero.
+/// Thread that a reference run backs off before it feels again whether the thread pulls. Less than the slack, so that
+/// a thread that pulled before cannot be paid out past zero.
 pub const BACK_OFF: Thread = Thread(700);
-/// So often, unless the thread stops pulling before: the rise from a quarter of the end force takes up to 4.4 mm.
+/// Most back-offs, if the thread keeps pulling: the rise from a quarter of the end force takes up to 4.4 mm.
 pub const BACK_OFFS: u8 = 14;
 
 #[cfg(test)]

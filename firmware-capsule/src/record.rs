@@ -4,27 +4,27 @@ use crate::mechanics::Thread;
 use crate::sample::Sample;
 use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
 
-/// The unit in which energy is counted: a fold has 2.4e14 of them, and no division is needed for each reading.
+/// Unit of the energy counter, fJ: fine enough to need no division per reading. A fold has 2.4e14 of them.
 const FJ_PER_MJ: u64 = 1_000_000_000_000;
-/// Parts of a PWM period.
+/// Resolution of the duty: parts of a PWM period.
 const SHARE: u32 = 1_024;
-/// Most current that the amplifier can show.
+/// Largest current that the amplifier can show, uA.
 const MOST_UA: i32 = 2_000_000;
-/// R T2 / 12 L2 with 6.2 ohm, 12.5 us and 53 uH is 28.7 mA per volt; less what the ripple heats in the cell, and what the sum over
-/// periods of one duty leaves out (fitted to the plant).
+/// Rise of the current in the pulses, uA per volt. R T2 / 12 L2 with 6.2 ohm, 12.5 us and 53 uH is 28.7 mA/V.
+/// Subtracted: the ripple's heat in the cell and the error of summing periods of one duty (fitted to the plant).
 const RISE_UA_PER_V: u32 = 26_300;
 
 /// Fills an [`ActuationRecord`] while the actuation runs.
 #[derive(Clone, Debug)]
 pub(crate) struct Recorder {
-    /// Without duration and energy, which are counted finer.
+    /// Without duration and energy, which are counted more finely.
     record: ActuationRecord,
     duration_us: u64,
     energy_fj: u64,
 }
 
 impl Recorder {
-    /// Before the first actuation.
+    /// The state before the first actuation.
     pub(crate) fn new() -> Self {
         Self {
             record: ActuationRecord {
@@ -76,7 +76,7 @@ impl Recorder {
         };
     }
 
-    /// Adds what the motor drew for `elapsed_us`, driven with `drive_mv`, positive winding, of a battery that has `rest_mv`
+    /// Adds the energy drawn over `elapsed_us`. `drive_mv` is positive for winding; `rest_mv` is the battery voltage
     /// without load.
     pub(crate) fn add_energy(
         &mut self,
@@ -87,24 +87,25 @@ impl Recorder {
     ) {
         let battery_mv = u32::from(sample.battery_mv);
         let drive = u32::from(drive_mv.unsigned_abs());
-        // The battery gives current in the pulses only, D = drive / battery of the time, and more than the motor's mean, because
-        // the current rises in them. The rise is (V R T2 / 12 L2) D2 (1 - D)2 to within 2 % of itself.
+        // The battery gives current only in the pulses, D = drive / battery of the time. It gives more than the
+        // motor's mean, because the current rises in them. The rise is (V R T2 / 12 L2) D2 (1 - D)2, accurate to 2 %.
         let Some(share) = (drive * SHARE).checked_div(battery_mv) else {
             return;
         };
         let share = share.min(SHARE);
         let both = share * (SHARE - share) / SHARE;
         let rise_ua = battery_mv * RISE_UA_PER_V / 1_000 * both / SHARE * both / SHARE;
-        // 2 A and 1,024 fit.
+        // 2 A times 1,024 fits an i32.
         let along_ua = sample.current_ua.clamp(-MOST_UA, MOST_UA) * i32::from(drive_mv.signum());
         let drawn_ua = along_ua * share as i32 / SHARE as i32 + rise_ua as i32;
-        // The reading is a mean over pulses and pauses; in the pulses the battery has sagged by as much more as they are shorter.
+        // The reading averages pulses and pauses. The shorter the pulses, the more the battery sags in them beyond
+        // that mean.
         let sag_mv = u32::from(rest_mv.saturating_sub(sample.battery_mv));
         let in_pulses_mv = (sag_mv * battery_mv)
             .checked_div(drive)
             .map_or(sag_mv, |sag| sag.min(u32::from(rest_mv) / 2));
         let under_load_mv = u32::from(rest_mv.max(sample.battery_mv)) - in_pulses_mv;
-        // mV * uA = nW: 32 V and 2 A fit an i64, and nW * us = fJ. A motor that the drive brakes gives some back.
+        // mV * uA = nW: 32 V and 2 A fit an i64; nW * us = fJ. A motor that the drive brakes feeds energy back.
         let power_nw = i64::from(under_load_mv) * i64::from(drawn_ua);
         let elapsed_us = i64::try_from(elapsed_us).unwrap_or(0);
         self.energy_fj = self
@@ -124,22 +125,22 @@ impl Recorder {
         self.record.peak_current_ma = self.record.peak_current_ma.max(current_ma);
     }
 
-    /// Notes the engagement. The first one of an actuation stays.
+    /// Notes where the thread engaged. Only the first engagement of an actuation counts.
     pub(crate) fn engaged(&mut self, thread: Thread) {
         if self.record.engaged_um == 0 {
             self.record.engaged_um = thread.0;
         }
     }
 
-    /// The thread's zero has moved back by `distance`: the engagement now reads this much more.
+    /// Moves the thread's zero back by `distance`, which adds that much to the engagement.
     pub(crate) fn zero_moved(&mut self, distance: Thread) {
-        // 0 means never engaged.
+        // 0 means that it never engaged.
         if self.record.engaged_um != 0 {
             self.record.engaged_um = self.record.engaged_um.saturating_add(distance.0);
         }
     }
 
-    /// Notes the position.
+    /// Notes the thread position.
     pub(crate) fn thread(&mut self, thread: Thread) {
         self.record.thread_um = thread.0;
     }

@@ -1,15 +1,15 @@
-//! One reading of the sensors, and which way the spool turns.
+//! One reading of the sensors, and the directions of the spool.
 
 use crate::{mechanics::Counts, sense::ma};
 
 /// One reading of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sample {
-    /// Encoder.
+    /// Encoder counts.
     pub counts: Counts,
-    /// Current of the motor, positive winding; a braked motor's has the other sign.
+    /// Current of the motor: positive winding, opposite sign while braking.
     pub current_ua: i32,
-    /// The shunt amplifier's offset, taken at rest; the current is without it, unless it is too large.
+    /// Offset of the shunt amplifier, measured at rest. Already subtracted from the current, unless it is too large.
     pub offset_ma: i16,
     /// Battery voltage.
     pub battery_mv: u16,
@@ -29,12 +29,12 @@ impl Sample {
     }
 }
 
-/// Which way the spool turns.
+/// Direction of the spool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Spooling {
-    /// Thread onto the spool.
+    /// Winds thread onto the spool.
     Wind,
-    /// Thread off the spool.
+    /// Pays thread out.
     PayOut,
 }
 

@@ -1,78 +1,79 @@
-//! The limits of the capsule as its control uses them, worked out of the settings in flash.
+//! The limits that control uses, derived from the settings in flash.
 
 use crate::mechanics::Thread;
 use device::settings::Values;
 use protocol::settings::{SettingKey as Key, SettingRule};
 
-/// Of all the values that a person can change.
+/// Limits derived from all values that a person can change.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// Current above the no-load current at the end force: 5.6 N with the assumed friction of the worm, 4.6 to 7.2 N over the
-    /// friction's range. Of the nominal fold's energy the last 1.6 mm before it take 37 %.
+    /// Current above the no-load current at the end force, mA: 5.6 N with the assumed friction of the worm, 4.6 to
+    /// 7.2 N over the range of friction. The last 1.6 mm before it take 37 % of the nominal fold's energy.
     pub force_ma: u16,
-    /// The same at half of the end force: start of the rise that tells an origami from an obstacle.
+    /// The same at half of the end force, where the rise begins that tells an origami from an obstacle.
     pub rise_start_ma: u16,
-    /// Near the end force; and where it is no longer, so that the speed does not go to and fro.
+    /// Near the end force: current at which that begins, and at which it ends (hysteresis, so that the speed does not
+    /// oscillate).
     pub near_ma: (u16, u16),
-    /// With this current above the no-load current, a slow motor that meets something hard is at the end force.
+    /// Current above the no-load current from which a slow motor that meets something hard is at the end force, mA.
     pub met_ma: u16,
-    /// Above the no-load current, from here on a fold is slow: the stiffest origami with the most friction takes 115 mA where it
-    /// becomes slow by itself.
+    /// Current above the no-load current from which a fold goes slowly, mA. The stiffest origami with the most
+    /// friction takes 115 mA where the fold slows down anyway.
     pub resisted_ma: u16,
-    /// Winding over the long way, counts/s.
+    /// Winding over the long part, counts/s.
     pub fold_cps: i32,
-    /// Winding where force ends it, counts/s.
+    /// Winding where force ends the leg, counts/s.
     pub slow_cps: i32,
-    /// Winding near the end force, counts/s. A soft origami meets its hard end just there.
+    /// Winding near the end force, counts/s. A soft origami meets its hard end there.
     pub near_cps: i32,
-    /// Paying out, counts/s, or what the battery gives.
+    /// Largest speed of paying out, counts/s; the battery may give less.
     pub pay_out_cps: i32,
-    /// Below this battery voltage a motion is refused.
+    /// Minimum battery voltage for starting a motion, mV.
     pub least_battery_mv: u16,
-    /// A battery that sags below this under load is empty.
+    /// Battery voltage under load below which the cell is empty, mV.
     pub loaded_battery_mv: u16,
-    /// Winding 5.4 ohm, both switches of the bridge 0.6, cell 0.5.
+    /// Resistance of the motor's circuit, mohm: winding 5.4 ohm, both switches of the bridge 0.6, cell 0.5.
     pub loop_milliohm: u32,
     /// Back-EMF, uV per count per second: 0.221 mV/rpm over 64 counts.
     pub back_emf_uv_per_cps: u32,
-    /// No-load current until it is measured: the data sheet's.
+    /// No-load current until it is measured, mA: the data sheet's.
     pub no_load_ma: u16,
-    /// Proportional part of the speed loop, uA per count/s: with the motor's 4.2 counts/s2 per uA, 15 is a bandwidth of 60 rad/s.
-    /// The speed is 4 ms old.
+    /// Proportional gain of the speed loop, uA per count/s. The motor has 4.2 counts/s2 per uA, so 15 is a bandwidth
+    /// of 60 rad/s; the speed is 4 ms old.
     pub proportional_ua: i32,
-    /// Shortest and longest way from the unfolded end to the end force that a calibration accepts: 16.7 mm of travel with four
-    /// times the stiffness and much friction, 23.4 mm of longest travel, and the slack.
+    /// Shortest and longest way from the unfolded end to the end force that a calibration accepts. Shortest: 16.7 mm
+    /// of travel with four times the stiffness and much friction. Longest: 23.4 mm of travel. Plus the slack.
     pub folded_range: (Thread, Thread),
-    /// So much before the calibrated end is an end force still that of the folded origami.
+    /// An end force this close before the calibrated end is still the folded origami's.
     pub end_tolerance: Thread,
-    /// So far beyond the calibrated end is the thread wound if no end force comes.
+    /// Allowed overrun past the calibrated end while no end force comes.
     pub end_overrun: Thread,
-    /// So far may the folded end wander.
+    /// Allowed wandering of the folded end.
     pub drift: Thread,
-    /// Longest time of a fold: the model motor takes 1.8 s, and 4.4 s if something resisted on the way.
+    /// Time limit of a fold, ms: the model motor takes 1.8 s, and 4.4 s if something resists on the way.
     pub fold_timeout_ms: u32,
-    /// Longest time of an unfolding: the model motor takes 1.3 s, with an almost empty battery twice as long.
+    /// Time limit of an unfolding, ms: the model motor takes 1.3 s, twice that with an almost empty battery.
     pub unfold_timeout_ms: u32,
-    /// Silence of the host that ends a motion.
+    /// Silence of the host that ends a motion, us.
     pub link_timeout_us: u32,
 }
 
-/// Above the no-load current; the speed loop gives 200 mA.
+/// Largest end force, mA above the no-load current; the speed loop gives 200 mA.
 const MOST_FORCE_MA: u16 = 185;
 
-/// Shares of the end force, as they were at 135 mA.
+/// Scales a limit with the end force: `of_135` belongs to an end force of 135 mA.
 const fn share(force_ma: u32, of_135: u32) -> u16 {
     (force_ma * of_135 / 135) as u16
 }
 
 impl Settings {
-    /// Those of a new capsule.
+    /// The settings of a new capsule.
     pub const REFERENCE: Self = match Self::new(&Values::DEFAULT) {
         Ok(settings) => settings,
         Err(_) => panic!("the defaults keep the rules"),
     };
 
-    /// Works out the limits; `Values` are within their ranges.
+    /// Derives the limits. Each of the `values` is within its range.
     ///
     /// # Errors
     /// The rule that the values break together.
@@ -125,12 +126,14 @@ impl Settings {
         })
     }
 
-    /// Longest way to the folded end from an unknown position: the longest calibration, and a thread that was left past zero.
+    /// Longest search for the folded end from an unknown position: the longest calibration, plus a thread left past
+    /// zero.
     pub fn seek_limit(&self) -> Thread {
         Thread(self.folded_range.1.0 + 1_000)
     }
 
-    /// These with so many thousandths of the end force. The speed loop bounds the current to what it is for.
+    /// These settings with the end force scaled by this many thousandths. The speed loop bounds the current
+    /// accordingly.
     pub fn with_force(&self, thousandths: i32) -> Self {
         let scaled = |ma: u16| {
             let ma = i32::from(ma) * thousandths / 1_000;
@@ -146,7 +149,7 @@ impl Settings {
     }
 }
 
-/// Counts of a length of thread; per second, of a speed.
+/// Counts for a length of thread in um, or counts/s for a speed in um/s.
 const fn counts_of(um: u32) -> i32 {
     Thread(um as i32).counts().0
 }

@@ -1,20 +1,20 @@
-//! The present or last motion, reading by reading: the last 2.8 s of it, at 1 kHz. A fault keeps what led to it.
+//! Recording of the present or last motion at 1 kHz: its last 2.8 s, so that a fault keeps the readings before it.
 
 use crate::fold::Drive;
 use crate::mechanics::{Counts, Thread};
 use crate::sample::Sample;
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, MAX_TRACE_POINTS, Trace, TracePoint};
 
-/// Resolution of the battery's voltage, and its origin.
+/// Resolution and origin of the recorded battery voltage, mV.
 const BATTERY_STEP_MV: u16 = 10;
 const BATTERY_FROM_MV: u16 = 2_000;
-/// Resolution of the drive.
+/// Resolution of the recorded drive, mV.
 const DRIVE_STEP_MV: i16 = 40;
 
 /// One reading in six bytes.
 #[derive(Clone, Copy)]
 struct Packed {
-    /// From the position at the start; 40 mm fit.
+    /// Counts from the position at the start; 40 mm fit.
     counts: i16,
     current_ma: u16,
     battery: u8,
@@ -31,7 +31,7 @@ pub struct Recording {
 }
 
 impl Recording {
-    /// Without a motion.
+    /// An empty recording.
     pub const fn new() -> Self {
         const NONE: Packed = Packed {
             counts: 0,
@@ -48,7 +48,7 @@ impl Recording {
         }
     }
 
-    /// Takes a reading of a motion, and the drive that follows. The first one of another motion begins anew.
+    /// Takes a reading and the drive that follows from it. The first one of another motion clears the recording.
     pub fn take(&mut self, actuation: u32, sample: &Sample, drive: Drive) {
         if self.actuation != actuation {
             self.actuation = actuation;
@@ -71,7 +71,7 @@ impl Recording {
         self.count = (self.count + 1).min(KEPT_TRACE_POINTS);
     }
 
-    /// Some of it, with the thread counted from `zero`.
+    /// A part of the recording, with the thread counted from `zero`.
     pub fn part(&self, get: &GetTrace, zero: Counts) -> Trace {
         let from = usize::try_from(get.from).unwrap_or(usize::MAX);
         let last = self.count.min(from.saturating_add(MAX_TRACE_POINTS));

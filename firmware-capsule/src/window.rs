@@ -1,24 +1,24 @@
-//! The last readings of a motion: speed, means, and how it changed.
+//! The last readings of a motion, for speeds, means and trends.
 
 use crate::mechanics::Counts;
 use crate::sample::Sample;
 
-/// Readings that are kept: 32 ms.
+/// Readings kept: 32 ms.
 const KEPT: usize = 32;
 
-/// One reading with what was ordered before it. A mean over any number of readings is the difference of two sums: the
-/// processor has a millisecond for everything.
+/// One reading with the current ordered before it. Running sums make any mean the difference of two sums: the
+/// processor has one millisecond for everything.
 #[derive(Clone, Copy, Debug, Default)]
 struct Point {
     at_us: u64,
     counts: Counts,
-    /// Counts since the reading before, if that was about 1 ms earlier.
+    /// Counts since the previous reading, if that was about 1 ms earlier.
     step: Option<i32>,
-    /// Current that the drive before the reading was meant to give; `None` if it gave no pulses.
+    /// Current ordered before the reading; `None` if the drive gave no pulses.
     ordered_ma: Option<u16>,
-    /// So many readings without a pause were driven, up to this one.
+    /// Number of consecutive driven readings up to this one.
     driven: usize,
-    /// Of all readings up to this one, wrapping.
+    /// Sums over all readings up to this one; they wrap.
     sums: Sums,
 }
 
@@ -38,7 +38,7 @@ pub struct Window {
 }
 
 impl Window {
-    /// Without a reading.
+    /// An empty window.
     pub fn new() -> Self {
         Self {
             points: [Point::default(); KEPT],
@@ -47,7 +47,7 @@ impl Window {
         }
     }
 
-    /// Takes a reading, and its current in the direction of the leg.
+    /// Adds a reading. `current_ma` is its current in the direction of the leg.
     pub fn push(&mut self, at_us: u64, sample: &Sample, current_ma: i16, ordered_ma: Option<u16>) {
         let before = self.back(0).copied().unwrap_or_default();
         let elapsed_us = at_us.saturating_sub(before.at_us);
@@ -83,10 +83,11 @@ impl Window {
         (age < self.count).then(|| &self.points[(self.next + KEPT - 1 - age) % KEPT])
     }
 
-    /// The last reading, and the sums before the last `over` of them; `None` if some of them are missing.
+    /// The last reading, and the sums before the last `over` readings; `None` if some of them are missing.
     fn over(&self, over: usize) -> Option<(&Point, Sums)> {
         let last = self.back(0)?;
-        // The sums begin at 0, and a window that has lost readings has more of them than anything asks for.
+        // Before the first reading the sums are 0. A full window has lost its oldest, but still holds more than any
+        // caller asks for.
         let before = match over == self.count {
             true if over < KEPT => Sums::default(),
             _ => self.back(over)?.sums,
@@ -94,7 +95,8 @@ impl Window {
         Some((last, before))
     }
 
-    /// Counts per second from the reading `from` readings ago, or the oldest, to the one `to` readings ago. Positive winds.
+    /// Speed in counts/s from the reading `from` readings ago, or the oldest, to the one `to` readings ago. Positive
+    /// winds.
     pub fn speed_cps(&self, from: usize, to: usize) -> i32 {
         let oldest = from.min(self.count.saturating_sub(1));
         let (Some(first), Some(last)) = (self.back(oldest), self.back(to)) else {
@@ -102,7 +104,8 @@ impl Window {
         };
         let elapsed_us = last.at_us.saturating_sub(first.at_us);
         let counts = last.counts.since(first.counts).0;
-        // The chip divides 32 bits in 12 cycles, and 64 bits in hundreds; a reading asks ten times.
+        // Divide 32 bits where possible: it takes the chip 12 cycles, 64 bits take hundreds, and each reading asks
+        // ten times.
         if let (Some(travel), Ok(elapsed_us)) =
             (counts.checked_mul(1_000_000), i32::try_from(elapsed_us))
         {
@@ -124,8 +127,8 @@ impl Window {
         self.back(0).is_some_and(|last| last.driven >= over)
     }
 
-    /// Means of current in the direction of the leg and of ordered current over the last `over` readings, fewer than are kept; `None` if some of them
-    /// are missing or were not driven.
+    /// Means of the current in the direction of the leg and of the ordered current over the last `over` readings,
+    /// fewer than are kept; `None` if some of them are missing or were not driven.
     pub fn means_ma(&self, over: usize) -> Option<(u16, u16)> {
         let (last, before) = self.over(over)?;
         if last.driven < over {
@@ -135,21 +138,21 @@ impl Window {
             (sum.wrapping_sub(before) + over as u32 / 2).checked_div(over as u32)
         };
         let ordered_ma = mean(last.sums.ordered_ma, before.ordered_ma)?;
-        // What brakes the motor drives nothing.
+        // A current that brakes the motor counts as 0.
         let sum = last.sums.current_ma.wrapping_sub(before.current_ma).max(0);
         let current_ma = mean(sum as u32, 0)?;
         Some((current_ma as u16, ordered_ma as u16))
     }
 
-    /// Mean of the current over the last `over` readings with its sign: negative if it brakes the motor.
+    /// Signed mean of the current over the last `over` readings: negative if it brakes the motor.
     pub fn along_ma(&self, over: usize) -> Option<i32> {
         let (last, before) = self.over(over)?;
         let sum = last.sums.current_ma.wrapping_sub(before.current_ma);
         sum.checked_div(over as i32)
     }
 
-    /// No more current was ordered in the last `over` readings than in the last one; false if some of them are missing
-    /// or were not driven.
+    /// The last reading has the largest ordered current of the last `over` readings; false if some of them are
+    /// missing or were not driven.
     pub fn orders_most_now(&self, over: usize) -> bool {
         let ordered = |age| self.back(age).and_then(|point| point.ordered_ma);
         ordered(0).is_some_and(|now| (0..over).all(|age| ordered(age).is_some_and(|ma| ma <= now)))

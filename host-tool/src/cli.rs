@@ -1,5 +1,4 @@
-//! The command line tool, a thin layer over the library. A program that has a [`Connector`] of its own can call [`run`],
-//! too.
+//! The command line tool, a thin layer over the library. A program with its own [`Connector`] can call [`run`], too.
 
 mod ack;
 mod actuation;
@@ -241,7 +240,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
     ExitCode::from(run_in(args, connector, &mut out, &mut err, at))
 }
 
-/// Runs one command line on other streams, without a keyboard; `terminal` allows a progress bar on standard error.
+/// Runs one command line on these streams, without a keyboard. `terminal` allows a progress bar on standard error.
 /// Returns the exit code.
 pub fn run_on(
     args: impl IntoIterator<Item = OsString>,
@@ -270,11 +269,11 @@ pub fn run_at(
     run_in(args, connector, out, err, at)
 }
 
-/// Where a command line was typed.
+/// The terminal of a command line, as far as there is one.
 struct At {
     /// Standard error is a terminal.
     terminal: bool,
-    /// The keyboard is that of the process's terminal, which can give single keys.
+    /// The keyboard belongs to the process's terminal, so single keys can be read.
     single_keys: bool,
     keyboard: Option<Keyboard>,
 }
@@ -329,7 +328,7 @@ fn run_in(
     screen.finish(result)
 }
 
-/// The same error of the command line; what the environment gives is not shown as required.
+/// Rebuilds a usage error so that arguments given by the environment are not shown as required.
 fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
     if error.kind() != ErrorKind::MissingRequiredArgument {
         return error;
@@ -342,7 +341,7 @@ fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
     command.try_get_matches_from(args).err().unwrap_or(error)
 }
 
-/// A stop whose machine cannot even be named was not delivered.
+/// Reports a stop as undelivered if its machine cannot even be named.
 fn undelivered(subcommand: &Subcommand, failure: Failure) -> Failure {
     if !matches!(subcommand, Subcommand::Stop(_) | Subcommand::Estop(_)) {
         return failure;

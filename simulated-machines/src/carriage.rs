@@ -1,7 +1,7 @@
-//! A carriage on its screw, in virtual time, pulse by pulse. The real execution fills its step ring; switches and
-//! read-back counter raise the events that they would raise on the board.
+//! A carriage on its screw, simulated pulse by pulse in virtual time. The firmware's own execution fills the step
+//! ring; switches and read-back counter raise the same events as on the board.
 //!
-//! [`Carriage`] is what stays the same whoever decides; [`Rig`] puts the state machine on top of it.
+//! [`Carriage`] is the mechanics with execution. [`Rig`] adds the state machine.
 
 pub mod ring;
 
@@ -31,13 +31,13 @@ pub const CLOSED: RigInputs = RigInputs {
     estop_loop: false,
 };
 
-/// Fingerprint of the image.
+/// Image hash that the simulated firmware reports.
 pub const IMAGE_HASH: u32 = 0xCAFE;
 
-/// How often control looks at the clock, 10 ns each.
+/// Interval of control's rounds, ticks of 10 ns.
 pub const CONTROL_ROUND: u64 = 1_000_000;
 
-/// What comes with an event.
+/// Builds the clock, position and switch readings that accompany an event.
 pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
     Now {
         time_us,
@@ -47,7 +47,7 @@ pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
     }
 }
 
-/// The end of a path after its last step at tick 1.
+/// The end of a path whose last step left at tick 1.
 pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event<'static> {
     let report = PathReport {
         commanded: StepPosition(commanded),
@@ -74,13 +74,13 @@ pub fn flag_edge(opening: bool, count: i32) -> Event<'static> {
     Event::FlagEdge { opening, count }
 }
 
-/// What motion and control say to each other.
+/// The mailbox between motion and control.
 #[derive(Debug, Default)]
 pub struct Mail {
     pub order: Option<Order>,
     pub stop: bool,
     pub cut: bool,
-    /// Control takes no notices.
+    /// Control's queue is full: it accepts no notices.
     pub full: bool,
     pub notices: Vec<Event<'static>>,
     pub stroke: u32,
@@ -117,26 +117,26 @@ impl Mailbox for Mail {
 /// A pulse that left the pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pulse {
-    /// When, 10 ns each.
+    /// Time of the pulse, ticks of 10 ns.
     pub at: u64,
     pub direction: Direction,
     pub sync: bool,
 }
 
-/// Execution, ring, screw and switches, with everything that can go wrong with them.
+/// Execution, ring, screw and switches, with the defects that a test can inject.
 pub struct Carriage {
     /// Where the switches are mounted.
     pub mounted: Settings,
     motion: Motion,
     pub mail: Mail,
     pub ring: Slots,
-    /// When motion looks after the ring next, 10 ns each.
+    /// When motion next services the ring, ticks of 10 ns.
     pub next_round: u64,
-    /// When the round that plays ends.
+    /// When the round that is playing ends, ticks of 10 ns.
     round_end: Option<u64>,
-    /// Where the carriage is, steps from the reference.
+    /// True position of the carriage, steps from the reference.
     pub place: i32,
-    /// The home flag reads this, wherever the carriage is.
+    /// The home flag reads this value regardless of the position.
     pub stuck_flag: Option<bool>,
     /// The far limit reads open.
     pub far_wire_cut: bool,
@@ -144,19 +144,19 @@ pub struct Carriage {
     pub pressed: bool,
     /// The jumper to the read-back counter is missing.
     pub jumper_cut: bool,
-    /// So many of the next pulses do not move the carriage.
+    /// Number of coming pulses that do not move the carriage.
     pub slipping: u32,
-    /// So many times does the flag bounce when it opens.
+    /// Number of times the flag bounces when it opens.
     pub bounces: u32,
     /// False pulses on the switches since the start.
     pub glitches: u32,
-    /// 10 ns each, since the start.
+    /// Time since the start, ticks of 10 ns.
     pub now: u64,
     /// Pulses since the start.
     pub pulses: u64,
-    /// When the last pulse was, 10 ns each.
+    /// Time of the last pulse, ticks of 10 ns.
     pub last_pulse: u64,
-    /// All pulses, if a test wants them.
+    /// Every pulse, if a test asks for a trace.
     pub trace: Option<Vec<Pulse>>,
     flag_open: bool,
 }
@@ -192,7 +192,7 @@ impl Carriage {
         self.mounted.axis.stroke_steps().0 as i32
     }
 
-    /// The end of travel, on either side, lies half an overtravel behind the stroke.
+    /// The carriage is more than half the overtravel past either end of the stroke.
     fn beyond_end(&self) -> bool {
         let margin = self.mounted.overtravel.0 as i32 / 2;
         self.place < -margin || self.place > self.stroke() + margin
@@ -201,7 +201,7 @@ impl Carriage {
     pub fn inputs(&self) -> RigInputs {
         let axis = &self.mounted.axis;
         let flag = self.place <= self.mounted.flag.0;
-        // A millimetre behind the stroke.
+        // The far limit sits one millimetre past the end of the stroke.
         let limit = self.stroke() + (axis.steps_per_rev() * 1_000 / axis.lead().0) as i32;
         RigInputs {
             home_flag: self.stuck_flag.unwrap_or(flag),
@@ -210,7 +210,7 @@ impl Carriage {
         }
     }
 
-    /// What comes with an event.
+    /// The clock, position and switches as they are now.
     pub fn look(&self) -> Now {
         Now {
             glitches: self.glitches,
@@ -218,7 +218,7 @@ impl Carriage {
         }
     }
 
-    /// How soon motion wants to look after the ring again.
+    /// How soon motion wants to service the ring again.
     pub fn pace(&self) -> Pace {
         self.motion.pace()
     }
@@ -227,12 +227,12 @@ impl Carriage {
         self.pace() != Pace::Idle || self.mail.order.is_some()
     }
 
-    /// Pulses that come whatever is ordered, unless they are cut.
+    /// Pulses that will still leave whatever is ordered, unless they are cut.
     pub fn queued(&self) -> u64 {
         self.ring.rounds_left()
     }
 
-    /// Orders a path.
+    /// Orders a path. Panics if another one is still being executed.
     pub fn order(&mut self, order: Order) {
         assert!(!self.moving(), "a path while another one is executed");
         self.mail.order = Some(order);
@@ -245,7 +245,7 @@ impl Carriage {
         self.wake();
     }
 
-    /// No further pulse.
+    /// Cuts the pulses at once.
     pub fn cut(&mut self) {
         self.ring.armed = false;
         self.mail.cut = true;
@@ -261,12 +261,12 @@ impl Carriage {
         self.next_round = self.now;
     }
 
-    /// With nothing queued ahead: motion has to look after the ring before it can play.
+    /// Nothing is queued, or a cut is pending: motion must service the ring before it can play on.
     fn motion_is_due(&self) -> bool {
         self.ring.is_empty() || self.mail.cut
     }
 
-    /// A round of motion. Its notices come back.
+    /// Runs one round of motion and returns its notices.
     pub fn motion_round(&mut self) -> Vec<Event<'static>> {
         self.ring.loop_open = self.inputs().estop_loop;
         self.motion.round(&mut self.ring, &mut self.mail);
@@ -280,13 +280,12 @@ impl Carriage {
         std::mem::take(&mut self.mail.notices)
     }
 
-    /// When [`Carriage::step`] is due next with a ring that queues ahead.
+    /// When [`Carriage::step`] is next due with [`Ahead::Slots`], ticks of 10 ns.
     pub fn due(&self) -> u64 {
         self.next_round.min(self.round_end.unwrap_or(u64::MAX))
     }
 
-    /// Lets motion look after the ring if that is due; else plays the next round of the ring. What control hears of
-    /// it comes back.
+    /// Services the ring if motion is due; otherwise plays the next round. Returns the events for control.
     pub fn step(&mut self) -> Vec<Event<'static>> {
         match self.ring.ahead {
             Ahead::Nothing => {
@@ -377,12 +376,12 @@ impl Carriage {
     }
 }
 
-/// The state machine on a carriage. Most tests look at the carriage, so a rig stands for it.
+/// The state machine on a carriage. Dereferences to the carriage, because most tests look at that.
 pub struct Rig {
     pub machine: Machine,
     pub carriage: Carriage,
     pub events: Vec<RigEvent>,
-    /// Windows of all paths.
+    /// Window of every path ordered so far.
     pub windows: Vec<(i32, i32)>,
 }
 
@@ -411,12 +410,12 @@ impl Rig {
         }
     }
 
-    /// The same, homed.
+    /// A homed rig.
     pub fn homed(settings: Settings) -> Self {
         Self::homed_with(settings, Ahead::Nothing)
     }
 
-    /// The same with a ring that queues ahead.
+    /// A homed rig whose ring queues ahead as `ahead` says.
     pub fn homed_with(settings: Settings, ahead: Ahead) -> Self {
         let mut rig = Self::new(settings, settings.flag.0 + 10);
         rig.ring.ahead = ahead;
@@ -431,14 +430,14 @@ impl Rig {
         rig
     }
 
-    /// A command; only an accepted one has actions.
+    /// Gives a command. Asserts that a refused one causes no actions.
     pub fn command(&mut self, command: Command) -> Result<(), Refusal> {
         let actions = self
             .machine
             .step(&self.carriage.look(), Event::Command(&command));
         let refusal = actions.refusal;
         if refusal.is_some() {
-            // A resume looks first whether the carriage is where it was held.
+            // Exception: a refused resume may latch a fault if the carriage is not where it was held.
             let found = command == Command::Resume && self.machine.state() == RigState::Faulted;
             assert!(actions.list.is_empty() || found);
         }
@@ -452,7 +451,7 @@ impl Rig {
         self.perform(actions);
     }
 
-    /// The E-stop is pressed: the hardware cuts the pulses.
+    /// Presses the E-stop: the hardware cuts the pulses.
     pub fn press(&mut self) {
         self.pressed = true;
         self.cut();
@@ -472,7 +471,7 @@ impl Rig {
                         stop_accel: settings.stop_accel,
                         pulse_ticks: settings.pulse_ticks,
                     });
-                    // What comes next finds the path begun.
+                    // Start the path now, so that the next action finds it begun.
                     self.motion_round();
                 }
                 Action::StopPath => self.stop(),
@@ -488,13 +487,13 @@ impl Rig {
         }
     }
 
-    /// A round of motion, and what the machine hears of it.
+    /// Runs one round of motion and passes its notices to the machine.
     pub fn motion_round(&mut self) {
         let notices = self.carriage.motion_round();
         notices.into_iter().for_each(|notice| self.event(notice));
     }
 
-    /// The carriage's step, and what the machine hears of it.
+    /// Steps the carriage and passes its events to the machine.
     pub fn step(&mut self) {
         if self.ring.ahead == Ahead::Nothing && self.motion_is_due() {
             self.motion_round(); // and a round of the ring in the same step
@@ -517,7 +516,7 @@ impl Rig {
         }
     }
 
-    /// Executes so many pulses, or all that are left.
+    /// Executes this number of pulses, or fewer if nothing moves any more.
     pub fn pulses(&mut self, pulses: u64) {
         let until = self.pulses + pulses;
         while self.pulses < until && self.moving() {
@@ -525,7 +524,7 @@ impl Rig {
         }
     }
 
-    /// Waits so long while nothing moves, 10 ns each.
+    /// Lets this many ticks of 10 ns pass. Panics if anything moves.
     pub fn wait(&mut self, ticks: u64) {
         assert!(!self.moving());
         self.now += ticks;
@@ -556,8 +555,8 @@ pub fn settings(changes: &[(SettingKey, u32)]) -> Settings {
     Settings::new(&values(changes)).unwrap()
 }
 
-/// A rig with few steps, 4 per mm, so that a test can afford many of them: 80 in its stroke of 20 mm, the flag at the
-/// fourth.
+/// A rig with few steps, so that a test can afford many motions: 4 steps per mm, 80 in the 20 mm stroke, the flag at
+/// the fourth.
 pub const SMALL: [(SettingKey, u32); 4] = [
     (SettingKey::LeadUm, 50_000),
     (SettingKey::Microsteps, 1),
@@ -565,12 +564,12 @@ pub const SMALL: [(SettingKey, u32); 4] = [
     (SettingKey::LedgerLimitSteps, 1),
 ];
 
-/// [`SMALL`] in force.
+/// The settings of [`SMALL`].
 pub fn small() -> Settings {
     settings(&SMALL)
 }
 
-/// A plan within the rig's limits.
+/// A plan that the rig's limits allow.
 pub fn plan(settings: &Settings, cycles: u16, stroke_um: u32, speed_um_s: u32) -> RunPlan {
     let request = RunRequest {
         cycles,
@@ -587,7 +586,7 @@ pub fn plan(settings: &Settings, cycles: u16, stroke_um: u32, speed_um_s: u32) -
     RunPlan::solve(&settings.axis, &settings.limits, &request).unwrap()
 }
 
-/// The same as a command.
+/// [`plan`] as a run command.
 pub fn run(settings: &Settings, cycles: u16, stroke_um: u32, link_loss: LinkLossPolicy) -> Command {
     Command::Run {
         plan: plan(settings, cycles, stroke_um, 40_000),

@@ -1,5 +1,5 @@
-//! A model in memory of the STM32F411's flash: words are programmed, sectors erased, and the supply can fail
-//! meanwhile.
+//! The STM32F411's flash, modelled in memory: programs words, erases sectors, and can lose its supply in the middle
+//! of an operation.
 
 use device::store::{SECTOR, SECTORS};
 use embedded_storage_async::nor_flash::{
@@ -32,14 +32,13 @@ impl Random {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Cut {
     Before,
-    /// After `done` words of a write, or `done` quarters of an erasure. The rest of an erasure, and with `torn` one
-    /// more word of a write, is neither old nor new.
+    /// After `done` words of a write, or `done` quarters of an erasure. The rest of an erasure is left with random
+    /// bits; with `torn` so is the next word of a write.
     Within {
         done: usize,
         torn: bool,
     },
-    /// The first and last word of the sector are blank, but not everything between. A write is cut after its first
-    /// word.
+    /// Leaves the first and last word of the sector blank and random bits between. Cuts a write after its first word.
     BlankAtBothEnds,
     After,
 }
@@ -73,15 +72,15 @@ pub enum Operation {
     Erase { sector: u32 },
 }
 
-/// The supply of the flash, and the operations that fail with it.
+/// The flash's supply: when it fails, and which operations fail.
 #[derive(Debug)]
 pub struct Supply {
     /// Operations since the start.
     pub operations: Vec<Operation>,
-    /// The operation in which it fails, counted from the start, and where.
+    /// The operation in which the supply fails, counted from the start, and where in it.
     cut: Option<(usize, Cut)>,
     powered: bool,
-    /// Number of operations requested since `fail`, and those of them that fail.
+    /// Operations requested since `fail`, and the range of them that fails.
     asked: usize,
     failing: Range<usize>,
     pub noise: Random,
@@ -105,7 +104,7 @@ impl Supply {
         }
     }
 
-    /// Fails in the operation after `after` more.
+    /// Makes the supply fail after `after` more operations.
     pub fn cut(&mut self, after: usize, cut: Cut, seed: u64) {
         self.cut = Some((self.operations.len() + after, cut));
         self.noise = Random(seed);
@@ -116,7 +115,7 @@ impl Supply {
         (self.asked, self.failing) = (0, failing);
     }
 
-    /// Begins an operation; returns where it is cut.
+    /// Begins an operation; returns where it will be cut.
     pub fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
         self.end()?;
         self.asked += 1;
@@ -133,7 +132,7 @@ impl Supply {
         }
     }
 
-    /// Whether the operation was completed.
+    /// An error if the supply failed during the operation.
     pub fn end(&self) -> Result<(), Error> {
         if self.powered {
             Ok(())
@@ -171,7 +170,7 @@ impl Flash {
         Self::holding(vec![0xFF; SECTORS.end as usize])
     }
 
-    /// A flash after a start, with this content.
+    /// A freshly started flash with this content.
     pub fn holding(bytes: Vec<u8>) -> Self {
         assert_eq!(bytes.len(), SECTORS.end as usize);
         Self(Arc::new(Mutex::new(Array {
@@ -193,7 +192,7 @@ impl Flash {
         self.array().supply.operations.clone()
     }
 
-    /// Makes the supply fail in the operation after `after` more.
+    /// Makes the supply fail after `after` more operations.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
         self.array().supply.cut(after, cut, seed);
     }
@@ -218,13 +217,14 @@ impl Array {
             Cut::After => (words, false),
         };
         let target = &mut self.bytes[offset as usize..][..bytes.len()];
-        // Programming can only clear bits. The log marks a sector by clearing a whole word again.
+        // Programming can only clear bits, so the word must be blank. Exception: the log marks a sector by clearing a
+        // word to 0.
         let blank = target.iter().all(|byte| *byte == 0xFF);
         let mark = bytes == [0; 4];
         assert!(blank || mark, "a word is programmed twice at {offset:#x}");
         target[..4 * done].copy_from_slice(&bytes[..4 * done]);
         if torn && done < words {
-            // Some of its bits are already 0.
+            // The torn word: some of its bits are already programmed to 0.
             for index in 4 * done..4 * done + 4 {
                 target[index] = bytes[index] | self.supply.noise.draw() as u8;
             }
@@ -240,7 +240,7 @@ impl Array {
         match cut {
             Cut::Before => {}
             Cut::After => bytes.fill(0xFF),
-            // Some of the bits are already 1.
+            // Interrupted erasure: some bits are already back to 1.
             Cut::BlankAtBothEnds => {
                 bytes.fill_with(|| noise.draw() as u8);
                 bytes[..4].fill(0xFF);

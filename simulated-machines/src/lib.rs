@@ -1,5 +1,5 @@
-//! Both machines in this process, for tests and fuzzing: the firmware's own libraries decide, on models of what is around
-//! them, in virtual time.
+//! Both machines in this process, in virtual time, for tests and fuzzing. The firmware's own libraries decide; models
+//! stand in for everything around them.
 //!
 //! * [`chip`]: the flash, with a supply that can fail.
 //! * [`carriage`]: the rig's screw, step ring and switches. [`plant`]: the capsule's bridge, motor and thread.

@@ -8,7 +8,7 @@ pub trait Peer: Send {
     fn take(&mut self, bytes: &[u8], now_us: u64);
     /// Returns the bytes that have reached the host by now.
     fn give(&mut self, now_us: u64) -> Vec<u8>;
-    /// When it next has bytes to give, us; `u64::MAX` if not before it takes some.
+    /// When it next has bytes to send, us; `u64::MAX` if it will only answer.
     fn next_us(&self) -> u64;
 }
 

@@ -25,52 +25,52 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, ResetCause, Urgent};
 use protocol::table::{Reply, SCHEMA_KEY, Telemetry};
 
-/// Identifies every chip here, unless the script has another number.
+/// Chip number, unless the script gives another one.
 const UID: [u8; 12] = [0xab; 12];
-/// The number of a board that says that it is simulated.
+/// Chip number of a board that reports itself as simulated.
 pub const VIRTUAL_UID: [u8; 12] = *b"virtual test";
-/// So often is looked whether a machine is driven, us.
+/// Interval at which the simulation checks whether a machine is driven, us.
 const LOOK_US: u64 = 5_000;
-/// Homing is most of what a script of a rig with few steps takes.
+/// Locating speed for a rig with few steps: homing would otherwise take most of a script's time.
 const FAST_HOMING: (SettingKey, u32) = (SettingKey::LocateUmS, 20_000);
-/// How long somebody presses a button, us.
+/// How long a button press lasts, us.
 const PRESS_US: u64 = 50_000;
 
-/// What the line does, what happens around the machine, and what happened before the host connects.
+/// The script: faults of the line, events around the machine, and its state before the host connects.
 #[derive(Clone, Debug)]
 pub struct Script {
     pub kind: DeviceKind,
     /// Number of the chip.
     pub uid: [u8; 12],
-    /// Of the firmware's identity.
+    /// Schema key of the firmware's identity.
     pub schema_key: u64,
     pub major: u8,
-    /// One bit in so many is flipped, both ways; 0: none.
+    /// Flips one bit in this many, in both directions; 0 flips none.
     pub flip_one_in: u64,
     pub seed: u64,
     /// Events with these indices are lost on the line.
     pub silent_events: Vec<u32>,
-    /// Requests with these names are not heard, so many times each.
+    /// Names of requests that the machine does not hear, and how many times each.
     pub deaf_to: Vec<(&'static str, u32)>,
-    /// Nothing is heard at all, not even urgent stops.
+    /// The machine hears nothing at all, not even urgent stops.
     pub dead: bool,
-    /// Another host has homed or referenced the machine.
+    /// Another host has already homed or referenced the machine.
     pub ready: bool,
-    /// Another host has made the machine ready, started a run, and waited so long, us.
+    /// Another host has already made the machine ready and started this run, this many us ago.
     pub running: Option<(Run, u64)>,
-    /// What happens, and when on the link's clock, us; in the order of time.
+    /// Events around the machine with their times on the link's clock, us, in order.
     pub world: Vec<(u64, World)>,
-    /// Settings that were changed before.
+    /// Settings changed before the host connects.
     pub settings: Vec<(SettingKey, u32)>,
-    /// Writes to the flash that fail, by their number from 0.
+    /// Writes to the flash that fail, numbered from 0.
     pub failing_writes: Range<usize>,
-    /// A rig with 80 steps in its stroke, so that many motions cost little.
+    /// A rig with 80 steps in its stroke, so that many motions cost little time.
     pub few_steps: bool,
-    /// What a capsule has left when it was switched off.
+    /// State of a capsule that was switched off before, if it was.
     pub left: Option<Arc<Left>>,
 }
 
-/// What stays of a capsule without power.
+/// State of a capsule that survives a power cut.
 #[derive(Debug)]
 pub struct Left {
     flash: Vec<u8>,
@@ -100,14 +100,14 @@ impl Script {
     }
 }
 
-/// What happens to a machine.
+/// An event around a machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum World {
     /// The E-stop loop opens or closes.
     EStopLoop { open: bool },
     /// The start button goes down or up.
     Button { down: bool },
-    /// The step timer stands still from now on.
+    /// The step timer stops for good.
     TimerStands,
     /// The watchdog resets the device.
     Reset,
@@ -117,7 +117,7 @@ pub enum World {
     Battery { mv: u16 },
 }
 
-/// Somebody presses the start button.
+/// A press of the start button.
 pub fn button(at_us: u64) -> Vec<(u64, World)> {
     [(0, true), (PRESS_US, false)]
         .map(|(later_us, down)| (at_us + later_us, World::Button { down }))
@@ -131,20 +131,20 @@ pub fn estop(at_us: u64) -> Vec<(u64, World)> {
         .to_vec()
 }
 
-/// What the machine saw and did since the host connected.
+/// The machine's log since the host connected.
 pub struct Log {
-    /// The link's clock.
+    /// Time on the link's clock, us.
     pub now_us: u64,
     /// Names of the requests that were executed, once per execution.
     pub executed: Vec<&'static str>,
     /// Names of all request frames that arrived, and `Urgent`.
     pub heard: Vec<&'static str>,
     pub urgent: Vec<(Urgent, u64)>,
-    /// When bytes of the host last arrived.
+    /// When bytes from the host last arrived, us.
     pub heard_us: u64,
     /// When the machine was last seen driven.
     pub driven_us: u64,
-    /// The machine's flash, and how often it was written before.
+    /// The machine's flash, and its number of writes before the host connected.
     flash: Flash,
     writes_before: usize,
 }
@@ -180,7 +180,7 @@ impl Log {
     }
 }
 
-/// The flash of a rig with few steps, written once.
+/// The flash of a rig with few steps, built once and cached.
 fn few_steps() -> &'static [u8] {
     static FLASH: OnceLock<Vec<u8>> = OnceLock::new();
     FLASH.get_or_init(|| {
@@ -192,28 +192,28 @@ fn few_steps() -> &'static [u8] {
     })
 }
 
-/// What a machine would find in its flash at its next start.
+/// The settings that a machine would find in its flash at the next start.
 fn stored(flash: &Flash) -> SettingsStore<Flash> {
     let (store, usable) = SettingsStore::load(flash.clone(), |_| true);
     assert!(usable, "the flash can be read");
     store
 }
 
-/// Control and mechanics of one of the two machines. Times are the device's, us.
+/// Control and mechanics of either machine. Times are the device's, us.
 trait Device: Send {
-    /// Control starts again; the mechanics stay as they are.
+    /// Restarts control; the mechanics keep their state.
     fn reset(&mut self, left: Retained, cause: ResetCause);
-    /// When something happens next by itself.
+    /// Time of the next event inside the device.
     fn due_us(&mut self) -> u64;
     fn live(&mut self, until_us: u64);
     fn answer(&mut self, inbound: Inbound) -> Reply;
     fn telemetry(&mut self) -> Option<Telemetry>;
     fn world(&mut self, event: World);
-    /// Pulses go out, or the bridge is awake.
+    /// Pulses are going out, or the bridge is awake.
     fn is_driven(&mut self) -> bool;
-    /// Pulses so far, or readings with the bridge awake.
+    /// Pulses so far on a rig; readings with the bridge awake on a capsule.
     fn work(&mut self) -> u64;
-    /// Its mechanics, if it is a capsule.
+    /// The capsule's mechanics; none on a rig.
     fn mechanics(&mut self) -> Option<capsule::Mechanics> {
         None
     }
@@ -228,13 +228,13 @@ pub struct Machine {
     device: Box<dyn Device>,
     world: VecDeque<(u64, World)>,
     log: Arc<Mutex<Log>>,
-    // Since the machine was first switched on, us:
+    // The times below are in us since the machine was first switched on.
     now_us: u64,
-    /// The device started last.
+    /// When the device last started.
     started_us: u64,
-    /// The host connected: the link's clock began.
+    /// When the host connected; the link's clock starts here.
     connected_us: u64,
-    /// Something happens next by itself.
+    /// When the device next has something to do.
     due_us: u64,
 }
 
@@ -249,7 +249,7 @@ pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
 }
 
 impl Machine {
-    /// A machine to which a host connects now, and its log from now on.
+    /// A machine to which a host has just connected, and its log from that moment.
     pub fn new(script: Script) -> (Self, Arc<Mutex<Log>>) {
         let port = Port::new();
         let flash = match &script.left {
@@ -290,14 +290,14 @@ impl Machine {
         (machine, log)
     }
 
-    /// Lets another host, on a good line, make the machine ready.
+    /// Lets another host make the machine ready over a good line.
     fn with_another_host(mut self) -> Self {
         self.connected_us = self.now_us;
         let script = self.script.clone();
         let shared = Arc::new(Mutex::new(self));
         let link = Memory::new("another host's", Shared(Arc::clone(&shared)));
         let mut host = client::Device::new(Box::new(link), u32::MAX);
-        // Nobody else uses this nonce.
+        // This nonce is reserved for the other host.
         host.hello(u32::MAX).expect("there");
         make_ready(&mut host, &script);
         drop(host);
@@ -318,18 +318,18 @@ impl Machine {
         *self.log() = Log::new(flash);
     }
 
-    /// Pulses of a rig so far, or readings of a capsule with its bridge awake.
+    /// Pulses so far on a rig; readings with the bridge awake on a capsule.
     pub fn work(&mut self) -> u64 {
         self.device.work()
     }
 
-    /// Requests and stops that it has carried out since the host connected.
+    /// Number of requests and stops that the machine has executed since the host connected.
     pub fn executed(&self) -> usize {
         let log = self.log();
         log.executed.len() + log.urgent.len()
     }
 
-    /// It moves, and the motion that it was asked for last is a run.
+    /// It is moving, and the last motion that was requested is a run.
     pub fn is_in_a_run(&mut self) -> bool {
         const MOTIONS: [&str; 4] = ["Home", "Jog", "MoveTo", "Run"];
         let log = self.log();
@@ -339,13 +339,13 @@ impl Machine {
         last == Some("Run") && self.device.is_driven()
     }
 
-    /// What happens to it now.
+    /// Makes this event happen now.
     pub fn suffer(&mut self, event: World) {
         self.happen(event);
         self.send();
     }
 
-    /// What stays of a capsule when it is switched off now.
+    /// Switches a capsule off; returns the state that survives.
     pub fn switch_off(mut self) -> Left {
         Left {
             mechanics: self.device.mechanics().expect("a capsule"),
@@ -353,7 +353,7 @@ impl Machine {
         }
     }
 
-    /// When it was last seen driven, on the link's clock.
+    /// When it was last seen driven, us on the link's clock.
     pub fn driven_us(&self) -> u64 {
         self.log().driven_us
     }
@@ -364,7 +364,7 @@ impl Machine {
             .expect("no test panics while it holds the log")
     }
 
-    /// Lives until `now_us`.
+    /// Advances the machine to `now_us`.
     fn live(&mut self, now_us: u64) {
         loop {
             let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
@@ -384,7 +384,7 @@ impl Machine {
         self.send();
     }
 
-    /// Lets the device run until `until_us`, with its telemetry.
+    /// Runs the device until `until_us` and sends its telemetry.
     fn run(&mut self, until_us: u64) {
         let until = until_us - self.started_us;
         while self.port.sample_us() <= until {
@@ -416,7 +416,7 @@ impl Machine {
         }
     }
 
-    /// Hands to the line what the device has sent.
+    /// Passes the device's frames to the line.
     fn send(&mut self) {
         for (time_us, frame) in self.port.sent() {
             self.line.carry_to_host(self.started_us + time_us, &frame);
@@ -425,7 +425,7 @@ impl Machine {
         self.due_us = self.started_us.saturating_add(due_us);
     }
 
-    /// Bytes reach the device's port.
+    /// Delivers bytes to the device's port.
     fn receive(&mut self, bytes: &[u8]) {
         for byte in bytes {
             let Some(incoming) = self.service.receive(*byte, self.port.now_us() as u32) else {
@@ -480,7 +480,7 @@ impl Peer for Machine {
         self.line.arrived(self.now_us)
     }
 
-    /// What has not happened yet reaches nobody within the line's latency.
+    /// The earliest time at which bytes can reach the host: an event now takes at least the line's latency.
     fn next_us(&self) -> u64 {
         let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
         let next_us = self.due_us.min(event_us).saturating_add(LATENCY_US);
@@ -488,14 +488,14 @@ impl Peer for Machine {
     }
 }
 
-/// The link service of a device that has just started.
+/// The link service of a freshly started device.
 fn service(script: &Script, boot_id: u32, cause: ResetCause) -> Service {
     let mut identity = identity(script.kind, script.uid, boot_id, cause);
     (identity.protocol.major, identity.schema_key) = (script.major, script.schema_key);
     Service::new(identity)
 }
 
-/// Homes or references the machine, and starts the run that goes on already.
+/// Homes or references the machine, then starts the run that the script wants in progress.
 fn make_ready(host: &mut client::Device, script: &Script) {
     match script.kind {
         DeviceKind::Rig => {

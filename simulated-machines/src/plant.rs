@@ -1,4 +1,4 @@
-//! The state machine in closed loop with the model of the capsule's mechanics, in virtual time.
+//! The capsule's state machine in closed loop with the model of its mechanics, in virtual time.
 
 pub mod board;
 pub mod cases;
@@ -12,8 +12,8 @@ use firmware_capsule::sample::Sample;
 use firmware_capsule::settings::Settings;
 use protocol::capsule::CapsuleEvent;
 
-/// From a reading to the duty that follows from it, as the image takes for it (`virtual-bench bench`). Without it a jam pulls
-/// with 1.5 N less than it does on the image.
+/// Delay from a reading to the resulting duty, us, as measured on the image (`virtual-bench bench`). Without it a jam
+/// pulls 1.5 N less than on the image.
 const ORDER_US: u64 = 600;
 
 /// The capsule and its firmware.
@@ -25,11 +25,11 @@ pub struct Simulation {
     pub capsule: Capsule,
     /// Device time.
     pub now_us: u64,
-    /// What the firmware has reported.
+    /// Events that the firmware has reported.
     pub events: Vec<CapsuleEvent>,
-    /// What it has asked to be kept.
+    /// Calibration that the firmware has asked to keep in flash.
     pub kept: Option<Calibration>,
-    /// The bridge still has this until control has judged the reading.
+    /// Drive before the last decision; the bridge keeps it until control has judged the reading.
     before: Drive,
 }
 
@@ -48,7 +48,7 @@ impl DerefMut for Simulation {
 }
 
 impl Simulation {
-    /// Started, at rest, the offset of the amplifier taken.
+    /// A started capsule at rest, with the amplifier's offset already measured.
     pub fn new(parameters: Parameters, seed: u64) -> Self {
         let mut sim = Self {
             board: Board::new(parameters, seed),
@@ -64,12 +64,12 @@ impl Simulation {
         sim
     }
 
-    /// The model capsule, unfolded.
+    /// The nominal capsule, unfolded.
     pub fn nominal() -> Self {
         Self::new(Parameters::nominal(), 0)
     }
 
-    /// One millisecond, then a sample, and the drive that follows.
+    /// Simulates one millisecond and takes a sample. Returns it with the drive that follows from it.
     pub fn tick(&mut self) -> (Sample, Drive) {
         self.now_us += 1_000;
         let drive = self.capsule.drive();
@@ -81,7 +81,7 @@ impl Simulation {
         (sample, self.give(Event::Sample(sample)).drive)
     }
 
-    /// Gives the firmware an event.
+    /// Passes an event to the firmware.
     pub fn give(&mut self, event: Event) -> Actions {
         let actions = self.capsule.step(self.now_us, event);
         self.events.extend(actions.events.iter().copied());
@@ -89,13 +89,13 @@ impl Simulation {
         actions
     }
 
-    /// Orders something that must not be refused.
+    /// Gives a command. Panics if it is refused.
     pub fn order(&mut self, command: Command) {
         let actions = self.give(Event::Command(command));
         assert_eq!(actions.refusal, None, "{command:?} refused");
     }
 
-    /// Runs until the machine rests, the bridge sleeps, and the motor stands; at most 20 s.
+    /// Runs until the capsule rests, the bridge sleeps and the motor stands; at most 20 s.
     pub fn settle(&mut self) {
         for _ in 0..20_000 {
             self.tick();
@@ -113,13 +113,13 @@ impl Simulation {
         }
     }
 
-    /// Orders and runs until everything rests.
+    /// Gives a command and runs until everything rests.
     pub fn run(&mut self, command: Command) {
         self.order(command);
         self.settle();
     }
 
-    /// A capsule that has been calibrated, unfolded.
+    /// A calibrated capsule, unfolded.
     pub fn calibrated(parameters: Parameters, seed: u64) -> Self {
         let mut sim = Self::new(parameters, seed);
         sim.run(Command::Calibrate);
@@ -127,7 +127,7 @@ impl Simulation {
         sim
     }
 
-    /// A reset at rest: the position is lost, the worm holds. Extremes and events count from here.
+    /// Resets the firmware at rest: it loses the position, the worm holds. Also clears extremes and events.
     pub fn reset(&mut self, was_folded: bool) {
         self.capsule = Capsule::new(None, self.kept, was_folded, Settings::REFERENCE);
         self.forget();
@@ -136,14 +136,14 @@ impl Simulation {
         }
     }
 
-    /// Extremes and events count from here.
+    /// Clears extremes and events.
     pub fn forget(&mut self) {
         self.events.clear();
         self.plant.forget_extremes();
         self.peak_ma = 0.0;
     }
 
-    /// Orders and runs until the true thread passes `mm`.
+    /// Gives a command and runs until the true thread length passes `mm`.
     pub fn run_past(&mut self, command: Command, mm: f64) {
         let above = self.plant.wound_mm() > mm;
         self.order(command);

@@ -1,4 +1,4 @@
-//! Seeded capsules with the firmware's own control, folded, unfolded and identified.
+//! Seeded capsules with the firmware's own control: folds, unfolds and identifies them.
 
 use crate::plant::Simulation;
 use capsule_plant::Parameters;
@@ -7,7 +7,7 @@ use firmware_capsule::trace::Recording;
 use protocol::capsule::{ActuationOutcome, GetTrace, TracePoint};
 use trials::identify::{Estimate, Identified, identify};
 
-/// What the host fetches after a motion.
+/// Runs a motion and returns its trace, fetched in parts as the host does.
 fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
     let mut recording = Recording::new();
     sim.order(command);
@@ -28,13 +28,13 @@ fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
     }
 }
 
-/// A fold and the unfolding after it.
+/// Traces of a fold and of the unfolding after it.
 pub fn recordings(truth: Parameters, seed: u64) -> [Vec<TracePoint>; 2] {
     let mut sim = Simulation::calibrated(truth, seed);
     [Command::Fold, Command::Unfold].map(|command| recorded(&mut sim, command))
 }
 
-/// Identifies the capsule of a seed: each parameter's name, the true value, and the estimate.
+/// Identifies the capsule of a seed. Returns each parameter's name, true value and estimate.
 pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
     let truth = Parameters::varied(seed);
     let [fold, unfold] = recordings(truth, seed);
@@ -61,7 +61,7 @@ pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
     ]
 }
 
-/// The names of those that miss the true value by more than they say.
+/// Names of the parameters whose true value lies outside the estimate's uncertainty.
 pub fn missed(found: &[(&'static str, f64, Estimate)]) -> Vec<&'static str> {
     found
         .iter()

@@ -1,4 +1,5 @@
-//! Measured under way: the current without load, the pull of the thread, the friction of the worm, where folds end.
+//! Measurements during a motion: no-load current, pull of the thread, friction of the worm, position of the folded
+//! ends.
 
 use super::{Actions, Capsule, Drive, Mode};
 use crate::calibration::Calibration;
@@ -28,42 +29,43 @@ impl Mean {
     }
 }
 
-/// A thread is slack over this way from the unfolded end, and the motor at its speed.
+/// Range of thread, from the unfolded end, in which the thread is slack and the motor at its speed.
 const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
-/// The last part of the tension zone, where its current counts.
+/// Length of the last part of the tension zone, um: only there does its current count.
 const STEADY_UM: i32 = 300;
-/// So often is the tension zone made longer by that, if the motor was never steady in it.
+/// Extensions of the tension zone, each by `STEADY_UM`, for a motor that was never steady in it.
 pub(super) const PROLONGATIONS: u8 = 4;
-/// Winding a taut thread takes at least this more than paying it out.
+/// Minimum current that winding a taut thread takes more than paying it out.
 const LEAST_TENSION_MA: u32 = 15;
-/// Of the calibrated pull, what a folded thread has at least: what has slipped by 2 mm or more pulls with 65 % at most.
+/// Minimum pull of a folded thread, percent of the calibrated one: a thread that has slipped by 2 mm or more keeps 65
+/// % at most.
 const LEAST_PULL_PERCENT: u32 = 72;
-/// Most by which an unfolding ends before zero for the friction's sake.
+/// Largest distance before zero at which an unfolding ends because of friction.
 const FRICTION_SHIFT: Thread = Thread(1_200);
-/// Force that a fold may have on its way for each part that it feels, in thousandths: the place scatters by 0.12 mm.
+/// Margin on a fold's force, in thousandths: the place at which it feels half of the end force scatters by 0.12 mm.
 const SCATTERED: i32 = 1_050;
-/// Before the calibrated end, the way over which a slow fold's force is compared with the calibration's, um.
+/// Range before the calibrated end, um, in which a slow fold's force is compared with the calibration's.
 const COMPARED_UM: (i32, i32) = (350, 100);
-/// Readings in it, at least.
+/// Minimum readings in that range.
 const LEAST_COMPARED: i32 = 8;
-/// Most by which the end is believed to have crept, um: twice that is a slip that keeps 65 % of its pull.
+/// Largest creep of the end that is believed, um: twice as much is a slip that keeps 65 % of its pull.
 const MOST_CREPT_UM: i32 = 800;
-/// Most by which one cycle moves it, um.
+/// Largest creep per cycle, um.
 const CREEPS_UM: i32 = 30;
-/// Least and most end force for its sake, in thousandths.
+/// Range to which friction may scale the end force, in thousandths.
 pub(super) const FRICTION_FORCE: (i32, i32) = (600, 1_350);
 
-/// Where folds have ended since the zero was found.
+/// Wandering of the folded ends since the zero was found.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Drift {
     first: Option<Thread>,
-    /// Of the distances from the first end, over about four folds, so that one of them does not decide.
+    /// Mean distance from the first end, over about four folds, so that no single fold decides.
     mean: Thread,
     folds: i32,
 }
 
 impl Drift {
-    /// Takes an end; returns how far the ends have wandered.
+    /// Adds an end. Returns how far the ends have wandered.
     fn add(&mut self, end: Thread) -> Thread {
         let first = *self.first.get_or_insert(end);
         self.folds = (self.folds + 1).min(4);
@@ -72,25 +74,27 @@ impl Drift {
     }
 }
 
-/// ln 2 of the force in each rise, in thousandths: how much more it is `um` further on.
+/// Factor by which the force grows over `um`, in thousandths: it doubles with every rise.
 fn grows(um: i32, rise_um: i32) -> i32 {
     let rises = (um * 1_000 / rise_um.max(1)).clamp(-1_000, 1_000);
-    // 2^x to the second order.
+    // 2^x to second order.
     1_000 + 693 * rises / 1_000 + 240 * (rises * rises / 1_000) / 1_000
 }
 
-/// How much later the thread has this share of its force, in thousandths of 600 to 1,400: the inverse of [`grows`].
+/// Distance by which the force lags if the thread has this share of it, in thousandths, limited to 600 to 1,400: the
+/// inverse of [`grows`].
 fn crept_by(share: i32, rise_um: i32) -> i32 {
     let lacks = (1_000 - share).clamp(-400, 400);
-    // -ln(1 - x) to the third order.
+    // -ln(1 - x) to third order.
     let logarithm = lacks + lacks * lacks / 2_000 + lacks * lacks / 1_000 * lacks / 3_000;
     logarithm * rise_um / 693
 }
 
 impl Capsule {
-    /// The folded end is a place, found by a current that depends on the worm's friction, and on what else changes the origami's
-    /// force by a share. A fold that feels half of the end force earlier than the calibration did may go on to more of it without being
-    /// called a jam. How much it is at the end is measured just before, where a fold is as slow as the calibration was: a damped
+    /// Scales the end force to the friction of this motion. The folded end is a place, but a current finds it, and
+    /// that depends on the worm's friction and on anything else that scales the origami's force. If a fold feels half
+    /// of the end force earlier than the calibration did, it may go on to more force without being called a jam. The
+    /// scale itself is measured just before the end. There the fold is as slow as the calibration was: a damped
     /// origami pulls more at a faster thread.
     pub(super) fn follow_friction(&mut self, load: &Load) {
         let thread = self.thread();
@@ -101,13 +105,13 @@ impl Capsule {
         let Leg::Wind { end, short, .. } = actuation.leg else {
             return;
         };
-        // A check of a folded capsule begins beyond that place.
+        // A check of a folded capsule begins beyond the compared range.
         if actuation.kind == ActuationKind::CheckFolded && short.is_some() {
             return;
         }
         let rise_um = calibration.rise.0.max(1);
         let left_um = end.0 - thread.0;
-        // The origami's force grows faster the further it is folded.
+        // The origami's force grows faster towards the folded end.
         let steep_um = rise_um * 85 / 100;
         let (from_um, to_um) = COMPARED_UM;
         if (to_um..from_um).contains(&left_um) {
@@ -124,7 +128,7 @@ impl Capsule {
             if actuation.share.count >= LEAST_COMPARED {
                 let share = i32::from(actuation.share.mean().unwrap_or(0));
                 actuation.settings = self.settings.with_force(share.clamp(least, most));
-                // A friction that is less, or a count that has moved: nothing tells which.
+                // Either the friction has fallen or the count has moved. Nothing tells which.
                 let later_um = crept_by(share, rise_um).clamp(0, FRICTION_SHIFT.0);
                 self.doubt = Thread(later_um + self.crept.0);
             }
@@ -140,8 +144,8 @@ impl Capsule {
         }
     }
 
-    /// The pull of the folded thread, in which friction cancels, over that of the calibration: thread and origami creep, so the end
-    /// follows slowly, and not far.
+    /// Moves the believed end with the creep of thread and origami. The measure is the folded thread's pull, in which
+    /// friction cancels, over the calibrated pull. Follows slowly and within limits.
     fn follow_creep(&mut self, tension_ma: u16) {
         let Some(calibration) = &self.calibration else {
             return;
@@ -178,7 +182,7 @@ impl Capsule {
         }
     }
 
-    /// The motor's constant as the calibration has measured it; 0 while one is under way, or without one.
+    /// Motor constant measured by the calibration; 0 while one is in progress or if there is none.
     pub(super) fn known_back_emf(&self) -> u16 {
         match &self.calibration {
             Some(calibration) if !self.calibrates() => calibration.back_emf_uv_cps,
@@ -199,7 +203,7 @@ impl Capsule {
         }
     }
 
-    /// Currents of a slack thread and of a taut one, from readings at a steady speed.
+    /// Measures the currents of a slack thread and of a taut one, from readings at a steady speed.
     pub(super) fn measure(&mut self, thread: Thread, steady: bool) -> Result<(), CapsuleFault> {
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
@@ -231,7 +235,7 @@ impl Capsule {
             return Ok(());
         };
         if thread > taut_to {
-            // Not while the motor takes up its speed.
+            // Skip readings while the motor takes up its speed.
             if steady && thread.0 - taut_to.0 <= STEADY_UM {
                 actuation.taut.add(current_ma);
             }
@@ -239,7 +243,7 @@ impl Capsule {
         }
         let further = Thread(taut_to.0 - STEADY_UM);
         if actuation.taut.count == 0 && actuation.prolongations > 0 && to < further {
-            // A motor that starts too fast is braked, and its current does not count for a while.
+            // A motor that starts too fast is braked, and its current does not count for a while: extend the zone.
             actuation.prolongations -= 1;
             actuation.leg = Leg::PayOut {
                 taut_to: Some(further),
@@ -248,7 +252,7 @@ impl Capsule {
             return Ok(());
         }
         actuation.leg = Leg::PayOut { taut_to: None, to };
-        // Without steady readings there is no verdict: the next fold finds a broken thread.
+        // No verdict without steady readings: the next fold will find a broken thread.
         let tension_ma = actuation
             .winding_ma
             .zip(actuation.taut.mean())
@@ -282,7 +286,7 @@ impl Capsule {
         Ok(())
     }
 
-    /// A folded end that wanders means that thread or zero are not what they were.
+    /// Drops the reference if the folded ends wander: thread or zero have changed.
     pub(super) fn watch_drift(&mut self, actions: &mut Actions) {
         let by = self.drift.add(self.thread());
         if by.0.saturating_abs() <= self.settings.drift.0 {
@@ -295,7 +299,7 @@ impl Capsule {
     }
 }
 
-/// What the cell gives for a current of the motor: the share of the pulses in the period.
+/// Current from the cell for a current of the motor: it flows only during the pulses' share of the period.
 pub(super) fn drawn_ma(current_ma: u16, drive_mv: i16, battery_mv: u16) -> u32 {
     (u32::from(current_ma) * u32::from(drive_mv.unsigned_abs()))
         .checked_div(battery_mv.into())

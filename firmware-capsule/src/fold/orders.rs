@@ -1,4 +1,4 @@
-//! Orders of the host: why one is refused, and how a motion begins.
+//! Orders of the host: checks them and begins the motions.
 
 use super::{Actions, Actuation, Capsule, Command, Mode, measures};
 use crate::{
@@ -14,16 +14,15 @@ use protocol::{
     error::{Field, Refusal},
 };
 
-/// What a fold and an unfolding take off the voltage of a cell that is nearly empty.
+/// Voltage that a nearly empty cell loses over a fold and an unfolding.
 const RESERVE_MV: u16 = 100;
-/// An amplifier that shows this at rest is none: its output lies at one end of its range.
+/// Current at rest, beyond which the amplifier's output must lie at one end of its range.
 const OPEN_MA: u16 = 1_000;
-/// Most by which its zero may be another one after a motion than before: warming moves it by 5 mA.
+/// Largest change of the amplifier's zero over a motion: warming moves it by 5 mA.
 const MOST_MOVED_MA: u16 = 7;
-/// As near as a partial fold stops.
+/// Distance within which a partial fold has arrived, um.
 const ARRIVED: i32 = 100;
-/// A check of a folded capsule pays out this much, and winds it again: the zone in which the pull is measured, and as much as it may be
-/// prolonged by.
+/// Thread that a check of a folded capsule pays out and winds again: the tension zone, and its extensions.
 const CHECKED: Thread = Thread(1_500);
 
 impl Capsule {
@@ -76,7 +75,7 @@ impl Capsule {
             self.may_stop_at(target)?;
         }
         let min_mv = match kind {
-            // Paying out takes little, and somebody may need it.
+            // Paying out takes little current, and a person may need it.
             ActuationKind::Unfold => self.least_unfolding_mv(),
             _ => self.least_battery_mv(),
         };
@@ -98,7 +97,7 @@ impl Capsule {
         Ok(())
     }
 
-    /// A partial fold ends between the ends, and somewhere else than here.
+    /// Refuses a partial fold whose target is too close to an end, or is the present position.
     pub(super) fn may_stop_at(&self, target: Thread) -> Result<(), Refusal> {
         let Thread(end_um) = self.folded_end().unwrap_or_default();
         let (min, max) = (super::PARTIAL_MARGIN.0, end_um - super::PARTIAL_MARGIN.0);
@@ -117,13 +116,13 @@ impl Capsule {
         Ok(())
     }
 
-    /// Where the folded end is believed to be.
+    /// Believed position of the folded end.
     pub(super) fn folded_end(&self) -> Option<Thread> {
         let calibration = self.calibration.as_ref()?;
         Some(Thread(calibration.folded.0 - self.spare.0 + self.crept.0))
     }
 
-    /// What the cell must have at rest to stay above its limit under the end force, twice: to fold and to unfold again.
+    /// Minimum voltage at rest: keeps the cell above its limit under the end force for a fold and an unfolding.
     pub(super) fn least_battery_mv(&self) -> u16 {
         let sag_mv = self.cell_milliohm * u32::from(MOST_MA) / 1_000;
         let under_load_mv = u32::from(self.settings.loaded_battery_mv + RESERVE_MV) + sag_mv;
@@ -132,12 +131,12 @@ impl Capsule {
             .max(self.settings.least_battery_mv)
     }
 
-    /// The same to unfold only: an empty cell that strands a capsule in mid-fold still unfolds it.
+    /// Minimum voltage for unfolding alone, so that an almost empty cell cannot strand a capsule half folded.
     pub(super) fn least_unfolding_mv(&self) -> u16 {
         self.settings.loaded_battery_mv + RESERVE_MV
     }
 
-    /// The shunt amplifier shows a current at rest. Nothing it says under drive can then be relied on.
+    /// The amplifier shows a current at rest, so its readings under drive cannot be trusted.
     pub(super) fn amplifier_fault(&self) -> Option<CapsuleFault> {
         let current_ma = self.sample.offset_ma.unsigned_abs();
         match current_ma {
@@ -147,7 +146,8 @@ impl Capsule {
         }
     }
 
-    /// A zero of the amplifier that has moved in a motion was wrong in it, and so was what the motion found by current.
+    /// Faults if the amplifier's zero has moved during a motion: its currents were then wrong, and so was everything
+    /// judged by them.
     pub(super) fn watch_offset(&mut self, now_us: u64, actions: &mut Actions) {
         let judged_by_current = match self.mode {
             Mode::Moving(_) => false,
@@ -190,7 +190,7 @@ impl Capsule {
         Ok(())
     }
 
-    /// `target` is that of a partial fold.
+    /// Begins a motion. Only a partial fold uses `target`.
     pub(super) fn start(
         &mut self,
         now_us: u64,
@@ -208,7 +208,7 @@ impl Capsule {
             || kind == ActuationKind::Reference && self.calibration.is_none();
         let slack = calibrates || matches!(self.mode, Mode::Unfolded);
         let pay_out = |to: Thread| match self.mode {
-            // Not if it ends before the tension has been measured.
+            // Feel the pull first, unless the motion ends before the tension can be measured.
             Mode::Folded if to < self.taut_to() => Leg::Feel {
                 from: origin,
                 then: Then::PayOut(to),
@@ -225,7 +225,8 @@ impl Capsule {
             (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
             (ActuationKind::FoldTo, Some(end)) => wind(end, false, Some(target)),
             (ActuationKind::Fold, Some(end)) => wind(end, false, None),
-            // Of a known position the check asks whether the end is where it should be; at the end it pays out a little first.
+            // At the folded end, the check pays out a little first. It then asks whether the end is where it should
+            // be.
             (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => Leg::Feel {
                 from: origin,
                 then: Then::PayOut(Thread(self.thread().0 - CHECKED.0)),
@@ -273,12 +274,12 @@ impl Capsule {
             actuation: self.actuation(),
             kind,
         });
-        // If the leg is already at its end, the motor is not even switched on.
+        // Supervise at once: a leg that is already at its end never switches the motor on.
         self.supervise(now_us, actions);
         self.govern(now_us);
     }
 
-    /// The thread is taut down to here, if it is taut now.
+    /// Lower end of the tension zone, for a thread that is taut now.
     pub(super) fn taut_to(&self) -> Thread {
         Thread(self.thread().0.saturating_sub(TENSION_ZONE.0))
     }

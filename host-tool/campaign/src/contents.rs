@@ -1,4 +1,4 @@
-//! All that is known of a campaign, read from its folder.
+//! A campaign, read from its folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,31 +18,32 @@ pub(crate) const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome
 pub(crate) const READINGS_HEADER: &str =
     "row,time_utc,readings_set,quantity,indentation,event,reading,value_mm,text,origin\n";
 
-/// All that is known of a campaign.
+/// Everything known about a campaign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Campaign {
     /// Its folder.
     pub folder: PathBuf,
-    /// What is to be done.
+    /// The plan as the user wrote it.
     pub plan: Plan,
-    /// In which order.
+    /// The planned trials in the order of execution.
     pub order: Vec<Planned>,
-    /// What happened, row by row.
+    /// Rows of the ledger.
     pub rows: Vec<Row>,
-    /// What that amounts to.
+    /// State of the trials, derived from `rows`.
     pub state: State,
-    /// What the caliper said, row by row.
+    /// Rows of the caliper's readings.
     pub reading_rows: Vec<ReadingRow>,
-    /// What that amounts to.
+    /// The readings in force, derived from `reading_rows`.
     pub readings: Readings,
 }
 
 impl Campaign {
-    /// Reads a folder and changes nothing. A last line that is not whole, because it is being written or a crash has cut it,
-    /// is left out.
+    /// Reads a folder without changing it. Skips an incomplete last line, which is still being written or was cut by
+    /// a crash.
     ///
     /// # Errors
-    /// The first file that cannot be read or contradicts the others. Hashes are not compared: [`crate::verify::verify`] does that.
+    /// The first file that cannot be read or contradicts the others. Does not compare hashes:
+    /// [`crate::verify::verify`] does that.
     pub fn read(folder: &Path) -> Result<Self, CampaignError> {
         let path = folder.join(PLAN);
         let text =
@@ -95,7 +96,8 @@ impl Campaign {
         run_sidecar(&self.attempt_folder(trial, attempt))
     }
 
-    /// Why this cannot be the net displacement of a trial whose displacements after strokes are all there; none if it can.
+    /// Why this net displacement contradicts the displacements measured after each stroke; none if it does not, or if
+    /// some of them are missing.
     #[must_use]
     pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
         let state = self.state.trial(trial)?;
@@ -109,7 +111,7 @@ impl Campaign {
         })
     }
 
-    /// Where its data come from; none before there are any.
+    /// Where the data come from, rig or simulation; none before there are any.
     #[must_use]
     pub fn origin(&self) -> Option<Origin> {
         (self.state.sequence.origin()).or(self.readings.sequence.origin())
@@ -132,11 +134,11 @@ fn run_sidecar(folder: &Path) -> Option<PathBuf> {
     found.pop()
 }
 
-/// What to do about a file that was changed by something else than this program.
+/// Remedy for a file that another program has changed.
 pub(crate) const RESTORE: &str =
     "restore the folder from a copy; `retrograde verify` names every file that was changed";
 
-/// A folder that cannot be used as a campaign.
+/// Error for a folder that is not a usable campaign.
 pub(crate) fn not_a_campaign(path: &Path, why: impl ToString) -> CampaignError {
     CampaignError::misuse(
         path,
@@ -156,7 +158,7 @@ pub fn order_text(order: &[Planned]) -> String {
     String::from_utf8(bytes).expect("ASCII")
 }
 
-/// The whole lines of a file that grows, without its header.
+/// The complete rows of a growing file, without its header.
 pub(crate) fn rows<T: DeserializeOwned>(
     path: &Path,
     header: &str,

@@ -1,4 +1,4 @@
-//! What differs between a folder and its manifest, and what of that a crash can have left.
+//! Differences between a folder and its manifest, and which of them a crash can explain.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -12,17 +12,17 @@ use crate::files::{ATTEMPTS, READINGS, TRIALS};
 use crate::ledger::Attempt;
 use crate::manifest::{self, Hash, Manifest, PART, contents, hash_file};
 
-/// The files that grow by lines.
+/// Files that grow line by line.
 const GROWING: [&str; 2] = [READINGS, TRIALS];
 
-/// Something that is not as it was written.
+/// A file that is not as it was written.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
     /// The file, relative to the folder.
     pub path: String,
-    /// What is wrong with it.
+    /// The fault.
     pub what: String,
-    /// What to do.
+    /// Advice to the user.
     pub remedy: String,
 }
 
@@ -45,10 +45,10 @@ impl std::fmt::Display for Finding {
 pub(crate) const COPY: &str = "restore it from a copy";
 pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 
-/// Reads the manifest of a folder; none if there is none.
+/// Reads the manifest of a folder; none if the folder has none.
 ///
 /// # Errors
-/// It is not one.
+/// The file is not a manifest.
 pub fn read_manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
     let path = folder.join(manifest::NAME);
     let text = match limited::read_text(&path, limited::RECORD) {
@@ -61,31 +61,31 @@ pub fn read_manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
         .map_err(|why| CampaignError::new(&path, why, COPY))
 }
 
-/// What differs between a folder and its manifest.
+/// Differences between a folder and its manifest.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Differences {
-    /// Files that the manifest does not know, with their hashes.
+    /// Files that the manifest does not list, with their hashes.
     pub added: BTreeMap<String, Hash>,
-    /// Files that are gone, with the hashes that they had.
+    /// Files that are gone, with the hashes in the manifest.
     pub missing: BTreeMap<String, Hash>,
-    /// Files with other contents, with the hashes that they have.
+    /// Files with changed contents, with their present hashes.
     pub changed: BTreeMap<String, Hash>,
-    /// Files that have grown by so many whole lines, and whether a part of a line follows.
+    /// Files that have grown: number of new whole lines, and whether an incomplete line follows.
     pub grown: BTreeMap<String, (usize, bool)>,
-    /// What is neither a file nor a folder.
+    /// Entries that are neither a file nor a folder.
     pub strange: Vec<String>,
-    /// Files that were compared.
+    /// Number of files compared.
     pub compared: usize,
 }
 
-/// What a crash can have left.
+/// Leftovers that a crash can explain.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Left {
-    /// Files that have grown, by so many lines.
+    /// Files that have grown, with the number of new lines.
     pub(crate) grown: Vec<(String, usize)>,
-    /// Files whose last line is not whole.
+    /// Files whose last line is incomplete.
     pub(crate) torn: Vec<String>,
-    /// Files that were about to replace others.
+    /// Temporary files that had not yet replaced their targets.
     pub(crate) parts: Vec<String>,
     /// Folders of attempts that are not in the manifest yet.
     pub(crate) attempts: Vec<String>,
@@ -131,7 +131,7 @@ impl Differences {
         Ok(differences)
     }
 
-    /// For people. `listed` is the manifest that was compared.
+    /// Describes the differences for people. `listed` is the manifest that was compared.
     #[must_use]
     pub fn findings(&self, listed: &Manifest) -> Vec<Finding> {
         let mut findings = vec![];
@@ -188,10 +188,10 @@ impl Differences {
         findings
     }
 
-    /// What a crash can have left, if that is all there is.
+    /// Leftovers of a crash, provided that a crash explains every difference.
     ///
     /// # Errors
-    /// The first thing that a crash cannot have left.
+    /// The first difference that a crash cannot explain.
     pub(crate) fn left_by_a_crash(&self, campaign: &Campaign) -> Result<Left, CampaignError> {
         let mut left = Left::default();
         let other = |path: &str, what: &str| {
@@ -241,7 +241,7 @@ impl Differences {
     }
 }
 
-/// Only the attempt that was made last can have files that the manifest does not know.
+/// The attempt may lack an entry in the manifest: only the last one made can.
 fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     let began = campaign.rows.iter().rev().find_map(|row| {
         (row.event == crate::ledger::Event::Began)
@@ -250,8 +250,8 @@ fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     began.as_deref() == Some(attempt)
 }
 
-/// By how many whole lines a file has grown since it had this hash, and whether a part of a line follows; none if its beginning
-/// was changed.
+/// Number of whole lines that a file has gained since it had this hash, and whether an incomplete line follows; none
+/// if its beginning has changed.
 fn grown(path: &Path, listed: &Hash) -> io::Result<Option<(usize, bool)>> {
     let bytes = limited::read(path, limited::RECORD)?;
     let mut hash = hmac_sha256::Hash::new();

@@ -1,6 +1,6 @@
 //! Names of the files in the folder of a campaign.
 
-/// The plan, as it was given.
+/// The plan as the user wrote it.
 pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
 /// The trials in their order.
 pub const ORDER: &str = "order.csv";
@@ -8,7 +8,7 @@ pub const ORDER: &str = "order.csv";
 pub const TRIALS: &str = "trials.csv";
 /// The caliper's readings.
 pub const READINGS: &str = "readings.csv";
-/// Whoever writes holds its lock. It is empty, and not in the manifest.
+/// Locked by the process that writes to the folder. The file is empty and not in the manifest.
 pub const LOCK: &str = ".lock";
 /// A folder for each attempt at a trial.
 pub const ATTEMPTS: &str = "trials";

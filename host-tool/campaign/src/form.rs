@@ -1,9 +1,9 @@
-//! What the body's shape is during a run.
+//! The body's shape during a run.
 
 use serde::{Deserialize, Serialize};
 use trials::experiment::Shape;
 
-/// What the body's shape is during a run.
+/// The body's shape during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Form {
@@ -16,7 +16,7 @@ pub enum Form {
 }
 
 impl Form {
-    /// As in ledgers.
+    /// The name in ledgers.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {

@@ -23,7 +23,7 @@ pub struct Condition {
     pub shape: Form,
 }
 
-/// What is done to the body in a trial, for people: a pass, or a run with a body of this shape.
+/// Text for people: the pass, or the shape of the body in a run.
 #[must_use]
 pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
     match purpose {

@@ -17,7 +17,7 @@ pub(crate) fn acknowledge(
 ) -> Result<Value, Failure> {
     let (mut acknowledged, mut nothing) = (vec![], None);
     let mut failed = None;
-    // One machine without a fault must not keep the other from being acknowledged.
+    // Try both machines: one without a fault must not keep the other from being acknowledged.
     for kind in places.machines(which)? {
         let name = identity::kind_name(kind);
         let result = places.connect(kind, Need::Look).and_then(|mut device| {

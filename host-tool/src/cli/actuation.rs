@@ -78,7 +78,7 @@ pub(crate) fn actuate(
         "the data is in {}; `retrograde info` shows the capsule's state",
         trial.sidecar.display()
     );
-    // After a fault the recording is worth most; that it cannot be had must not hide the fault.
+    // Fetch the recording even after a fault, when it is worth most. If that fails, still report the fault.
     let traced = trace.map(|trace| trace.fill(&mut capsule, &trial.record));
     if let Some(Ok((path, readings))) = &traced {
         screen.say(&format!("  {}: {readings} ms", path.display()));
@@ -93,7 +93,7 @@ pub(crate) fn actuate(
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
 }
 
-/// A fold may be complete and yet cost the reference, because its end has wandered.
+/// Reports a fold whose end has wandered: it may be complete, but it costs the reference.
 fn tell_drift(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) {
     let mut drifted = || {
         let status = capsule.capsule_status();

@@ -1,4 +1,4 @@
-//! Folding and unfolding a capsule that is folded or unfolded already.
+//! Handles a fold or an unfolding of a capsule that is already folded or unfolded.
 
 use client::Device;
 use operations::failure::Failure;
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-/// The result if the capsule already is what the actuation would make it: nothing moves and nothing is recorded.
+/// The result if the capsule already is as ordered. Nothing moves and nothing is recorded then.
 pub(crate) fn actuated(
     kind: ActuationKind,
     capsule: &mut Device,

@@ -1,4 +1,4 @@
-//! What the commands that calculate share: threads with a progress bar, and the files they leave in one folder.
+//! Shared by the commands that calculate: threads with a progress bar, and the files in one folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::cli::screen::Screen;
 
-/// One command's calculation.
+/// The calculation of one command.
 pub(crate) struct Calculation<'a, 'b> {
     out: &'a Path,
     workers: Workers,
@@ -21,7 +21,7 @@ pub(crate) struct Calculation<'a, 'b> {
 }
 
 impl<'a, 'b> Calculation<'a, 'b> {
-    /// On so many threads, by default one per core, with its files in `out`.
+    /// Uses this number of threads, by default one per core, and writes its files to `out`.
     pub(crate) fn new(
         out: &'a Path,
         threads: Option<u16>,
@@ -60,12 +60,12 @@ impl<'a, 'b> Calculation<'a, 'b> {
         Ok(results?)
     }
 
-    /// Runs work on the threads.
+    /// Runs the work on the calculation's threads.
     pub(crate) fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
         self.workers.install(work)
     }
 
-    /// Writes rows, each with the origin of its values in the last column.
+    /// Writes rows; the last column is the origin of their values.
     pub(crate) fn csv(
         &mut self,
         name: &str,
@@ -79,7 +79,7 @@ impl<'a, 'b> Calculation<'a, 'b> {
         self.file(name, &bytes)
     }
 
-    /// Writes one file; the folder is made if it is not there.
+    /// Writes one file and creates the folder if necessary.
     pub(crate) fn file(&mut self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
         let path = self.out.join(name);
         fs::create_dir_all(self.out).map_err(|io| Failure::File {
@@ -91,7 +91,7 @@ impl<'a, 'b> Calculation<'a, 'b> {
         Ok(())
     }
 
-    /// Says which files were written, and returns their paths.
+    /// Prints which files were written. Returns their paths.
     pub(crate) fn say_files(&mut self) -> Vec<String> {
         let files: Vec<_> = self
             .files
@@ -103,7 +103,7 @@ impl<'a, 'b> Calculation<'a, 'b> {
     }
 }
 
-/// Writes a file in place of the one that may be there.
+/// Writes a file, replacing an existing one.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     fs::write(path, bytes).map_err(|io| Failure::File {
         path: path.to_owned(),

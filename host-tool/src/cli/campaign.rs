@@ -217,7 +217,7 @@ pub(crate) fn campaign(
     }
 }
 
-/// Refuses a session that nobody could answer, before anything is made.
+/// Refuses a session that nobody can answer, before it creates anything.
 fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
     if session.yes || screen.keyboard.is_some() {
         return Ok(());
@@ -280,7 +280,7 @@ fn resume(
     carry_out(command, folder, session, places, screen)
 }
 
-/// Opens a folder for writing and tells what a crash has left.
+/// Opens a folder for writing. Reports the leftovers of a crash.
 fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
     let (folder, told) = Folder::resume(path, places.connector.now()).map_err(Own::from)?;
     for line in told {
@@ -314,7 +314,7 @@ fn carry_out(
     Ok(value)
 }
 
-/// The report of a campaign of which nothing is left to do; one that is there already is kept.
+/// Writes the report of a finished campaign, unless there is one already.
 fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<PathBuf, Failure> {
     let page = report_folder(folder).join("report.html");
     if page.exists() {
@@ -412,7 +412,7 @@ fn failure(broken: Broken, folder: &Path) -> Failure {
 
 // Status.
 
-/// Mean and standard deviation, as far as there are any, mm.
+/// Mean and standard deviation in mm, as far as the values suffice.
 fn mean_text(values: &[Millimetres]) -> String {
     match Summary::of(values) {
         None => String::new(),
@@ -425,7 +425,7 @@ fn rank(campaign: &Campaign) -> impl Fn(&str) -> usize + '_ {
     |name| campaign.plan.rank(name).unwrap_or(usize::MAX)
 }
 
-/// How far a campaign has come, line by line.
+/// Progress of a campaign, line by line.
 fn status(campaign: &Campaign) -> Vec<String> {
     let state = &campaign.state;
     let done = state
@@ -486,7 +486,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
     lines
 }
 
-/// Attempts that do not count, and trials that are left out.
+/// Attempts that do not count, and excluded trials.
 fn left_out(trial: &TrialState) -> Vec<String> {
     let number = trial.planned.trial;
     let because = |reason: &str| match reason {
@@ -517,7 +517,7 @@ fn left_out(trial: &TrialState) -> Vec<String> {
     lines
 }
 
-/// For `--json`.
+/// Summary for `--json`.
 fn summary(campaign: &Campaign) -> Value {
     let conditions: Vec<_> = campaign
         .state

@@ -56,7 +56,7 @@ pub struct CommissionArgs {
     pub clock_s: u16,
 }
 
-/// Whole cycles only: an odd number would have to become another one.
+/// Parses an even number: only whole cycles count, and no number is changed in silence.
 fn strokes(text: &str) -> Result<u16, String> {
     let value = text.parse::<u16>().ok();
     value
@@ -117,7 +117,7 @@ pub(crate) fn commission(
     let ended = session::carry_out(&mut work, &mut record, &path, &now);
     let left = matches!(ended, Ok(Ending::Left(_)));
     if left && work.device.interrupted().is_none() {
-        // Whoever leaves within a motion wants its end.
+        // If the operator leaves during a motion, stop it.
         let _ = work.device.urgent(Urgent::Stop);
     }
     let off = work.supply_is_off();
@@ -154,7 +154,7 @@ pub(crate) fn commission(
     .into())
 }
 
-/// Who is at the machine.
+/// The hands at the machine: a person's, or the virtual bench's.
 fn hands(
     args: &CommissionArgs,
     kind: DeviceKind,
@@ -186,7 +186,7 @@ fn hands(
     }
 }
 
-/// The image that should be on the board: the one named, or the one built in this workspace, if there is one.
+/// Image that should be on the board: the named one, or else the one built in this workspace.
 fn image(args: &CommissionArgs, kind: DeviceKind) -> Option<PathBuf> {
     args.image
         .clone()

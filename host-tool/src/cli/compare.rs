@@ -1,4 +1,4 @@
-//! `simulate compare`: the paper's sentences beside the model's values, and how probable it is that each is met.
+//! `simulate compare`: the paper's sentences beside the model's values, with the probability that each is met.
 
 use analysis::science::model_file;
 use analysis::science::odds::{Judged, Poll};

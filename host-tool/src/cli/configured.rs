@@ -1,4 +1,4 @@
-//! What `devices` shows of every place that the user has configured.
+//! Surveys every configured place for `devices`.
 
 use std::panic::resume_unwind;
 use std::thread;
@@ -59,8 +59,8 @@ impl Configured {
     }
 }
 
-/// Asks at every place that the user has configured, at all at once. Moves nothing.
-/// Also returns why there are no names.
+/// Asks at every configured place, at all of them at once. Moves nothing. Also returns the error if the file of names
+/// cannot be read.
 pub(crate) fn survey(places: &Places<'_>) -> (Vec<Configured>, Option<NamedError>) {
     let (named, error) = match Named::read() {
         Ok(named) => (named, None),

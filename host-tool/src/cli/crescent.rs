@@ -1,4 +1,4 @@
-//! `simulate crescent`: the crescent as a beam, with inputs of its own, beside no other model.
+//! `simulate crescent`: the crescent as a beam. Has its own inputs and shares no other model.
 
 use analysis::science::{charts, crescent, table};
 use locomotion::beam::{NoAnswer, Validation, band, thread};
@@ -10,10 +10,10 @@ use crate::cli::calculation::Calculation;
 use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 
-/// Fewest draws that make a band.
+/// Minimum number of draws for a band.
 const FEWEST: usize = 10;
 
-/// Calculates and writes everything, and returns it for `--json`.
+/// Calculates and writes everything. Returns it for `--json`.
 pub(crate) fn crescent(
     work: &mut Calculation<'_, '_>,
     model: &ModelArgs,
@@ -35,7 +35,7 @@ pub(crate) fn crescent(
     let alphas = crescent::least_alphas().map_err(unsolved)?;
     let indices: Vec<u64> = (0..draws.into()).collect();
     let threads_mm = crescent::threads_mm();
-    // A draw without an equilibrium is a result to count, not a reason to end.
+    // Count a draw without an equilibrium as a result; it must not end the calculation.
     let outcomes = work.map(&indices, |index| {
         let params = band::draw(thread::Params::PAPER, seed, *index);
         Ok(band::curve(params, &threads_mm, INDENTATIONS_MM[4]))

@@ -52,7 +52,7 @@ pub(crate) fn cycle(
         &mut capsule,
         &mut Unobserved,
         &mut |pair| {
-            // A line for each of the first ten, then one for each tenth.
+            // Print a line for each of the first ten pairs, then for every tenth.
             if pair.pair <= 10 || pair.pair.is_multiple_of(10) || pair.pair == args.pairs {
                 screen.say(&format!(
                     "  {} of {}: folded at {} mm in {} s with {} mJ, unfolded at {} mm in {} s with {} mJ",

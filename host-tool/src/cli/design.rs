@@ -57,7 +57,7 @@ pub struct DesignArgs {
     pub search: OptimiseArgs,
 }
 
-/// The design that the options describe, over that of the file, over the paper's as printed.
+/// The requested design: options override the file, the file overrides the paper's printed design.
 fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
     let file = ModelArgs::of_file(args.model.clone());
     if args.model.is_some() {
@@ -71,7 +71,7 @@ fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
     };
     let width_mm = number(args.width_mm, "design.width_mm", 24.40)?;
     let ratio = number(args.core_ratio, "design.core_ratio", 0.2)?;
-    // Whole and from 1 to 32 in a file, too: `model` has checked it.
+    // `model` has checked that a file's value, too, is a whole number from 1 to 32.
     let crescents = match args.crescents {
         Some(crescents) => crescents,
         None => file.number("design.crescents")?.unwrap_or(9.0) as u8,

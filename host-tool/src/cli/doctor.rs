@@ -1,4 +1,4 @@
-//! `doctor`: what is at each place, and what to do about what is wrong. All places are looked at at once, and none for much
+//! `doctor`: identifies each place, and gives a remedy for each problem. Examines all places at once, none for much
 //! longer than a second. Moves nothing.
 
 use std::panic::resume_unwind;
@@ -19,23 +19,23 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-/// A place to look at.
+/// A place to examine.
 struct Place {
     /// The machine that should be there, if the user says so.
     wanted: Option<DeviceKind>,
     candidate: Candidate,
 }
 
-/// What was found at a place.
+/// Result for a place.
 #[derive(Debug)]
 pub struct Finding {
     /// The place, with the machine that should be there.
     place: String,
-    /// In a word, for programs.
+    /// Keyword for programs.
     code: &'static str,
-    /// For people.
+    /// Text for people.
     text: String,
-    /// What to do; none where nothing is wrong.
+    /// Remedy; none if nothing is wrong.
     remedy: Option<String>,
     /// The machine that answered.
     found: Option<DeviceKind>,
@@ -68,7 +68,7 @@ impl Finding {
         self.exit_code
     }
 
-    /// For people.
+    /// The finding as a line for people.
     pub(crate) fn line(&self) -> String {
         let mut text = format!("{}: {}: {}", self.place, self.code, self.text);
         if let Some(remedy) = &self.remedy {
@@ -78,7 +78,7 @@ impl Finding {
         text
     }
 
-    /// For `--json`.
+    /// The finding for `--json`.
     pub(crate) fn json(&self) -> Value {
         json!({
             "place": self.place,
@@ -90,7 +90,7 @@ impl Finding {
     }
 }
 
-/// A failure in a word.
+/// Keyword of a failure.
 fn code(failure: &Failure) -> &'static str {
     match failure {
         Failure::Open(OpenError { reason, .. }) => match reason {
@@ -151,7 +151,7 @@ pub(crate) fn doctor(
     Ok(json!({ "findings": findings }))
 }
 
-/// The places that the user named, or all ports.
+/// The places named by the user, or else all ports.
 fn to_look_at(which: &Which, places: &Places<'_>) -> Vec<Place> {
     let wanted = |kind: &DeviceKind| which.machine.is_none_or(|machine| *kind == machine.into());
     let mut all = vec![];
@@ -181,7 +181,7 @@ fn to_look_at(which: &Which, places: &Places<'_>) -> Vec<Place> {
     all
 }
 
-/// What is at one place, and what is wrong with the machine there.
+/// Examines one place and the machine there.
 fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
     let candidate = &place.candidate;
     let name = match place.wanted {
@@ -208,7 +208,7 @@ fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
     }
 }
 
-/// What a machine itself says is wrong: in a word, in full, and the remedy.
+/// A problem that a machine reports itself: keyword, text and remedy.
 type Trouble = Option<(&'static str, String, &'static str)>;
 
 fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
@@ -252,7 +252,7 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Tr
     Ok((identity.device, text, trouble))
 }
 
-/// What is wrong with all places together.
+/// Problems that only show across all places.
 fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Finding> {
     let found = |kind| {
         let fine = findings.iter().filter(|finding| finding.code == "fine");
@@ -294,8 +294,7 @@ fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Fin
     more
 }
 
-/// How many places have something wrong, in one sentence.
-/// The doctor has found something wrong.
+/// The doctor has found at least one problem.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 #[error("{}", summary(findings))]
 #[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
@@ -306,7 +305,7 @@ struct Sick {
 impl CommandFailure for Sick {
     fn exit_code(&self) -> u8 {
         let codes = self.findings.iter().map(Finding::exit_code);
-        // A place without a machine outweighs what a machine says.
+        // A missing machine outweighs a problem that a machine reports.
         codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
     }
 

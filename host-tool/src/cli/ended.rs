@@ -1,4 +1,4 @@
-//! Where a motion is recorded, and the failure of one that did not end as planned.
+//! Place of a motion's record, and the failure of a motion that did not end as planned.
 
 use operations::arguments::RecordArgs;
 use operations::failure::Failure;

@@ -1,4 +1,4 @@
-//! Failures that only one command has. Those that several share are in `operations`.
+//! Failures that only one command has. `operations` has those that several commands share.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use operations::failure::{
 };
 use serde_json::{Value, json};
 
-/// Why one command failed.
+/// Failure of a single command.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub(crate) enum Own {
     /// A campaign cannot be used.
@@ -31,7 +31,7 @@ pub(crate) enum Own {
         /// Its folder.
         folder: PathBuf,
     },
-    /// A folder is not as it was written.
+    /// A folder has changed since it was written.
     #[error("{}", changed(folder, findings))]
     #[diagnostic(
         code(retrograde::changed),
@@ -40,10 +40,10 @@ pub(crate) enum Own {
     Changed {
         /// The folder.
         folder: PathBuf,
-        /// What is wrong with it.
+        /// The changes found.
         findings: Vec<Finding>,
     },
-    /// A report was written, but not all that was to be on it can be relied on.
+    /// The report was written, but some of its data cannot be relied on.
     #[error("{} is written, but {defects}; the lines above name each", page.display())]
     #[diagnostic(
         code(retrograde::report_defects),
@@ -54,9 +54,9 @@ pub(crate) enum Own {
     ReportDefects {
         /// The page.
         page: PathBuf,
-        /// How many cannot be relied on, in words.
+        /// Number of unreliable parts, in words.
         defects: String,
-        /// The same as after success, for `--json`.
+        /// The result for `--json`, as after success.
         written: Value,
     },
     /// The report could not be written.
@@ -81,18 +81,18 @@ pub(crate) enum Own {
         setting: &'static str,
         /// The reason.
         cause: Box<ClientError>,
-        /// Changes that could not be undone; empty if everything is as before.
+        /// Changes that could not be undone; empty if everything is restored.
         changed: Vec<String>,
     },
-    /// A commissioning that is not complete.
+    /// A commissioning is incomplete.
     #[error("{why}")]
     #[diagnostic(code(retrograde::commission), help("{help}"))]
     Commission {
-        /// What kept it from completion.
+        /// The obstacle to completion.
         ending: Unfinished,
         /// The reason.
         why: String,
-        /// What the user can do.
+        /// Advice to the user.
         help: String,
     },
     /// The image could not be flashed.
@@ -101,7 +101,7 @@ pub(crate) enum Own {
     Flash {
         /// The reason.
         why: String,
-        /// What the user can do.
+        /// Advice to the user.
         help: String,
     },
 }
@@ -146,12 +146,12 @@ impl CommandFailure for Own {
     }
 }
 
-/// What kept a commissioning from completion.
+/// Obstacle to the completion of a commissioning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unfinished {
-    /// A step has found something wrong.
+    /// A step has found a defect.
     Defect,
-    /// Nobody was there to show something.
+    /// A step needed a person, and none was there.
     NotShown,
     /// The operator left.
     Left,

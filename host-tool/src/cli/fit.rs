@@ -53,11 +53,11 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Bodies that a model file keeps.
+/// Number of bodies that a model file keeps.
 const KEPT: usize = 200;
-/// Places of a band in the figure.
+/// Number of positions at which the figure shows a band.
 const PLACES: usize = 12;
-/// Step of the rollers for the bands of the figure, mm: their errors do not show there.
+/// Step of the rollers for the figure's bands, mm. Its error is too small to be seen there.
 const FIGURE_STEP_MM: f64 = 0.25;
 
 /// The failure of observations that cannot be read.
@@ -79,7 +79,7 @@ fn unusable(error: TrialsError) -> Failure {
     }
 }
 
-/// What all sources say together.
+/// Observations from all sources together.
 struct Read {
     trials: Vec<Trials>,
     origin: Origin,
@@ -194,7 +194,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         path: args.out.clone(),
         io,
     })?;
-    // To all its digits, as it is among the samples.
+    // Use all digits, as among the samples.
     let fitted = with_sample(&base, &bodies[point]);
     let model = args.out.join("model.toml");
     write(
@@ -232,7 +232,7 @@ fn with_sample(base: &Model, point: &Point) -> Model {
     with_body(base, &parts(point))
 }
 
-/// The body nearest to the medians, in coordinates whose prior is standard normal, each by its spread.
+/// Index of the body nearest to the medians, in coordinates with a standard normal prior, each scaled by its spread.
 fn nearest(bodies: &[Point]) -> usize {
     let scale: Vec<(f64, f64)> = (0..UNKNOWNS)
         .map(|unknown| {
@@ -304,7 +304,7 @@ fn tables(found: &Fit) -> String {
     )
 }
 
-/// A number in as many digits as a table has room for.
+/// A number with as many digits as fit into the table.
 fn short(value: f64) -> String {
     match value.abs() {
         0.0 => "0".to_owned(),
@@ -370,7 +370,7 @@ fn say_checks(checked: &[Check], screen: &mut Screen<'_>) {
     }
 }
 
-/// What is loud: a posterior that must not be relied on.
+/// Warns if the posterior must not be relied on.
 fn warn(found: &Fit, screen: &mut Screen<'_>) {
     if !found.has_mixed() {
         screen.say(
@@ -433,7 +433,7 @@ fn band(band: &Band) -> Value {
     })
 }
 
-/// The figure, and the bands that it shows.
+/// Draws the figure. Returns the bands that it shows.
 fn figure(
     base: &Model,
     found: &Fit,

@@ -1,4 +1,4 @@
-//! Flashing through the `probe-rs` program: the image is looked at before, and the board is asked who it is afterwards.
+//! Flashes through the `probe-rs` program. Examines the image before, and asks the board for its identity afterwards.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -37,10 +37,10 @@ pub struct FlashArgs {
 
 const CHIP: &str = "STM32F411RETx";
 
-/// How long a board has to answer after its reset.
+/// Time for a board to answer after its reset.
 const START: Duration = Duration::from_secs(3);
 
-/// Interval between two attempts to reach it.
+/// Interval between two attempts to reach the board.
 const AGAIN: Duration = Duration::from_millis(100);
 
 /// Where `cargo xtask images` leaves a machine's image.
@@ -133,7 +133,7 @@ fn leave_alone(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
     })
 }
 
-/// Asks the board who it is now.
+/// Asks the board for its identity.
 fn ask(kind: DeviceKind, image: &Image, places: &Places<'_>) -> Result<Identity, Failure> {
     let begin = Instant::now();
     loop {
@@ -171,7 +171,7 @@ fn ask(kind: DeviceKind, image: &Image, places: &Places<'_>) -> Result<Identity,
 }
 
 fn probe_rs(args: &[&str], probe: &[&str], screen: &mut Screen<'_>) -> Result<(), Failure> {
-    // Its output is captured, so that standard output holds nothing but the JSON object.
+    // Capture the output, so that standard output holds only the JSON object.
     let output = Command::new("probe-rs")
         .args(args)
         .args(probe)

@@ -1,4 +1,4 @@
-//! `fold`, to the end or partly.
+//! `fold`: a full or a partial fold.
 
 use client::decimal;
 use operations::arguments::PartialArgs;

@@ -1,5 +1,5 @@
-//! A machine on the virtual bench is made for one command and is new each time: it is neither homed nor referenced. What
-//! needs that does it first, in the same command. A real machine is never moved without having been told.
+//! Prepares virtual machines. A machine on the virtual bench exists for one command only, so it is neither homed nor
+//! referenced. A command that needs this does it first. A real machine never moves without an order.
 
 use client::Device;
 use client::address::Address;
@@ -11,7 +11,7 @@ use trials::experiment;
 use crate::cli::screen::Screen;
 use operations::ending::homed_text;
 
-/// Homes a virtual rig, references a virtual capsule, if it is new.
+/// Homes a new virtual rig or references a new virtual capsule.
 pub(crate) fn prepare(
     kind: DeviceKind,
     device: &mut Device,

@@ -1,4 +1,4 @@
-//! `hold` and `resume`: a run that pauses and goes on.
+//! `hold` and `resume`: pauses a run and continues it.
 
 use operations::ending::{held, millimetres};
 use operations::failure::Failure;

@@ -1,4 +1,4 @@
-//! `capsule identify`: the constants of motor, friction and spring from two recordings.
+//! `capsule identify`: finds the constants of motor, friction and spring from two recordings.
 
 use std::path::PathBuf;
 use trials::recorded::write_recorded;
@@ -94,7 +94,7 @@ fn motion(
     })
 }
 
-/// For people: name, value, unit.
+/// Names, values and units for people.
 fn named(identified: &Identified) -> [(&'static str, Estimate, &'static str); 6] {
     let Identified {
         circuit_ohm,

@@ -1,4 +1,4 @@
-//! `jog`: the rig moves as long as the command runs.
+//! `jog`: moves the rig for as long as the command runs.
 
 use client::error::ClientError;
 use client::{Unobserved, while_moving};
@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
 
-/// Interval at which a jog is renewed, us; shorter if the rig's dead-man time is less than three of these.
+/// Interval at which a jog is renewed, us. Shorter if three of these exceed the rig's dead-man time.
 const RENEW_US: u64 = 100_000;
 
 pub(crate) fn jog(
@@ -44,7 +44,7 @@ pub(crate) fn jog(
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {
                 Ok(_) => false,
-                // The jog has just ended; the status says how.
+                // The jog has just ended. The status will say why.
                 Err(ClientError::Refused { .. }) => true,
                 Err(error) => return Err(error.into()),
             };

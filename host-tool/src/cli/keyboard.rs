@@ -1,4 +1,4 @@
-//! The person at the keyboard answers questions, and holds, resumes and stops a run.
+//! The keyboard: answers questions, and holds, resumes and stops a run.
 
 use std::io::{self, BufRead, BufReader, IsTerminal, Read};
 use std::sync::mpsc;
@@ -9,7 +9,7 @@ use operations::interrupt;
 
 use crate::cli::screen::Keyboard;
 
-/// What can be typed during a run.
+/// Hint that lists the keys or words for a run.
 pub(crate) fn hint(single: bool) -> &'static str {
     if single {
         "h holds the run, r resumes it, s or Ctrl-C stops it."
@@ -23,13 +23,13 @@ pub(crate) fn standard() -> Option<Keyboard> {
     is_there().then(|| Box::new(BufReader::new(io::stdin())) as Keyboard)
 }
 
-/// Whether a person can type here.
+/// A person can type here.
 pub(crate) fn is_there() -> bool {
     let input = io::stdin();
     input.is_terminal() && in_foreground(&input)
 }
 
-/// The shell suspends a background job that reads from the terminal, which would suspend the run, too.
+/// Checks for a background job: if it read from the terminal, the shell would suspend it, and the run with it.
 #[cfg(unix)]
 fn in_foreground(input: &io::Stdin) -> bool {
     rustix::termios::tcgetpgrp(input).is_ok_and(|group| group == rustix::process::getpgrp())
@@ -40,14 +40,14 @@ fn in_foreground(_: &io::Stdin) -> bool {
     true
 }
 
-/// What is done with what is typed during a run.
+/// Turns typed words and keys into requests.
 struct Keys {
     typed: mpsc::Sender<Pace>,
     hint: &'static str,
 }
 
 impl Keys {
-    /// Does what a word or a key says; false when nobody waits for it any more.
+    /// Handles a word or a key; false if no run takes requests any more.
     fn take(&self, word: &str) -> bool {
         let pace = match word {
             "h" | "H" => Pace::Hold,
@@ -91,7 +91,7 @@ pub(crate) fn pacer(keyboard: Keyboard, single: bool) -> Pacer {
     Box::new(move || requests.try_recv().ok())
 }
 
-/// Standard input gives each key at once and does not show it, until this is dropped. Ctrl-C stays a signal.
+/// Makes standard input deliver single keys without echo until this is dropped. Ctrl-C stays a signal.
 #[derive(Debug)]
 pub(crate) struct SingleKeys {
     #[cfg(unix)]
@@ -99,7 +99,7 @@ pub(crate) struct SingleKeys {
 }
 
 impl SingleKeys {
-    /// `None` where a terminal cannot do that.
+    /// `None` if the terminal cannot deliver single keys.
     #[cfg(unix)]
     pub(crate) fn begin() -> Option<Self> {
         use rustix::termios::{
@@ -125,7 +125,7 @@ impl SingleKeys {
 impl Drop for SingleKeys {
     fn drop(&mut self) {
         use rustix::termios::{OptionalActions, tcsetattr};
-        // A terminal that is gone needs nothing.
+        // A terminal that is gone needs no restoring.
         let _ = tcsetattr(io::stdin(), OptionalActions::Now, &self.before);
     }
 }

@@ -1,4 +1,4 @@
-//! `man` and `completions`: the command line described for other programs.
+//! `man` and `completions`: describes the command line for other programs.
 
 use operations::failure::Failure;
 use serde_json::{Value, json};

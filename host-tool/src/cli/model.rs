@@ -1,4 +1,4 @@
-//! The options of a model, made from the table of its parameters: `--body`, `--model`, and one for each parameter.
+//! The model's options, generated from the table of its parameters: `--body`, `--model`, and one for each parameter.
 
 use std::fs;
 use std::path::PathBuf;
@@ -10,7 +10,7 @@ use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
 use locomotion::model::{Model, Setting};
 use operations::failure::Failure;
 
-/// A model as options give it.
+/// A model as given by options.
 #[derive(Clone, Debug, Default)]
 pub struct ModelArgs {
     body: Option<String>,
@@ -25,7 +25,7 @@ struct Parameter {
     value: String,
 }
 
-/// All of them, made once: the command line keeps references to their names.
+/// All parameters, built once: the command line keeps references to their names.
 static PARAMETERS: LazyLock<Vec<Parameter>> = LazyLock::new(|| {
     let parameter = |setting: &'static Setting| Parameter {
         setting,
@@ -39,7 +39,7 @@ static PARAMETERS: LazyLock<Vec<Parameter>> = LazyLock::new(|| {
     Setting::all().map(parameter).collect()
 });
 
-/// The option of a parameter: what is of the body or of its design goes without its section.
+/// Name of a parameter's option. Drops the section for parameters of the body and its design.
 fn option(setting: &Setting) -> String {
     let (section, name) = setting.key.split_once('.').unwrap_or(("", setting.key));
     let name = name.replace('_', "-");
@@ -112,7 +112,7 @@ impl FromArgMatches for ModelArgs {
 }
 
 impl ModelArgs {
-    /// Of a file alone, if there is one.
+    /// The arguments of a file alone, if there is one.
     pub fn of_file(file: Option<PathBuf>) -> Self {
         Self {
             file,
@@ -120,10 +120,10 @@ impl ModelArgs {
         }
     }
 
-    /// The model: the body, with the file's values, with those of the options.
+    /// Builds the model: the body, overridden by the file, overridden by the options.
     ///
     /// # Errors
-    /// A file that cannot be read or used; a value that cannot be; a model out of range.
+    /// The file cannot be read or used, a value is impossible, or the model is out of range.
     pub fn model(&self) -> Result<Model, Failure> {
         let file = self.read()?;
         let body = match (&self.body, &file.body) {
@@ -147,7 +147,7 @@ impl ModelArgs {
         Ok(model)
     }
 
-    /// The posterior of the file, if it has one.
+    /// The posterior in the file, if it has one.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -155,7 +155,7 @@ impl ModelArgs {
         Ok(self.read()?.posterior)
     }
 
-    /// The value that was given for a parameter, by an option or else in the file.
+    /// The value given for a parameter, by an option or else by the file.
     ///
     /// # Errors
     /// A file that cannot be read.
@@ -168,17 +168,17 @@ impl ModelArgs {
         }))
     }
 
-    /// Whether there is a file.
+    /// A file was given.
     pub fn has_file(&self) -> bool {
         self.file.is_some()
     }
 
-    /// Whether an option gives this parameter.
+    /// An option gives this parameter.
     pub fn names(&self, key: &str) -> bool {
         self.choices.iter().any(|(setting, _)| setting.key == key)
     }
 
-    /// The first of these options that was given.
+    /// The first of these options on the command line.
     pub fn first(&self) -> Option<String> {
         let body = self.body.as_ref().map(|_| "--body".to_owned());
         let file = || self.file.as_ref().map(|_| "--model".to_owned());
@@ -201,10 +201,10 @@ impl ModelArgs {
     }
 
     fn built(&self, body: &str, file: &[Choice]) -> Result<Model, Failure> {
-        // The file first, and alone: what contradicts itself there is the file's.
+        // Build from the file alone first, so that its own contradictions are reported as the file's.
         model_file::build(body, file).map_err(|error| self.failure(&error))?;
         model_file::build(body, &self.choices).map_err(|error| self.failure(&error))?;
-        // An option outweighs what the file says of the same thing, in whichever way.
+        // An option overrides the file's value for the same quantity, however the file states it.
         let outweighed = |setting: &Setting| {
             self.names(setting.key) || setting.other_key().is_some_and(|key| self.names(key))
         };

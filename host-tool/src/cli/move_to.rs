@@ -1,4 +1,4 @@
-//! `move`: the rig goes to a position.
+//! `move`: moves the rig to a position.
 
 use client::decimal;
 use operations::arguments::MoveArgs;

@@ -1,4 +1,5 @@
-//! `design --optimise`: the designs that go farthest for their length within limits, beside the one that is compared.
+//! `design --optimise`: finds the designs with the largest displacement for their length within limits, and compares
+//! one design with them.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -116,14 +117,14 @@ pub struct OptimiseArgs {
     pub threads: Option<u16>,
 }
 
-/// Designs of the front in the table, at most; and the farthest that is no longer than the compared one.
+/// Largest number of the front's designs in the table, beside the farthest that is no longer than the compared one.
 const LISTED: usize = 20;
-/// Rounds after the first third of the tries; each looks nearer to the best than the one before.
+/// Rounds after the first third of the tries. Each searches closer to the best designs.
 const ROUNDS: u32 = 8;
-/// How far a proposal lies from its parents in the first round and in the last, of the way between the bounds.
+/// Distance of a proposal from its parents in the first and in the last round, as a share of the range.
 const REACH: (f64, f64) = (0.25, 0.01);
 
-/// Searches, and writes what it found.
+/// Searches and writes the results.
 pub(crate) fn optimise(
     args: &OptimiseArgs,
     (model, posterior): (&Model, Option<&Posterior>),
@@ -153,7 +154,7 @@ pub(crate) fn optimise(
         None => Bodies::of_prior(model)?,
     };
     let mut work = Calculation::new(&args.out, args.threads, screen)?;
-    // The compared design first: what the model does not cover there is refused before the search.
+    // Check the compared design first: what the model does not cover must be refused before the search.
     let name = if design == Design::paper_printed() {
         "paper"
     } else {
@@ -221,19 +222,19 @@ pub(crate) fn optimise(
 struct Search<'a> {
     limits: Limits,
     width_mm: f64,
-    /// Place of the compared design: one proposal in ten begins there.
+    /// The compared design: one proposal in ten starts from it.
     known: [f64; FREE],
-    /// Its length, mm.
+    /// Length of the compared design, mm.
     known_mm: f64,
     bodies: &'a Bodies,
     per: Per,
 }
 
-/// A proposal that keeps the limits, by its length and its displacement, or the limits that it breaks.
+/// A proposal within the limits with its length and displacement, or the limits that it breaks.
 type Tried = Result<(Proposal, (f64, f64)), Vec<&'static str>>;
 
 impl Search<'_> {
-    /// Proposals on the front, from short to long.
+    /// Searches. Returns the proposals on the front, from short to long.
     fn run(
         &self,
         seed: u64,
@@ -285,7 +286,7 @@ impl Search<'_> {
         }
         let all: Vec<usize> = (0..best.len()).collect();
         let mut kept = search::thinned(&all, LISTED);
-        // What goes farthest without being longer than the compared design is the answer to "what instead of it".
+        // Keep the farthest design that is no longer than the compared one: it is the alternative to it.
         let short = best.partition_point(|(_, (length_mm, _))| *length_mm <= self.known_mm);
         if let Some(index) = short.checked_sub(1)
             && !kept.contains(&index)
@@ -315,7 +316,7 @@ impl Search<'_> {
     }
 }
 
-/// No design keeps the limits: which of them stand in the way.
+/// Failure if no design keeps the limits. Names the limits that were broken most.
 fn nothing(tried: u32, broken: &BTreeMap<&'static str, u32>) -> Failure {
     let mut most: Vec<_> = broken.iter().collect();
     most.sort_by_key(|(_, count)| std::cmp::Reverse(**count));
@@ -332,7 +333,7 @@ fn nothing(tried: u32, broken: &BTreeMap<&'static str, u32>) -> Failure {
     }
 }
 
-/// How the compared design stands to the front, in a sentence.
+/// Compares the compared design with the front, in a sentence.
 fn verdict(rows: &[Row], per: Per, fitted: bool) -> String {
     let Some((own, front)) = rows.split_last() else {
         return String::new();

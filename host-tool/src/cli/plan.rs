@@ -1,4 +1,4 @@
-//! `plan`: a run calculated without a rig.
+//! `plan`: calculates a run without a rig.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

@@ -1,4 +1,5 @@
-//! `plan-experiment`: which next trials tell most about the body, beside the paper's procedure.
+//! `plan-experiment`: finds the next trials that tell most about the body, and compares them with the paper's
+//! procedure.
 
 use std::path::PathBuf;
 
@@ -98,11 +99,11 @@ pub struct PlanExperimentArgs {
     pub model: ModelArgs,
 }
 
-/// Histories unless asked otherwise.
+/// Default number of histories.
 const HISTORIES: u16 = Effort::FULL.histories as u16;
-/// Least standard error of a trial's mean, mm: the model itself ripples by some hundredths of a millimetre.
+/// Smallest standard error of a trial's mean, mm: the model itself ripples by some hundredths of a millimetre.
 const LEAST_ERROR_MM: f64 = 0.02;
-/// Most indentations.
+/// Largest number of indentations.
 const MOST_INDENTATIONS: usize = 20;
 
 fn input(why: String, help: &str) -> Failure {
@@ -113,7 +114,7 @@ fn input(why: String, help: &str) -> Failure {
 }
 
 impl PlanExperimentArgs {
-    /// What is asked for, if it makes sense.
+    /// Checks the arguments and returns the request.
     fn asked(&self) -> Result<Asked, Failure> {
         let u = self.uncertainty_mm;
         if !(u.is_finite() && u > 0.0) {
@@ -195,7 +196,7 @@ impl PlanExperimentArgs {
         })
     }
 
-    /// The posterior to begin with, or none: the prior.
+    /// The posterior to begin with; none means the prior.
     fn posterior(&self) -> Result<Option<Posterior>, Failure> {
         let file = self.model.posterior()?;
         match (self.from, file) {
@@ -215,7 +216,7 @@ impl PlanExperimentArgs {
     }
 }
 
-/// The belief that samples of a file stand for.
+/// The belief that the samples of a file represent.
 fn smoothed(posterior: &Posterior) -> Result<Belief, Failure> {
     let mut points: Vec<Point> = vec![];
     for (number, sample) in (1..).zip(&posterior.samples) {
@@ -249,7 +250,7 @@ fn smoothed(posterior: &Posterior) -> Result<Belief, Failure> {
     })
 }
 
-/// Plans, and writes what was found.
+/// Plans and writes the results.
 pub(crate) fn plan_experiment(
     args: &PlanExperimentArgs,
     screen: &mut Screen<'_>,
@@ -325,7 +326,7 @@ pub(crate) fn plan_experiment(
     }))
 }
 
-/// Where the numbers come from.
+/// Source of the numbers, for the files.
 fn origin(base: &locomotion::model::Model, posterior: Option<&Posterior>) -> String {
     let from = match posterior {
         None => "body from the prior".to_owned(),
@@ -339,7 +340,7 @@ fn origin(base: &locomotion::model::Model, posterior: Option<&Posterior>) -> Str
             }
         ),
     };
-    // The values of the file's own body play no part: its place is taken by each body of the belief.
+    // The file's own body does not matter: each body of the belief replaces it.
     format!("model {}, {from}, not validated against a rig", base.name)
 }
 
@@ -413,7 +414,7 @@ fn series(one: &Series) -> Value {
     })
 }
 
-/// Expected logarithm of the 95 % quantile over the 5 % quantile of each unknown.
+/// Expected logarithm of the ratio of the 95 % to the 5 % quantile, for each unknown.
 fn widths(plan: &Plan) -> Vec<Value> {
     let [recommended, as_many, all] = &plan.series;
     let estimate = |one: Estimate| json!({ "mean": one.mean, "error": one.error });

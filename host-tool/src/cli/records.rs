@@ -1,4 +1,4 @@
-//! `records fetch`: what a machine itself still knows of its last action, into a file.
+//! `records fetch`: saves a machine's own record of its last action.
 
 use std::path::PathBuf;
 

@@ -84,7 +84,7 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     }
 }
 
-/// The plan alone makes no campaign: people keep plans in any folder.
+/// A campaign needs more than a plan: people keep plans in any folder.
 fn is_campaign(path: &Path) -> bool {
     path.join(PLAN).is_file() && path.join(ORDER).is_file()
 }

@@ -1,4 +1,4 @@
-//! The command `run`, alone or with a fold or an unfolding at a place of it.
+//! `run`: a run, alone or with a fold or an unfolding at a certain place.
 
 use analysis::report::section::actuation_rows;
 use client::{Device, decimal};
@@ -21,7 +21,7 @@ use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
 
-/// What is tied to the run, if anything is.
+/// The fold or unfolding tied to the run, and its cue; none if the run is alone.
 fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
     let (shaping, cycle) = match (args.fold_at_cycle, args.unfold_at_cycle) {
         (Some(cycle), _) => (Shaping::Fold, cycle),
@@ -37,7 +37,7 @@ fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
     Ok(Some((shaping, cue)))
 }
 
-/// A capsule that can do it, or why not. Nothing has moved yet.
+/// Connects a capsule that can do this, or says why not. Nothing has moved yet.
 fn ready(
     shaping: Shaping,
     places: &Places<'_>,
@@ -84,7 +84,7 @@ pub(crate) fn run(
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {
         screen.hint(&format!("warning: {warning}"));
     }
-    // The terminal is restored on every way out of here.
+    // Restore the terminal on every way out of this function.
     let mut single = None;
     if let Some(keyboard) = screen.keyboard.take() {
         if screen.single_keys {
@@ -124,7 +124,7 @@ pub(crate) fn run(
     let actuation = match (actuation, ran.is_ok()) {
         (Ok(actuation), _) => actuation,
         (Err(error), true) => return Err(error.into()),
-        // The run's own failure is the exit code, and the reason for this one more often than not.
+        // Report the capsule's failure, but exit with the run's: it usually caused the other.
         (Err(error), false) => {
             screen.say(&error.to_string());
             return ran;
@@ -154,7 +154,7 @@ fn stem(shaping: Shaping) -> &'static str {
     }
 }
 
-/// What the record says of a run that has ended, or the failure if it is not complete.
+/// Reports the record of a run that has ended; a failure if the run is not complete.
 fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     screen.say(&format!(
         "{} of {} strokes in {} s, {} steps commanded, {} counted, residual {} steps.\n  {}\n  {}",
@@ -176,7 +176,7 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
 }
 
-/// When it began, by both clocks.
+/// Latency of the start by both clocks, as text.
 fn latency_text(shaping: Shaping, coordination: &Coordination) -> Option<String> {
     let (least_us, most_us) = coordination.latency_us?;
     let place = match coordination.cue.at_um {
@@ -186,7 +186,7 @@ fn latency_text(shaping: Shaping, coordination: &Coordination) -> Option<String>
         ),
         None => "the start of".to_owned(),
     };
-    // Halves of a microsecond are rounded so that the interval is not narrowed.
+    // Round half microseconds up, so that the interval never shrinks.
     let (middle_us, half_us) = ((least_us + most_us) / 2, (most_us - least_us + 1) / 2);
     let ms = |us: i64| decimal::write_signed(us, 3);
     Some(format!(

@@ -121,13 +121,13 @@ pub enum Simulation {
     },
 }
 
-/// Most runs of a sweep.
+/// Largest number of runs in a sweep.
 const MOST_RUNS: usize = 100_000;
 
-/// What all series of one `simulate` command share.
+/// Shared by all series of one `simulate` command.
 struct Session<'a, 'b> {
     model: Model,
-    /// What the model is a sample of, if it was fitted to trials.
+    /// The posterior that the model was drawn from, if it was fitted to trials.
     posterior: Option<Posterior>,
     work: Calculation<'a, 'b>,
     series: Map<String, Value>,
@@ -381,7 +381,7 @@ impl Session<'_, '_> {
         few_enough(frictions, pressures_pa)?;
         let params = self.model.tube()?;
         let cases = series::tube_cases(frictions, pressures_pa);
-        // Only the end of each run is kept: the full courses of all runs would fill the memory.
+        // Keep only the end of each run: the full courses of all runs would fill the memory.
         let end = |case: &TubeCase| {
             let run = series::tube_run(params, case)?;
             let course = run.course.last().copied().into_iter().collect();
@@ -406,7 +406,7 @@ impl Session<'_, '_> {
         few_enough(frictions, indentations)?;
         let rig = self.model.rig()?;
         let cases = series::roller_cases(frictions, indentations);
-        // An indentation that the rig does not cover is refused by its run, before any band.
+        // Run first: it refuses an indentation that the rig does not cover, before any band is calculated.
         let rows = self
             .work
             .map(&cases, |case| series::roller_run(rig, case))?;
@@ -432,7 +432,7 @@ impl Session<'_, '_> {
         model_file::short_origin_with(&self.model, self.posterior.as_ref())
     }
 
-    /// What the bands on the rig are of.
+    /// Name of the distribution that the rig's bands show.
     fn band_name(&self) -> &'static str {
         if self.posterior.is_some() {
             "posterior"
@@ -441,7 +441,7 @@ impl Session<'_, '_> {
         }
     }
 
-    /// Bands on the rig, for each indentation: of the posterior if there is one, otherwise of the prior.
+    /// Bands on the rig for each indentation: of the posterior if there is one, otherwise of the prior.
     fn rig_bands(&self, indentations_mm: &[f64]) -> Result<Bands, Failure> {
         let Some(cases) = bands::few(indentations_mm) else {
             return Ok(Bands::none());
@@ -454,7 +454,7 @@ impl Session<'_, '_> {
         Ok(Bands::of(&cases, &values).fitted(self.posterior.is_some()))
     }
 
-    /// Prior bands in the tube, for each pressure. Trials on the rig do not speak about the tube's wall.
+    /// Prior bands in the tube for each pressure. Trials on the rig say nothing about the tube's wall.
     fn tube_bands(&self, pressures_pa: &[f64]) -> Result<Bands, Failure> {
         let Some(cases) = bands::few(pressures_pa) else {
             return Ok(Bands::none());

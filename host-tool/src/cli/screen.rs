@@ -6,7 +6,7 @@ use operations::failure::{DONE, Failure};
 use serde_json::Value;
 use trials::progress::Live;
 
-/// What a person types, line by line.
+/// Source of a person's typed lines.
 pub type Keyboard = Box<dyn BufRead + Send>;
 
 /// The two streams of a command.
@@ -20,7 +20,7 @@ pub(crate) struct Screen<'a> {
     pub(crate) single_keys: bool,
     /// The person at the terminal; none with `--json`.
     pub(crate) keyboard: Option<Keyboard>,
-    /// Why standard output does not take the result.
+    /// The first error of writing the result to standard output.
     pub(crate) failed: Option<io::Error>,
 }
 
@@ -29,8 +29,8 @@ impl Screen<'_> {
         if self.json { self.err } else { self.out }
     }
 
-    /// Prints a line. An output that fails must not end the supervision of a machine: the command goes on, and fails at
-    /// its end.
+    /// Prints a line. A failing output must not end the supervision of a machine, so the command continues and fails
+    /// at its end.
     pub(crate) fn say(&mut self, text: &str) {
         let written = writeln!(self.stream(), "{text}");
         if !self.json {
@@ -38,7 +38,7 @@ impl Screen<'_> {
         }
     }
 
-    /// Prints a line; false if nobody takes any more.
+    /// Prints a line; false if no reader is left.
     pub(crate) fn tell(&mut self, text: &str) -> bool {
         let written = writeln!(self.stream(), "{text}").and_then(|()| self.stream().flush());
         let taken = written.is_ok();
@@ -48,7 +48,7 @@ impl Screen<'_> {
         taken
     }
 
-    /// Keeps the first error of standard output. Whoever closes a pipe has read enough.
+    /// Keeps the first error of standard output. A closed pipe is no error: its reader has read enough.
     fn note(&mut self, written: io::Result<()>) {
         if let Err(io) = written
             && io.kind() != io::ErrorKind::BrokenPipe
@@ -62,7 +62,7 @@ impl Screen<'_> {
         let _ = writeln!(self.err, "{text}");
     }
 
-    /// Asks for confirmation; false if nobody is there to answer.
+    /// Asks for confirmation; false if no person can answer.
     pub(crate) fn confirms(&mut self, question: &str) -> bool {
         let Some(keyboard) = &mut self.keyboard else {
             return false;

@@ -1,4 +1,4 @@
-//! Commands for settings and name of a machine. Nothing is written to flash while something moves.
+//! Commands for the settings and the name of a machine. None writes to flash while the machine moves.
 
 mod import;
 mod values;
@@ -77,7 +77,7 @@ pub(crate) fn settings(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    // Arguments are checked before a machine is looked for.
+    // Check the arguments before looking for a machine.
     let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
         SettingsSubcommand::List => list(&mut places.connect(kind, Need::Look)?, kind, screen),
@@ -212,7 +212,7 @@ fn exported(rig: &mut Device, kind: DeviceKind) -> Result<Exported, Failure> {
     Ok(Exported { name, settings })
 }
 
-/// The machine that has a setting: the one that is named, or else the only one, or the rig.
+/// The machine that a setting belongs to: the named one, else the only one that has it, else the rig.
 fn owner(key: SettingKey, of: Option<MachineKind>) -> Result<DeviceKind, Failure> {
     let kinds = [DeviceKind::Rig, DeviceKind::Capsule];
     let named = of.map(DeviceKind::from);

@@ -1,4 +1,4 @@
-//! `stop` and `estop`: to every machine at once, and what became of each.
+//! `stop` and `estop`: sends the stop to every machine at once and reports the result of each.
 
 use std::sync::mpsc;
 use std::thread;
@@ -13,10 +13,10 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-/// After this time the operator is told which machines have not confirmed, while the attempt goes on.
+/// Time after which the operator is told which machines have not confirmed. The attempt continues.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// The results in the order of the targets, each shown as soon as it is there.
+/// Sends the stop. Returns the results in the order of the targets, and shows each as soon as it arrives.
 fn tell(
     urgent: Urgent,
     targets: &[Target],

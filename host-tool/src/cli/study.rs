@@ -1,10 +1,10 @@
-//! What the studies of the capsule begin with.
+//! Preconditions of the capsule's studies.
 
 use client::Device;
 use operations::failure::Failure;
 use protocol::capsule::CapsuleState;
 
-/// Refuses unless the capsule is unfolded and knows it.
+/// Refuses unless the capsule is unfolded and referenced.
 pub(crate) fn begin_unfolded(what: &str, capsule: &mut Device) -> Result<(), Failure> {
     let status = capsule.capsule_status()?;
     if status.state == CapsuleState::Unfolded && status.referenced {

@@ -55,14 +55,14 @@ pub(crate) fn trace(
     }))
 }
 
-/// The file that `--trace` names, made before anything moves.
+/// The file that `--trace` names, created before anything moves.
 pub(crate) struct TraceFile {
     path: PathBuf,
     file: fs::File,
 }
 
 impl TraceFile {
-    /// Creates it; overwrites none.
+    /// Creates the file; never overwrites one.
     pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
         if let Some(folder) = path.parent() {
             fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
@@ -77,14 +77,14 @@ impl TraceFile {
         })
     }
 
-    /// Nothing has moved: it is not left behind.
+    /// Removes the file of a motion that did not begin.
     pub(crate) fn discard(self) {
-        // An empty file that cannot be removed harms nobody.
+        // Ignore an error: a leftover empty file does no harm.
         let _ = fs::remove_file(&self.path);
     }
 
-    /// Fetches the recording of the motion that has just ended; its path, and the number of readings. Without a recording
-    /// there is no file.
+    /// Fetches the recording of the motion that has just ended. Returns its path and the number of readings. Removes
+    /// the file if there is no recording.
     pub(crate) fn fill(
         self,
         capsule: &mut Device,
@@ -104,7 +104,7 @@ impl TraceFile {
     }
 }
 
-/// The recording, and the no-load current of the calibration.
+/// Fetches the recording and the calibration's no-load current.
 pub(crate) fn fetch(
     capsule: &mut Device,
     record: &ActuationRecord,

@@ -1,4 +1,4 @@
-//! `verify`: every change of a folder since it was written.
+//! `verify`: finds every change of a folder since it was written.
 
 use std::path::PathBuf;
 

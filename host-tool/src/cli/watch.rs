@@ -1,4 +1,5 @@
-//! `watch`: the machines on one screen, and keys that hold, resume and stop. Without a terminal: a line per second.
+//! `watch`: shows the machines on one screen, with keys that hold, resume and stop. Without a terminal it prints a
+//! line per second.
 
 pub mod draw;
 mod feed;
@@ -49,20 +50,20 @@ const DRAW: Duration = Duration::from_millis(50);
 /// Interval between two lines without a terminal.
 const LINE: Duration = Duration::from_secs(1);
 
-/// A signal to end has come. A process has one handler.
-/// How long leaving may take once a signal has come: a stop may still wait for its confirmation.
+/// Time allowed for leaving after a signal: a stop may still wait for its confirmation.
 const LEAVING: Duration = Duration::from_secs(3);
 
+/// Set once a signal to end has come. Global, because a process has one handler.
 static SIGNALLED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 fn signalled() -> Arc<AtomicBool> {
     let signalled = SIGNALLED.get_or_init(|| {
         let signalled = Arc::new(AtomicBool::new(false));
         let set = Arc::clone(&signalled);
-        // Looking stops nothing: whoever ends it only leaves.
+        // A signal only leaves: watching never stops a machine by itself.
         let _ = ctrlc::set_handler(move || {
             set.store(true, Ordering::Relaxed);
-            // Where the terminal itself is gone, the reader of its keys never comes back.
+            // Exit by force: if the terminal is gone, the reader of its keys never returns.
             thread::spawn(|| {
                 thread::sleep(LEAVING);
                 std::process::exit(0);
@@ -90,7 +91,7 @@ pub(crate) fn watch(
     });
     let leaving = AtomicBool::new(false);
     let shown = thread::scope(|scope| {
-        // Also when the screen panics.
+        // Ends the feeds even if the screen panics.
         let leave = Leave(&leaving);
         let mut paces = vec![];
         for shared in &machines {
@@ -139,7 +140,7 @@ pub(crate) fn watch(
     Ok(Value::Object(all))
 }
 
-/// Ends the feeds.
+/// Ends the feeds when dropped.
 struct Leave<'a>(&'a AtomicBool);
 
 impl Drop for Leave<'_> {
@@ -153,12 +154,12 @@ fn is_full_screen() -> bool {
     !dumb && io::stdout().is_terminal() && keyboard::is_there()
 }
 
-/// What the person sees and does.
+/// The screen and its keys.
 struct View<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
     places: &'env Places<'env>,
     machines: &'env [Shared],
-    /// To the feeds, in the order of the machines.
+    /// Senders to the feeds, in the order of the machines.
     paces: Vec<Sender<Pace>>,
     signalled: &'env AtomicBool,
     end: Option<Instant>,
@@ -171,7 +172,7 @@ impl View<'_, '_> {
             || terminal::panicked()
     }
 
-    /// A line per machine and second, until the end or until nobody reads.
+    /// Prints a line per machine and second, until the end or until no reader is left.
     fn lines(&self, screen: &mut Screen<'_>) {
         let mut next = Instant::now() + LINE;
         loop {
@@ -222,7 +223,7 @@ impl View<'_, '_> {
         Ok(())
     }
 
-    /// Does what a key says; true if the person leaves.
+    /// Handles a key; true if the person leaves.
     fn key(&self, event: &Event) -> bool {
         let Event::Key(key) = event else {
             return false;
@@ -248,7 +249,7 @@ impl View<'_, '_> {
         for machine in self.machines {
             machine.stop(self.places, urgent);
             if matches!(machine.panel().contact, Contact::Lost(_)) {
-                // The feed may be busy for seconds with a line that does not open.
+                // Use a thread of its own: the feed may be busy for seconds opening a line.
                 let places = self.places;
                 self.scope.spawn(move || machine.stop_directly(places));
             }
@@ -257,7 +258,7 @@ impl View<'_, '_> {
 
     fn pace(&self, pace: Pace) {
         for (machine, paces) in self.machines.iter().zip(&self.paces) {
-            // Only the rig has runs.
+            // Only the rig has runs to hold and resume.
             if machine.kind == DeviceKind::Rig {
                 let _ = paces.send(pace);
             }

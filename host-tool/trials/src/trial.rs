@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::cue::Coordination;
 use crate::writer::{Appender, Writer, replace};
 
-/// A folder with this file is that of a campaign, which ends its own records.
+/// A folder that contains this file belongs to a campaign. The campaign completes its own records.
 pub const CAMPAIGN_PLAN: &str = "plan.toml";
 
 /// Version of the sidecar's format; incremented when a field changes its meaning.
@@ -38,7 +38,7 @@ pub struct RecordError {
     pub path: PathBuf,
     /// The reason.
     pub why: String,
-    /// What the user can do.
+    /// Advice to the user.
     pub remedy: &'static str,
 }
 
@@ -66,7 +66,7 @@ impl RecordError {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// Not ended yet, or the host ended before it.
+    /// Not ended yet, or the host stopped before it ended.
     Running,
     /// Ended as planned.
     Complete,
@@ -134,7 +134,7 @@ impl Screw {
         i64::try_from((numerator + denominator / 2).div_euclid(denominator)).unwrap_or(i64::MAX)
     }
 
-    /// The last whole step within a position, as the rig finds it.
+    /// Whole steps up to a position, rounded down as the rig does.
     #[must_use]
     pub fn steps(&self, um: u32) -> i32 {
         let steps = u64::from(um) * u64::from(self.steps_per_rev) / u64::from(self.lead_um.max(1));
@@ -207,10 +207,10 @@ pub struct Executed {
     pub holds: u32,
     /// Fingerprint of the firmware's image, 8 hex digits, as `retrograde health` shows it.
     pub image_hash: String,
-    /// Steps that were prepared: those emitted, and those that a cut kept from leaving.
+    /// Steps prepared: those emitted plus those that a cut held back.
     #[serde(default)]
     pub prepared_edges: Option<u64>,
-    /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
+    /// Steps whose time was captured at the pin and compared with the plan; 0 if none was timed.
     #[serde(default)]
     pub edges_timed: u64,
     /// Largest difference between a captured interval and the planned one, ticks of 10 ns.
@@ -250,10 +250,10 @@ pub struct Moved {
     pub position_steps: i32,
 }
 
-/// What was done in a trial.
+/// The action of a trial.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-// Few exist at a time, so their size does not matter.
+// Only a few exist at a time, so their size does not matter.
 #[allow(clippy::large_enum_variant)]
 pub enum Action {
     /// A run of the rig.
@@ -310,7 +310,7 @@ pub struct Trial {
     pub schema_key: String,
     /// The device.
     pub device: IdentityRecord,
-    /// What was done.
+    /// The action.
     pub action: Action,
     /// Name of the CSV file beside this one.
     pub telemetry: String,
@@ -322,13 +322,13 @@ pub struct Trial {
     pub events: Vec<Event>,
     /// Events that the device had dropped before they could be fetched.
     pub lost_events: u32,
-    /// When it began, if it was tied to a run.
+    /// How its start was tied to a run, if it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub coordination: Option<Coordination>,
 }
 
 impl Trial {
-    /// A trial that is about to begin.
+    /// The record of a trial that is about to begin.
     #[must_use]
     pub fn new(action: Action, device: IdentityRecord, recording: &Recording) -> Self {
         Self {
@@ -351,7 +351,7 @@ impl Trial {
         }
     }
 
-    /// Notes how it ended.
+    /// Notes how the trial ended.
     pub fn end(&mut self, ending: Ending) {
         match (&mut self.action, ending) {
             (Action::Run { executed, .. }, Ending::Run(record)) => {
@@ -404,7 +404,7 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Reads the telemetry beside a sidecar. A last row that a crash has cut short is left out.
+    /// Reads the telemetry beside a sidecar. Skips a last row that a crash has cut short.
     ///
     /// # Errors
     /// The file cannot be read, or a row other than the last is damaged.
@@ -499,23 +499,23 @@ pub struct Recording {
     pub telemetry_ms: u16,
 }
 
-/// Writes the two files of one trial during the trial.
+/// Writes the two files of a trial while it runs.
 pub struct Recorder {
     csv_path: PathBuf,
     csv: csv::Writer<Appender>,
     writer: Writer,
     sidecar: PathBuf,
     trial: Trial,
-    /// The first error in making rows and text.
+    /// The first error in building rows or text.
     failed: Option<RecordError>,
-    /// The observer has heard of an error.
+    /// The observer has been told about an error.
     told: bool,
-    /// The fault that was latched when the action had ended.
+    /// The fault latched after the action had ended.
     latched: Option<String>,
 }
 
 impl Recorder {
-    /// Creates both files; overwrites none.
+    /// Creates both files; never overwrites one.
     ///
     /// # Errors
     /// They cannot be created.
@@ -531,7 +531,7 @@ impl Recorder {
             .to_string_lossy()
             .into_owned();
         let sidecar = csv_path.with_extension("json");
-        // Nothing moves yet, so the disk may take its time, and what is wrong with it is told at once.
+        // Nothing moves yet, so the disk may be slow and an error is reported at once.
         json(&trial)
             .and_then(|bytes| replace(&sidecar, &bytes))
             .map_err(|io| RecordError::write(&sidecar, io))?;
@@ -560,19 +560,19 @@ impl Recorder {
         &self.csv_path
     }
 
-    /// Notes when the trial began.
+    /// Notes how the start was tied to a run.
     pub(crate) fn coordinated(&mut self, coordination: Coordination) {
         self.trial.coordination = Some(coordination);
     }
 
-    /// Notes the fault that is latched after an action that was stopped: an emergency stop that comes when the machine stands
-    /// already is not in the device's record, and costs the position all the same.
+    /// Notes the fault latched after a stopped action. An emergency stop at standstill is not in the device's record,
+    /// but it still costs the position.
     pub(crate) fn latched(&mut self, fault: Option<String>) {
         self.latched = fault;
     }
 
-    /// The first error in writing, as soon as it is known and once only: whoever watches the trial should hear of it while
-    /// it can still be stopped.
+    /// The first error in writing. Returns it once, as soon as it is known, so that the observer can still stop the
+    /// trial.
     pub fn news(&mut self) -> Option<RecordError> {
         if self.told {
             return None;
@@ -591,7 +591,7 @@ impl Recorder {
         self.failed.clone().or_else(writing)
     }
 
-    /// Writes the end of the trial and the device's record of it.
+    /// Completes the record: the end of the trial and the device's record of it.
     ///
     /// # Errors
     /// The first error in writing, including those during the trial.
@@ -611,12 +611,12 @@ impl Recorder {
         let failure = self.failed.or(written.err());
         if let Some(failure) = &failure {
             self.trial.samples = keep_whole_rows(&self.csv_path).unwrap_or(0);
-            // Beside the verdict: whoever reads it must not take the telemetry for whole.
+            // Add the error to the verdict, so that a reader does not take the telemetry for complete.
             self.trial
                 .error
                 .get_or_insert_with(|| format!("the telemetry was not recorded whole: {failure}"));
         }
-        // Tried after a failure, too: it says how the trial ended.
+        // Write the sidecar even after a failure: it says how the trial ended.
         let said = json(&self.trial)
             .and_then(|bytes| replace(&self.sidecar, &bytes))
             .map_err(|io| RecordError::write(&self.sidecar, io));
@@ -652,7 +652,7 @@ impl Recorder {
     }
 }
 
-/// Takes a last row that is not whole off a file that could not be written to its end. Returns how many rows are left.
+/// Truncates an incomplete last row of a file that could not be written to its end. Returns the number of rows left.
 fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
     let file = OpenOptions::new().read(true).write(true).open(csv)?;
     let mut reader = io::BufReader::new(&file);
@@ -670,23 +670,23 @@ fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
     Ok(lines.saturating_sub(1))
 }
 
-/// A JSON file's text.
+/// Text of a JSON file.
 pub fn json(value: &impl Serialize) -> io::Result<Vec<u8>> {
     let mut bytes = serde_json::to_vec_pretty(value)?;
     bytes.push(b'\n');
     Ok(bytes)
 }
 
-/// The end of a trial.
+/// How a trial ended.
 #[derive(Clone, Debug)]
 pub enum Ending {
-    /// With the rig's record.
+    /// The rig's record of a run.
     Run(RunRecord),
-    /// With the capsule's record.
+    /// The capsule's record.
     Actuation(ActuationRecord),
-    /// With where a move ended.
+    /// Where a move ended.
     Move(Moved),
-    /// Without a record, for this reason.
+    /// The reason why there is no record.
     Lost(String),
 }
 
@@ -750,7 +750,7 @@ impl Observer for Recorder {
     }
 }
 
-/// Creates a CSV file under a name that neither a CSV nor a sidecar has.
+/// Creates a CSV file under a name that no CSV or sidecar uses yet.
 pub(crate) fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
     for number in 1..=9_999 {
         let suffix = if number == 1 {

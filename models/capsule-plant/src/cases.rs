@@ -1,17 +1,17 @@
-//! Seeded capsules with one defect each: the population that the firmware is tried against, as a library and as an image.
+//! Seeded capsules with one defect each: the population that tests the firmware, both as a library and as an image.
 
 use std::str::FromStr;
 
 use crate::{Defect, Parameters, Random};
 
-/// What goes wrong, and when.
+/// Kind of defect, and when it occurs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Nothing.
+    /// No defect.
     Healthy,
     /// Something hard in the way of a fold, anywhere from 2 mm of travel to 0.35 mm before the end.
     Jam,
-    /// The same in the last 2 mm.
+    /// The same, but in the last 2 mm.
     LateJam,
     /// The thread snaps in a fold.
     Snap,
@@ -25,9 +25,9 @@ pub enum Kind {
     SlipFolded,
     /// Both lines of the encoder break, in a fold or an unfolding.
     Encoder,
-    /// One of them.
+    /// One of the encoder's lines breaks.
     Channel,
-    /// They were swapped before the first motion.
+    /// The encoder's lines have been swapped since before the first motion.
     Swapped,
     /// The bridge falls silent, in a motion or before it.
     SilentBridge,
@@ -45,9 +45,10 @@ pub enum Kind {
     Empty,
     /// The cell is tired: a resistance and a polarisation of 1 to 6 ohm each, from before a fold.
     Tired,
-    /// The current amplifier loses half to a fifth of its gain, in a fold or before it. An unfolding has next to no current.
+    /// The current amplifier's gain falls to a half to a fifth, before a fold or in it. Not in an unfolding, which
+    /// draws next to no current.
     Gain,
-    /// The current amplifier's zero goes off by 10 to 60 mA either way, in a motion.
+    /// The current amplifier's zero shifts by 10 to 60 mA either way, in a motion.
     Offset,
     /// The encoder loses 5 to 60 % of its counts, in a motion or before it.
     LosesCounts,
@@ -56,7 +57,7 @@ pub enum Kind {
 impl FromStr for Kind {
     type Err = String;
 
-    /// By its name in the table.
+    /// Parses the name in the table.
     fn from_str(name: &str) -> Result<Self, String> {
         let named = Self::ALL
             .into_iter()
@@ -66,7 +67,7 @@ impl FromStr for Kind {
 }
 
 impl Kind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 22] = [
         Self::Healthy,
         Self::Jam,
@@ -92,14 +93,14 @@ impl Kind {
         Self::LosesCounts,
     ];
 
-    /// The kinds that are wanted: those in `only`, or all if there is none.
+    /// The kinds in `only`, or all if that is empty.
     pub fn wanted(only: &[Self]) -> impl Iterator<Item = Self> {
         Self::ALL
             .into_iter()
             .filter(move |kind| only.is_empty() || only.contains(kind))
     }
 
-    /// The names that are right: variants of the protocol's outcomes, faults and refusals.
+    /// Accepted names: variants of the protocol's outcomes, faults and refusals.
     #[must_use]
     pub fn right(self) -> &'static [&'static str] {
         match self {
@@ -119,17 +120,17 @@ impl Kind {
             Self::Gain | Self::Offset => &["SenseLost", "SenseOrEncoder"],
             Self::Weak | Self::Collapse => &["LowBattery"],
             Self::Empty => &["BatteryLow"],
-            // One that still gives what a fold takes is no defect.
+            // A tired cell that still manages a fold is no defect.
             Self::Tired => &["LowBattery", "BatteryLow", "Complete"],
         }
     }
 
-    /// The capsule with this seed.
+    /// Parameters of the capsule with this seed.
     #[must_use]
     pub fn parameters(self, seed: u64) -> Parameters {
         let parameters = Parameters::lifelike(seed);
         match self {
-            // The defect says what its cell's resistance is.
+            // The defect itself sets the cell's resistance.
             Self::Weak => Parameters {
                 battery_ohm: 0.5,
                 ..parameters
@@ -138,8 +139,8 @@ impl Kind {
         }
     }
 
-    /// What happens to the capsule with this seed once its calibration, if it has one, has found the folded end at
-    /// `end_mm` of travel.
+    /// Course of events for the capsule with this seed. `end_mm` is the travel at which its calibration, if it has
+    /// one, found the folded end.
     #[must_use]
     pub fn course(self, seed: u64, end_mm: f64) -> Course {
         let mut random = Random::new(seed ^ ((self as u64 + 1) << 32));
@@ -162,7 +163,7 @@ impl Kind {
         };
         let within = |random: &mut Random, either_way: bool, defect| {
             let unfolds = either_way && random.unit() < 0.5;
-            // The last 3 mm of an unfolding are coasted without current.
+            // The last 3 mm of an unfolding coast without current, so no defect is planned there.
             let whole_ms = if unfolds { 750.0 } else { 1_450.0 };
             Course {
                 folds_first: unfolds,
@@ -233,29 +234,29 @@ impl Kind {
     }
 }
 
-/// The motion that a capsule is judged by.
+/// The motion in which the defect has to be detected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
-    /// Its calibration, without one before.
+    /// The first calibration.
     Calibrate,
     /// A fold.
     Fold,
     /// An unfolding.
     Unfold,
-    /// So many folds and unfoldings.
+    /// This number of folds and unfoldings.
     Cycles(u32),
 }
 
-/// What happens to one capsule, in this order.
+/// Course of events for one capsule, in the order of the fields.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Course {
-    /// It is folded before anything is wrong.
+    /// Fold first, while the capsule is still healthy.
     pub folds_first: bool,
-    /// What is wrong before the motion begins.
+    /// Defects before the motion begins.
     pub defects: Vec<Defect>,
-    /// How long that is before the motion.
+    /// Time between these defects and the motion, ms.
     pub rests_ms: u32,
-    /// Something more that goes wrong, at so many ms from the start of the motion; negative is before it.
+    /// A further defect, this many ms after the start of the motion; negative: before it.
     pub planned: Option<(f64, Defect)>,
     /// The motion.
     pub motion: Motion,

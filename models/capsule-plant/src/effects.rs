@@ -1,45 +1,46 @@
-//! What a real capsule adds to the plain model: friction that changes, an origami of plastic, play in the gears, an encoder
-//! and an amplifier that are not perfect, a cell that polarises. Each effect can be switched off, and doubled.
+//! Effects of a real capsule beyond the plain model: variable friction, a plastic origami, play in the gears, an
+//! imperfect encoder and amplifier, a cell that polarises. Each can be switched off or scaled.
 //!
-//! `docs/capsule.md`, "Effects", says where each range comes from. They were chosen before a firmware was tried against them.
+//! `docs/capsule.md`, "Effects", gives the source of each range. The ranges were chosen before any firmware was
+//! tested against them.
 
 use crate::random::Random;
 
-/// One of the effects.
+/// An effect that the plain model lacks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// Friction of worm and motor falls as the grease becomes warm.
+    /// Friction of worm and motor falls as the grease warms up.
     Grease,
-    /// Winding and magnet become warm: more resistance, less torque.
+    /// Winding and magnet warm up: more resistance, less torque.
     WarmMotor,
     /// The worm's friction differs between winding and paying out.
     Direction,
     /// The worm's friction changes over the life.
     Wear,
-    /// Friction of a standing motor above that of a turning one.
+    /// A standing motor has more friction than a turning one.
     StickSlip,
-    /// The origami pulls less on its way back.
+    /// The origami pulls less while it opens.
     Hysteresis,
     /// The origami's force falls while it is held.
     Relaxation,
-    /// Thread and origami become longer, and the origami softer, with each cycle.
+    /// With each cycle, thread and origami lengthen and the origami softens.
     Creep,
-    /// A force against the speed of the origami.
+    /// The origami resists in proportion to its speed.
     Damping,
     /// Crescents snap through on the way.
     SnapThrough,
     /// Play between motor and spool.
     Backlash,
-    /// Edges of the encoder's lines that are not a quarter of a line apart.
+    /// The edges of the encoder's lines are not exactly a quarter of a line apart.
     EncoderPhase,
-    /// The amplifier's zero wanders.
+    /// The amplifier's zero drifts.
     AmplifierDrift,
     /// The cell's voltage falls further while current flows, and recovers.
     Polarisation,
 }
 
 impl Effect {
-    /// All of them.
+    /// All effects.
     pub const ALL: [Self; 14] = [
         Self::Grease,
         Self::WarmMotor,
@@ -61,61 +62,62 @@ impl Effect {
 /// Size of each effect in one capsule; 0 is none.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effects {
-    /// [`Effect::Grease`]: share of the worm's friction that goes with each K above 22 degrees.
+    /// [`Effect::Grease`]: share of the worm's friction lost per K above 22 degrees.
     pub worm_per_k: f64,
-    /// [`Effect::Grease`]: the same of the no-load current.
+    /// [`Effect::Grease`]: share of the no-load current lost per K above 22 degrees.
     pub no_load_per_k: f64,
-    /// [`Effect::WarmMotor`]: 1 is copper's 0.39 % and a magnet's -0.11 % per K.
+    /// [`Effect::WarmMotor`]: scale; 1 is copper's +0.39 % and a magnet's -0.11 % per K.
     pub warm_motor: f64,
-    /// [`Effect::Direction`]: friction paying out over that of winding, less 1.
+    /// [`Effect::Direction`]: friction while paying out over that while winding, less 1.
     pub direction: f64,
     /// [`Effect::Wear`]: share by which the worm's friction has changed after a long life.
     pub wear: f64,
     /// [`Effect::StickSlip`]: friction of a standing motor over that of a turning one, less 1.
     pub stick: f64,
-    /// [`Effect::Hysteresis`]: share of its force that the origami lacks on its way back.
+    /// [`Effect::Hysteresis`]: share of the force that the origami lacks while it opens.
     pub hysteresis: f64,
-    /// [`Effect::Relaxation`]: shares of its force that a held origami loses with [`RELAXATION_S`].
+    /// [`Effect::Relaxation`]: shares of the force that a held origami loses, with the time constants
+    /// [`RELAXATION_S`].
     pub relaxation: [f64; 2],
-    /// [`Effect::Creep`]: more thread with each tenfold number of cycles, mm.
+    /// [`Effect::Creep`]: lengthening per tenfold number of cycles, mm.
     pub creep_mm: f64,
-    /// [`Effect::Creep`]: share of its force that the origami loses with each tenfold number of cycles.
+    /// [`Effect::Creep`]: share of the force that the origami loses per tenfold number of cycles.
     pub softening: f64,
-    /// [`Effect::Damping`]: N s/mm.
+    /// [`Effect::Damping`]: resistance to speed, N s/mm.
     pub damping: f64,
-    /// [`Effect::SnapThrough`]: share of the force that is lost at once in each of [`Effects::snap_at_mm`].
+    /// [`Effect::SnapThrough`]: share of the force that each snap at [`Effects::snap_at_mm`] loses.
     pub snap_through: f64,
     /// Travel of the snaps, mm.
     pub snap_at_mm: [f64; 3],
-    /// [`Effect::Backlash`]: in mm of thread.
+    /// [`Effect::Backlash`]: play, mm of thread.
     pub backlash_mm: f64,
-    /// [`Effect::EncoderPhase`]: by how many counts the four edges of each line lie too late.
+    /// [`Effect::EncoderPhase`]: delay of the four edges of each line, counts.
     pub phase: [f64; 4],
-    /// [`Effect::AmplifierDrift`]: its zero wanders by so much either way, mV.
+    /// [`Effect::AmplifierDrift`]: amplitude of the zero's drift, mV.
     pub drift_mv: f64,
-    /// It takes so long to come back, s.
+    /// [`Effect::AmplifierDrift`]: period of the drift, s.
     pub drift_s: f64,
-    /// [`Effect::Polarisation`]: ohm.
+    /// [`Effect::Polarisation`]: resistance, ohm.
     pub polarisation_ohm: f64,
-    /// It comes and goes with this time, s.
+    /// [`Effect::Polarisation`]: time constant, s.
     pub polarisation_s: f64,
 }
 
-/// Temperature at which the parameters hold, degrees Celsius.
+/// Temperature for which the parameters hold, degrees Celsius.
 pub const ROOM_C: f64 = 22.0;
 /// Time constants of the relaxation, s: one within a motion, one within a rest.
 pub const RELAXATION_S: [f64; 2] = [5.0, 300.0];
-/// The way over which the hysteresis turns round, mm (assumed).
+/// Travel over which the hysteresis reverses, mm (assumed).
 pub const HYSTERESIS_MM: f64 = 0.3;
-/// Way before a snap over which its force builds up, and in which it is lost, mm (assumed).
+/// Travel over which a snap's force builds up, and over which it is lost, mm (assumed).
 pub const SNAP_MM: (f64, f64) = (0.6, 0.05);
-/// The speed at which most of the standing motor's friction is gone, rad/s: 0.4 mm/s of thread (assumed).
+/// Speed at which most of the standing friction is gone, rad/s: 0.4 mm/s of thread (assumed).
 pub const STICK_RAD_S: f64 = 30.0;
-/// Cycles after which half of the wear is there (assumed).
+/// Cycles after which half of the wear has occurred (assumed).
 pub const WEAR_CYCLES: f64 = 200.0;
-/// Of copper, per K.
+/// Temperature coefficient of copper's resistance, per K.
 const COPPER_PER_K: f64 = 0.0039;
-/// Of a magnet of NdFeB, per K.
+/// Temperature coefficient of an NdFeB magnet, per K.
 const MAGNET_PER_K: f64 = -0.0011;
 
 impl Effects {
@@ -142,7 +144,7 @@ impl Effects {
         polarisation_s: 3.0,
     };
 
-    /// Those of the capsule with this seed.
+    /// The effects of the capsule with this seed.
     #[must_use]
     pub fn varied(seed: u64) -> Self {
         let mut random = Random::new(seed ^ 0xEFFE_C7ED);
@@ -173,7 +175,7 @@ impl Effects {
         }
     }
 
-    /// These with one effect so many times as large: 0 switches it off, 2 doubles it.
+    /// Scales one effect: 0 switches it off, 2 doubles it.
     #[must_use]
     pub fn scaled(mut self, effect: Effect, times: f64) -> Self {
         match effect {
@@ -194,7 +196,7 @@ impl Effects {
             Effect::Damping => self.damping *= times,
             Effect::SnapThrough => self.snap_through *= times,
             Effect::Backlash => self.backlash_mm *= times,
-            // Beyond half a count two edges would change places.
+            // Limit: beyond half a count two edges would change places.
             Effect::EncoderPhase => {
                 self.phase = self.phase.map(|late| (late * times).clamp(-0.49, 0.49));
             }
@@ -204,7 +206,7 @@ impl Effects {
         self
     }
 
-    /// Only this effect of them, so many times as large.
+    /// Keeps only this effect, scaled.
     #[must_use]
     pub fn only(self, effect: Effect, times: f64) -> Self {
         Effect::ALL.into_iter().fold(self, |effects, other| {
@@ -212,14 +214,14 @@ impl Effects {
         })
     }
 
-    /// Resistance of the winding and constant of the motor at a temperature, over those at room temperature.
+    /// Winding resistance and motor constant at a temperature, relative to room temperature.
     #[must_use]
     pub fn motor_at(&self, celsius: f64) -> (f64, f64) {
         let warmer = self.warm_motor * (celsius - ROOM_C);
         (1.0 + COPPER_PER_K * warmer, 1.0 + MAGNET_PER_K * warmer)
     }
 
-    /// Friction of the worm at a temperature and after so many cycles, and no-load current, over those of the parameters.
+    /// Worm friction at a temperature after this many cycles, and no-load current, relative to the parameters.
     #[must_use]
     pub fn friction_at(&self, celsius: f64, cycles: f64) -> (f64, f64) {
         let warmer = celsius - ROOM_C;

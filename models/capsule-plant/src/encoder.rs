@@ -1,26 +1,26 @@
-//! The encoder's two lines over the angle of the motor.
+//! The encoder's two lines as a function of the motor's angle.
 
 use crate::random::Random;
 
-/// The encoder, and what is wrong with it.
+/// The encoder with its defects.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Encoder {
-    /// By how many counts the four edges of a line lie too late.
+    /// Delay of the four edges of a line, counts.
     phase: [f64; 4],
-    /// Quarter of the line, 0 to 3.
+    /// Quarter of the present line, 0 to 3.
     quarter: u8,
     line: i64,
-    /// The lines A and B stay at these levels.
+    /// Levels at which the lines A and B are stuck; none if they are not.
     stuck: [Option<bool>; 2],
     pub(crate) swapped: bool,
-    /// Share of the lines that are lost, drawn anew each time that a line comes.
+    /// Probability that a line is lost, drawn for each new line.
     pub(crate) loses: f64,
     lost: bool,
     random: Random,
 }
 
 impl Encoder {
-    /// At angle 0.
+    /// An encoder at angle 0.
     pub(crate) fn new(phase: [f64; 4]) -> Self {
         let mut encoder = Self {
             phase,
@@ -36,7 +36,7 @@ impl Encoder {
         encoder
     }
 
-    /// The lines that are to stick stay at their levels.
+    /// Makes these lines stick at their present levels.
     pub(crate) fn stick(&mut self, lines: [bool; 2]) {
         let (a, b) = self.true_levels();
         for ((stuck, wanted), level) in self.stuck.iter_mut().zip(lines).zip([a, b]) {
@@ -51,9 +51,9 @@ impl Encoder {
         self.lost = false;
     }
 
-    /// The motor is at this angle, in counts.
+    /// Turns the motor to this angle, in counts.
     pub(crate) fn turn(&mut self, counts: f64) {
-        // The first edge of a line may lie before the line, and then belongs to it.
+        // A line begins at its first edge, which may come early.
         let from_first = counts - self.phase[0];
         let line = (from_first / 4.0).floor();
         let within = from_first - 4.0 * line;
@@ -66,7 +66,7 @@ impl Encoder {
     }
 
     fn true_levels(&self) -> (bool, bool) {
-        // A lost line shows what stands between two lines.
+        // A lost line keeps the levels between two lines.
         let quarter = if self.lost { 0 } else { self.quarter };
         (quarter == 1 || quarter == 2, quarter == 2 || quarter == 3)
     }
@@ -85,7 +85,7 @@ impl Encoder {
 mod tests {
     use super::*;
 
-    /// Counts of TIM2 over a way.
+    /// Counts that TIM2 would make on the way to `to`.
     fn counted(encoder: &mut Encoder, to: f64) -> i64 {
         let quarter = |(a, b)| match (a, b) {
             (false, false) => 0,

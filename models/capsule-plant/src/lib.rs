@@ -6,10 +6,10 @@
 //! J w' = kt i - kt I0 sgn(w) - load                  motor
 //! x'   = w r / N                                     thread on the spool
 //! ```
-//! What else a real capsule does is in [`Effects`], each effect of which can be switched off.
+//! [`Effects`] adds further behaviour of a real capsule; each effect can be switched off.
 //!
-//! It shares no code with the firmware, so it can judge it. Thread 0 is the paid-out end of a healthy capsule; below
-//! it the thread winds itself backwards onto the spool.
+//! The model shares no code with the firmware, so it can judge it. Thread 0 is the paid-out end of a healthy capsule;
+//! below it the thread winds itself backwards onto the spool.
 
 pub mod cases;
 pub mod effects;
@@ -31,103 +31,103 @@ use encoder::Encoder;
 use origami::Origami;
 use winding::Source;
 
-/// Winding that is short-circuited within itself, ohm (assumed).
+/// Resistance of a winding with a short circuit inside, ohm (assumed).
 const SHORTED_OHM: f64 = 0.3;
-/// How fast a collapsing cell loses its voltage, V/s (assumed).
+/// Voltage drop of a collapsing cell, V/s (assumed).
 const COLLAPSE_V_PER_S: f64 = 4.0;
 /// Longest step of the integration, s.
 const STEP_S: f64 = 20e-6;
-/// A thread that has pulled with this, N, and then with nothing, has made a cycle.
+/// Force that counts as a cycle once the thread has reached it and gone slack again, N.
 const CYCLE_N: f64 = 2.0;
 
-/// What is wrong with a capsule. Positions are travel of the fold: thread beyond the slack, mm.
+/// A defect of the capsule. Positions are travel of the fold in mm, which is thread beyond the slack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Defect {
-    /// The fold meets something hard at this travel.
+    /// A hard obstacle at this travel stops the fold.
     Jam(f64),
-    /// The fold meets something at this travel that gives way: N per mm of thread.
+    /// A compliant obstacle resists the fold.
     Obstacle {
         /// Travel, mm.
         at_mm: f64,
-        /// Its stiffness.
+        /// Stiffness, N per mm of thread.
         n_per_mm: f64,
     },
-    /// The worm's friction is so many times what it was: grease, temperature, wear.
+    /// Factor on the worm's friction: grease, temperature, wear.
     Friction(f64),
-    /// The no-load current is so many times what it was.
+    /// Factor on the no-load current.
     NoLoad(f64),
-    /// The origami pulls with this share of its force: what a fold that is held loses.
+    /// Factor on the origami's force: relaxation of a held fold.
     Relaxed(f64),
-    /// The thread snaps as soon as the travel reaches this.
+    /// The thread snaps once the travel reaches this.
     Snap(f64),
-    /// The thread lets go of so much of itself at once, mm: more slack.
+    /// The thread slips by this length at once, mm: more slack.
     Slip(f64),
     /// The spool slips on its shaft above this force, N.
     Clutch(f64),
-    /// The encoder's line A stays as it is.
+    /// The encoder's line A is stuck at its level.
     ChannelA,
-    /// The encoder's line B stays as it is.
+    /// The encoder's line B is stuck at its level.
     ChannelB,
-    /// Both of the encoder's lines stay as they are.
+    /// Both of the encoder's lines are stuck at their levels.
     Encoder,
     /// The encoder's lines are swapped.
     Swapped,
-    /// The bridge drives nothing and says nothing.
+    /// The bridge drives nothing and reports no fault.
     SilentBridge,
     /// The bridge drives nothing and pulls nFAULT low.
     DriverFault,
-    /// The motor's winding is shorted within itself.
+    /// The motor's winding has a short circuit inside.
     Short,
     /// The current amplifier shows 0 mV.
     SenseOpen,
-    /// The cell's internal resistance is this, ohm.
+    /// Internal resistance of the cell, ohm.
     Weak(f64),
-    /// The cell loses its voltage within a second.
+    /// The cell's voltage collapses within a second.
     Collapse,
-    /// The cell has this voltage without load, mV.
+    /// Voltage of the cell without load, mV.
     Battery(f64),
-    /// The cell is tired: of its resistance and its polarisation there is so much more, ohm each.
+    /// A tired cell: adds this to its resistance and to its polarisation, ohm each.
     Tired(f64),
-    /// The current amplifier shows so many times the current.
+    /// Factor on the current amplifier's gain.
     Gain(f64),
-    /// The current amplifier's zero is off by so much more, mA.
+    /// Adds this to the current amplifier's zero, mA.
     Offset(f64),
     /// The encoder loses this share of its lines.
     LosesCounts(f64),
-    /// Everything has this temperature, degrees Celsius.
+    /// Temperature of the whole capsule, degrees Celsius.
     Temperature(f64),
-    /// The capsule has made so many cycles more.
+    /// Adds this number of cycles.
     Aged(f64),
 }
 
-/// The mechanics, with what is wrong with them.
+/// The mechanics with their defects.
 #[derive(Clone, Debug)]
 pub struct Plant {
     /// Parameters of this capsule.
     pub parameters: Parameters,
     bridge: Bridge,
-    /// Degrees Celsius.
+    /// Temperature, degrees Celsius.
     celsius: f64,
     cycles: f64,
-    /// Tenfold numbers of them.
+    /// Decades of cycles, for the creep.
     decades: f64,
-    /// The thread pulls, in this cycle.
+    /// The thread has pulled in this cycle.
     pulled: bool,
-    /// Since the start, and how far the cell has polarised, mV.
+    /// Time since the start; then the cell's polarisation, mV.
     time_s: f64,
     polarised_mv: f64,
     origami: Origami,
     encoder: Encoder,
-    /// Thread that the spool has wound: behind the motor by the backlash.
+    /// Thread wound by the spool, which lags behind the motor by the backlash.
     spool_mm: f64,
-    /// rad/s and rad at the motor.
+    /// Speed and angle of the motor, rad/s and rad.
     speed: f64,
     angle: f64,
-    /// In the winding, now.
+    /// Present current in the winding.
     current_a: f64,
-    /// Mean over the last step.
+    /// Mean current in the winding over the last step.
     mean_a: f64,
-    /// The same from the cell.
+    /// Mean current from the cell over the last step.
     drawn_a: f64,
     filtered_ma: f64,
     filtered_mv: f64,
@@ -150,7 +150,7 @@ pub struct Plant {
 }
 
 impl Plant {
-    /// At rest, the bridge open.
+    /// A capsule at rest with the bridge open.
     #[must_use]
     pub fn new(parameters: Parameters) -> Self {
         Self {
@@ -191,7 +191,7 @@ impl Plant {
         }
     }
 
-    /// Makes something go wrong, now.
+    /// Applies a defect now.
     pub fn suffer(&mut self, defect: Defect) {
         match defect {
             Defect::Jam(travel_mm) => self.jam_mm = Some(travel_mm),
@@ -227,7 +227,7 @@ impl Plant {
         }
     }
 
-    /// Everything is well again, but for the cell, the amplifier, what has aged, and thread that has slipped.
+    /// Removes all defects except those of the cell and the amplifier, ageing, and thread that has slipped.
     pub fn heal(&mut self) {
         self.jam_mm = None;
         self.obstacle = None;
@@ -304,7 +304,7 @@ impl Plant {
         self.extremes_mm
     }
 
-    /// Largest force and extremes of the thread count from here.
+    /// Restarts the record of the largest force and the extremes of the thread.
     pub fn forget_extremes(&mut self) {
         self.peak_force_n = self.force_n();
         self.extremes_mm = (self.wound_mm(), self.wound_mm());
@@ -340,7 +340,7 @@ impl Plant {
         self.speed
     }
 
-    /// Nothing changes any more by itself.
+    /// At rest: nothing changes any more by itself.
     #[must_use]
     pub fn is_quiet(&self) -> bool {
         self.bridge == Bridge::Coast
@@ -350,7 +350,7 @@ impl Plant {
             && !self.collapsing
     }
 
-    /// Voltage at the current amplifier's output, mV, without noise; `supply_mv` is that of the amplifier.
+    /// Voltage at the current amplifier's output, mV, without noise. `supply_mv` is the amplifier's supply.
     #[must_use]
     pub fn sense_mv(&self, supply_mv: f64) -> f64 {
         if self.sense_open {
@@ -374,7 +374,7 @@ impl Plant {
         (self.parameters.battery_mv - self.polarised_mv - sag).max(0.0)
     }
 
-    /// The same behind the divider's filter, as the chip sees it but for the divider.
+    /// The terminal voltage behind the divider's filter, not yet divided.
     #[must_use]
     pub fn seen_battery_mv(&self) -> f64 {
         if self.is_quiet() {
@@ -390,7 +390,7 @@ impl Plant {
         !self.driver_fault
     }
 
-    /// Position of the motor in counts.
+    /// Angle of the motor, counts.
     #[must_use]
     pub fn counts(&self) -> i64 {
         (self.angle * COUNTS_PER_REVOLUTION / std::f64::consts::TAU).floor() as i64
@@ -410,7 +410,7 @@ impl Plant {
         }
     }
 
-    /// Lets `duration_s` pass; calls `look` with the plant after each step of the integration, 20 us at most.
+    /// Lets `duration_s` pass. Calls `look` after each integration step of 20 us at most.
     pub fn advance(&mut self, duration_s: f64, mut look: impl FnMut(&Self)) {
         let steps = (duration_s / STEP_S).ceil().max(1.0);
         let step_s = duration_s / steps;
@@ -421,8 +421,9 @@ impl Plant {
         }
     }
 
-    /// One period of the bridge, 50 us at most: what it does, and for how long. The current is integrated from edge to edge, the
-    /// motion over the whole, in which the speed hardly changes; means are over the whole, too.
+    /// Simulates one period of the bridge, 50 us at most; each phase is a state of the bridge and its duration.
+    /// Integrates the current from edge to edge, but the motion over the whole period, in which the speed hardly
+    /// changes. Means cover the whole period, too.
     pub fn advance_period(&mut self, phases: &[(Bridge, f64)]) {
         let (mut charge, mut drawn, mut whole_s) = (0.0, 0.0, 0.0);
         for &(bridge, length_s) in phases {
@@ -439,7 +440,7 @@ impl Plant {
         }
     }
 
-    /// Lets so much time pass for a plant [at rest](Self::is_quiet): the origami relaxes, the cell recovers.
+    /// Lets time pass for a plant [at rest](Self::is_quiet): the origami relaxes, the cell recovers.
     pub fn rest(&mut self, duration_s: f64) {
         self.time_s += duration_s;
         self.polarise(duration_s);
@@ -455,7 +456,7 @@ impl Plant {
         }
     }
 
-    /// The origami follows the thread.
+    /// Moves the origami with the thread.
     fn follow(&mut self, dt: f64) {
         let held_mm = if self.snapped { 0.0 } else { self.travel_mm() };
         let stiffness = self.stiffness();
@@ -463,18 +464,18 @@ impl Plant {
             .follow(held_mm, stiffness, &self.parameters.effects, dt);
     }
 
-    /// Motor constant, now, V s/rad.
+    /// Present motor constant, V s/rad.
     fn motor_constant(&self) -> f64 {
         let (_, magnet) = self.parameters.effects.motor_at(self.celsius);
         self.parameters.motor_constant * magnet
     }
 
-    /// Current, cell and amplifier, at the present speed. Returns the charge through the winding, C.
+    /// Advances current, cell and amplifier at the present speed. Returns the charge through the winding, C.
     fn carry(&mut self, dt: f64) -> f64 {
         let parameters = &self.parameters;
         let (copper, _) = parameters.effects.motor_at(self.celsius);
         let cell_mv = parameters.battery_mv - self.polarised_mv;
-        // A winding that is shorted within itself gives no back-EMF.
+        // A winding with a short circuit inside gives no back-EMF.
         let (ohm, henry, back) = match self.shorted {
             true => (SHORTED_OHM, 0.0, 0.0),
             false => (
@@ -507,12 +508,12 @@ impl Plant {
         flow.charge
     }
 
-    /// Torque that resists a motor that folds, and one that unfolds, with this pull of the thread, N m.
+    /// Torques that resist folding and unfolding at this pull of the thread, N m.
     fn resistance(&self, force: f64) -> (f64, f64) {
         let parameters = &self.parameters;
         let effects = &parameters.effects;
         let (worm, no_load) = effects.friction_at(self.celsius, self.cycles);
-        // A fast motor has nothing of it.
+        // Standing friction is gone in a fast motor.
         let turns = self.speed.abs() / STICK_RAD_S;
         let sticks = match effects.stick > 0.0 && turns < 20.0 {
             true => 1.0 + effects.stick * (-turns).exp(),
@@ -534,7 +535,7 @@ impl Plant {
         )
     }
 
-    /// The motion, with this charge through the winding.
+    /// Advances the motion, with this charge through the winding.
     fn turn(&mut self, charge: f64, dt: f64) {
         let mm_per_rad = self.parameters.mm_per_rad();
         self.time_s += dt;
@@ -549,7 +550,7 @@ impl Plant {
             && force > limit
             && self.speed > 0.0
         {
-            // What the spool turns on beyond the limit winds no thread.
+            // Beyond the clutch's limit the spool turns without winding thread.
             self.slipped_mm += self.speed * mm_per_rad * dt;
             force = limit;
         }
@@ -564,7 +565,7 @@ impl Plant {
         }
 
         let (folding, unfolding) = self.resistance(force);
-        // Nor does a shorted winding give a torque.
+        // A winding with a short circuit inside gives no torque.
         let torque = match self.shorted {
             true => 0.0,
             false => self.motor_constant() * charge / dt,
@@ -577,7 +578,7 @@ impl Plant {
             torque.clamp(unfolding, folding)
         };
         let speed = self.speed + (torque - resisting) / self.parameters.inertia * dt;
-        // Friction and load can stop the motor but not reverse it; only the torque of the next step may.
+        // Friction and load can stop the motor but not reverse it. Only the torque of the next step may reverse it.
         self.speed = if speed * self.speed < 0.0 { 0.0 } else { speed };
         self.angle += self.speed * dt;
         self.encoder
@@ -593,8 +594,8 @@ impl Plant {
         }
     }
 
-    /// The spool follows the motor: at once under load, which keeps the worm's wheel at one flank, and without one only after
-    /// the backlash.
+    /// Moves the spool with the motor: at once under load, which keeps the worm wheel on one flank; without load only
+    /// past the backlash.
     fn wind(&mut self, force: f64) {
         let motor_mm = self.parameters.wound_mm + self.angle * self.parameters.mm_per_rad();
         let least_mm = motor_mm - self.parameters.effects.backlash_mm;
@@ -643,11 +644,11 @@ mod tests {
         assert!((plant.counts() - edges as i64).abs() <= 1);
     }
 
-    /// 1, 3, 6 and 10 N are 40, 87, 157 and 251 mA (`docs/science.md`).
+    /// The published table: 1, 3, 6 and 10 N take 40, 87, 157 and 251 mA (`docs/science.md`).
     #[test]
     fn the_published_forces_cost_the_published_currents() {
         for (newton, ma) in [(1.0, 40.0), (3.0, 87.0), (6.0, 157.0), (10.0, 251.0)] {
-            // A voltage at which the motor stalls with this force.
+            // Choose the voltage at which the motor stalls with this force.
             let mut plant = Plant::new(Parameters {
                 battery_mv: ma * 5.4,
                 battery_ohm: 0.0,

@@ -1,6 +1,6 @@
-//! The folded plastic at the end of the thread: its force over travel, with what it forgets and what it resists.
+//! The folded plastic at the end of the thread: force over travel, with relaxation, hysteresis and damping.
 //!
-//! It has no mass. The thread only pulls: where it is paid out faster than the origami opens, it is slack.
+//! It has no mass. The thread only pulls: if it is paid out faster than the origami opens, it goes slack.
 
 use crate::effects::{Effects, HYSTERESIS_MM, RELAXATION_S, SNAP_MM};
 use crate::spring;
@@ -8,13 +8,13 @@ use crate::spring;
 /// State of the origami.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Origami {
-    /// How far it is folded, mm: as far as the thread holds it, or further while it opens.
+    /// Length of the fold, mm: held by the thread, or longer while the origami opens.
     folded_mm: f64,
     /// Mean speed over the last step, mm/s.
     speed: f64,
-    /// 1 after a way of folding, -1 after a way of opening.
+    /// Direction of the hysteresis: 1 after folding, -1 after opening.
     way: f64,
-    /// Force that each part of the relaxation has settled to, N.
+    /// Relaxed force of each time constant, N.
     settled_n: [f64; 2],
 }
 
@@ -27,7 +27,7 @@ impl Origami {
         }
     }
 
-    /// Force of a fold that is made at once and forgets nothing, N.
+    /// Force of an instantaneous fold without relaxation, N.
     fn elastic_n(folded_mm: f64, stiffness: f64, effects: &Effects) -> f64 {
         let (builds_mm, lost_mm) = SNAP_MM;
         if effects.snap_through == 0.0 {
@@ -50,7 +50,7 @@ impl Origami {
         spring::force_n(folded_mm) * stiffness * (1.0 + effects.snap_through * snap)
     }
 
-    /// Force against folding further, without damping, N.
+    /// Force against further folding, without damping, N.
     fn plastic_n(&self, stiffness: f64, effects: &Effects) -> f64 {
         let relaxed: f64 = (self.settled_n.iter())
             .zip(effects.relaxation)
@@ -60,12 +60,12 @@ impl Origami {
         (force * (1.0 - effects.hysteresis * (1.0 - self.way) / 2.0)).max(0.0)
     }
 
-    /// Pull at a thread that holds it at `travel_mm`, N.
+    /// Pull of the origami on a thread at `travel_mm`, N.
     pub(crate) fn pull_n(&self, travel_mm: f64, stiffness: f64, effects: &Effects) -> f64 {
         if self.folded_mm > travel_mm + 1e-9 {
             return 0.0;
         }
-        // Between two steps the thread may have been let go of, or caught: then only its elastic force is known.
+        // Between two steps the thread may have been released or caught. Only the elastic force is known then.
         let here = Self {
             folded_mm: travel_mm,
             ..*self
@@ -73,7 +73,7 @@ impl Origami {
         (here.plastic_n(stiffness, effects) + effects.damping * self.speed).max(0.0)
     }
 
-    /// The thread holds it at `travel_mm`, `dt` later; 0 without a thread.
+    /// Advances the origami by `dt` to a thread at `travel_mm`; 0 if there is no thread.
     pub(crate) fn follow(&mut self, travel_mm: f64, stiffness: f64, effects: &Effects, dt: f64) {
         let before_mm = self.folded_mm;
         let opened_mm = if effects.damping > 0.0 && before_mm > travel_mm {
@@ -97,7 +97,7 @@ impl Origami {
     }
 }
 
-/// 1 - exp(-of), which a short step needs no exponential for.
+/// 1 - exp(-of). Short steps use the series, because an exponential is slow.
 pub(crate) fn settles(of: f64) -> f64 {
     if of < 1e-3 {
         of - of * of / 2.0

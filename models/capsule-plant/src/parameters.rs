@@ -3,16 +3,18 @@
 use crate::effects::Effects;
 use crate::random::Random;
 
-/// Where the current is measured, and how its amplifier's output stands.
+/// Position of the shunt, and range of its amplifier.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Shunt {
-    /// Below the bridge, single supply: nothing of what circulates through the low sides, and what flows back into the cell
-    /// is cut off at 0 mV. `filtered_first` if the pulses are filtered before the amplifier cuts them off, not after.
+    /// Below the bridge, with a single supply. Does not see the current that circulates through the low sides;
+    /// current back into the cell is cut off at 0 mV. `filtered_first` says whether the pulses are filtered before
+    /// the amplifier cuts them off, or after.
     Below {
         /// The filter is ahead of the amplifier.
         filtered_first: bool,
     },
-    /// In series with the motor, zero at half of the amplifier's supply: the current itself, with its sign.
+    /// In series with the motor, with the zero at half of the amplifier's supply: shows the current itself with its
+    /// sign.
     InSeries,
 }
 
@@ -28,11 +30,11 @@ pub const BATTERY_DIVIDER: f64 = 2.0;
 pub struct Parameters {
     /// Winding resistance, ohm: 5.4 (data sheet of the motor 0816K003SR).
     pub winding_ohm: f64,
-    /// Inductance of the winding, H: 53e-6 (data sheet, 53 uH at 1 kHz), a time constant of 8 us. 0 is none.
+    /// Inductance of the winding, H: 53e-6 (data sheet, 53 uH at 1 kHz), a time constant of 8 us. 0 means none.
     pub winding_h: f64,
     /// Torque constant, N m/A, and back-EMF constant, V s/rad, the same number: 2.11e-3 (data sheet).
     pub motor_constant: f64,
-    /// No-load current, A: 0.016 (data sheet). It is the friction of motor and gears without load.
+    /// No-load current, A: 0.016 (data sheet). It stands for the friction of motor and gears without load.
     pub no_load_a: f64,
     /// Rotor, kg m2: 5.1e-9 (data sheet, 0.051 g cm2).
     pub inertia: f64,
@@ -50,27 +52,29 @@ pub struct Parameters {
     pub spool_mm: f64,
     /// Thread to wind before it is taut, mm: 1 (design).
     pub slack_mm: f64,
-    /// Force of the origami over its beam estimate: 1. Its thickness and modulus are not measured: 0.5 to 4.
+    /// Origami force relative to its beam estimate: 1. Thickness and modulus are not measured, so 0.5 to 4 is
+    /// possible.
     pub stiffness: f64,
     /// Travel at which the folded crescents meet a 13 mm body, mm: 22.22 (from the paper's kinematics).
     pub end_mm: f64,
-    /// Stiffness of that end, and of anything hard in the way, N/mm: 200 (assumed).
+    /// Stiffness of that end and of any hard obstacle, N/mm: 200 (assumed).
     pub stop_n_per_mm: f64,
     /// Mechanical stop of the spool at the paid-out end, mm of thread; none in the reference design.
     pub paid_out_stop_mm: Option<f64>,
-    /// Both switches of the bridge that conduct, ohm: 0.6 (DRV8833 at 25 C, 0.36 typical; with wires, assumed).
+    /// Resistance of both conducting switches of the bridge, ohm: 0.6 (DRV8833 at 25 C, 0.36 typical; with wires,
+    /// assumed).
     pub bridge_ohm: f64,
     /// Forward voltage of a diode in the bridge, V: 0.7 (assumed).
     pub diode_v: f64,
-    /// Place of the shunt.
+    /// Position of the shunt.
     pub shunt: Shunt,
-    /// Cell without load, mV: 3,700, a charged cell of 40 mAh.
+    /// Voltage of the cell without load, mV: 3,700, a charged cell of 40 mAh.
     pub battery_mv: f64,
     /// Internal resistance of the cell, ohm: 0.5 (assumed; two SR44 in series: 20).
     pub battery_ohm: f64,
     /// Output of the current amplifier without current, mV.
     pub sense_offset_mv: f64,
-    /// Gain of the current amplifier over what it should be.
+    /// Gain of the current amplifier relative to nominal.
     pub sense_gain: f64,
     /// Noise of one reading of the current, mA rms. The bench adds none: the emulated converter is exact.
     pub sense_noise_ma: f64,
@@ -78,7 +82,7 @@ pub struct Parameters {
     pub filter_s: f64,
     /// Thread on the spool at the start, mm.
     pub wound_mm: f64,
-    /// What is not in the plain model.
+    /// Effects beyond the plain model.
     pub effects: Effects,
 }
 
@@ -117,10 +121,10 @@ impl Parameters {
         }
     }
 
-    /// A healthy capsule as production and a patient's day may make it: stiffness x0.5 to 4, friction in the worm 0.10
-    /// to 0.20, cell 3.05 to 4.2 V and 0.3 to 0.8 ohm, no-load current 12 to 20 mA, slack 0.8 to 1.2 mm, amplifier
-    /// within 3 % of its gain with up to 15 mV of offset and 2 mA of noise, end and jams of 100 to 300 N/mm. The same seed is
-    /// the same capsule.
+    /// A healthy capsule within the spread of production and of a patient's day. Ranges: stiffness x0.5 to 4,
+    /// friction in the worm 0.10 to 0.20, cell 3.05 to 4.2 V and 0.3 to 0.8 ohm, no-load current 12 to 20 mA, slack
+    /// 0.8 to 1.2 mm, amplifier gain within 3 % with up to 15 mV of offset and 2 mA of noise, end and jams of 100 to
+    /// 300 N/mm. A seed always gives the same capsule.
     #[must_use]
     pub fn varied(seed: u64) -> Self {
         let mut random = Random::new(seed);
@@ -139,7 +143,7 @@ impl Parameters {
         }
     }
 
-    /// The same with all effects.
+    /// [`Parameters::varied`] with all effects.
     #[must_use]
     pub fn lifelike(seed: u64) -> Self {
         Self {
@@ -148,14 +152,14 @@ impl Parameters {
         }
     }
 
-    /// Motor torque over the ideal one when the worm raises the load, and when it lowers it: the worm is
-    /// self-locking, so lowering has to be driven, too.
+    /// Motor torque relative to the ideal one when the worm raises the load, and when it lowers it. The worm is
+    /// self-locking, so lowering takes torque, too.
     #[must_use]
     pub fn worm_factors(&self) -> (f64, f64) {
         self.worm_factors_with(self.worm_friction, self.worm_friction)
     }
 
-    /// The same with these coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart.
+    /// The same for these coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart.
     pub(crate) fn worm_factors_with(&self, raising: f64, lowering: f64) -> (f64, f64) {
         let lead = self.worm_lead_deg.to_radians().tan();
         (

@@ -21,7 +21,7 @@ pub fn force_n(travel_mm: f64) -> f64 {
     }
 }
 
-/// The forces in equal steps of travel.
+/// The force in equal steps of travel.
 fn over_travel() -> Vec<f64> {
     let over_height: Vec<(f64, f64)> = (0..970)
         .map(|index| f64::from(index) * HEIGHT_MM)

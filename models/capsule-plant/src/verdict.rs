@@ -1,23 +1,24 @@
-//! What a firmware made of the seeded cases, and the table of it.
+//! Verdicts of a firmware on the seeded cases, and their table.
 
 use crate::cases::Kind;
 use std::collections::BTreeMap;
 use std::fmt::Debug;
 
-/// What the firmware made of a capsule.
+/// Verdict of the firmware on one capsule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Verdict {
-    /// Its name for what happened.
+    /// The firmware's name for the outcome.
     pub name: String,
-    /// From the defect to the fault, ms; none if the defect was there before the motion.
+    /// Time from the defect to the fault, ms; none if the defect was there before the motion.
     pub took_ms: Option<u64>,
     /// Largest force after the defect, N.
     pub peak_n: f64,
-    /// The firmware says that it is folded, and the origami is so much short of where a healthy one ends, mm.
+    /// Missing travel at a reported fold, compared with a healthy end, mm; none if the firmware does not report
+    /// folded.
     pub short_mm: Option<f64>,
 }
 
-/// The name of an outcome, a fault or a refusal, without its fields.
+/// Name of an outcome, a fault or a refusal, without its fields.
 #[must_use]
 pub fn name(of: &impl Debug) -> String {
     let text = format!("{of:?}");
@@ -25,11 +26,11 @@ pub fn name(of: &impl Debug) -> String {
     text[..end.unwrap_or(text.len())].to_owned()
 }
 
-/// Head of the table.
+/// Header of the table.
 pub const HEAD: &str = "| defect | cases | named rightly | all names | latest, ms | largest force, N | `Folded`, short by at most, mm |
 |---|---|---|---|---|---|---|";
 
-/// Row of one kind.
+/// Row of the table for one kind.
 #[must_use]
 pub fn row(kind: Kind, verdicts: &[Verdict]) -> String {
     let mut names = BTreeMap::new();
@@ -57,7 +58,7 @@ pub fn row(kind: Kind, verdicts: &[Verdict]) -> String {
     )
 }
 
-/// Seeds and names of those that were named wrongly, if `verdicts` are those of the seeds from 0.
+/// Seeds and names of wrong verdicts. `verdicts` belong to the seeds from 0 on.
 pub fn wrong(kind: Kind, verdicts: &[Verdict]) -> impl Iterator<Item = (u64, &str)> {
     (0..)
         .zip(verdicts)
@@ -65,7 +66,7 @@ pub fn wrong(kind: Kind, verdicts: &[Verdict]) -> impl Iterator<Item = (u64, &st
         .filter(move |(_, name)| !kind.right().contains(name))
 }
 
-/// `of` for each seed below `count`, in their order, on all processors.
+/// Runs `of` for each seed below `count` on all processors. Returns the results in the order of the seeds.
 ///
 /// # Panics
 /// `of` panics.

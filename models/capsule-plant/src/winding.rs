@@ -1,39 +1,39 @@
-//! The winding between two edges of the bridge: its inductance, the diodes, and what the shunt sees of its current.
+//! The winding between two edges of the bridge: its inductance, the diodes, and the current that the shunt sees.
 //!
-//! Speed and cell are constant between two edges, so the current is an exponential, and its charge and its square are
-//! integrated exactly. Without an inductance it follows at once, and a bridge that lets go ends it.
+//! Speed and cell are constant between two edges, so the current is an exponential. Its charge and its square are
+//! integrated exactly. Without inductance the current follows at once, and opening the bridge ends it.
 
 use crate::parameters::{Parameters, Shunt};
 
-/// What the bridge does to the winding.
+/// State of the bridge at the winding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bridge {
-    /// Asleep, or both inputs low: the current goes on through the diodes, against the cell, until it is gone.
+    /// Asleep, or both inputs low: the current decays through the diodes, against the cell.
     Coast,
     /// IN1 high: folds.
     Forward,
     /// IN2 high: unfolds.
     Reverse,
-    /// Both high, both low sides conduct: the winding is shorted. As a pause between pulses this is slow decay.
+    /// Both inputs high, both low sides conduct: the winding is shorted. Between pulses this is slow decay.
     Brake,
 }
 
-/// What flowed between two edges.
+/// Flow between two edges.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Flow {
     /// Current at the end, A.
     pub(crate) end_a: f64,
-    /// Through the winding, C.
+    /// Charge through the winding, C.
     pub(crate) charge: f64,
-    /// Out of the cell, C.
+    /// Charge out of the cell, C.
     pub(crate) drawn: f64,
-    /// Its current squared, A2 s: what its own resistance heats.
+    /// Integral of the cell's current squared, A2 s: the heat in its own resistance.
     pub(crate) drawn_square: f64,
-    /// Through the shunt, C.
+    /// Charge through the shunt, C.
     pub(crate) sensed: f64,
 }
 
-/// A source, a resistance and an inductance.
+/// A source, a resistance and an inductance in series.
 struct Circuit {
     volt: f64,
     ohm: f64,
@@ -41,7 +41,7 @@ struct Circuit {
 }
 
 impl Circuit {
-    /// Current after `dt`, its integral and that of its square.
+    /// Current after `dt`, its integral and the integral of its square.
     fn carry(&self, from_a: f64, dt: f64) -> (f64, f64, f64) {
         let last = self.volt / self.ohm;
         if self.henry <= 0.0 {
@@ -59,7 +59,7 @@ impl Circuit {
         )
     }
 
-    /// When the current passes zero.
+    /// Time until the current passes zero.
     fn ends_after(&self, from_a: f64) -> f64 {
         let last = self.volt / self.ohm;
         if self.henry <= 0.0 || from_a * last >= 0.0 {
@@ -69,14 +69,14 @@ impl Circuit {
     }
 }
 
-/// What drives the current just now: the cell polarises, the winding becomes warm or shorted.
+/// Present source of the current: the cell may polarise, the winding may warm up or be shorted.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Source {
-    /// Cell without its resistance, V.
+    /// Voltage of the cell without its resistance, V.
     pub(crate) cell_v: f64,
-    /// Winding.
+    /// Resistance of the winding, ohm.
     pub(crate) ohm: f64,
-    /// Turns that are shorted together have next to no inductance.
+    /// Inductance of the winding, H; next to none if turns are shorted.
     pub(crate) henry: f64,
 }
 
@@ -91,7 +91,7 @@ impl Source {
     }
 }
 
-/// The winding for `dt`, with `from_a` in it at the start.
+/// Simulates the winding for `dt`, with `from_a` in it at the start.
 pub(crate) fn flow(
     parameters: &Parameters,
     source: Source,
@@ -111,7 +111,7 @@ pub(crate) fn flow(
         Bridge::Reverse => (-1.0, circuit(-cell - back_v, driven_ohm)),
         Bridge::Brake => (0.0, circuit(-back_v, winding + parameters.bridge_ohm)),
         Bridge::Coast => {
-            // The motor's own voltage stays below the cell's: once gone, the current stays away.
+            // The back-EMF stays below the cell's voltage, so a current that has decayed cannot return.
             if from_a == 0.0 || henry <= 0.0 {
                 return Flow::default();
             }
@@ -148,7 +148,7 @@ pub(crate) fn flow(
             if sign == 0.0 || henry <= 0.0 || before >= 0.0 && after >= 0.0 {
                 drawn.max(0.0)
             } else if before < 0.0 && after > 0.0 {
-                // Only what comes after the zero.
+                // Only the part after the zero crossing reaches the shunt's amplifier.
                 let zero = circuit.ends_after(from_a).min(dt);
                 (sign * circuit.carry(0.0, dt - zero).1).max(0.0)
             } else if before > 0.0 {
@@ -172,7 +172,7 @@ pub(crate) fn flow(
 mod tests {
     use super::*;
 
-    /// Mean current of a steady pulse train, and what the shunt says of it, mA.
+    /// Mean current of a steady pulse train, and the mean that the shunt shows, mA.
     fn mean_ma(
         parameters: &Parameters,
         (period_s, duty): (f64, f64),
@@ -207,13 +207,13 @@ mod tests {
         Parameters {
             winding_h,
             shunt,
-            // Of pulse and pause alike, so that the formulas hold exactly.
+            // Equal resistance in pulse and pause, so that the formulas hold exactly.
             battery_ohm: 0.0,
             ..Parameters::nominal()
         }
     }
 
-    /// `(D V - e) / R`, whatever the inductance is, and from 20 kHz on.
+    /// The mean is `(D V - e) / R` at any inductance, from 20 kHz on.
     #[test]
     fn slow_decay_has_a_mean_that_no_inductance_changes() {
         for winding_h in [0.0, 53e-6, 106e-6] {
@@ -227,7 +227,7 @@ mod tests {
         }
     }
 
-    /// 85 mA ordered of a bridge that lets go between the pulses, as the formula without inductance has it.
+    /// 85 mA ordered from a bridge that opens between the pulses, by the formula without inductance.
     #[test]
     fn coasting_pulses_give_less_than_half_and_the_shunt_below_sees_something_else() {
         let duty = 0.085 * 6.0 / (3.7 - 2.2);
@@ -257,7 +257,7 @@ mod tests {
         );
         assert_eq!(coasting.end_a, 0.0);
         assert!(coasting.charge > 0.0 && coasting.drawn == -coasting.charge);
-        // The same in two parts.
+        // The same time in two parts.
         let first = flow(
             &parameters,
             Source::of(&parameters),
@@ -276,14 +276,14 @@ mod tests {
         assert!((sum / coasting.charge - 1.0).abs() < 1e-9);
     }
 
-    /// What the cell gives heats the winding and turns the motor.
+    /// The cell's energy goes into the winding's heat and the motor.
     #[test]
     fn no_energy_is_lost() {
         let parameters = with(53e-6, Shunt::InSeries);
         let (mut from_a, mut given, mut taken) = (0.0, 0.0, 0.0);
         for _ in 0..200 {
             for (bridge, dt) in [(Bridge::Forward, 8e-6), (Bridge::Brake, 4.5e-6)] {
-                // In steps so short that the square of the mean is the mean of the square.
+                // Steps so short that the square of the mean equals the mean of the square.
                 for _ in 0..100 {
                     let part = flow(
                         &parameters,

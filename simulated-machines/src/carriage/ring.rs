@@ -13,34 +13,34 @@ use motion::{
 };
 use std::collections::VecDeque;
 
-/// How much is queued ahead.
+/// How far the ring queues ahead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ahead {
-    /// Nothing: each period is asked for when it is due, so that a test can act between any two.
+    /// Not at all: asks for each period when it is due, so that a test can act between any two.
     Nothing,
-    /// As on the board.
+    /// By slots, as on the board.
     Slots,
 }
 
 /// Slots of the board's ring.
 const SLOTS: u64 = 128;
-/// Slots that are never filled: they keep the end mark away from the reader.
+/// Slots that stay empty: they keep the end mark away from the DMA's read position.
 const SPARE: u64 = 4;
-/// Slots that the hardware has taken out of the ring: one plays, one is prepared to play next.
+/// Slots that the hardware has already taken: one plays, one is preloaded.
 const TAKEN: u64 = 2;
 
 /// Ring, read-back counter and DIR.
 #[derive(Debug)]
 pub struct Slots {
     pub ahead: Ahead,
-    /// The first one plays, once the ring runs.
+    /// Queued periods. The first one is playing if the ring runs.
     periods: VecDeque<Period>,
     /// Rounds of the first period that have begun.
     begun: u32,
     pub running: bool,
-    /// Periods that have been played to their end since the path's start.
+    /// Periods played to their end since the start of the path.
     played: u64,
-    /// Of all queued periods, the first one included as a whole.
+    /// Ticks of all queued periods, counting the first one in full.
     ticks: u64,
     pulses: u32,
     pub direction: Direction,
@@ -51,29 +51,29 @@ pub struct Slots {
     /// Width of a step pulse.
     pub pulse_ticks: u16,
     pub driver_on: bool,
-    /// Pulses that were queued and cut, since the start.
+    /// Pulses that were queued and then cut, since the start.
     pub cut: u64,
-    /// The path from its start to the end of the last queued period.
+    /// Length of the path from its start to the end of the last queued period, ticks.
     path_ticks: u64,
-    /// When the latest queued pulses are due, on the same clock.
+    /// Due times of the latest queued pulses, ticks from the start of the path.
     due: VecDeque<u64>,
-    /// Pulses behind the period that played at the halt.
+    /// Pulses that were queued after the playing period when the ring was halted.
     queued_at_halt: u32,
-    /// The second jumper is there.
+    /// The jumper to the capture input is fitted.
     pub captures: bool,
     captured: Vec<u32>,
     line: Timeline,
     timing: EdgeTiming,
 }
 
-/// So many pulses the ring remembers: more than it holds.
+/// Due times that the ring remembers: more pulses than it can hold.
 const REMEMBERED: usize = 65_536;
 
-/// What a round of the timer begins with.
+/// The start of a round of the timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Round {
     pub ticks: u32,
-    /// A pulse leaves the pin.
+    /// A pulse leaves the pin at the start of this round.
     pub pulse: bool,
     pub sync: bool,
 }
@@ -111,14 +111,14 @@ impl Slots {
         }
     }
 
-    /// A pulse leaves the pin.
+    /// Captures a pulse at the pin, if the jumper is fitted.
     pub fn capture(&mut self, at: u64) {
         if self.captures {
             self.captured.push(at as u32);
         }
     }
 
-    /// A round plays, or could.
+    /// A round is playing or ready to play.
     pub fn plays(&self) -> bool {
         self.running && !self.periods.is_empty()
     }
@@ -127,7 +127,7 @@ impl Slots {
         self.periods.is_empty()
     }
 
-    /// Begins the next round; none if nothing is left to play. The period before it has ended.
+    /// Begins the next round, once the previous one has ended; none if nothing is left to play.
     pub fn begin_round(&mut self) -> Option<Round> {
         if !self.running {
             return None;
@@ -142,7 +142,7 @@ impl Slots {
         })
     }
 
-    /// Takes out the first period if all its rounds have begun; the last one has ended then.
+    /// Removes the first period if its last round has begun. Call this when that round has ended.
     pub fn end_period(&mut self) {
         let Some(period) = self.periods.front().copied() else {
             return;
@@ -158,12 +158,12 @@ impl Slots {
         self.pulses -= if period.pulse { rounds } else { 0 };
     }
 
-    /// The reader has just come to the middle or the end of the ring: then it interrupts.
+    /// DMA has just reached the middle or the end of the ring, where it interrupts.
     pub fn interrupts(&self) -> bool {
         self.begun == 1 && (self.played + TAKEN).is_multiple_of(SLOTS / 2)
     }
 
-    /// Rounds of the period in progress that come whatever is ordered, unless they are cut.
+    /// Rounds left in the current period. They will play whatever is ordered, unless they are cut.
     pub fn rounds_left(&self) -> u64 {
         match self.periods.front() {
             Some(period) if self.begun > 0 => u64::from(u32::from(period.repeats) + 1 - self.begun),
@@ -171,7 +171,7 @@ impl Slots {
         }
     }
 
-    /// Pulses that are queued and have not left.
+    /// Queued pulses that have not left yet.
     pub fn pulses_left(&self) -> u64 {
         let begun = match self.periods.front() {
             Some(period) if period.pulse => self.begun,
@@ -180,7 +180,7 @@ impl Slots {
         u64::from(self.pulses - begun)
     }
 
-    /// Slots that wait; negative while the last one plays, and after it.
+    /// Slots that wait to be played; negative while the last one plays and after it.
     fn queue(&self) -> i64 {
         let taken = if self.running { TAKEN } else { 0 };
         self.periods.len() as i64 - taken as i64

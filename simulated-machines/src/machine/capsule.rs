@@ -1,4 +1,4 @@
-//! The capsule in virtual time: the firmware's control on the board of its own tests.
+//! The capsule in virtual time: the firmware's control on the simulated board.
 
 pub use crate::plant::board::Board as Mechanics;
 use crate::plant::board::TWO_PERIODS_US;
@@ -19,10 +19,10 @@ use crate::chip::Flash;
 /// Interval of readings while the bridge is awake, and while it sleeps, us.
 const AWAKE_US: u64 = 1_000;
 const ASLEEP_US: u64 = 100_000;
-/// A motor runs out within this.
+/// Longest time that a motor coasts, us.
 const COASTS_US: u64 = 500_000;
 
-/// Thread of the folded capsule, um: 6 N at 20.7 mm of travel (docs/science.md), and 1 mm of slack.
+/// Thread length of the folded capsule, um: 6 N at 20.7 mm of travel (docs/science.md) plus 1 mm of slack.
 pub const FOLDED_UM: i32 = 21_510;
 
 /// A capsule.
@@ -31,22 +31,22 @@ pub struct Capsule {
     flash: Flash,
     port: Port,
     next_reading_us: u64,
-    /// Readings with the bridge awake.
+    /// Number of readings with the bridge awake.
     awake: u64,
 }
 
 struct Board {
     mechanics: Mechanics,
-    /// So far have they come, device time.
+    /// Device time up to which the mechanics have been simulated, us.
     mechanics_us: u64,
     drive: Drive,
-    /// The bridge has woken up since the last reading.
+    /// The bridge has woken since the last reading.
     woken: bool,
     shown: Option<CapsuleTelemetry>,
 }
 
 impl At<Board> {
-    /// Lets the motor turn until now.
+    /// Simulates the mechanics up to now.
     fn turn(&mut self) {
         let board = &mut self.board;
         let twice = (self.port.now_us() - board.mechanics_us) / TWO_PERIODS_US;
@@ -70,7 +70,7 @@ impl control::Capsule for At<Board> {
 }
 
 impl Capsule {
-    /// A capsule that has just been switched on, unfolded unless it was left otherwise.
+    /// A capsule that has just been switched on: unfolded, or with the `mechanics` that were left.
     pub fn new(port: &Port, flash: &Flash, left: Retained, mechanics: Option<Mechanics>) -> Self {
         let mechanics = mechanics.unwrap_or_else(|| Mechanics::new(Parameters::nominal(), 0));
         Self::start(port, flash, left, ResetCause::PowerOn, mechanics)
@@ -102,7 +102,7 @@ impl Capsule {
         }
     }
 
-    /// The motor task reads at once when the bridge wakes up.
+    /// The motor task takes a reading as soon as the bridge wakes.
     fn read_if_woken(&mut self) {
         if self.control.capsule().board.woken {
             self.next_reading_us = self.port.now_us();
@@ -112,7 +112,7 @@ impl Capsule {
 
 impl Device for Capsule {
     fn reset(&mut self, left: Retained, cause: ResetCause) {
-        // The motor runs out with the bridge asleep, and the worm holds.
+        // Let the motor coast to rest with the bridge asleep; then the worm holds.
         let board = &mut self.control.capsule().board;
         board
             .mechanics
@@ -174,7 +174,7 @@ impl Device for Capsule {
         let plant = &mut self.control.capsule().board.mechanics.plant;
         plant.suffer(Defect::Battery(mv.into()));
         if !self.is_driven() {
-            // Asleep it reads ten times a second, and no cell runs down within a tenth.
+            // Read now: a sleeping capsule reads ten times a second, which would miss a change this abrupt.
             self.next_reading_us = self.port.now_us();
         }
     }

@@ -1,4 +1,4 @@
-//! The line between host and machine: it takes its time, flips bits and loses frames.
+//! The line between host and machine: delays bytes, flips bits and loses frames.
 
 use std::collections::VecDeque;
 
@@ -7,23 +7,23 @@ use protocol::table::Request;
 
 use super::Script;
 
-/// How long a frame of the machine is under way, us.
+/// Delay of a frame from the machine to the host, us.
 pub const LATENCY_US: u64 = 2_000;
 
-/// The line, and what it does wrong.
+/// The line with its faults.
 pub struct Line {
     flip_one_in: u64,
     noise: u64,
     deaf_to: Vec<(&'static str, u32)>,
     silent_events: Vec<u32>,
     dead: bool,
-    /// Sees the frames that go to the machine.
+    /// Decodes the frames that go to the machine.
     outgoing: Deframer,
-    /// Bytes since the last end of a frame: they go on when the line knows what they are.
+    /// Bytes since the last end of a frame, held back until the line knows which frame they belong to.
     block: Vec<u8>,
-    /// Sees the frames of the machine.
+    /// Decodes the frames that come from the machine.
     incoming: Deframer,
-    /// What is under way to the host, and when it is there.
+    /// Bytes on their way to the host, with their time of arrival, us.
     carried: VecDeque<(u64, Vec<u8>)>,
 }
 
@@ -59,8 +59,8 @@ impl Line {
         })
     }
 
-    /// Carries bytes of the host. Those that reach the machine come back, and the names of the frames among them are
-    /// added to `heard`.
+    /// Carries bytes from the host. Returns those that reach the machine and adds the names of their frames to
+    /// `heard`.
     pub fn carry_to_machine(&mut self, bytes: &[u8], heard: &mut Vec<&'static str>) -> Vec<u8> {
         let mut arrived = vec![];
         for byte in bytes {
@@ -89,7 +89,7 @@ impl Line {
         true
     }
 
-    /// Carries a frame of the machine, which sends it at `now_us`.
+    /// Carries a frame that the machine sends at `now_us`.
     pub fn carry_to_host(&mut self, now_us: u64, frame: &[u8]) {
         let mut event = None;
         for byte in frame {
@@ -104,7 +104,7 @@ impl Line {
         }
     }
 
-    /// What has reached the host by now.
+    /// Takes the bytes that have reached the host by now.
     pub fn arrived(&mut self, now_us: u64) -> Vec<u8> {
         let mut bytes = vec![];
         while let Some((_, frame)) = self.carried.pop_front_if(|(time_us, _)| *time_us <= now_us) {
@@ -113,7 +113,7 @@ impl Line {
         bytes
     }
 
-    /// When something reaches the host next.
+    /// When bytes next reach the host, us.
     pub fn next_us(&self) -> u64 {
         let next = self.carried.front();
         next.map_or(u64::MAX, |(time_us, _)| *time_us)

@@ -1,20 +1,21 @@
-//! Real time for a scripted machine that never jumps: a computer that froze for a second is not a host that was silent
-//! for one.
+//! Real time for a scripted machine, without jumps. If the computer freezes for a second, the machine must not see a
+//! host that was silent for a second.
 
 use std::time::{Duration, Instant};
 
-/// The machine's clock goes on by so much of the computer's time at most; then the line is looked at.
+/// Largest advance of the machine's clock between two looks at the line, us of the computer's time.
 pub const TURN_US: u64 = 2_000;
-/// So far may the machine's clock be behind; what is more is given up, as if it had not been.
+/// Largest lag of the machine's clock, us of the computer's time. Time beyond this is dropped: the machine never sees
+/// it.
 pub const MOST_LATE_US: u64 = 100_000;
-/// So long is slept when nothing is due.
+/// Sleep when nothing is due.
 const REST: Duration = Duration::from_micros(500);
 
-/// The clock of a machine, so many times as fast as the computer's.
+/// The clock of a machine, running at `speed` times the computer's clock.
 pub struct Pace {
     began: Instant,
     speed: u64,
-    /// Of the computer's time, us: what the machine has had, and what it will never have.
+    /// The computer's time that the machine has been given, and that it has lost for good, us.
     given_us: u64,
     lost_us: u64,
 }
@@ -29,12 +30,12 @@ impl Pace {
         }
     }
 
-    /// The machine's clock now, us: a little later than when this was asked last.
+    /// The machine's clock, us. Each call advances it by one turn at most.
     pub fn now_us(&mut self) -> u64 {
         self.after(self.began.elapsed().as_micros() as u64)
     }
 
-    /// As [`Self::now_us`], after so much of the computer's time.
+    /// As [`Self::now_us`], with this much of the computer's time elapsed.
     pub fn after(&mut self, elapsed_us: u64) -> u64 {
         let late_us = elapsed_us - self.lost_us - self.given_us;
         self.lost_us += late_us.saturating_sub(MOST_LATE_US);

@@ -1,4 +1,4 @@
-//! What surrounds control in both machines: clock, retained RAM, and the port with everything that leaves it.
+//! The surroundings of control in both machines: clock, retained RAM, and the port with its outgoing frames.
 
 use std::sync::{Arc, Mutex, MutexGuard};
 
@@ -9,19 +9,19 @@ use protocol::system::{BrownOut, Chip, Clock, Event};
 use protocol::table::Telemetry;
 use serde::Serialize;
 
-/// Clones are the same port. Times are the device's, us.
+/// Clones share one port. Times are the device's, us.
 #[derive(Clone)]
 pub struct Port(Arc<Mutex<State>>);
 
 struct State {
     now_us: u64,
-    /// Number of the present session, 0 before the first, and when the host that began the motion was last heard.
+    /// Number of the present session (0 before the first), and when the host that began the motion was last heard.
     session: u8,
     heard_us: u32,
     telemetry_us: u64,
     next_telemetry_us: Option<u64>,
     telemetry_seq: u16,
-    /// Frames, and when they were sent.
+    /// Frames with the times at which they were sent.
     outbound: Vec<(u64, Encoded)>,
     retained: [u32; WORDS],
 }
@@ -62,7 +62,7 @@ impl State {
 }
 
 impl Port {
-    /// Before the first start.
+    /// The port of a machine that has never been started.
     pub fn new() -> Self {
         Self(Arc::new(Mutex::new(State::new([0; WORDS]))))
     }
@@ -71,7 +71,7 @@ impl Port {
         self.0.lock().expect("no test panics while it sends")
     }
 
-    /// The device starts; only what is retained stays.
+    /// Starts the device; only the retained RAM survives.
     pub fn start(&self) -> Retained {
         let mut state = self.state();
         *state = State::new(state.retained);
@@ -86,7 +86,7 @@ impl Port {
         self.state().now_us = now_us;
     }
 
-    /// A good frame has come, or was answered.
+    /// Notes that a good frame has arrived or been answered.
     pub fn hear(&self, session: u8, heard_us: u32) {
         let mut state = self.state();
         state.session = session;
@@ -99,7 +99,7 @@ impl Port {
         state.outbound.push((now_us, frame));
     }
 
-    /// What was sent since the last time, and when.
+    /// Takes the frames sent since the last call, with their times.
     pub fn sent(&self) -> Vec<(u64, Encoded)> {
         std::mem::take(&mut self.state().outbound)
     }
@@ -109,7 +109,7 @@ impl Port {
         self.state().next_telemetry_us.unwrap_or(u64::MAX)
     }
 
-    /// Sends the sample that is due, if there is anything to show.
+    /// Sends the telemetry sample that is due, if there is one.
     pub fn send_sample(&self, sample: Option<Telemetry>) {
         let mut state = self.state();
         state.next_telemetry_us = Some(state.now_us + state.telemetry_us);
@@ -121,7 +121,7 @@ impl Port {
     }
 }
 
-/// A machine's board at this port.
+/// A machine's board, with its port.
 pub struct At<B> {
     pub port: Port,
     pub board: B,
@@ -158,7 +158,7 @@ impl<B> Surroundings for At<B> {
 
     fn tell(&mut self, event: &Event) {
         let mut state = self.port.state();
-        // Before the first session nobody listens.
+        // Before the first session, no host listens.
         if state.session != 0 {
             state.send(Kind::Event, event.index as u16, event);
         }

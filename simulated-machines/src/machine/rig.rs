@@ -1,4 +1,4 @@
-//! The rig in virtual time: the firmware's control on the carriage of its own tests, with a start button.
+//! The rig in virtual time: the firmware's control on the simulated carriage, with a start button.
 
 pub use crate::carriage::SMALL as FEW_STEPS;
 use crate::carriage::ring::Ahead;
@@ -21,9 +21,9 @@ use crate::chip::Flash;
 
 /// Ticks of 10 ns per us.
 const TICKS_PER_US: u64 = 100;
-/// Where the carriage is when the rig is switched on, steps from the reference: 5 mm.
+/// Position of the carriage when the rig is switched on, steps from the reference: 5 mm.
 const START: i32 = 4_000;
-/// The same with few steps: 2.5 mm.
+/// The same for a rig with few steps: 2.5 mm.
 const FEW_STEPS_START: i32 = 10;
 
 /// A rig.
@@ -34,7 +34,7 @@ pub struct Rig {
     /// When control's next round is due, ticks.
     next_control: u64,
     timer_stands: bool,
-    /// Time and position of the last sample of telemetry.
+    /// Time and position of the last telemetry sample.
     sampled: (u64, StepPosition),
 }
 
@@ -109,7 +109,7 @@ impl control::Rig for At<Board> {
 
     fn set_switch_filter(&mut self, _: u32) {}
 
-    /// Its clock is always there.
+    /// Always false: no external clock comes up after the start.
     fn clock_has_come(&self) -> bool {
         false
     }
@@ -160,7 +160,7 @@ impl Rig {
         &mut self.control.rig().board.carriage
     }
 
-    /// When something happens on the carriage, ticks.
+    /// When the carriage next needs a step, ticks.
     fn carriage_due(&mut self) -> u64 {
         if self.timer_stands {
             self.carriage().next_round
@@ -169,7 +169,7 @@ impl Rig {
         }
     }
 
-    /// No step of a rig that knows its position leaves the stroke.
+    /// Asserts that a homed rig never steps outside its stroke.
     fn assert_within_stroke(&mut self) {
         let counted = self.carriage().ring.counted;
         let stroke = self.control.snapshot().axis.stroke_window();
@@ -185,7 +185,7 @@ impl Rig {
         }
     }
 
-    /// What happens on the carriage now. Its notices come back.
+    /// Steps the carriage; returns its notices.
     fn step(&mut self) -> Vec<Event<'static>> {
         let timer_stands = self.timer_stands;
         let carriage = self.carriage();
@@ -282,7 +282,7 @@ impl Device for Rig {
             World::EStopLoop { open } => {
                 let carriage = self.carriage();
                 carriage.pressed = open;
-                // The break input cuts the pulses and interrupts; at rest, control looks at the loop.
+                // While armed, the break input cuts the pulses and interrupts. At rest, control polls the loop.
                 if open && carriage.ring.armed {
                     carriage.cut();
                     self.control.event(Event::LoopOpened);

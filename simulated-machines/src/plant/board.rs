@@ -1,5 +1,5 @@
-//! What is between the firmware and the model of the capsule's mechanics: the bridge's pulses, the readings of the
-//! converter, the encoder's counter.
+//! The board between the firmware and the model of the mechanics: the bridge's pulses, the converter's readings, the
+//! encoder's counter.
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
 use firmware_capsule::fold::Drive;
@@ -7,14 +7,14 @@ use firmware_capsule::mechanics::Counts;
 use firmware_capsule::sample::Sample;
 use firmware_capsule::sense::{FINE, Zero};
 
-/// Ticks of a PWM period, and its length, as on the board.
+/// Ticks of a PWM period and its length, as on the board.
 const PWM_TICKS: u32 = 200;
 const PERIOD_S: f64 = 12.5e-6;
-/// Two of them, us.
+/// Length of two PWM periods: the shortest time that is a whole number of us.
 pub const TWO_PERIODS_US: u64 = 25;
-/// So many periods in a millisecond.
+/// PWM periods in a millisecond.
 pub const PERIODS_PER_MS: u64 = 80;
-/// Supply of converter and amplifier, mV.
+/// Supply of the converter and the amplifier, mV.
 const SUPPLY_MV: u32 = 3_300;
 
 /// The mechanics on their board.
@@ -22,17 +22,17 @@ const SUPPLY_MV: u32 = 3_300;
 pub struct Board {
     /// The mechanics.
     pub plant: Plant,
-    /// Largest current from the cell, mean over a PWM period, mA.
+    /// Largest current drawn from the cell, mean over a PWM period, mA.
     pub peak_ma: f64,
     random: Random,
     zero: Zero,
     battery_mv: u16,
-    /// TIM2, which counts the edges of both lines.
+    /// TIM2, which counts the edges of both encoder lines.
     counter: i32,
     encoder: (bool, bool),
 }
 
-/// Quarter of a line that both levels mean.
+/// Quarter of an encoder line for these two levels.
 fn quarter((a, b): (bool, bool)) -> i32 {
     match (a, b) {
         (false, false) => 0,
@@ -43,7 +43,7 @@ fn quarter((a, b): (bool, bool)) -> i32 {
 }
 
 impl Board {
-    /// At rest.
+    /// A board with the capsule at rest.
     pub fn new(parameters: Parameters, seed: u64) -> Self {
         let plant = Plant::new(parameters);
         Self {
@@ -57,12 +57,12 @@ impl Board {
         }
     }
 
-    /// The counter misses so many counts, for once: the thread reads longer than it is.
+    /// Adds a counting error once: positive makes the thread read longer than it is.
     pub fn miscount(&mut self, counts: i32) {
         self.counter += counts;
     }
 
-    /// So many periods of the bridge.
+    /// Runs the bridge for this many PWM periods.
     pub fn run(&mut self, drive: Drive, periods: u64) {
         let (bridge, ticks) = match drive {
             Drive::Off => (Bridge::Coast, PWM_TICKS),
@@ -89,7 +89,7 @@ impl Board {
             self.plant.advance_period(&phases);
             self.peak_ma = self.peak_ma.max(self.plant.drawn_ma());
             let levels = self.plant.encoder();
-            // One step is a count; two, which cannot be told apart, are none.
+            // One quarter is one count. Two quarters at once have no direction, so they count as none.
             self.counter += match (quarter(levels) - quarter(self.encoder)).rem_euclid(4) {
                 1 => 1,
                 3 => -1,
@@ -99,7 +99,7 @@ impl Board {
         }
     }
 
-    /// What the converter reads, with the bridge awake or asleep.
+    /// Takes a reading with the converter, with the bridge awake or asleep.
     pub fn sample(&mut self, now_us: u64, awake: bool) -> Sample {
         let noise = self.random.normal() * self.plant.parameters.sense_noise_ma;
         let sense_mv = (self.plant.sense_mv(SUPPLY_MV.into()) + noise).clamp(0.0, 3_300.0);

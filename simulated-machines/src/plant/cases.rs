@@ -1,4 +1,4 @@
-//! Seeded capsules with one defect each, and what the firmware made of them.
+//! Seeded capsules with one defect each, and the firmware's verdict on them.
 
 use super::Simulation;
 use capsule_plant::{
@@ -19,12 +19,12 @@ fn name_of(outcome: ActuationOutcome) -> String {
     }
 }
 
-/// Tries one capsule with one defect.
+/// Runs a seeded capsule with one defect.
 pub fn try_case(kind: Kind, seed: u64) -> Verdict {
     try_with(kind, seed, kind.parameters(seed))
 }
 
-/// The same with these parameters.
+/// As [`try_case`], with these parameters.
 pub fn try_with(kind: Kind, seed: u64, parameters: Parameters) -> Verdict {
     if kind.course(seed, 0.0).motion == Motion::Calibrate {
         let mut sim = Simulation::new(parameters, seed);
@@ -64,7 +64,7 @@ fn follow(sim: &mut Simulation, course: &Course, end_mm: f64) -> Verdict {
     }
 }
 
-/// Runs a motion, and lets something happen at an instant in ms from its start.
+/// Runs a motion and injects a defect this many ms after its start; negative: before it.
 fn with_defect(
     sim: &mut Simulation,
     command: Command,
@@ -95,7 +95,7 @@ fn with_defect(
             }
         }
     }
-    // Its zero is looked at again once it rests.
+    // Give the firmware time to check the amplifier's zero at rest.
     for _ in 0..100 {
         sim.tick();
     }
@@ -134,16 +134,16 @@ fn healthy(sim: &mut Simulation, cycles: u32, end_mm: f64) -> Verdict {
     verdict
 }
 
-/// What two cycles of a healthy capsule measure.
+/// Figures from cycles of a healthy capsule.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Figures {
-    /// Force at the end of a fold, N, and the largest on the way.
+    /// Force at the end of the last fold, N.
     pub end_n: f64,
     /// Largest force, N.
     pub peak_n: f64,
-    /// Recorded over true energy of a fold, less 1.
+    /// Recorded energy of a fold over its true energy, less 1: the worst of all folds.
     pub energy_error: f64,
-    /// Difference of the folded ends, and of the unfolded ends from zero, mm.
+    /// Spread of the folded ends, mm.
     pub fold_repeat_mm: f64,
     /// Largest distance of an unfolded end from zero, mm.
     pub unfold_mm: f64,
@@ -151,13 +151,13 @@ pub struct Figures {
     pub lowest_mm: f64,
     /// Largest current from the cell over a PWM period, mA.
     pub peak_ma: f64,
-    /// Duration of a fold and of an unfolding, ms.
+    /// Durations of a fold and an unfolding, ms.
     pub duration_ms: [u32; 2],
-    /// True energy of them, mJ.
+    /// True energies of a fold and an unfolding, mJ.
     pub energy_mj: [f64; 2],
 }
 
-/// Calibration and `cycles` folds and unfoldings; none if one did not complete.
+/// Runs a calibration and `cycles` folds and unfoldings; none if one did not complete.
 pub fn figures(parameters: Parameters, seed: u64, cycles: u32) -> Option<Figures> {
     let mut sim = Simulation::new(parameters, seed);
     sim.run(Command::Calibrate);
@@ -204,13 +204,14 @@ pub fn figures(parameters: Parameters, seed: u64, cycles: u32) -> Option<Figures
     Some(figures)
 }
 
-/// A reset while folded, then a check and an unfolding; or while unfolded, then a reference run, a fold and an unfolding.
-/// Returns the least thread on the spool after the reset and the thread left at the end, mm; none if one did not complete.
+/// Resets a folded capsule, then checks and unfolds it; or resets an unfolded one, then references, folds and unfolds
+/// it. Returns the least thread on the spool after the reset and the thread left at the end, mm; none if a motion did
+/// not complete.
 pub fn found_again(seed: u64, folded: bool) -> Option<[f64; 2]> {
     found_again_with(Parameters::lifelike(seed), seed, folded)
 }
 
-/// The same with these parameters.
+/// As [`found_again`], with these parameters.
 pub fn found_again_with(parameters: Parameters, seed: u64, folded: bool) -> Option<[f64; 2]> {
     let mut sim = Simulation::calibrated(parameters, seed);
     if folded {
@@ -241,7 +242,7 @@ pub fn cut(seed: u64) -> f64 {
     } else {
         Command::Fold
     });
-    // An unfolding takes 1.3 s and more: as long as it lasts.
+    // An unfolding takes at least 1.3 s, so every instant of it can be hit.
     let at_ms = (at * if unfolds { 1_300.0 } else { 1_600.0 }) as u32;
     for _ in 0..at_ms {
         sim.tick();
@@ -252,12 +253,13 @@ pub fn cut(seed: u64) -> f64 {
     sim.plant.extremes_mm().0
 }
 
-/// From so late on an unfolding is at a speed from which a motor without power runs on, ms; and how often it is looked.
+/// From this time on, an unfolding is fast enough for the motor to coast after a power cut, ms. Then the interval of
+/// trial cuts.
 const RUNS_ON_FROM_MS: u32 = 150;
 const LOOKS_MS: u32 = 8;
 
-/// Cuts the power at each instant of an unfolding, 8 ms apart: in copies of the plant, which run out. Returns the least thread
-/// on the spool, mm.
+/// Cuts the power every 8 ms of an unfolding, each time in a copy of the plant that then coasts to rest. Returns the
+/// least thread on the spool, mm.
 pub fn cut_anywhere(seed: u64) -> f64 {
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     sim.run(Command::Fold);
@@ -278,8 +280,9 @@ pub fn cut_anywhere(seed: u64) -> f64 {
     least_mm
 }
 
-/// Calibrated at room temperature, then three cycles, each at another temperature of 22 to 40 degrees: the first name that is not `Complete`,
-/// the least thread on the spool, mm, and the largest force, N.
+/// Calibrates at room temperature, then runs three cycles with every motion at a random temperature of 22 to 40
+/// degrees. Returns the first outcome that is not `Complete`, the least thread on the spool, mm, and the largest
+/// force, N.
 pub fn through_the_day(seed: u64, parameters: Parameters) -> (String, f64, f64) {
     let mut random = Random::new(seed ^ 0xDA15);
     let mut sim = Simulation::new(parameters, seed);
@@ -302,8 +305,9 @@ pub fn through_the_day(seed: u64, parameters: Parameters) -> (String, f64, f64) 
     (name, sim.plant.extremes_mm().0, sim.plant.peak_force_n())
 }
 
-/// 500 cycles, of which each tenth is made and the rest only ages the capsule. The calibration is of a new one. A fold that finds its
-/// end wandered is checked, as the manual says.
+/// Ages a capsule by 500 cycles, running every tenth one, with the calibration of the new capsule. Checks a fold
+/// whose end has wandered, as the manual says. Returns the first outcome that is not `Complete`, the least thread on
+/// the spool, mm, and the index of the failed round; the thread left, mm, if none failed.
 pub fn grows_old(seed: u64) -> (String, f64, f64) {
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     for cycle in 0..50 {
@@ -323,13 +327,14 @@ pub fn grows_old(seed: u64) -> (String, f64, f64) {
     ("Complete".to_owned(), least_mm, sim.plant.wound_mm())
 }
 
-/// What a change in a life makes of three folds and unfoldings: the first name that is not `Complete`, the least thread on the spool,
-/// mm, and how far at most a folded end is from the calibrated one, mm.
+/// Applies changes to a calibrated capsule, then folds and unfolds it three times. Returns the first outcome that is
+/// not `Complete`, the least thread on the spool, mm, and the largest distance of a folded end from the calibrated
+/// one, mm.
 pub fn lives_on(seed: u64, changes: &[Defect]) -> (String, f64, f64) {
     lives_on_with(Parameters::lifelike(seed), seed, changes)
 }
 
-/// The same with these parameters.
+/// As [`lives_on`], with these parameters.
 pub fn lives_on_with(parameters: Parameters, seed: u64, changes: &[Defect]) -> (String, f64, f64) {
     let mut sim = Simulation::calibrated(parameters, seed);
     let Some(folded) = sim.capsule.calibration().map(|found| found.folded) else {
@@ -362,8 +367,8 @@ pub fn lives_on_with(parameters: Parameters, seed: u64, changes: &[Defect]) -> (
     ("Complete".to_owned(), sim.plant.extremes_mm().0, off_mm)
 }
 
-/// Folded at 22 degrees, held for an hour, unfolded at 37: friction and no-load current fall, the origami relaxes. Checked before,
-/// or not; after a reset, or not. What ended it, and the least thread on the spool, mm.
+/// Folds at 22 degrees, holds for an hour and unfolds at 37: friction and no-load current fall, the origami relaxes.
+/// Some seeds reset in between, some check first. Returns the outcome and the least thread on the spool, mm.
 pub fn held_and_warmed(seed: u64) -> (String, f64) {
     let mut random = Random::new(seed ^ 0x3700);
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
@@ -388,8 +393,8 @@ pub fn held_and_warmed(seed: u64) -> (String, f64) {
     ("Complete".to_owned(), sim.plant.extremes_mm().0)
 }
 
-/// A reference run from anywhere, past something of 0.5 to 300 N/mm anywhere, or nothing. What ended it, and the least thread on the
-/// spool, mm.
+/// References from a random position, past an obstacle of 0.5 to 300 N/mm at a random place, or past none. Returns
+/// the outcome and the least thread on the spool, mm.
 pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
     let mut random = Random::new(seed ^ 0x0B57);
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
@@ -422,7 +427,7 @@ pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
     (name, sim.plant.extremes_mm().0)
 }
 
-/// Orders something and waits for its end: how it ended, or why it was refused.
+/// Gives a command and waits for its end. Returns the outcome or the refusal.
 fn run(sim: &mut Simulation, command: Command) -> String {
     if let Some(refusal) = sim.give(Event::Command(command)).refusal {
         return name(&refusal);

@@ -1,4 +1,4 @@
-//! Who answers a campaign's questions: a person at the terminal, or nobody, on the virtual bench.
+//! Answers a campaign's questions: a person at the terminal, or the plan on the virtual bench.
 
 use std::io::BufRead;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
@@ -19,17 +19,17 @@ use operations::places::Places;
 
 use crate::cli::screen::{Keyboard, Screen};
 
-/// Interval between two looks at the keyboard.
+/// Interval between two polls of the keyboard.
 const TURN: Duration = Duration::from_millis(10);
 
-/// What a person types, line by line; during a run the pacer takes it.
+/// Lines that a person types. The pacer takes them during a run.
 type Lines = Arc<Mutex<Receiver<String>>>;
 
-/// Who answers.
+/// Source of the answers.
 pub(super) enum Who {
     /// A person.
     Person(Lines),
-    /// Nobody: the plan says what there is to say.
+    /// The plan, when no person is there.
     Nobody(Box<Plan>),
 }
 
@@ -48,7 +48,7 @@ impl Who {
     }
 }
 
-/// Makes sure that the plan has what nobody can be asked for.
+/// Checks that the plan holds every answer that a person would give.
 ///
 /// # Errors
 /// Some `about_mm` is missing.
@@ -70,7 +70,7 @@ pub(super) fn can_answer(plan: &Plan) -> Result<(), Failure> {
     }
 }
 
-/// The terminal or its replacement.
+/// Puts a campaign's questions to the terminal or to the plan.
 pub(super) struct Counter<'a, 'b> {
     screen: &'a mut Screen<'b>,
     places: &'a Places<'a>,
@@ -79,7 +79,7 @@ pub(super) struct Counter<'a, 'b> {
 }
 
 impl<'a, 'b> Counter<'a, 'b> {
-    /// From now on Ctrl-C leaves a question, too.
+    /// Makes Ctrl-C leave a question, too, from now on.
     pub(super) fn new(screen: &'a mut Screen<'b>, places: &'a Places<'a>, who: Who) -> Self {
         Self {
             screen,
@@ -163,7 +163,7 @@ impl Desk for Counter<'_, '_> {
     }
 }
 
-/// What a person would type on the virtual bench.
+/// The answer that a person would type on the virtual bench.
 fn by_plan(plan: &Plan, question: &Question<'_>) -> String {
     let width_um = plan.readings.width_about_mm.unwrap_or_default().um;
     match question {

@@ -12,7 +12,7 @@ use commissioning::session::wrapped;
 
 use crate::cli::screen::Keyboard;
 
-/// Interval between two looks at the keyboard.
+/// Interval between two polls of the keyboard.
 const TURN: Duration = Duration::from_millis(20);
 
 /// A person who reads prompts and types.
@@ -21,7 +21,7 @@ pub(super) struct Terminal {
     interrupt: Interrupt,
 }
 
-/// What was typed.
+/// A line that was typed.
 enum Answer {
     Nothing,
     Text(String),
@@ -41,7 +41,7 @@ impl Terminal {
         Self { typed, interrupt }
     }
 
-    /// The next line; `q`, the end of the input and Ctrl-C leave, `s` skips the step.
+    /// Reads the next line. `q`, the end of the input and Ctrl-C leave; `s` skips the step.
     fn answer(&self) -> Result<Answer, Halt> {
         if (self.interrupt)().is_some() {
             return Err(Halt::Left);
@@ -67,7 +67,7 @@ impl Hands for Terminal {
         watch: &mut Watch<'_>,
     ) -> Result<(), Halt> {
         prompt(act_text(act), say);
-        // An Enter by habit must not stand for an act that an input would have shown.
+        // An Enter typed by habit must not confirm an act that an input would have shown.
         let (done, hint) = if shows {
             (
                 "n",
@@ -101,7 +101,8 @@ impl Hands for Terminal {
             match self.answer()? {
                 Answer::Nothing => thread::sleep(TURN),
                 Answer::Text(text) if text.is_empty() => {}
-                // Millimetres and volts have three decimals here: micrometres and millivolts, far below 2^63.
+                // Millimetres and volts have three decimals here, so these are micrometres and millivolts, far below
+                // 2^63.
                 Answer::Text(text) => match decimal::parse(&text, 3, 1_000_000_000) {
                     Ok(value) => return Ok(value.cast_signed()),
                     Err(error) => {

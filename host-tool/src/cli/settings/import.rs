@@ -1,5 +1,5 @@
-//! Imports settings from a file: all of them or none. The whole file is checked first. Only the rig knows which values
-//! are valid together: if it refuses one, those already changed are put back.
+//! Imports settings from a file: all of them or none. Checks the whole file first. Only the rig knows which values
+//! are valid together; if it refuses one, the import restores those already changed.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -48,7 +48,7 @@ impl<'de> Deserialize<'de> for Pairs {
     }
 }
 
-/// What a file asks for.
+/// Settings requested by a file.
 pub(super) struct Wanted {
     name: heapless::String<MAX_NAME>,
     settings: Vec<Setting>,
@@ -57,7 +57,7 @@ pub(super) struct Wanted {
 /// Reads and checks a file.
 ///
 /// # Errors
-/// [`Failure::Input`] with everything that is wrong with it.
+/// [`Failure::Input`] with every mistake in the file.
 pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
     let unusable = |why: String, help: &str| Failure::Input {
         why: format!("{}: {why}", file.display()),
@@ -172,8 +172,8 @@ pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<us
     }
 }
 
-/// The rig checks each value against the others that it holds then, so a refused one is tried again after the rest,
-/// until a pass over the remaining ones changes nothing.
+/// Sets the values in passes. The rig checks each against the others that it holds at the time, so a refused value is
+/// tried again after the rest, until a pass changes nothing.
 fn apply(
     rig: &mut Device,
     mut left: Vec<Change>,
@@ -190,7 +190,7 @@ fn apply(
                     why.get_or_insert((name, error));
                 }
                 Err(error) => {
-                    // The rig may have carried it out.
+                    // The rig may have changed it, so it must be undone, too.
                     done.push(change);
                     return Err((name, error));
                 }
@@ -204,8 +204,8 @@ fn apply(
     Ok(())
 }
 
-/// Undoes the changes in reverse order, through combinations that the rig has already accepted. Returns the changes that
-/// remain.
+/// Undoes the changes in reverse order, so that the rig only meets combinations that it has accepted before. Returns
+/// the changes that remain.
 fn put_back(rig: &mut Device, done: Vec<Change>) -> Vec<String> {
     let mut changed = vec![];
     for Change { from, to } in done.into_iter().rev() {

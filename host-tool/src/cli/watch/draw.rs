@@ -1,4 +1,4 @@
-//! The dashboard: what the panels know, on a screen of 80 columns and 24 rows or more.
+//! Draws the panels on a screen of at least 80 columns and 24 rows.
 
 use std::time::Instant;
 
@@ -10,17 +10,17 @@ use ratatui_core::buffer::Buffer;
 use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Style};
 
-/// The least columns and rows.
+/// Minimum columns and rows.
 pub const LEAST: (u16, u16) = (80, 24);
 
-/// What the keys do.
+/// Help on the keys.
 pub(crate) const KEYS: &str = " h hold   r resume   s STOP   e EMERGENCY STOP   q leave";
 
-/// Thread wound by the current scale's full bar, um, and motor current, mA: more than a healthy capsule shows.
+/// Full scale of the bars: thread wound, um, and motor current, mA. A healthy capsule stays below both.
 const FULL_THREAD_UM: i32 = 30_000;
 const FULL_CURRENT_MA: u16 = 250;
 
-/// How the screen is drawn.
+/// Look of the screen.
 #[derive(Clone, Copy, Debug)]
 pub struct Look {
     /// Colours may be used.
@@ -29,7 +29,7 @@ pub struct Look {
     pub unicode: bool,
 }
 
-/// Characters of lines and bars.
+/// Characters for lines and bars.
 struct Glyphs {
     line: char,
     side: char,
@@ -41,7 +41,7 @@ struct Glyphs {
 }
 
 impl Look {
-    /// What the user's environment asks for.
+    /// The look that the user's environment asks for.
     #[must_use]
     pub fn of_environment() -> Self {
         let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
@@ -111,7 +111,7 @@ enum Tone {
     Bad,
 }
 
-/// A piece of the screen with a pen.
+/// A part of the screen to write on.
 struct Sheet<'a> {
     buffer: &'a mut Buffer,
     area: Rect,
@@ -119,7 +119,7 @@ struct Sheet<'a> {
 }
 
 impl Sheet<'_> {
-    /// Writes from a column on; what does not fit is left out.
+    /// Writes a text from a column on and clips it at the edge.
     fn put(&mut self, x: u16, y: u16, text: &str, tone: Tone) {
         if y < self.area.height && x < self.area.width {
             let width = usize::from(self.area.width - x);
@@ -129,7 +129,7 @@ impl Sheet<'_> {
         }
     }
 
-    /// Writes over several rows, broken at words; returns how many it took.
+    /// Writes a text over several rows, broken at words. Returns the number of rows.
     fn wrap(&mut self, y: u16, rows: u16, text: &str, tone: Tone) -> u16 {
         let lines = wrapped(text, self.area.width.into());
         let mut shown: Vec<_> = lines.into_iter().take(rows.into()).collect();
@@ -146,7 +146,7 @@ impl Sheet<'_> {
         shown.len() as u16
     }
 
-    /// A frame with a title, and another one at its bottom; returns what is inside.
+    /// Draws a frame with a title at the top and one at the bottom. Returns its inside.
     fn frame(&mut self, title: &str, bottom: &str, tone: Tone) -> Sheet<'_> {
         let glyphs = self.look.glyphs();
         let (width, height) = (self.area.width, self.area.height);
@@ -185,7 +185,7 @@ impl Sheet<'_> {
         }
     }
 
-    /// A bar between two columns; `part` of `whole` is filled.
+    /// Draws a bar of which `part` of `whole` is filled.
     fn bar(&mut self, x: u16, y: u16, width: u16, part: u64, whole: u64, tone: Tone) {
         let glyphs = self.look.glyphs();
         let cells = u64::from(width);
@@ -203,7 +203,7 @@ impl Sheet<'_> {
     }
 }
 
-/// A text in at most so many characters.
+/// Shortens a text to `room` characters.
 fn cut(text: &str, room: usize) -> String {
     if text.chars().count() <= room {
         return text.to_owned();
@@ -228,11 +228,11 @@ fn wrapped(text: &str, width: usize) -> Vec<String> {
     lines
 }
 
-/// Rows of a panel, its frame included.
+/// Rows of each panel, including its frame.
 const RIG_ROWS: u16 = 10;
 const CAPSULE_ROWS: u16 = 8;
 
-/// Draws everything; `at` is now.
+/// Draws everything; `at` is the present time.
 pub fn draw(panels: &[Panel], look: Look, at: Instant, buffer: &mut Buffer) {
     let area = buffer.area;
     let mut sheet = Sheet { buffer, area, look };
@@ -294,13 +294,13 @@ pub fn draw(panels: &[Panel], look: Look, at: Instant, buffer: &mut Buffer) {
     keys(&mut sheet, area.height - 1);
 }
 
-/// The row of the keys.
+/// Draws the row of the keys.
 fn keys(sheet: &mut Sheet<'_>, y: u16) {
     let width = usize::from(sheet.area.width);
     sheet.put(0, y, &format!("{KEYS:<width$}"), Tone::Bar);
 }
 
-/// What came of keys, in rows.
+/// Results of the keys, in rows.
 fn notices(panels: &[Panel], width: u16) -> Vec<(String, Tone)> {
     let width = usize::from(width) - 2;
     let mut rows = vec![];
@@ -329,7 +329,7 @@ fn too_small(panels: &[Panel], sheet: &mut Sheet<'_>, at: Instant) {
     );
     let keys = KEYS.trim();
     let mut y = sheet.wrap(0, height, &text, Tone::Strong);
-    // The keys work here, too.
+    // Show the keys here, too, because they work.
     y += sheet.wrap(y, height.saturating_sub(y), keys, Tone::Bar);
     for panel in panels {
         y += sheet.wrap(y, height.saturating_sub(y), &panel.line(at), Tone::Plain);
@@ -404,7 +404,7 @@ fn track(status: &RigStatus, sheet: &mut Sheet<'_>) {
     let carriage = glyphs.carriage.chars().count();
     let room = width.saturating_sub(2 + carriage) as i64;
     let stroke = i64::from(status.stroke_um).max(1);
-    // Beyond the ends it is drawn at the end; its position is written beside it.
+    // Draw a position beyond the ends at the end. The number beside it is exact.
     let at = (i64::from(status.position_um) * room + stroke / 2) / stroke;
     let at = at.clamp(0, room) as usize;
     let mut line: Vec<char> = vec![glyphs.ends.0];
@@ -477,7 +477,7 @@ fn capsule_panel(panel: &Panel, status: &CapsuleStatus, at: Instant, sheet: &mut
     }
 }
 
-/// How good the link is.
+/// Draws the quality of the link.
 fn link(panel: &Panel, at: Instant, y: u16, sheet: &mut Sheet<'_>) {
     let quality = &panel.quality;
     let silent_s = quality
@@ -504,11 +504,11 @@ fn link(panel: &Panel, at: Instant, y: u16, sheet: &mut Sheet<'_>) {
     sheet.put(0, y, &text, Tone::Plain);
 }
 
-/// The latest events of all machines, the newest at the bottom.
+/// Draws the latest events of all machines, the newest at the bottom.
 fn events(panels: &[Panel], top: u16, bottom: u16, sheet: &mut Sheet<'_>) {
     let mut left = usize::from(bottom.saturating_sub(top));
     let mut lines = vec![];
-    // A machine of which there is little to tell leaves its rows to the next one.
+    // A machine with few events leaves its rows to the next one.
     let mut order: Vec<_> = panels.iter().collect();
     order.sort_by_key(|panel| panel.events.len());
     for (index, panel) in order.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Keeps one machine's panel up to date, on a thread of its own, and sends what the keys want.
+//! Keeps one machine's panel up to date on a thread of its own, and sends the orders of the keys.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -22,27 +22,27 @@ use protocol::rig;
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::Telemetry;
 
-/// Interval of telemetry if this process owns the line: as often as the screen is drawn.
+/// Interval of telemetry if this process owns the line: that of the drawings.
 const TELEMETRY_MS: u16 = 50;
 
-/// Interval between two questions for the status, us. Each goes through the owner of the line.
+/// Interval between two status requests, us. Each goes through the owner of the line.
 const ASK_US: u64 = 250_000;
 
-/// How long bytes are waited for before the keys are looked at again, us.
+/// Longest wait for bytes before the keys are checked again, us.
 const SLICE_US: u64 = 20_000;
 
-/// How long a line that has become free is left to others: it may have been given up for one that waits.
+/// Time for which a free line is left to other processes: its owner may have given it up for one that waits.
 const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 
 /// Interval between two attempts to connect.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// What screen and feed of one machine share.
+/// Shared by the screen and the feed of one machine.
 pub(crate) struct Shared {
     pub(crate) kind: DeviceKind,
     address: Address,
     panel: Mutex<Panel>,
-    /// The stops that keys want, and those of them that are not confirmed.
+    /// Stops ordered by keys, with those that are not confirmed yet.
     stops: Arc<Stops>,
     asks: Mutex<Vec<Ask>>,
 }
@@ -58,12 +58,12 @@ impl Shared {
         }
     }
 
-    // Nobody panics while holding it; if somebody did, the screen shows what is there.
+    // If a thread has panicked while holding the lock, show what is there.
     pub(crate) fn panel(&self) -> MutexGuard<'_, Panel> {
         self.panel.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Stops the machine as soon as the feed sees it, within 20 ms.
+    /// Orders a stop. The feed sends it within 20 ms.
     pub(crate) fn stop(&self, places: &Places<'_>, urgent: Urgent) {
         if let Some(doorway) = places.connector.doorway(&self.address) {
             doorway.mark_stop(urgent);
@@ -76,7 +76,7 @@ impl Shared {
         self.asks.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The machine has confirmed this stop, which was sent after the stop `asked` was asked for.
+    /// Notes that the machine has confirmed this stop. `asked` is the last order that the stop covers.
     fn confirmed(&self, urgent: Urgent, asked: u64) {
         self.stops.confirm(urgent, asked);
         self.asks().retain(|ask| {
@@ -92,7 +92,7 @@ impl Shared {
         self.panel().notice = Some(notice);
     }
 
-    /// Sends the stop that a key wants over a line of its own: there is no connection, or it has not confirmed it.
+    /// Sends an ordered stop over a line of its own, because there is no connection or it has not confirmed the stop.
     pub(crate) fn stop_directly(&self, places: &Places<'_>) {
         let Some(urgent) = self.stops.unconfirmed() else {
             return;
@@ -109,7 +109,7 @@ impl Shared {
                 confirmed(urgent)
             }
             Err(failure) => {
-                // Nobody waits any longer: a stop that goes out by itself an hour later would surprise.
+                // Forget these orders: a stop that goes out by itself an hour later would surprise.
                 self.asks().retain(|ask| !asks.contains(ask));
                 for ask in asks {
                     self.stops.withdraw(ask);
@@ -133,7 +133,7 @@ fn name(urgent: Urgent) -> &'static str {
     }
 }
 
-/// Passes what the device tells to the panel.
+/// Passes the device's news to the panel.
 struct Seen<'a>(&'a Shared);
 
 impl Observer for Seen<'_> {
@@ -151,12 +151,12 @@ pub(crate) struct Feed<'a> {
     pub(crate) shared: &'a Shared,
     /// The person leaves.
     pub(crate) leaving: &'a AtomicBool,
-    /// Holds and resumptions that keys want.
+    /// Holds and resumptions ordered by keys.
     pub(crate) paces: Receiver<Pace>,
 }
 
 impl Feed<'_> {
-    /// Watches until the person leaves, whatever becomes of the line.
+    /// Watches until the person leaves, and reconnects whenever the line is lost.
     pub(crate) fn follow(&self) {
         while !self.is_leaving() {
             let result = self.connection();
@@ -164,12 +164,12 @@ impl Feed<'_> {
             let failure = match result {
                 Ok(()) if self.is_leaving() => return,
                 Ok(()) => {
-                    // Somebody waits for the line.
+                    // Another process waits for the line.
                     thread::sleep(AGAIN);
                     continue;
                 }
                 Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
-                    // It has ended, as commands do: the line is free.
+                    // The owner's command has ended, so the line is free.
                     thread::sleep(LEFT_TO_OTHERS);
                     continue;
                 }
@@ -193,7 +193,7 @@ impl Feed<'_> {
         self.leaving.load(Ordering::Relaxed)
     }
 
-    /// Connects, and follows until the connection is lost, the person leaves, or somebody else needs the line.
+    /// Connects and follows until the connection is lost, the person leaves, or another process needs the line.
     fn connection(&self) -> Result<(), Failure> {
         let places = self.places;
         let link = places.connector.open(
@@ -204,7 +204,7 @@ impl Feed<'_> {
         )?;
         let nonce = places.connector.nonce();
         let mut device = Device::new(link, nonce);
-        // Keys are seen to between two looks.
+        // Fail fast, so that keys are handled between two requests.
         device.expect_haste();
         device.set_interrupt(self.shared.interrupt());
         device.hello(nonce)?;
@@ -220,7 +220,7 @@ impl Feed<'_> {
         };
         let result = self.watch(&mut device);
         if owned && result.is_ok() {
-            // The line is given up in any case.
+            // Ignore an error: the line is given up in any case.
             let _ = device.set_telemetry(0);
         }
         result
@@ -235,7 +235,7 @@ impl Feed<'_> {
             if self.shared.panel().take_changed() || due {
                 asked_us = Some(now_us);
                 match self.ask(device) {
-                    // The owner works; it answers later.
+                    // The owner is busy and will answer later.
                     Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
                     Err(error) => return Err(error.into()),
                 }
@@ -255,7 +255,7 @@ impl Feed<'_> {
             }
             device.observe(SLICE_US, &mut Seen(self.shared))?;
         }
-        // The last key may have been a stop.
+        // Settle again: the last key may have been a stop.
         self.settle(device)?;
         Ok(())
     }
@@ -264,15 +264,15 @@ impl Feed<'_> {
         panel::ask(device, || self.shared.panel())
     }
 
-    /// Waits until a stop that was sent is confirmed, and is ready for the next one.
+    /// Waits until a sent stop is confirmed. Is then ready for the next one.
     fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
         if device.interrupted().is_none() {
             return Ok(());
         }
         device.settle()?;
-        // A key that came before the stop must not undo it.
+        // Drop keys that came before the stop: they must not undo it.
         while self.paces.try_recv().is_ok() {}
-        // What was sent may be older than what a key wants.
+        // The stop that was sent may be older or weaker than the last one ordered.
         let stops = &self.shared.stops;
         if let Some(urgent) = stops.unconfirmed() {
             let asked = stops.asked();
@@ -300,7 +300,7 @@ impl Feed<'_> {
             Err(error @ (ClientError::OwnerBusy { .. } | ClientError::OutcomeUnknown { .. })) => {
                 Notice::Bad(error.to_string())
             }
-            // The stop that came between has a notice of its own.
+            // The stop that came in between reports itself.
             Err(ClientError::Interrupted { .. }) => return Ok(()),
             Err(error) => return Err(error),
         };

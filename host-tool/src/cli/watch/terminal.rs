@@ -1,4 +1,4 @@
-//! The terminal of the dashboard: the alternate screen, keys without Enter, and the way back from both.
+//! The dashboard's terminal: enters the alternate screen and the mode for single keys, and restores both.
 
 use std::io::{self, Stdout, Write};
 use std::panic;
@@ -16,21 +16,21 @@ use ratatui_core::buffer::Cell;
 use ratatui_core::layout::{Position, Size};
 use ratatui_core::style::{Color, Modifier};
 
-/// The terminal is in the state of the dashboard.
+/// The terminal is set up for the dashboard.
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-/// A thread has panicked, and the terminal was given back for its message.
+/// A thread has panicked. The terminal was restored for its message.
 static PANICKED: AtomicBool = AtomicBool::new(false);
 
-/// The terminal, until it is dropped.
+/// The terminal, restored when this is dropped.
 #[derive(Debug)]
 pub struct Taken(());
 
-/// Takes the terminal: from now on keys come without Enter, and the screen is another one. It is given back when the result is
-/// dropped, and before the message of a panic in any thread.
+/// Sets the terminal up: alternate screen, keys without Enter. Restores it when the result is dropped, and before the
+/// message of a panic in any thread.
 ///
 /// # Errors
-/// Standard output or input is no terminal.
+/// Standard output or input is not a terminal.
 pub fn take() -> io::Result<Taken> {
     static HOOK: Once = Once::new();
     HOOK.call_once(|| {
@@ -56,14 +56,14 @@ impl Drop for Taken {
     }
 }
 
-/// Whether the terminal was given back because a thread has panicked.
+/// The terminal was restored because a thread has panicked.
 pub(crate) fn panicked() -> bool {
     PANICKED.load(Ordering::SeqCst)
 }
 
 fn give_back() {
     if TAKEN.swap(false, Ordering::SeqCst) {
-        // A terminal that is gone needs nothing.
+        // Ignore errors: a terminal that is gone needs no restoring.
         let _ = execute!(io::stdout(), ResetColor, Show, LeaveAlternateScreen);
         let _ = terminal::disable_raw_mode();
     }
@@ -133,7 +133,7 @@ impl Backend for Output {
     }
 
     fn clear_region(&mut self, _: ClearType) -> io::Result<()> {
-        // More than is asked for: it is all drawn again.
+        // Clears more than asked for; everything is drawn again anyway.
         self.clear()
     }
 
@@ -154,7 +154,7 @@ impl Backend for Output {
     }
 }
 
-/// Of the terminal's own eight, which its user has chosen to be legible.
+/// One of the terminal's eight own colours, which its user has chosen to be legible.
 fn colour(colour: Color) -> Colour {
     match colour {
         Color::Red => Colour::DarkRed,
