@@ -103,7 +103,7 @@ fn settings_count_at_once_and_after_the_next_start() {
         capsule.log()
     );
     assert!(
-        slower.end_current_ma + 15 < usual.end_current_ma,
+        slower.end_current_ma + 10 < usual.end_current_ma,
         "{slower:?} {usual:?}"
     );
     assert!(
@@ -212,23 +212,32 @@ fn a_partial_fold_stops_where_it_was_told() {
     capsule.check_clean();
 }
 
-/// A thread that slips by a little with each cycle looks like a friction that falls, and is followed, until it pulls too little.
+/// A thread that slips by a little with each cycle looks like a friction that falls, or like creep, and is followed until it
+/// pulls too little, or until there is more thread than there can be.
 #[test]
 fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     let mut capsule = referenced();
     let mut cycles = 0;
+    let complete = ActuationOutcome::Complete;
     let named = loop {
         cycles += 1;
-        assert!(cycles < 9, "not noticed\n{}", capsule.log());
-        let complete = ActuationOutcome::Complete;
-        assert_eq!(capsule.fold().outcome, complete, "{}", capsule.log());
-        let outcome = capsule.unfold().outcome;
-        if outcome != complete {
-            break outcome;
+        assert!(cycles < 12, "not noticed\n{}", capsule.log());
+        let fold = capsule.fold().outcome;
+        if fold != complete {
+            break fold;
+        }
+        let unfold = capsule.unfold().outcome;
+        if unfold != complete {
+            break unfold;
         }
         capsule.look(|capsule| capsule.plant_mut().suffer(Defect::Slip(0.25)));
     };
-    assert_eq!(named, ActuationOutcome::Faulted(CapsuleFault::SlipOrBreak));
+    assert!(
+        [CapsuleFault::SlipOrBreak, CapsuleFault::SpoolSlip]
+            .map(ActuationOutcome::Faulted)
+            .contains(&named),
+        "{named:?}"
+    );
     assert!(cycles > 2, "of {cycles} cycles");
     let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
     assert!(least_mm >= 0.0, "{least_mm} mm");
