@@ -438,8 +438,8 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
     drop(guests);
 }
 
-/// Cleaners of `/tmp` delete old files. They took the owner's name; or its lock, so that a later command made a new
-/// lock for itself and removed the door. A serial port has no second way in.
+/// Cleaners of `/tmp` delete old files: the file with the owner's name, or its lock. Without the lock, a later command
+/// once made a new one for itself and removed the door. A serial port has no second way in.
 #[test]
 fn a_stop_finds_the_door_without_its_plate() {
     for gone in ["owner", "lock"] {

@@ -136,7 +136,7 @@ fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
     );
     let svg = fs::read_to_string(Path::new(out).join("roller.svg")).expect("a figure");
     assert!(svg.contains("posterior band: 90 % of fitted bodies"));
-    // The model file that `simulate` writes can be used again.
+    // `simulate` writes the same model file again.
     let again = fs::read_to_string(Path::new(out).join("model.toml")).expect("a model");
     assert_eq!(again, text);
 }
