@@ -13,7 +13,7 @@ use protocol::system::DeviceKind;
 use serde_json::Value;
 use simulated_machines::machine::Script;
 
-/// The findings in the JSON output: place, code, text.
+/// The findings in the JSON output: finding, text and remedy.
 fn findings(out: &str) -> Vec<(String, String, String)> {
     let result: Value = serde_json::from_str(out).expect("JSON");
     let findings = result["findings"].as_array().expect("a list").iter();
