@@ -1,20 +1,12 @@
 //! The build script of both images: how an image is linked.
 #![allow(clippy::print_stdout, reason = "cargo reads it")]
 
-use std::path::Path;
-
 fn main() {
     println!("cargo:rerun-if-changed=../memory.x");
-    println!("cargo:rerun-if-changed=../device/memory");
     println!("cargo:rerun-if-changed=../device/link_arguments.rs");
     // Link arguments live here and not in `rustflags`, which vanish when RUSTFLAGS is set: the link would then
     // succeed without a vector table. `--icf` keeps equal functions once.
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
-        // The `chip.x` that `memory.x` includes, which `link.x` includes from where the linker starts.
-        let memory = Path::new("../device/memory/stm32f411re")
-            .canonicalize()
-            .expect("a folder with the chip's chip.x");
-        println!("cargo:rustc-link-search={}", memory.display());
         for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x", "--icf=all"] {
             println!("cargo:rustc-link-arg-bins={argument}");
         }

@@ -1,6 +1,6 @@
 //! What survives a reset: the number of starts, a latched E-stop, the last words.
 //!
-//! It lies in the kilobyte of RAM that `chip.x` leaves out of data and stack. After a power cut that RAM holds
+//! It lies in the kilobyte of RAM that `memory.x` leaves out of data and stack. After a power cut that RAM holds
 //! anything, so everything in it is marked by a magic number, and the last words carry a checksum.
 
 use crate::last_words::{LONGEST, LastWords};

@@ -14,7 +14,7 @@ use sequential_storage::{
     queue::{QueueConfig, QueueStorage},
 };
 
-/// Offsets of the log's sectors in flash, as in each `chip.x`.
+/// Offsets of the log's sectors in flash, as in `memory.x`.
 pub const SECTORS: Range<u32> = 0x4000..0x1_0000;
 /// Bytes of each.
 pub const SECTOR: u32 = 16 * 1024;

@@ -21,7 +21,7 @@ from itertools import islice
 from types import SimpleNamespace
 
 VERSION = (3, 3)
-SCHEMA_KEY = 0x1D69DA90CE2094AB
+SCHEMA_KEY = 0x2E817CE341FCAA55
 
 RETRY_AFTER_S = 0.1
 KEEP_ALIVE_S = 0.25

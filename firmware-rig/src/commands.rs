@@ -11,7 +11,7 @@ use device::{
 use motion::{run::RunPlan, units::Micrometres};
 use protocol::{
     error::{Field, Refusal},
-    rig::{self, LinkLossPolicy, RigFault, RigHealth, RigStatus, RunTiming},
+    rig::{self, LinkLossPolicy, RigFault, RigHardware, RigHealth, RigStatus, RunTiming},
     settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
     system::{DeviceKind, Done},
     table::{Request, Response},
@@ -32,6 +32,8 @@ pub struct Context<'a> {
     pub name: &'a str,
     /// Counters, when they are asked for.
     pub health: Option<RigHealth>,
+    /// What the hardware has shown, when it is asked for.
+    pub hardware: Option<RigHardware>,
 }
 
 /// A change of the settings.
@@ -169,6 +171,9 @@ fn respond(
         }
         Request::GetRigHealth(_) => {
             Response::GetRigHealth(context.health.ok_or(Refusal::WrongDevice)?)
+        }
+        Request::GetRigHardware(_) => {
+            Response::GetRigHardware(context.hardware.ok_or(Refusal::WrongDevice)?)
         }
         // The capsule's; the others have been answered above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),

@@ -19,7 +19,7 @@ use motion::{axis::Axis, units::StepPosition};
 use protocol::{
     error::Refusal,
     events::EventRing,
-    rig::{RigEvent, RigFault, RigHealth, RigState},
+    rig::{RigEvent, RigFault, RigHardware, RigHealth, RigState},
     settings::SettingKey,
     system::{Clock, ResetCause, Urgent, What},
     table::{Reply, Request},
@@ -40,6 +40,8 @@ pub trait Rig {
     fn stroke(&self) -> u32;
     /// Counters of line, switches and stack; the others are control's.
     fn health(&self) -> RigHealth;
+    /// What step timer, capture timer and pins have shown.
+    fn hardware(&self) -> RigHardware;
     /// Executes a path.
     fn start(&mut self, order: Order);
     /// Decelerates to rest.
@@ -285,6 +287,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
             values: self.settings.values(),
             name: self.settings.name(),
             health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
+            hardware: matches!(request, Request::GetRigHardware(_)).then(|| self.rig.hardware()),
         };
         let executed = execute(request, &mut self.machine, &context);
         let mut reply = executed.reply;

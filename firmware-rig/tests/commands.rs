@@ -16,8 +16,8 @@ use protocol::{
     error::{Field, Refusal},
     events::EventRing,
     rig::{
-        self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHealth, RigState,
-        RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
+        self, Glitches, HomeAccepted, LinkLossPolicy, MoveAccepted, RigFault, RigHardware,
+        RigHealth, RigState, RigStatus, Run, RunAccepted, RunOutcome, RunTiming, Stroke,
     },
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{self, DeviceKind, Done, Hello, LastWords, ResetCause, SetTelemetry, What},
@@ -61,6 +61,17 @@ const HEALTH: RigHealth = RigHealth {
     image_hash: 12,
 };
 
+const HARDWARE: RigHardware = RigHardware {
+    intervals_exact: 1,
+    intervals_1_tick: 2,
+    intervals_2_ticks: 3,
+    intervals_more: 4,
+    lost_captures: 5,
+    dma_errors: 6,
+    timer_resets: 7,
+    enable_high_at_start: true,
+};
+
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
 fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
     let mut events = EventRing::new();
@@ -81,6 +92,7 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
         values: &Values::DEFAULT,
         name: "left bench",
         health: matches!(request, Request::GetRigHealth(_)).then_some(HEALTH),
+        hardware: matches!(request, Request::GetRigHardware(_)).then_some(HARDWARE),
     };
     let Executed {
         reply,
@@ -224,6 +236,7 @@ fn requests() -> Vec<Request> {
         Request::GetTrace(capsule::GetTrace { from: 0 }),
         Request::GetCapsuleTotals(capsule::GetCapsuleTotals),
         Request::FoldTo(capsule::FoldTo { thread_um: 9_000 }),
+        Request::GetRigHardware(rig::GetRigHardware),
     ];
     let names: Vec<_> = requests.iter().map(|request| request.name()).collect();
     assert_eq!(names, Request::NAMES);
@@ -474,6 +487,8 @@ fn name_and_health_are_reported() {
         );
         let (reply, ..) = send(&mut rig, Request::GetRigHealth(rig::GetRigHealth));
         assert_eq!(reply, Reply::Accepted(Response::GetRigHealth(HEALTH)));
+        let (reply, ..) = send(&mut rig, Request::GetRigHardware(rig::GetRigHardware));
+        assert_eq!(reply, Reply::Accepted(Response::GetRigHardware(HARDWARE)));
     }
 }
 

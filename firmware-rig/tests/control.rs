@@ -18,8 +18,9 @@ use motion::{axis::Axis, units::StepPosition};
 use protocol::{
     error::Refusal,
     rig::{
-        self, GetRigHealth, GetRigStatus, GetRunRecord, Glitches, LinkLossPolicy, RigEvent,
-        RigFault, RigHealth, RigState, RigStatus, Run, RunOutcome, RunRecord, RunTiming,
+        self, GetRigHardware, GetRigHealth, GetRigStatus, GetRunRecord, Glitches, LinkLossPolicy,
+        RigEvent, RigFault, RigHardware, RigHealth, RigState, RigStatus, Run, RunOutcome,
+        RunRecord, RunTiming,
     },
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{
@@ -62,6 +63,18 @@ const CHIP: system::Chip = system::Chip {
     brown_out: system::BrownOut::Off,
     supply_low: false,
     option_bytes: 0x00FF_AAED,
+};
+
+/// What the hardware has shown.
+const SHOWN: RigHardware = RigHardware {
+    intervals_exact: 100,
+    intervals_1_tick: 20,
+    intervals_2_ticks: 3,
+    intervals_more: 4,
+    lost_captures: 5,
+    dma_errors: 6,
+    timer_resets: 7,
+    enable_high_at_start: true,
 };
 
 struct Board {
@@ -125,6 +138,10 @@ impl control::Rig for Board {
 
     fn health(&self) -> RigHealth {
         COUNTED
+    }
+
+    fn hardware(&self) -> RigHardware {
+        SHOWN
     }
 
     fn start(&mut self, order: Order) {
@@ -1068,6 +1085,13 @@ mod health {
             ..COUNTED
         };
         assert_eq!(bench.health(), expected);
+    }
+
+    #[test]
+    fn of_the_hardware_is_the_boards() {
+        let mut bench = Bench::new();
+        let shown = bench.accepted(Request::GetRigHardware(GetRigHardware));
+        assert_eq!(shown, Response::GetRigHardware(SHOWN));
     }
 
     /// The worst round since the start, from the clock of the start on.

@@ -8,7 +8,7 @@ use firmware_rig::{
     settings::Settings,
 };
 use motion::{
-    edge_timing::{EdgeTiming, Timed},
+    edge_timing::{EdgeTiming, Intervals, Timed},
     step_times::Equal,
     timeline::Timeline,
     units::{StepPosition, Window},
@@ -252,4 +252,28 @@ fn a_look_may_come_half_a_ring_late() {
         worst_error_ticks: 0,
     };
     assert_eq!(timing.timed(), expected);
+}
+
+/// Intervals by their error, over paths: the first edge of a path ends none, and one that was added belongs to none.
+#[test]
+fn intervals_are_counted_by_their_error() {
+    let mut timing = Watch::default();
+    for _ in 0..2 {
+        timing.clear();
+        timing.expect(steps(100, 6));
+        timing.compare([1_000, 1_100].into_iter());
+        // 1 late, so the next one is 1 short; 2 early and back; 50 late.
+        timing.compare([1_201, 1_300, 1_398, 1_500, 1_650, 1_700].into_iter());
+    }
+    // One that comes before the first of its path is not the first.
+    timing.clear();
+    timing.compare(iter::once(7));
+    timing.expect(steps(100, 2));
+    timing.compare([1_000, 1_100, 1_200].into_iter());
+    let expected = Intervals {
+        exact: 4,
+        off: [4, 4, 2],
+    };
+    assert_eq!(timing.timing.intervals(), expected);
+    assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
 }

@@ -7,14 +7,14 @@ use core::fmt;
 use crate::units::{Micrometres, Nanometres, StepPosition, Steps, TICK_HZ, Window};
 use crate::wide::{div_ceil, div_nearest};
 
-/// The longest stroke that an axis can have: the paper's, 130 mm.
+/// Longest stroke of any axis: 130 mm, the paper's.
 pub const MAX_STROKE: Micrometres = Micrometres(130_000);
 
 /// Shortest and longest lead of a screw, um per turn.
 const LEADS_UM: (u32, u32) = (500, 50_000);
-/// Most full steps of a motor per turn.
+/// Maximum full steps of a motor per turn.
 const MAX_FULL_STEPS: u16 = 400;
-/// Most microsteps per full step.
+/// Maximum microsteps per full step.
 const MAX_MICROSTEPS: u16 = 256;
 
 /// Steps of the longest stroke on the finest axis: 26.6 M.
@@ -164,7 +164,7 @@ impl Axis {
         Nanometres((numerator + self.ratio.steps as u64 / 2) / self.ratio.steps as u64)
     }
 
-    /// A position from home in um, to the nearest, negative behind home. It wraps beyond 2^31 um, 2 km.
+    /// A position from home in um, rounded to the nearest, negative behind home. Wraps beyond 2^31 um, 2 km.
     #[must_use]
     pub const fn um_from_home(&self, position: StepPosition) -> i32 {
         let um = self.length_of(Steps(position.0.unsigned_abs())).to_um() as i32;
@@ -198,7 +198,7 @@ impl Axis {
     /// The position this many steps from home.
     ///
     /// # Errors
-    /// It is beyond the configured stroke.
+    /// The position is beyond the configured stroke.
     pub const fn position(&self, from_home: Steps) -> Result<Position, OutsideStroke> {
         let last = self.stroke_steps();
         if from_home.0 > last.0 {
@@ -210,8 +210,7 @@ impl Axis {
         Ok(Position { steps: from_home.0 })
     }
 
-    /// The last whole step within this distance from home; [`Axis::length_of`] tells how far its
-    /// steps reach.
+    /// The last whole step within this distance from home; [`Axis::length_of`] returns the length of its steps.
     ///
     /// # Errors
     /// The distance is beyond the configured stroke, even by less than a step.
@@ -233,7 +232,7 @@ impl Axis {
     /// The position `distance` further in `direction`.
     ///
     /// # Errors
-    /// It is beyond either end of the configured stroke.
+    /// The position is beyond either end of the configured stroke.
     pub const fn offset(
         &self,
         from: Position,
@@ -290,8 +289,8 @@ impl Axis {
     }
 }
 
-/// A whole step inside the configured stroke. Only an [`Axis`] creates one, so none is outside.
-/// Use it with the axis that created it.
+/// A whole step inside the configured stroke. Only an [`Axis`] creates positions, so none is outside. Use it with the
+/// axis that created it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Position {
@@ -336,7 +335,7 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// What one step adds to a position: +1 away from home, -1 toward home.
+    /// Change of a position by one step: +1 away from home, -1 toward home.
     #[must_use]
     pub const fn sign(self) -> i32 {
         match self {
@@ -375,8 +374,8 @@ impl StepPosition {
 }
 
 impl Window {
-    /// Steps from `position` to the edge of the window in `direction`; 0 at the edge and anywhere
-    /// outside, even if the direction leads back in.
+    /// Steps from `position` to the edge of the window in `direction`; 0 at the edge and everywhere outside, even if
+    /// the direction leads back in.
     #[must_use]
     pub const fn room(&self, position: StepPosition, direction: Direction) -> Steps {
         if !self.contains(position) {
@@ -455,14 +454,14 @@ impl Acceleration {
         )
     }
 
-    /// Numerator of `steps / acceleration` in ticks^2; its denominator has the um/s^2.
+    /// Numerator of `steps / acceleration` in ticks^2; the denominator is the acceleration in um/s^2.
     fn square_of_unit(self, steps: Steps) -> u128 {
         // At most 2^32 * 2^54 * 2^16.
         u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um)
     }
 }
 
-/// Why an axis, a speed or an acceleration was refused.
+/// The reason why an axis, a speed or an acceleration was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum AxisError {

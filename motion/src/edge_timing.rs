@@ -1,64 +1,85 @@
-//! Compares the intervals between the edges that were captured at the pin with those that were given out, tick by tick.
+//! Compares the intervals between edges captured at the pin with the planned ones, tick by tick.
 
 use crate::timeline::Timeline;
 
-/// What the comparison has found on a path.
+/// Result of the comparison on a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timed {
     /// Edges that were captured and compared.
     pub edges: u32,
-    /// Largest difference between a captured interval and the planned one. [`u32::MAX`] is an edge without a step.
+    /// Largest difference between a captured interval and the planned one; [`u32::MAX`] after an edge without a step.
     pub worst_error_ticks: u32,
 }
 
-/// The comparison of one path.
+/// Captured intervals, counted by their difference from the plan, since the start of the device; the counts wrap.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Intervals {
+    /// Intervals without a difference.
+    pub exact: u32,
+    /// Intervals off by 1 tick, by 2 ticks, and by more, in either direction.
+    pub off: [u32; 3],
+}
+
+/// Comparison of one path.
 ///
-/// An edge that is missing, moved or added shows as a wrong interval. Those of the first and of the last step show in
-/// the number of edges instead.
+/// A missing, moved or additional edge shows as a wrong interval. At the first or last step it shows in the number of
+/// edges instead.
 #[derive(Debug, Default)]
 pub struct EdgeTiming {
     /// Number of the next period with pulses.
     next: u32,
-    /// Edges still to come of the one before.
+    /// Edges still to come of the period before it.
     to_come: u32,
-    /// Ticks between them.
+    /// Ticks between these edges.
     interval: u32,
-    /// When the next of them is planned, on the clock of the path.
+    /// Planned time of the next of these edges, on the path's clock.
     planned: u32,
-    /// From the clock of the path to that of the captures, by the last edge.
+    /// The captures' clock minus the path's, at the last edge.
     offset: u32,
     /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
+    intervals: Intervals,
 }
 
 impl EdgeTiming {
-    /// Another path begins.
+    /// Starts a new path.
     pub fn clear(&mut self) {
-        *self = Self::default();
+        *self = Self {
+            intervals: self.intervals,
+            ..Self::default()
+        };
     }
 
-    /// What was found since.
+    /// Result since the start of the path.
     pub fn timed(&self) -> Timed {
         self.timed
     }
 
-    /// Edges were captured at these instants; the clock wraps. Once per step: a few instructions each.
-    // A function of its own: so its state stays in registers, although its caller is optimised for size.
+    /// Result on all paths since the start of the device.
+    pub fn intervals(&self) -> Intervals {
+        self.intervals
+    }
+
+    /// Compares edges captured at these instants; their clock wraps. Runs once per step, so each edge costs a few
+    /// instructions.
+    // Not inlined, so that its state stays in registers although its caller is optimised for size.
     #[inline(never)]
     pub fn compare(&mut self, line: &Timeline, instants: &[u32]) {
-        // Without the jumper no edge takes the periods out.
+        // Without the jumper no edges arrive, and the timeline forgets periods before they are compared.
         self.lost |= !line.remembers(self.next);
         if self.lost {
             return;
         }
         let edges = self.timed.edges.wrapping_add(instants.len() as u32);
+        let (begins, mut added) = (self.next == 0, 0_u32);
         let (mut to_come, mut interval) = (self.to_come, self.interval);
         let (mut planned, mut offset, mut next) = (self.planned, self.offset, self.next);
         for &at in instants {
             if to_come == 0 {
                 if next == line.given_with_pulses() {
                     self.timed.worst_error_ticks = u32::MAX;
+                    added = added.wrapping_add(1);
                     continue;
                 }
                 let pulses = line.pulses(next);
@@ -70,7 +91,7 @@ impl EdgeTiming {
             to_come = to_come.wrapping_sub(1);
             let now = at.wrapping_sub(planned);
             if now != offset {
-                // Nothing is before the first edge.
+                // The first edge has no interval before it.
                 let is_first = next == 1 && to_come + 1 == line.pulses(0).steps.steps;
                 if !is_first {
                     self.differ(now.wrapping_sub(offset));
@@ -82,22 +103,30 @@ impl EdgeTiming {
         (self.to_come, self.interval) = (to_come, interval);
         (self.planned, self.offset, self.next) = (planned, offset, next);
         self.timed.edges = edges;
+        // `differ` has already subtracted the intervals that are off. The first edge has no interval before it, and an
+        // additional edge ends none.
+        let intervals = (instants.len() as u32).wrapping_sub(added);
+        let intervals = intervals.wrapping_sub(u32::from(begins && intervals > 0));
+        self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 
-    /// An interval differs from the planned one.
+    /// Notes an interval that differs from the planned one.
     #[cold]
     #[inline(never)]
     fn differ(&mut self, by: u32) {
         let error = (by as i32).unsigned_abs();
         self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
+        let off = &mut self.intervals.off[error.min(3) as usize - 1];
+        *off = off.wrapping_add(1);
+        self.intervals.exact = self.intervals.exact.wrapping_sub(1);
     }
 
-    /// Nothing more can be compared on this path, as without the jumper.
+    /// Whether nothing more can be compared on this path, as without the jumper.
     pub fn is_over(&self) -> bool {
         self.lost
     }
 
-    /// Captures were overwritten before they were compared.
+    /// Notes that captures were overwritten before they were compared.
     pub fn lose(&mut self) {
         self.lost = true;
     }

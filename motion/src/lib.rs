@@ -1,15 +1,15 @@
-//! Motion of the rig in integers only: units, axis, trapezoid, step times, run plan.
+//! Motion of the rig, in integers only: units, axis, trapezoid, step times, run plan.
 //!
 //! * [`units`]: newtypes for steps, positions, lengths and times; the tick, [`units::TICK_HZ`].
 //! * [`axis`]: screw, motor and stroke; converts lengths to steps; [`axis::Position`].
 //! * [`trapezoid`]: [`trapezoid::StrokeProfile`], a move from rest to rest defined by three integers.
 //! * [`step_times`]: the tick of every step of such a move, and stops on the way.
-//! * [`timeline`]: the steps that were given out, which [`edge_timing`] compares captured edges with.
+//! * [`timeline`]: the planned steps, which [`edge_timing`] compares with the captured edges.
 //! * [`run`]: a whole experiment, solved exactly before it starts or refused with the limit that
 //!   it breaks.
 //!
-//! No clock, no hardware, no floating point. Set-up may use `u128`; the code that runs once per
-//! step uses `u32` products, one `u32` division and `i64` sums.
+//! It uses no clock, no hardware, no floating point. Set-up may use `u128`; the code that runs once per step uses
+//! `u32` products, one `u32` division and `i64` sums.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -8,10 +8,10 @@ use crate::axis::{Acceleration, Axis, AxisError, Direction, Speed};
 use crate::trapezoid::{StrokeError, StrokeProfile};
 use crate::units::{Micrometres, Steps, TICK_HZ, TICKS_PER_US, Ticks};
 
-/// The most cycles of one run.
+/// Maximum cycles of one run.
 pub const MAX_CYCLES: u16 = 10_000;
 
-/// What no run may exceed.
+/// Limits of the machine for every run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limits {
@@ -44,7 +44,7 @@ pub struct RunRequest {
     pub start_delay_us: u32,
 }
 
-/// How fast a run goes.
+/// Timing of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Timing {
@@ -104,7 +104,8 @@ impl RunPlan {
                 },
                 ..*request
             };
-            // It may be above the limit, or leave the driver no time to turn; more would leave less.
+            // This acceleration may itself exceed the limit, or leave the driver no time to turn; a higher one would
+            // leave even less time.
             let does = Self::solve_as_is(axis, limits, &harder).is_ok();
             RunError::TotalTooShort {
                 minimal_total_us,
@@ -243,14 +244,14 @@ impl RunPlan {
         Ticks(self.start_delay_ticks)
     }
 
-    /// How much longer the last far dwell is than the others, less than a tick per stroke. It makes
-    /// the total exact.
+    /// Time by which the last far dwell is longer than the others, less than a tick per stroke. It makes the total
+    /// exact.
     #[must_use]
     pub const fn last_far_extra(&self) -> Ticks {
         Ticks(self.last_far_extra_ticks)
     }
 
-    /// From the start to the last step.
+    /// Time from the start to the last step.
     #[must_use]
     pub const fn total(&self) -> Ticks {
         Ticks(self.total_ticks)
@@ -331,7 +332,7 @@ impl RunPlan {
     }
 }
 
-/// The strokes of a run that has to last exactly a given time.
+/// Finds the strokes of a run that has to last exactly a given time.
 struct Strokes<'a> {
     axis: &'a Axis,
     limits: &'a Limits,
@@ -341,7 +342,7 @@ struct Strokes<'a> {
 }
 
 impl Strokes<'_> {
-    /// The profile of all strokes, and the ticks that the division by their number leaves over.
+    /// The profile of all strokes, and the ticks left over when the time is divided by the number of strokes.
     fn in_total(&self, total_us: u64, accel_um_s2: u32) -> Result<(StrokeProfile, u64), RunError> {
         within_acceleration(self.limits, accel_um_s2)?;
         let acceleration = self.axis.acceleration(accel_um_s2)?;
@@ -380,7 +381,7 @@ impl Strokes<'_> {
         Ok((profile, moving % self.count))
     }
 
-    /// The fewest ticks for all steps of a stroke at its peak speed: that of the speed limit and of the step rate.
+    /// Minimum ticks for all steps of a stroke at its peak speed, by the speed limit and the step rate.
     fn least_span(&self, fastest: Speed) -> u128 {
         let interval = u128::from(self.limits.min_interval_ticks);
         let steps = u128::from(self.steps.0);
@@ -395,8 +396,8 @@ impl Strokes<'_> {
         Some(profile.duration())
     }
 
-    /// The least acceleration for strokes of this duration within speed and step rate: its ramps
-    /// are the longest that leave the peak there. Of `any` only the axis counts.
+    /// The least acceleration for strokes of this duration within the limits of speed and step rate. Its ramps are the
+    /// longest that still keep the peak within these limits. Only the axis of `any` matters.
     fn least_accel(&self, duration: Ticks, fastest: Speed, any: Acceleration) -> Option<u32> {
         let time = u128::from(duration.0);
         let ramp = time.checked_sub(self.least_span(fastest))?.min(time / 2);
@@ -423,7 +424,7 @@ fn within_acceleration(limits: &Limits, accel_um_s2: u32) -> Result<(), RunError
 fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Result<(), RunError> {
     let least = limits.min_interval_ticks;
     if profile.min_interval().0 < u64::from(least) {
-        // Rounded down, so that this speed is slow enough.
+        // Round down, so that this speed is slow enough.
         let steps_per_s = TICK_HZ / u64::from(least);
         let max_um_s = steps_per_s * u64::from(axis.lead().0) / u64::from(axis.steps_per_rev());
         return Err(RunError::StepRate {
@@ -435,7 +436,7 @@ fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Re
     Ok(())
 }
 
-/// Why a run was refused, and what would make it feasible.
+/// The reason why a run was refused, and the values that would make it feasible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunError {
@@ -470,8 +471,7 @@ pub enum RunError {
         /// Limit, um/s.
         max_um_s: u32,
     },
-    /// The total is too short for this acceleration. Either number alone would do, and both are
-    /// exact.
+    /// The total is too short for this acceleration. Changing either number alone is enough; both are exact.
     TotalTooShort {
         /// The shortest total at this acceleration within the limits of speed and step rate, us.
         minimal_total_us: u64,

@@ -7,28 +7,27 @@
 //! 0 <= s < 2 n t    with    s = k N - n (t^2 - t) - ceil(n / 4)
 //! ```
 //!
-//! Each step adds N, predicts its interval from the last interval D as D - 2 D / (4 k - 3), and
-//! then corrects the tick by one while s is out of range. So no error accumulates. The
-//! deceleration is the same sequence run downward, counted back from the end. The cruise is
-//! Bresenham's line with denominator 2 n. A square root replaces the prediction near rest, where
-//! it is poor, and where steps are so far apart that there is time for it.
+//! Each step adds N, predicts its interval from the last interval D as D - 2 D / (4 k - 3), and then corrects the tick
+//! by one while s is out of range. So no error accumulates. The deceleration is the same sequence run downward,
+//! counted back from the end. The cruise is Bresenham's line with denominator 2 n. A square root replaces the
+//! prediction near rest, where the prediction is poor, and for slow steps, where there is time for it.
 
 use crate::axis::Acceleration;
 use crate::trapezoid::StrokeProfile;
 use crate::units::{Steps, Ticks};
 use crate::wide::isqrt;
 
-/// Steps of a ramp up to this one, counted from rest, take a square root.
+/// Number of steps from rest that use a square root, because the prediction is poor there.
 const WARM_UP: u32 = 32;
 
-/// After an interval of this many ticks (640 us) or more, a step takes a square root. A step that is predicted from
-/// less is no more than [`LONGEST_TAKEN`] from the one before it.
+/// After an interval of this many ticks (640 us) or more, a step uses a square root. A step predicted from less
+/// follows within [`LONGEST_TAKEN`].
 const UNHURRIED: u32 = 64_000;
 
-/// [`StepTimes::batch`] takes no steps that are further apart, in ticks: 655 us, all that a timer of 16 bits counts.
+/// Longest interval in [`StepTimes::batch`], ticks: 655 us, the range of a 16-bit timer.
 pub const LONGEST_TAKEN: u32 = 1 << 16;
 
-/// A stop takes fewer ticks than this (21.5 s), however low its deceleration.
+/// Every stop takes fewer ticks than this (21.5 s), however low its deceleration.
 const LONGEST_STOP: u64 = 1 << 31;
 
 /// Iterator over the tick of each step, 1..=n, counted from the start of the stroke.
@@ -41,7 +40,7 @@ pub struct StepTimes {
     phase: Phase,
     /// Steps emitted so far.
     emitted: u32,
-    /// Steps emitted at the end of the phase.
+    /// Steps emitted when the phase ends.
     phase_end: u32,
     /// Ticks between the last two steps.
     interval: u32,
@@ -49,7 +48,7 @@ pub struct StepTimes {
     tick: u64,
     ramp: Ramp,
     cruise: Cruise,
-    /// Steps emitted at rest: the profile's, or fewer after a stop.
+    /// Steps emitted when at rest: the profile's, or fewer after a stop.
     last: u32,
     /// The tick of rest, from which the deceleration is counted back.
     end: u64,
@@ -64,25 +63,25 @@ enum Phase {
     Decelerate,
 }
 
-/// Steps at the same distance.
+/// A group of steps with equal intervals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Equal {
-    /// Ticks from each to the next.
+    /// Ticks from each step to the next.
     pub interval: u32,
-    /// How many.
+    /// Number of steps.
     pub steps: u32,
 }
 
-/// How much [`StepTimes::batch`] may take.
+/// Limits of what [`StepTimes::batch`] may take.
 #[derive(Clone, Copy, Debug)]
 pub struct Share {
-    /// Steps.
+    /// Maximum steps.
     pub steps: u32,
-    /// No further group begins once they take this many ticks together.
+    /// No further group begins once the groups take this many ticks together.
     pub ticks: u32,
-    /// Steps of one group.
+    /// Maximum steps of one group.
     pub equal: u32,
-    /// Ticks of one group with more than one step.
+    /// Maximum ticks of one group with more than one step.
     pub equal_ticks: u32,
 }
 
@@ -96,7 +95,7 @@ impl Share {
     };
 }
 
-/// What was taken.
+/// The part that was taken.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
     groups: usize,
@@ -104,7 +103,7 @@ struct Taken {
     ticks: u32,
 }
 
-/// What a stop still takes.
+/// The rest of a stroke after a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stop {
@@ -175,14 +174,13 @@ impl StepTimes {
         &self.profile
     }
 
-    /// Brakes from the speed of the last step to rest on a whole step, with at most this
-    /// deceleration. The iterator then yields the steps of the braking ramp.
+    /// Brakes from the speed of the last step to rest on a whole step, with at most this deceleration. The iterator
+    /// then yields the steps of the braking ramp.
     ///
-    /// From an interval d the ramp takes m = ceil(v^2 / 2a) steps and 2 m d ticks, so that its
-    /// first interval is not shorter than d. If the stroke's own final ramp needs no more steps
-    /// than that, the stroke ends as planned. A stop is harder than requested where it would leave
-    /// the stroke or take 21.5 s or more; the result shows it. Before the first step there is
-    /// nothing to brake, and no step follows.
+    /// From an interval d the ramp takes m = ceil(v^2 / 2a) steps and 2 m d ticks, so that its first interval is not
+    /// shorter than d. If the stroke's own final ramp needs no more steps than that, the stroke ends as planned. The
+    /// stop is harder than requested if it would otherwise leave the stroke or take 21.5 s or more; the result shows
+    /// this. Before the first step there is nothing to brake, and no step follows.
     pub fn stop(&mut self, deceleration: Acceleration) -> Stop {
         let remaining = self.last - self.emitted;
         if self.interval == 0 {
@@ -192,7 +190,7 @@ impl StepTimes {
             // At least 1 while steps remain: only the last interval exceeds MAX_INTERVAL.
             let longest = (LONGEST_STOP - 1) / (2 * u64::from(self.interval));
             let steps = wanted.min(u128::from(remaining)).min(u128::from(longest)) as u32;
-            // Also true after the last step, where none remain.
+            // Also true after the last step, when no steps remain.
             let soon_at_rest = self.phase == Phase::Decelerate && remaining <= steps;
             if !soon_at_rest {
                 self.brake(steps);
@@ -217,8 +215,7 @@ impl StepTimes {
         self.ramp.seed(steps);
     }
 
-    /// Takes the next step, whose [`StepTimes::tick`] and [`StepTimes::interval`] can then be read;
-    /// false at rest.
+    /// Takes the next step; [`StepTimes::tick`] and [`StepTimes::interval`] then return its times. False at rest.
     pub fn advance(&mut self) -> bool {
         if self.emitted == self.phase_end && self.turn().is_none() {
             return false;
@@ -235,9 +232,9 @@ impl StepTimes {
         true
     }
 
-    /// Takes steps that follow in this phase, as groups of equal ones, and returns how many groups.
-    /// [`StepTimes::advance`] would yield the same ticks, one by one. Only that takes the first step of a phase,
-    /// those that need a square root, and those further apart than [`LONGEST_TAKEN`].
+    /// Takes the next steps of this phase as groups of equal ones, and returns the number of groups. The ticks are the
+    /// same as from [`StepTimes::advance`], one by one. Some steps are left to `advance`: the first of a phase, those
+    /// that need a square root, and those further apart than [`LONGEST_TAKEN`].
     pub fn batch(&mut self, share: &Share, groups: &mut [Equal]) -> usize {
         let most = share.steps.min(self.phase_end - self.emitted);
         let taken = match self.phase {
@@ -323,8 +320,8 @@ impl Ramp {
         }
     }
 
-    /// Goes to step `k` by a square root. Without an interval to predict from, the next step takes
-    /// one, too.
+    /// Goes to step `k` by a square root. Without an interval to predict from, the next step uses a square root as
+    /// well.
     #[inline(never)]
     fn seed(&mut self, k: u32) {
         let (n, square) = (u64::from(self.steps), self.square as u64);
@@ -339,7 +336,7 @@ impl Ramp {
         self.interval = UNHURRIED;
     }
 
-    /// Whether step `k` is predicted from the last interval; otherwise it takes a square root.
+    /// Whether step `k` is predicted from the last interval; otherwise it uses a square root.
     #[inline(always)]
     fn predictable(&self, k: u32) -> bool {
         k > WARM_UP && self.interval < UNHURRIED
@@ -371,12 +368,12 @@ impl Ramp {
         self.tick
     }
 
-    /// Takes up to `most` steps as [`StepTimes::batch`] does, while they need no square root. No two are taken for
-    /// equal.
-    // A function of its own: so its state stays in registers, although its caller is optimised for size.
+    /// Takes up to `most` steps as [`StepTimes::batch`] does, until one needs a square root. Each step is a group of
+    /// its own.
+    // Not inlined, so that its state stays in registers although its caller is optimised for size.
     #[inline(never)]
     fn climb_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
-        // Intervals shrink, and the steps from rest grow: what holds for the first step holds for all.
+        // On the way up intervals shrink and k grows, so if the first step is predictable, all are.
         if !self.predictable(self.k + 1) {
             return Taken::default();
         }
@@ -390,10 +387,10 @@ impl Ramp {
         })
     }
 
-    /// The same down.
+    /// Like [`Ramp::climb_all`], on the way down.
     #[inline(never)]
     fn descend_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
-        // The last steps to rest take square roots.
+        // The last steps to rest use square roots.
         let most = most.min(self.k.saturating_sub(WARM_UP + 1));
         self.batch(share, most, groups, |ramp| {
             if ramp.interval >= UNHURRIED {
@@ -416,7 +413,7 @@ impl Ramp {
         groups: &mut [Equal],
         step: impl Fn(&mut Self) -> bool,
     ) -> Taken {
-        // Its parts one by one, so that they need not be in memory.
+        // Copy the fields one by one, so that they can stay in registers.
         let mut ramp = Self { ..*self };
         let (mut ticks, mut count) = (0, 0);
         let most = (most as usize).min(groups.len());
@@ -440,7 +437,7 @@ impl Ramp {
     }
 
     /// Corrects the predicted tick until it is the nearest one.
-    // Runs once per step: inline, although the image is optimised for size.
+    // Runs once per step, so inline it although the image is optimised for size.
     #[inline(always)]
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;
@@ -462,21 +459,21 @@ impl Ramp {
         self.rest = rest;
     }
 
-    /// `steps * passed`, which is within a few 2 n t of N and fits. It wraps only to save the check:
-    /// a checked 64-bit product would cost more than the rest of the step.
+    /// `steps * passed`, which is within a few 2 n t of N and therefore fits. It wraps only to save the check: a
+    /// checked 64-bit product would cost more than the rest of the step.
     #[inline]
     fn times_steps(&self, passed: u64) -> i64 {
         u64::from(self.steps).wrapping_mul(passed) as i64
     }
 }
 
-/// The interval that ends with step `k` of a ramp up, from the one before it: a tick or two off at most.
+/// The interval that ends with step `k` of a ramp up, predicted from the one before it; off by at most a tick or two.
 #[inline(always)]
 fn shorter(interval: u32, k: u32) -> u32 {
     interval - 2 * interval / (4 * k - 3)
 }
 
-/// The interval that ends with step `k` of a ramp down, from the one before it.
+/// The interval that ends with step `k` of a ramp down, predicted from the one before it.
 #[inline(always)]
 fn longer(interval: u32, k: u32) -> u32 {
     interval + 2 * interval / (4 * k + 3)
@@ -532,8 +529,9 @@ impl Cruise {
 
     /// Takes up to `most` steps as [`StepTimes::batch`] does.
     ///
-    /// Each step adds the slope to the carry, and one that is a tick longer takes 2 n off it: add, compare, subtract. A
-    /// division tells how many more steps are alike, where there are any.
+    /// Each step adds the slope to the carry. A step that is one tick longer takes 2 n off the carry. So a step costs
+    /// an addition, a comparison and a subtraction; a division finds the number of equal steps that follow, if there
+    /// are any.
     #[inline(never)]
     fn batch(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
         let mut taken = Taken::default();
@@ -553,14 +551,14 @@ impl Cruise {
             if taken.steps == most || taken.ticks >= share.ticks {
                 break;
             }
-            // One more may be taken than are alike.
+            // The first step of a group comes on top of the equal ones that follow it.
             let most_alike = most_alike.min(most - taken.steps - 1);
             let mut steps = 1;
             let mut ticks = interval;
             if carry < back {
                 carry += slope;
                 if carry < back {
-                    // The carry may go up to the last one below `back`, by a slope each.
+                    // Each equal step adds a slope to the carry, as long as the carry is below `back`.
                     let alike = (back - 1 - carry)
                         .checked_div(slope)
                         .map_or(u32::MAX, |more| more + 1);
@@ -610,7 +608,7 @@ mod tests {
         })
     }
 
-    /// The remainder is the one of its definition and in its range: the tick is the nearest one.
+    /// Whether the remainder agrees with its definition and is in range: then the tick is the nearest one.
     fn is_exact(ramp: &Ramp) -> bool {
         let (n, t) = (i128::from(ramp.steps), i128::from(ramp.tick));
         let rest = i128::from(ramp.k) * i128::from(ramp.square) - n * (t * t - t) - (n + 3) / 4;
@@ -620,7 +618,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(2_000))]
 
-        /// From any step of any ramp: by square root, then up and down again.
+        /// From any step of any ramp: start by square root, then go up and down again.
         #[test]
         fn a_ramp_is_exact_from_wherever_it_starts((mut ramp, last) in ramps(), share in 0_u32..=1_000) {
             let k = (u64::from(last) * u64::from(share) / 1_000) as u32;
@@ -646,7 +644,7 @@ mod tests {
         }
     }
 
-    /// The prediction is cheaper than a square root only while it is off by a tick or two.
+    /// A prediction is only cheaper than a square root if it is off by at most a tick or two.
     #[test]
     fn a_prediction_leaves_next_to_nothing_to_correct() {
         let mut predicted = 0;
@@ -688,7 +686,7 @@ mod tests {
         assert!(!at(32, UNHURRIED - 1));
         assert!(!at(33, UNHURRIED));
         assert!(!at(32, UNHURRIED));
-        // The longest that can be predicted, with its correction.
+        // The longest predicted interval, with its correction.
         assert!(longer(UNHURRIED - 1, WARM_UP + 1) + 2 <= LONGEST_TAKEN);
     }
 

@@ -1,15 +1,15 @@
-//! The periods that were given out, as a line of ticks: how far the path is at the end of each of the last ones, and
-//! when the last pulses are due.
+//! The planned periods as a line of ticks: the path's progress at the end of each of the latest periods, and the times
+//! of the latest pulses.
 
 use crate::step_times::Equal;
 
-/// Periods whose ends are remembered: no fewer than the ring has slots.
+/// Periods whose ends are remembered; at least as many as the ring has slots.
 pub const REMEMBERED: u32 = 128;
-/// Periods with pulses that are remembered: those that wait in the ring, and those that have played since the
-/// captured edges were last compared. Two rings.
+/// Periods with pulses that are remembered: those waiting in the ring, and those played since the captured edges were
+/// last compared. Each is at most one ring, so two rings.
 const PULSES_REMEMBERED: u32 = 256;
 
-/// How far a path has come; both wrap.
+/// Progress on a path; both values wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Mark {
     /// Ticks from its start.
@@ -19,7 +19,7 @@ pub struct Mark {
 }
 
 impl Mark {
-    /// From an earlier mark to this one.
+    /// Difference from an earlier mark to this one.
     #[must_use]
     pub fn since(self, before: Self) -> Self {
         Self {
@@ -34,19 +34,19 @@ impl Mark {
 pub struct Pulses {
     /// Ticks from the path's start to the first one; wraps.
     pub first: u32,
-    /// How many, and their distance.
+    /// Their number and interval.
     pub steps: Equal,
 }
 
-/// The line.
+/// The latest periods of a path.
 #[derive(Debug)]
 pub struct Timeline {
-    /// The end of each period, at its number modulo their count.
+    /// End of each period; its index is the period's number modulo the array's length.
     marks: [Mark; REMEMBERED as usize],
-    /// The end of the last one.
+    /// End of the last period.
     end: Mark,
     given: u32,
-    /// The periods with pulses, at their number among these modulo their count.
+    /// Periods with pulses; the index is the number among these, modulo the array's length.
     pulses: [Pulses; PULSES_REMEMBERED as usize],
     given_with_pulses: u32,
 }
@@ -64,22 +64,22 @@ impl Default for Timeline {
 }
 
 impl Timeline {
-    /// Another path begins.
+    /// Starts a new path.
     pub fn clear(&mut self) {
         (self.given, self.given_with_pulses) = (0, 0);
         self.end = Mark::default();
         self.marks = [self.end; REMEMBERED as usize];
     }
 
-    /// Periods without pulses were given out as one.
+    /// Appends periods without pulses, as one.
     pub fn extend_by_pause(&mut self, ticks: u32) {
         self.end.ticks = self.end.ticks.wrapping_add(ticks);
         self.marks[(self.given % REMEMBERED) as usize] = self.end;
         self.given = self.given.wrapping_add(1);
     }
 
-    /// Periods with a pulse in each round were given out, one for each group.
-    // A function of its own: so the line stays in registers, although its caller is optimised for size.
+    /// Appends periods with a pulse in each round, one period for each group.
+    // Not inlined, so that the line stays in registers although its caller is optimised for size.
     #[inline(never)]
     pub fn extend(&mut self, groups: &[Equal]) {
         let (mut given, mut with_pulses, mut end) = (self.given, self.given_with_pulses, self.end);
@@ -101,26 +101,26 @@ impl Timeline {
         (self.given, self.given_with_pulses, self.end) = (given, with_pulses, end);
     }
 
-    /// Periods given out since the start; wraps in runs of many hours.
+    /// Number of periods since the start; wraps in runs of many hours.
     #[must_use]
     pub fn given(&self) -> u32 {
         self.given
     }
 
-    /// The end of the last period.
+    /// End of the last period.
     #[must_use]
     pub fn end(&self) -> Mark {
         self.end
     }
 
-    /// The end of period `number`, from 0: one of the last [`REMEMBERED`]. Before the first one a path has come
-    /// nowhere.
+    /// End of period `number`, counted from 0, which has to be one of the last [`REMEMBERED`]. Before the first period
+    /// the progress is zero.
     #[must_use]
     pub fn at_end_of(&self, number: u32) -> Mark {
         self.marks[(number % REMEMBERED) as usize]
     }
 
-    /// Periods with pulses given out since the start; wraps.
+    /// Number of periods with pulses since the start; wraps.
     #[must_use]
     pub fn given_with_pulses(&self) -> u32 {
         self.given_with_pulses
@@ -132,15 +132,15 @@ impl Timeline {
         self.given_with_pulses.wrapping_sub(from) <= PULSES_REMEMBERED
     }
 
-    /// A period with pulses, by its number among these: one that was given out and is remembered.
+    /// A period with pulses, by its number among these; it has to be remembered.
     #[inline]
     #[must_use]
     pub fn pulses(&self, number: u32) -> Pulses {
         self.pulses[(number % PULSES_REMEMBERED) as usize]
     }
 
-    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left.
-    /// None if that pulse is longer ago than it remembers.
+    /// Ticks from the last emitted pulse to the end of the last period, if `unemitted` pulses are still to come.
+    /// `None` if that pulse is older than the remembered periods.
     #[must_use]
     pub fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
         let last = self.end.pulses.wrapping_sub(unemitted);
@@ -148,7 +148,7 @@ impl Timeline {
         for back in 2..=REMEMBERED {
             let before = self.at_end_of(self.given.wrapping_sub(back));
             let period = after.since(before);
-            // From 1 where the period has this pulse.
+            // The pulse's number within the period, from 1.
             let nth = last.wrapping_sub(before.pulses);
             if (1..=period.pulses).contains(&nth) {
                 let round = period.ticks / period.pulses;

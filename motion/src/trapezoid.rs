@@ -17,13 +17,13 @@ use crate::axis::{Acceleration, Axis, Speed};
 use crate::units::{Steps, TICK_HZ, Ticks};
 use crate::wide::{div_ceil, isqrt};
 
-/// The most steps of one stroke. The finest axis has 26.6 M in 130 mm.
+/// Maximum steps of one stroke. The finest axis has 26.6 M in 130 mm.
 pub const MAX_STEPS: Steps = Steps(1 << 25);
 
-/// No two successive steps of a profile are closer than this: 1 us, 1 MHz.
+/// Shortest interval between two successive steps of a profile: 1 us, 1 MHz.
 pub const MIN_INTERVAL: Ticks = Ticks(100);
 
-/// No two successive steps of a profile are farther apart than this: 10.7 s.
+/// Longest interval between two successive steps of a profile: 10.7 s.
 pub const MAX_INTERVAL: Ticks = Ticks((1 << 30) - 1);
 
 /// A move of `steps` from rest to rest in `duration`, with ramps of `ramp` at both ends.
@@ -36,7 +36,7 @@ pub struct StrokeProfile {
 }
 
 impl StrokeProfile {
-    /// The profile of these three integers.
+    /// The profile with these three integers.
     ///
     /// # Errors
     /// No steps or more than [`MAX_STEPS`]; a ramp outside 1..=duration/2; intervals below
@@ -76,9 +76,8 @@ impl StrokeProfile {
     /// The profile of exactly this duration with the lowest peak speed: its ramp is the shortest
     /// whose acceleration is at most the requested one.
     ///
-    /// # Errors
-    /// [`StrokeError::Infeasible`], with the duration and the acceleration that would do, if even
-    /// a triangle accelerates harder; otherwise as [`StrokeProfile::from_parts`].
+    /// [`StrokeError::Infeasible`] if even a triangle accelerates harder; it contains the duration and the
+    /// acceleration that would be enough. Otherwise as [`StrokeProfile::from_parts`].
     pub fn from_duration(
         steps: Steps,
         duration: Ticks,
@@ -201,12 +200,12 @@ impl StrokeProfile {
         } else if self.ramp_steps().0 == 0 {
             Ticks((n * self.ramp_ticks + 2 * span + n) / (2 * n))
         } else {
-            // The square is below 2^62 for every profile that is accepted.
+            // The square is below 2^62 for every accepted profile.
             Ticks(isqrt(4 * self.square() / n).div_ceil(2))
         }
     }
 
-    /// A lower bound of every interval between two steps, reached in cruise.
+    /// A lower bound of all intervals between two steps, reached in cruise.
     #[must_use]
     pub const fn min_interval(&self) -> Ticks {
         Ticks(self.span().0 / self.steps as u64)
@@ -256,7 +255,7 @@ fn least(mut low: u64, mut high: u64, holds: impl Fn(u64) -> bool) -> u64 {
     low
 }
 
-/// Why a stroke was refused.
+/// The reason why a stroke was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StrokeError {
@@ -284,7 +283,7 @@ pub enum StrokeError {
         /// Duration of the stroke.
         duration: Ticks,
     },
-    /// Too little time at this acceleration. Either number alone would do, and both are exact.
+    /// Too little time at this acceleration. Changing either number alone is enough; both are exact.
     Infeasible {
         /// The shortest duration at this acceleration.
         minimal_duration: Ticks,

@@ -1,4 +1,4 @@
-//! Units as types, so that a micrometre is never taken for a step.
+//! Units as types, so that nobody passes micrometres as steps.
 
 use core::fmt;
 
@@ -47,7 +47,7 @@ pub struct Nanometres(pub u64);
 pub struct Ticks(pub u64);
 
 impl StepPosition {
-    /// Where the counter is zero.
+    /// The position at which the counter is zero.
     pub const HOME: Self = Self(0);
 
     /// Steps from `other` to here, positive if here is farther from home.
@@ -77,7 +77,7 @@ impl Window {
         }
     }
 
-    /// Whether the position is in the window; both ends are.
+    /// Whether the position is in the window, ends included.
     #[must_use]
     pub const fn contains(&self, position: StepPosition) -> bool {
         self.first.0 <= position.0 && position.0 <= self.last.0
@@ -102,7 +102,7 @@ impl Ticks {
         }
     }
 
-    /// Whole microseconds, rounded up: never less than this time.
+    /// Whole microseconds, rounded up, so that the result is never shorter than this time.
     #[must_use]
     pub const fn to_us_ceil(self) -> u64 {
         self.0.div_ceil(TICKS_PER_US)
@@ -115,7 +115,7 @@ impl fmt::Display for Steps {
     }
 }
 
-/// As `step -3`.
+/// Written as `step -3`.
 impl fmt::Display for StepPosition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "step {}", self.0)

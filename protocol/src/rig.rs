@@ -205,6 +205,34 @@ pub struct RigHealth {
     pub image_hash: u32,
 }
 
+/// Asks what the rig's own hardware has shown since the start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct GetRigHardware;
+
+/// What step timer, capture timer and pins have shown since the start of the device. The counters wrap.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RigHardware {
+    /// Intervals between two steps, captured at the pin, that were the planned ones.
+    pub intervals_exact: u32,
+    /// Intervals that differed from the plan by 1 tick of 10 ns, in either direction.
+    pub intervals_1_tick: u32,
+    /// Intervals that differed by 2 ticks.
+    pub intervals_2_ticks: u32,
+    /// Intervals that differed by more.
+    pub intervals_more: u32,
+    /// How often the capture register was overwritten before DMA had fetched the instant in it.
+    pub lost_captures: u32,
+    /// How often a DMA stream of the step timer or of the capture timer reported an error.
+    pub dma_errors: u32,
+    /// How often the step timer had to be reset because a stop found its DMA burst cut in two.
+    pub timer_resets: u32,
+    /// EN was high at the start, before the firmware drove it. Low says for certain that it has no pull-up; high only
+    /// that nothing pulled it down at that moment, and nothing of the voltage.
+    pub enable_high_at_start: bool,
+}
+
 /// Asks for the record of the last run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

@@ -112,6 +112,7 @@ table! {
     GetTrace: capsule::GetTrace => capsule::Trace, match true, impact None;
     GetCapsuleTotals: capsule::GetCapsuleTotals => capsule::CapsuleTotals, match true, impact None;
     FoldTo: capsule::FoldTo => capsule::ActuationAccepted, match true, impact Motion;
+    GetRigHardware: rig::GetRigHardware => rig::RigHardware, match true, impact None;
 }
 
 /// Answer to a request.

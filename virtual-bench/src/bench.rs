@@ -19,7 +19,7 @@ use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use crate::bus::BusReport;
-use crate::emulator::{ChipOptions, CutAt, Emulator, Program, Wiring};
+use crate::emulator::{Beats, ChipOptions, CutAt, Emulator, Program, Wiring};
 use crate::log::{Log, Tap};
 use crate::pace::{Pace, Slow, Turn};
 use crate::serial::Serial;
@@ -166,6 +166,14 @@ impl<W: Wiring> Visit<'_, W> {
     pub fn overwrite(&mut self, address: u64, code: &[u16]) {
         let emulator = self.session.board_mut();
         emulator.overwrite(address, code, self.host);
+    }
+
+    /// From now on the step timer's bursts take so long. To be called while none is under way.
+    ///
+    /// # Panics
+    /// On a machine that was started without [`ChipOptions::burst`].
+    pub fn set_burst(&mut self, beats: Beats) {
+        self.session.board_mut().set_burst(beats);
     }
 
     /// Sets the chip's supply, mV, until the next power-up. The capsule's board sets its own.

@@ -305,6 +305,15 @@ impl Pads<'_> {
         drive_input(self.tim5, channel, high, registers, &mut context);
     }
 
+    /// Keeps DMA from the instants that TIM5 captures, as a bus that is not granted does, or lets it come again. What
+    /// was captured meanwhile has overwritten what was captured before.
+    pub fn keep_tim5_from_dma(&mut self, kept: bool) {
+        self.touched = true;
+        let bus = self.part.bus_mut();
+        let (registers, mut context) = bus.drive(self.at, self.slots.tim5);
+        self.tim5.keep_from_dma(kept, registers, &mut context);
+    }
+
     /// Sets the voltage at channel `number` of ADC1, mV.
     pub fn set_adc_mv(&mut self, number: u8, millivolts: u32) {
         let channel = adc::Channel::new(number).expect("a pin's channel");
@@ -845,6 +854,11 @@ impl<W: Wiring> Emulator<W> {
             .set_from(chip.options.hse_after_ns.map(VirtualNanos));
         let (registers, mut context) = chip.part.bus_mut().drive(at, chip.slots.rcc);
         chip.rcc.rcc.fail_hse(registers, &mut context);
+    }
+
+    /// From now on the step timer's bursts take so long. Between two of them.
+    pub(crate) fn set_burst(&mut self, beats: Beats) {
+        self.chip.dma2.set_beats(beats);
     }
 
     /// Overwrites code as a debugger does, bypassing the flash interface, until the next reset.

@@ -378,17 +378,20 @@ const FINEST: RunRequest = RunRequest {
     ..PAPER_RUN
 };
 
+/// Name, settings, steps per millimetre, run, begin of the window in the run, us, and goal.
+type CycleCase<'a> = (
+    &'a str,
+    &'a [(SettingKey, u32)],
+    i64,
+    Option<RunRequest>,
+    u64,
+    &'a str,
+);
+
 /// Cycles of the worst cases by the model, each step timed.
 fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), FigureError> {
     let fine = [(SettingKey::LeadUm, 2_000), (SettingKey::Microsteps, 64)];
-    let cases: [(
-        &str,
-        &[(SettingKey, u32)],
-        i64,
-        Option<RunRequest>,
-        u64,
-        &str,
-    ); 5] = [
+    let cases: [CycleCase<'_>; 5] = [
         ("at rest", &[], 800, None, 100_000, ""),
         (
             "paper's cruise, 28.5 kHz",

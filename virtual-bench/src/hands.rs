@@ -18,8 +18,6 @@ use crate::plants::wire::Fault;
 
 /// How long a cable stays pulled, us.
 const PULLED_US: u64 = 3_000_000;
-/// EN in reset: 10 kohm to 3.3 V against the driver's own 100 kohm to ground, or that alone, mV.
-const ENABLE_MV: (i64, i64) = (3_000, 0);
 
 /// The cable between a machine and its host, which a hand can pull.
 #[derive(Clone, Debug)]
@@ -102,19 +100,35 @@ impl BenchHands {
                     on,
                 }),
             ) => self.cable(bench, on).map_err(ended)?,
+            (
+                Machine::Capsule(bench),
+                Wish::Do(Act {
+                    part: Part::Rotor,
+                    on,
+                }),
+            ) => {
+                let hold = bench.visit(move |visit| {
+                    visit.board().capsule.plant_mut().hold(on);
+                });
+                hold.map_err(ended)?;
+            }
+            (
+                Machine::Rig(_),
+                wish @ Wish::Do(Act {
+                    part: Part::Rotor, ..
+                }),
+            ) => return Err(format!("this machine cannot `{wish}`")),
             (Machine::Rig(bench), Wish::Do(act)) => do_at_rig(bench, act).map_err(ended)?,
             (Machine::Rig(bench), Wish::Read(Reading::Carriage)) => {
                 let um = bench.visit(|visit| visit.board().rig.carriage_um());
                 return um.map(Some).map_err(ended);
             }
             (Machine::Rig(bench), Wish::Read(Reading::EnableInReset)) => {
-                let pulled = bench.visit(|visit| {
+                let mv = bench.visit(|visit| {
                     visit.reset();
-                    visit.board().rig.pulls_enable_up()
+                    visit.board().rig.enable_undriven_mv()
                 });
-                let (with, without) = ENABLE_MV;
-                let pulled = pulled.map_err(ended)?;
-                return Ok(Some(if pulled { with } else { without }));
+                return mv.map(|mv| Some(mv.into())).map_err(ended);
             }
             (Machine::Capsule(bench), Wish::Read(Reading::Battery)) => {
                 let mv = bench.visit(|visit| visit.board().capsule.battery_terminal_mv());
@@ -157,7 +171,7 @@ fn do_at_rig(bench: &Bench<RigBoard>, Act { part, on }: Act) -> Result<(), Bench
             Part::Jumper => Action::ReadBack(Fault::Whole(on)),
             Part::Supply => Action::Supply(on),
             Part::Carriage => Action::Place(rig.middle()),
-            Part::Cable => return,
+            Part::Cable | Part::Rotor => return,
         };
         rig.act(action, now_ns);
     })

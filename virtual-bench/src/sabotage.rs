@@ -1,4 +1,4 @@
-//! Makes one task of the firmware hang, fault or panic at its next check-in with the watchdog.
+//! Makes one task of the firmware hang, fault, panic or use up its stack at its next check-in with the watchdog.
 //!
 //! The image is not built for this. Like a debugger, the bench overwrites the beginning of the firmware's `check_in`
 //! with a branch to unused flash, where a substitute does the same for every client but one. A reset restores the code,
@@ -18,10 +18,22 @@ pub enum Misbehaviour {
     Fault,
     /// Panics.
     Panic,
+    /// Begins a frame of the log and panics within it.
+    PanicInLog,
+    /// Calls itself until the stack is used up.
+    Overflow,
+    /// Takes all of the stack but 16 bytes, and waits for an interrupt, whose frame has no room there.
+    OverflowByInterrupt,
+    /// Sets all catch bits of a debugger, once, and goes on.
+    SetCatches,
 }
 
 /// Where [`Misbehaviour::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
 pub const NOWHERE: u32 = 0x6000_0000;
+/// Size of the stack's guard, to which it is aligned.
+const GUARD: u32 = 32 * 1_024;
+/// Debug exception and monitor control (Armv7-M ARM C1.6.5).
+const DEMCR: u32 = 0xE000_EDFC;
 /// Address of the substitute: the end of the flash, which no image reaches.
 const UNUSED: u32 = 0x0807_FF00;
 
@@ -63,11 +75,37 @@ impl Sabotage {
                 ))),
             }
         };
+        // One that the linker script defines has no size.
+        let symbol_at = |name: &str| {
+            let mut found = file.symbols().filter(|symbol| symbol.name() == Ok(name));
+            let symbol = found
+                .next()
+                .ok_or_else(|| bad(format!("no symbol {name}")))?;
+            Ok::<_, BenchError>(symbol.address() as u32)
+        };
         let (check_in, check_ins) = (address("8check_in")?, address("9CHECK_INS")?);
         let payload = match misbehaviour {
             Misbehaviour::Hang => vec![0xE7FE], // b .
             Misbehaviour::Fault => jump(NOWHERE),
             Misbehaviour::Panic => jump(address("9panic_fmt")?),
+            Misbehaviour::PanicInLog => {
+                let mut code = load_r1(symbol_at("_defmt_acquire")? | 1).to_vec();
+                code.push(0x4788); // blx r1
+                code.extend(jump(address("9panic_fmt")?));
+                code
+            }
+            Misbehaviour::Overflow => vec![0xB5F0, 0xE7FD], // push {r4-r7, lr}; b to the push
+            Misbehaviour::OverflowByInterrupt => {
+                let guarded = symbol_at("_stack_end")?.next_multiple_of(GUARD) + GUARD + 16;
+                let mut code = load_r1(guarded).to_vec();
+                code.extend([0x468D, 0xE7FE]); // mov sp, r1; b .
+                code
+            }
+            Misbehaviour::SetCatches => {
+                let mut code = load_r1(DEMCR).to_vec();
+                code.extend([0xF240, 0x73F1, 0x600B]); // movw r3, #0x7F1; str r3, [r1]
+                code
+            }
         };
         Ok(Self {
             code: [

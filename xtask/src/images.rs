@@ -155,7 +155,7 @@ pub(crate) fn check() -> Result<()> {
     }
     Err(Failure::new(
         objections.join("\n       "),
-        "addresses come from device/memory and device/link_arguments.rs; for size see `cargo bloat`, or argue \
+        "addresses come from memory.x and device/link_arguments.rs; for size see `cargo bloat`, or argue \
          for a new budget in xtask/src/images.rs",
     ))
 }

@@ -10,8 +10,7 @@ use object::endian::LittleEndian;
 use object::read::elf::{ElfFile32, ProgramHeader as _, SectionHeader as _};
 use object::{Object as _, ObjectSection as _};
 
-/// Memory of a chip. Its `chip.x`, in a folder of its name below `device/memory`, defines the settings' sectors and
-/// the start of the code.
+/// Memory of a chip. `memory.x` defines the settings' sectors and the start of the code.
 #[derive(Debug)]
 pub(crate) struct Memory {
     flash: Range<u32>,
@@ -19,6 +18,8 @@ pub(crate) struct Memory {
     code: Range<u32>,
     /// RAM for data and stack, without the KiB that keeps the last panic.
     ram: Range<u32>,
+    /// Bytes between statics and stack that nobody may touch; no frame may step over them.
+    guard: u32,
 }
 
 /// 512 KiB of flash, 128 KiB of RAM.
@@ -27,6 +28,7 @@ pub(crate) static STM32F411RE: Memory = Memory {
     settings: 0x0800_4000..0x0801_0000,
     code: 0x0801_0000..0x0808_0000,
     ram: 0x2000_0000..0x2001_FC00,
+    guard: 32 * 1024,
 };
 
 /// The most memory an image may take.
@@ -50,6 +52,8 @@ pub(crate) struct Layout {
     text: Vec<Range<u32>>,
     /// Address of the vector table, its first word (stack pointer) and its second (reset).
     vectors: Option<(u32, u32, u32)>,
+    /// The most that one instruction takes from the stack.
+    pub(crate) frame_bytes: u32,
 }
 
 impl Layout {
@@ -67,6 +71,7 @@ impl Layout {
             programmed: Vec::new(),
             text: Vec::new(),
             vectors: None,
+            frame_bytes: 0,
         };
         for segment in elf.elf_program_headers() {
             let (start, length) = (segment.p_paddr(endian), segment.p_filesz(endian));
@@ -98,7 +103,10 @@ impl Layout {
                         layout.vectors = Some((start, stack, reset));
                     }
                 }
-                ".text" => layout.text.push(start..start.saturating_add(length)),
+                ".text" => {
+                    layout.text.push(start..start.saturating_add(length));
+                    layout.frame_bytes = layout.frame_bytes.max(largest_frame(section.data()?));
+                }
                 _ => {}
             }
         }
@@ -166,7 +174,48 @@ impl Layout {
                 ));
             }
         }
+        if self.frame_bytes > self.memory.guard {
+            found.push(format!(
+                "a frame of {} bytes steps over the {} bytes that guard the stack's end",
+                self.frame_bytes, self.memory.guard
+            ));
+        }
         found
+    }
+}
+
+/// The largest constant that is taken from the stack pointer in this code: `sub.w sp, sp, #` and `subw sp, sp, #`
+/// (Armv7-M ARM A7.7.176, T2 and T3). Constants between the functions may look like one; then it is too large, never
+/// too small.
+fn largest_frame(code: &[u8]) -> u32 {
+    let halves: Vec<u32> = code
+        .chunks_exact(2)
+        .map(|half| u16::from_le_bytes([half[0], half[1]]).into())
+        .collect();
+    let frame = |pair: &[u32]| {
+        let (first, second) = (pair[0], pair[1]);
+        if second & 0x8F00 != 0x0D00 {
+            return 0;
+        }
+        let constant = (first & 0x400) << 1 | (second >> 4) & 0x700 | second & 0xFF;
+        match first & 0xFBFF {
+            0xF2AD => constant,
+            0xF1AD | 0xF1BD => expanded(constant),
+            _ => 0,
+        }
+    };
+    halves.windows(2).map(frame).max().unwrap_or(0)
+}
+
+/// ThumbExpandImm (Armv7-M ARM A5.3.2).
+fn expanded(constant: u32) -> u32 {
+    let byte = constant & 0xFF;
+    match constant >> 8 {
+        0 => byte,
+        1 => byte << 16 | byte,
+        2 => byte << 24 | byte << 8,
+        3 => byte * 0x0101_0101,
+        _ => (0x80 | byte & 0x7F).rotate_right(constant >> 7),
     }
 }
 
@@ -188,6 +237,7 @@ mod tests {
             programmed: vec![0x0800_0000..0x0800_0198, 0x0801_0000..0x0801_F000],
             text: std::iter::once(0x0801_0000..0x0801_8000).collect(),
             vectors: Some((0x0800_0000, 0x2001_FC00, 0x0801_0001)),
+            frame_bytes: 32 * 1024,
         }
     }
 
@@ -208,7 +258,7 @@ mod tests {
 
     #[test]
     fn each_defect_is_named() {
-        let cases: [(&str, Change); 9] = [
+        let cases: [(&str, Change); 10] = [
             ("no vector table", |image| image.vectors = None),
             ("vector table at 0x08010000", |image| {
                 image.vectors = Some((0x0801_0000, 0x2001_FC00, 0x0801_0001));
@@ -230,11 +280,27 @@ mod tests {
             }),
             ("flash: 65537 bytes, 1 over", |image| image.flash_bytes += 1),
             ("RAM: 49153 bytes, 1 over", |image| image.ram_bytes += 1),
+            ("a frame of 32769 bytes", |image| image.frame_bytes += 1),
         ];
         for (words, change) in cases {
             let found = only_objection(change);
             assert!(found.contains(words), "{found:?} does not say {words:?}");
         }
+    }
+
+    /// Encodings from an assembler.
+    #[test]
+    fn the_largest_frame_is_found() {
+        let code = |halves: &[u16]| -> Vec<u8> {
+            halves.iter().flat_map(|half| half.to_le_bytes()).collect()
+        };
+        // sub sp, #16; subw sp, sp, #3356; sub.w sp, sp, #8768; sub.w r0, r0, #65536
+        assert_eq!(largest_frame(&code(&[0xB084])), 0);
+        assert_eq!(largest_frame(&code(&[0xF6AD, 0x5D1C])), 3_356);
+        assert_eq!(
+            largest_frame(&code(&[0xF6AD, 0x5D1C, 0xF5AD, 0x5D09, 0xF5A0, 0x3080])),
+            8_768
+        );
     }
 
     #[test]
@@ -250,6 +316,7 @@ mod tests {
         settings: 0x0800_4000..0x0801_0000,
         code: 0x0801_0000..0x0802_0000,
         ram: 0x2000_0400..0x2000_A000,
+        guard: 32 * 1024,
     };
 
     /// The same image on a chip with less memory.
@@ -266,40 +333,38 @@ mod tests {
         assert!(found.contains("outside of flash"), "{found}");
     }
 
-    /// The addresses above must equal those of the linker scripts.
+    /// The addresses above must equal those of the linker script.
     #[test]
-    fn addresses_agree_with_chip_x() {
-        {
-            let memory = &STM32F411RE;
-            let path = crate::process::root().join("device/memory/stm32f411re/chip.x");
-            let script = std::fs::read_to_string(path).unwrap();
-            let line = |name: &str| {
-                let named = |line: &&str| line.trim_start().starts_with(name);
-                script.lines().find(named).unwrap()
-            };
-            let hex = |text: &str| {
-                let digits = text.split("0x").nth(1).unwrap();
-                let end = digits.find(|digit: char| !digit.is_ascii_hexdigit());
-                u32::from_str_radix(&digits[..end.unwrap_or(digits.len())], 16).unwrap()
-            };
-            let region = |name: &str| {
-                let (from, length) = line(name).split_once(',').unwrap();
-                let kib = length.trim_end_matches('K').rsplit(' ').next().unwrap();
-                let start = hex(from);
-                start..start + kib.parse::<u32>().unwrap() * 1024
-            };
-            let value = |name: &str| hex(line(name));
-            assert_eq!(region("FLASH"), memory.flash);
-            assert_eq!(region("RAM"), memory.ram);
-            assert_eq!(value("_stext"), memory.code.start);
-            assert_eq!(
-                value("_settings_start")..value("_settings_end"),
-                memory.settings
-            );
-            // The KiB that survives a reset adjoins that RAM at one end.
-            let kept = value("_last_words_start")..value("_last_words_end");
-            assert_eq!(kept.end - kept.start, 1024);
-            assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);
-        }
+    fn addresses_agree_with_the_linker_script() {
+        let memory = &STM32F411RE;
+        let path = crate::process::root().join("memory.x");
+        let script = std::fs::read_to_string(path).unwrap();
+        let line = |name: &str| {
+            let named = |line: &&str| line.trim_start().starts_with(name);
+            script.lines().find(named).unwrap()
+        };
+        let hex = |text: &str| {
+            let digits = text.split("0x").nth(1).unwrap();
+            let end = digits.find(|digit: char| !digit.is_ascii_hexdigit());
+            u32::from_str_radix(&digits[..end.unwrap_or(digits.len())], 16).unwrap()
+        };
+        let region = |name: &str| {
+            let (from, length) = line(name).split_once(',').unwrap();
+            let kib = length.trim_end_matches('K').rsplit(' ').next().unwrap();
+            let start = hex(from);
+            start..start + kib.parse::<u32>().unwrap() * 1024
+        };
+        let value = |name: &str| hex(line(name));
+        assert_eq!(region("FLASH"), memory.flash);
+        assert_eq!(region("RAM"), memory.ram);
+        assert_eq!(value("_stext"), memory.code.start);
+        assert_eq!(
+            value("_settings_start")..value("_settings_end"),
+            memory.settings
+        );
+        // The KiB that survives a reset adjoins that RAM at one end.
+        let kept = value("_last_words_start")..value("_last_words_end");
+        assert_eq!(kept.end - kept.start, 1024);
+        assert!(kept.start == memory.ram.end || kept.end == memory.ram.start);
     }
 }

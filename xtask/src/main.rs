@@ -13,6 +13,7 @@
 //! | `bench.rs` | starts the virtual bench |
 //! | `images.rs` | builds the ARM images |
 //! | `layout.rs` | reads an image and checks its addresses and sizes |
+//! | `pictures.rs` | draws the wiring diagrams of the manual |
 //! | `places.rs` | finds the places in the source for the addresses in last words |
 //! | `toolchain.rs` | finds a compiler for the STM32 |
 //! | `debian.rs` | one such compiler, from Debian packages |
@@ -32,6 +33,7 @@ mod fuzz;
 mod images;
 mod layout;
 mod mutants;
+mod pictures;
 mod places;
 mod process;
 mod programs;
@@ -68,6 +70,7 @@ cargo xtask <command>
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
+  pictures          draw the wiring diagrams of the manual from the pins that the images use
   bench [OPTIONS]   measure the images on the virtual bench, and the computing time of the paper's models
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
@@ -100,6 +103,7 @@ fn main() -> ExitCode {
         ("where", [machine, words @ ..]) if !words.is_empty() => {
             images::find(machine).and_then(|image| places::print(&image, words))
         }
+        ("pictures", []) => pictures::draw(),
         ("setup", []) => toolchain::find().map(|found| println!("Ready: {found}")),
         ("help" | "--help" | "-h", _) => {
             print!("{HELP}");

@@ -1,8 +1,12 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
-use super::{retained::Ram, stm32f411re::RAM};
+use super::{image, retained::Ram, stm32f411re::RAM};
 use crate::{last_words::Draft, retained::keep_last_words};
-use core::{arch::asm, ptr::read_volatile};
+use core::{
+    arch::asm,
+    ptr::read_volatile,
+    sync::atomic::{AtomicBool, Ordering},
+};
 use cortex_m_rt::ExceptionFrame;
 
 /// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
@@ -18,7 +22,7 @@ macro_rules! last_resort {
         #[panic_handler]
         fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
             $outputs_off();
-            $crate::chip::last_resort::die_with_callers()
+            $crate::chip::last_resort::die_with_callers("panic, called from")
         }
 
         /// `defmt::panic!` has printed its message; it must not format it a second time.
@@ -36,17 +40,26 @@ macro_rules! last_resort {
     };
 }
 
-/// Keeps the last words and starts again.
+/// The last words are kept already: what follows is a panic within that.
+static DYING: AtomicBool = AtomicBool::new(false);
+
+/// Keeps the last words and starts again. Whoever dies within a frame of the log finds it taken and panics once more:
+/// then the first words stand, and nothing is logged.
 pub(super) fn die(words: &Draft) -> ! {
+    // Interrupted by nobody who could die as well: panics and faults are not left.
+    if DYING.load(Ordering::Relaxed) {
+        cortex_m::peripheral::SCB::sys_reset();
+    }
     keep_last_words(&mut Ram, words.bytes());
+    DYING.store(true, Ordering::Relaxed);
     defmt::error!("{=[u8]:a}", words.bytes());
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// A panic. The outputs are off.
+/// A panic, or what else is told by who called it. The outputs are off.
 #[inline(never)]
-pub fn die_with_callers() -> ! {
-    let mut words = Draft::new("panic, called from");
+pub fn die_with_callers(what: &str) -> ! {
+    let mut words = Draft::new(what);
     for caller in Callers::new() {
         words.push(" ");
         words.push_address(caller);
@@ -61,6 +74,10 @@ pub fn die_of_a_failed_check() -> ! {
 
 /// A processor fault. The outputs are off.
 pub fn die_of_a_fault(frame: &ExceptionFrame) -> ! {
+    // Its frame found no room. The frame pointer is the interrupted function's still.
+    if image::stack_has_overflowed() {
+        die_with_callers("stack overflow, called from");
+    }
     let mut words = Draft::new("processor fault at ");
     words.push_address(frame.pc());
     words.push(", called from ");

@@ -7,7 +7,7 @@ unsafe extern "C" {
     static mut _last_words_start: [u32; WORDS];
 }
 
-/// The words at the address that `chip.x` keeps free.
+/// The words at the address that `memory.x` keeps free.
 pub(super) struct Ram;
 
 impl Words for Ram {

@@ -4,6 +4,7 @@ use super::{
     stm32f411re::{self, TIME_DRIVER, TIME_DRIVER_INTERRUPT},
     supply,
 };
+use cortex_m::peripheral::DCB;
 use embassy_stm32::{
     Config, Peri, interrupt::InterruptExt, pac, peripherals, wdg::IndependentWatchdog,
 };
@@ -24,6 +25,30 @@ pub fn init_clearing_stale_flags(config: Config) -> embassy_stm32::Peripherals {
         TIME_DRIVER_INTERRUPT.unpend();
         peripherals
     })
+}
+
+/// Waits until clocks that were just enabled have come to their peripherals: an access within two cycles of their bus
+/// may be lost (ES0287 2.1.6, with this remedy; a read alone was found too short on sister parts).
+pub fn let_clocks_come() {
+    cortex_m::asm::dsb();
+}
+
+/// Clears what a debugger may have left: to halt at resets and at processor faults (the VC bits of DEMCR, which
+/// software may write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would stand there with the watchdog
+/// off. Whether it obeys them at all, C_DEBUGEN, only a debugger can change. So a start that has come this far is the
+/// place. After the HAL's start, whose clock the log needs.
+pub fn forget_catches() {
+    const CATCHES: u32 = 0x7F1;
+    // SAFETY: the only user of this register; a read and a write without side effects.
+    let left = unsafe {
+        let demcr = &(*DCB::PTR).demcr;
+        let left = demcr.read();
+        demcr.write(left & !CATCHES);
+        left & CATCHES
+    };
+    if left != 0 {
+        defmt::warn!("a debugger had left catch bits: {=u32:#x}", left);
+    }
 }
 
 /// Feeds the watchdog.

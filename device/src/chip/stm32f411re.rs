@@ -12,6 +12,10 @@ use protocol::system::{Clock, ResetCause};
 /// Where a stack can be: the RAM without its last two words.
 pub(super) const RAM: Range<u32> = 0x2000_0000..0x2001_FFF8;
 
+/// Bytes between statics and stack that nobody may touch, a power of two. No frame of an image is larger, so that none
+/// steps over them: `cargo xtask images` looks.
+pub(super) const GUARD: u32 = 32 * 1_024;
+
 /// The timer of the HAL's time driver (a feature of the HAL in this package's manifest), and its interrupt.
 pub(super) const TIME_DRIVER: pac::timer::TimGp16 = pac::TIM4;
 pub(super) use interrupt::TIM4 as TIME_DRIVER_INTERRUPT;

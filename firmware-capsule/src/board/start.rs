@@ -6,15 +6,17 @@ use super::{
     tasks,
 };
 use defmt_rtt as _;
-use device::chip::{retained, start};
+use device::chip::{image, retained, start};
 use device::identity::{identity, reset_cause};
 use embassy_executor::Spawner;
 use protocol::system::DeviceKind;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
+    image::guard_stack();
     let left = retained::start();
     let board = pins::init();
+    start::forget_catches();
     let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Capsule, start::uid(), left.boot_id, cause);
     defmt::info!("capsule, start {=u32}, {}", left.boot_id, cause);

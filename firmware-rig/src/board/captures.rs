@@ -6,11 +6,12 @@
 
 #![allow(unsafe_code)]
 
+use super::channels::{DMA_ERRORS, LOST_CAPTURES};
 use core::{
     cell::UnsafeCell,
     sync::atomic::{Ordering, compiler_fence},
 };
-use embassy_stm32::pac::{self, DMA1, TIM5};
+use embassy_stm32::pac::{self, DMA1, TIM5, timer::regs::SrGp16};
 
 /// 4 ms at the highest step rate; motion looks every 2.5 ms.
 const INSTANTS: usize = 1_024;
@@ -47,19 +48,7 @@ impl Captures {
         TIM5.ccer().modify(|w| w.set_cce(CHANNEL, true));
         TIM5.dier().modify(|w| w.set_ccde(CHANNEL, true));
 
-        let stream = DMA1.st(STREAM);
-        stream.par().write_value(TIM5.ccr(CHANNEL).as_ptr() as u32);
-        stream.m0ar().write_value(RING.0.get() as u32);
-        stream.ndtr().write(|w| w.set_ndt(INSTANTS as u16));
-        stream.cr().write(|w| {
-            w.set_chsel(DMA_CHANNEL);
-            w.set_dir(pac::dma::vals::Dir::PERIPHERAL_TO_MEMORY);
-            w.set_circ(true);
-            w.set_minc(true);
-            w.set_psize(pac::dma::vals::Size::BITS32);
-            w.set_msize(pac::dma::vals::Size::BITS32);
-        });
-        stream.cr().modify(|w| w.set_en(true));
+        start_stream();
         TIM5.cr1().modify(|w| w.set_cen(true));
         Self {
             next: 0,
@@ -70,17 +59,36 @@ impl Captures {
 
     /// Forgets the instants so far.
     pub fn skip(&mut self) {
-        let (end, _) = written();
+        let mut written = written();
+        is_overcaptured();
+        // An error of a transfer switches the stream off.
+        if !DMA1.st(STREAM).cr().read().en() {
+            start_stream();
+            written.end = 0;
+        }
         *self = Self {
-            next: end,
+            next: written.end,
             unread: 0,
             flag_to_come: false,
         };
     }
 
-    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten.
+    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten,
+    /// in the ring or in the capture register, or if DMA has stopped.
     pub fn take(&mut self, instants: &mut [u32]) -> Option<usize> {
-        let (end, at_end) = written();
+        let Written {
+            end,
+            at_end,
+            stopped,
+        } = written();
+        // After the ring was looked at: an instant that came after a lost one is not in it before the flag is up.
+        if is_overcaptured() {
+            LOST_CAPTURES.fetch_add(1, Ordering::Relaxed);
+            return None;
+        }
+        if stopped {
+            return None;
+        }
         let seen = (self.next + self.unread) % INSTANTS;
         let mut new = (end + INSTANTS - seen) % INSTANTS;
         if end < seen {
@@ -105,14 +113,68 @@ impl Captures {
     }
 }
 
-/// The instant that DMA writes next, and whether it has come to the ring's end since the last call.
-fn written() -> (usize, bool) {
-    let at_end = DMA1.isr(STREAM / 4).read().tcif(STREAM % 4);
-    if at_end {
-        DMA1.ifcr(STREAM / 4)
-            .write(|w| w.set_tcif(STREAM % 4, true));
+/// Begins at the start of the ring.
+fn start_stream() {
+    let stream = DMA1.st(STREAM);
+    stream.par().write_value(TIM5.ccr(CHANNEL).as_ptr() as u32);
+    stream.m0ar().write_value(RING.0.get() as u32);
+    stream.ndtr().write(|w| w.set_ndt(INSTANTS as u16));
+    stream.cr().write(|w| {
+        w.set_chsel(DMA_CHANNEL);
+        w.set_dir(pac::dma::vals::Dir::PERIPHERAL_TO_MEMORY);
+        w.set_circ(true);
+        w.set_minc(true);
+        w.set_psize(pac::dma::vals::Size::BITS32);
+        w.set_msize(pac::dma::vals::Size::BITS32);
+    });
+    stream.cr().modify(|w| w.set_en(true));
+}
+
+/// Where DMA is, and what it has done since the last look.
+struct Written {
+    /// The instant that it writes next.
+    end: usize,
+    /// It has come to the ring's end.
+    at_end: bool,
+    /// An error of a transfer has switched the stream off.
+    stopped: bool,
+}
+
+/// Looks at DMA, and counts its errors.
+fn written() -> Written {
+    let flags = DMA1.isr(STREAM / 4).read();
+    let nth = STREAM % 4;
+    let at_end = flags.tcif(nth);
+    let error = flags.teif(nth) || flags.dmeif(nth) || flags.feif(nth);
+    if at_end || error {
+        DMA1.ifcr(STREAM / 4).write(|w| {
+            w.set_tcif(nth, at_end);
+            w.set_teif(nth, error);
+            w.set_dmeif(nth, error);
+            w.set_feif(nth, error);
+        });
+    }
+    if error {
+        DMA_ERRORS.fetch_add(1, Ordering::Relaxed);
     }
     let left = usize::from(DMA1.st(STREAM).ndtr().read().ndt());
     compiler_fence(Ordering::SeqCst);
-    ((INSTANTS - left) % INSTANTS, at_end)
+    Written {
+        end: (INSTANTS - left) % INSTANTS,
+        at_end,
+        stopped: flags.teif(nth),
+    }
+}
+
+/// The capture register was overwritten before DMA had fetched the instant in it (CC2OF, RM0383 section 13.4.5), since
+/// the last call.
+fn is_overcaptured() -> bool {
+    let lost = TIM5.sr().read().ccof(CHANNEL);
+    if lost {
+        // In SR a written 0 clears a flag and a 1 leaves it.
+        let mut all_but_this = SrGp16(u32::MAX);
+        all_but_this.set_ccof(CHANNEL, false);
+        TIM5.sr().write_value(all_but_this);
+    }
+    lost
 }

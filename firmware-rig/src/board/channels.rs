@@ -15,7 +15,7 @@ use firmware_rig::{
     execution::{Mailbox, Order},
     machine::Event,
 };
-use motion::units::StepPosition;
+use motion::{edge_timing::Intervals, units::StepPosition};
 use protocol::settings::SettingKey;
 
 /// Fed by interrupts and motion, drained by control.
@@ -40,6 +40,38 @@ pub static GLITCHES: [Glitches; 2] = [const { Glitches::new() }; 2];
 pub static SWITCH_FILTER_US: AtomicU32 = AtomicU32::new(SettingKey::SwitchFilterUs.range().default);
 /// Filtered state of the home flag. Set at the start and by the switch interrupt.
 pub static HOME_FLAG_OPEN: AtomicBool = AtomicBool::new(false);
+
+/// Captured intervals by their error. Set by motion.
+pub static INTERVALS: CapturedIntervals = CapturedIntervals::new();
+/// Captures that were overwritten before DMA came. Set by motion.
+pub static LOST_CAPTURES: AtomicU32 = AtomicU32::new(0);
+/// Errors of the two DMA streams of the step timer and of its captures. Set by motion.
+pub static DMA_ERRORS: AtomicU32 = AtomicU32::new(0);
+/// Resets of the step timer after a burst that was cut in two. Set by motion.
+pub static TIMER_RESETS: AtomicU32 = AtomicU32::new(0);
+/// EN was high before the firmware drove it. Set at the start.
+pub static ENABLE_HIGH_AT_START: AtomicBool = AtomicBool::new(false);
+
+/// [`Intervals`] for other tasks.
+pub struct CapturedIntervals([AtomicU32; 4]);
+
+impl CapturedIntervals {
+    const fn new() -> Self {
+        Self([const { AtomicU32::new(0) }; 4])
+    }
+
+    /// What has been compared so far.
+    pub fn show(&self, Intervals { exact, off }: Intervals) {
+        for (shown, count) in self.0.iter().zip([exact, off[0], off[1], off[2]]) {
+            shown.store(count, Ordering::Relaxed);
+        }
+    }
+
+    /// Exact ones, and those that were off by 1, by 2 and by more ticks.
+    pub fn get(&self) -> [u32; 4] {
+        self.0.each_ref().map(|count| count.load(Ordering::Relaxed))
+    }
+}
 
 /// False pulses on one switch, and when the last one was.
 pub struct Glitches {

@@ -1,25 +1,14 @@
-//! Pins, clocks, timers and interrupts of the rig; the only file that names them.
+//! Pins, clocks, timers and interrupts of the rig; the only file that sets them up.
 //!
-//! | signal | pin | peripheral |
-//! |---|---|---|
-//! | STEP | PA10 | TIM1_CH3, AF1 |
-//! | stroke sync | PA8 | TIM1_CH1, AF1 |
-//! | E-stop loop, normally closed to ground | PA6 | TIM1_BKIN, AF1 |
-//! | step read-back | PA0 | TIM2_ETR, AF1 |
-//! | step capture | PA1 | TIM5_CH2, AF2 |
-//! | DIR (high = away from home) | PB4 | |
-//! | EN (low = driver on) | PA9 | |
-//! | home flag, normally closed to ground | PC7 | EXTI7 |
-//! | far limit, normally closed to ground | PB6 | EXTI6 |
-//! | status LED | PA5 | |
-//! | start button, low = pressed | PC13 | |
-//! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
+//! Which signal is at which pin is [`wiring::rig`].
 //!
 //! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM4. All inputs have pull-ups:
 //! an open contact and a cut wire read the same, high.
 
 #![allow(unsafe_code)]
 
+use super::channels::ENABLE_HIGH_AT_START;
+use core::sync::atomic::Ordering;
 use device::chip::{clock, flash::Sectors, serial, start};
 use embassy_stm32::{
     Config,
@@ -33,8 +22,15 @@ use embassy_stm32::{
 };
 use motion::axis::Direction;
 use protocol::{rig::RigInputs, system::Clock};
+use wiring::{
+    Pin,
+    rig::{
+        BUTTON, CAPTURE, DIR, ENABLE, ESTOP_LOOP, FAR_LIMIT, HOME_FLAG, LED, READ_BACK, SERIAL,
+        STEP, SYNC,
+    },
+};
 
-/// AF1 carries TIM1 and TIM2 on every pin used here, AF2 TIM5 (DS9716 table 9).
+/// AF1 carries TIM1 and TIM2 on every pin used here, AF2 TIM5 (DS10314 table 9).
 const AF_TIMER: u8 = 1;
 const AF_CAPTURE: u8 = 2;
 
@@ -59,19 +55,17 @@ pub fn make_outputs_safe() {
         w.set_gpioaen(true);
         w.set_gpioben(true);
     });
-    // An access within two cycles of the enabling may be lost (ES0287 2.1.6).
-    let _ = pac::RCC.ahb1enr().read();
+    start::let_clocks_come();
+    ENABLE_HIGH_AT_START.store(is_high(ENABLE), Ordering::Relaxed);
     // First the levels, then the modes.
-    pac::GPIOA.bsrr().write(|w| {
-        w.set_bs(9, true);
-        w.set_br(10, true);
-    });
-    pac::GPIOB.bsrr().write(|w| w.set_br(4, true));
-    pac::GPIOA.moder().modify(|w| {
-        w.set_moder(9, Moder::OUTPUT);
-        w.set_moder(10, Moder::OUTPUT);
-    });
-    pac::GPIOB.moder().modify(|w| w.set_moder(4, Moder::OUTPUT));
+    set(ENABLE, true);
+    set(STEP, false);
+    set(DIR, false);
+    for pin in [ENABLE, STEP, DIR] {
+        port(pin)
+            .moder()
+            .modify(|w| w.set_moder(pin.number, Moder::OUTPUT));
+    }
 }
 
 /// Clocks, pins and interrupts. The driver stays off and no output is armed.
@@ -175,32 +169,40 @@ fn enable_peripherals() {
         w.set_tim1en(true);
         w.set_syscfgen(true);
     });
+    start::let_clocks_come();
 }
 
 fn configure_pins() {
     use pac::gpio::vals::{Moder, Pupdr};
-    for (port, pin) in [(pac::GPIOC, 7), (pac::GPIOB, 6), (pac::GPIOC, 13)] {
-        port.pupdr().modify(|w| w.set_pupdr(pin, Pupdr::PULL_UP));
-        port.moder().modify(|w| w.set_moder(pin, Moder::INPUT));
+    let pull = |pin: Pin, to| {
+        port(pin).pupdr().modify(|w| w.set_pupdr(pin.number, to));
+    };
+    for pin in [HOME_FLAG, FAR_LIMIT, BUTTON] {
+        pull(pin, Pupdr::PULL_UP);
+        port(pin)
+            .moder()
+            .modify(|w| w.set_moder(pin.number, Moder::INPUT));
     }
-    pac::GPIOA.pupdr().modify(|w| {
-        w.set_pupdr(6, Pupdr::PULL_UP);
-        w.set_pupdr(0, Pupdr::PULL_DOWN);
-        w.set_pupdr(1, Pupdr::PULL_DOWN);
-        // STEP and sync rest low while the timer does not drive them.
-        w.set_pupdr(10, Pupdr::PULL_DOWN);
-        w.set_pupdr(8, Pupdr::PULL_DOWN);
-    });
+    pull(ESTOP_LOOP, Pupdr::PULL_UP);
+    // STEP and sync rest low while the timer does not drive them.
+    for pin in [READ_BACK, CAPTURE, STEP, SYNC] {
+        pull(pin, Pupdr::PULL_DOWN);
+    }
     // The outputs keep their lowest speed from the reset: edges of at most 100 ns (DS10314 table 57, 50 pF) ring less on the
     // wires than fast ones, and the shortest pulse is 1 us.
-    for pin in [0, 1, 6, 8, 10] {
-        let function = if pin == 1 { AF_CAPTURE } else { AF_TIMER };
-        pac::GPIOA
-            .afr(pin / 8)
-            .modify(|w| w.set_afr(pin % 8, function));
-        pac::GPIOA
+    for (pin, function) in [
+        (READ_BACK, AF_TIMER),
+        (CAPTURE, AF_CAPTURE),
+        (ESTOP_LOOP, AF_TIMER),
+        (SYNC, AF_TIMER),
+        (STEP, AF_TIMER),
+    ] {
+        port(pin)
+            .afr(pin.number / 8)
+            .modify(|w| w.set_afr(pin.number % 8, function));
+        port(pin)
             .moder()
-            .modify(|w| w.set_moder(pin, Moder::ALTERNATE));
+            .modify(|w| w.set_moder(pin.number, Moder::ALTERNATE));
     }
     // EXTI7 from port C, EXTI6 from port B, both edges.
     pac::SYSCFG.exticr(1).modify(|w| {
@@ -216,9 +218,45 @@ fn configure_pins() {
 }
 
 /// EXTI line of the home flag.
-pub const HOME_LINE: usize = 7;
+pub const HOME_LINE: usize = HOME_FLAG.number;
 /// EXTI line of the far limit.
-pub const FAR_LINE: usize = 6;
+pub const FAR_LINE: usize = FAR_LIMIT.number;
+
+/// What has other names below: those of the HAL, and the ports that the switches' EXTI lines select.
+const _: () = assert!(
+    LED.is('A', 5)
+        && SERIAL[0].is('A', 2)
+        && SERIAL[1].is('A', 3)
+        && HOME_FLAG.is('C', 7)
+        && FAR_LIMIT.is('B', 6)
+);
+
+/// The registers of a pin's port.
+const fn port(pin: Pin) -> pac::gpio::Gpio {
+    match pin.port {
+        'A' => pac::GPIOA,
+        'B' => pac::GPIOB,
+        _ => pac::GPIOC,
+    }
+}
+
+/// Sets an output.
+#[inline(always)]
+fn set(pin: Pin, high: bool) {
+    port(pin).bsrr().write(|w| {
+        if high {
+            w.set_bs(pin.number, true);
+        } else {
+            w.set_br(pin.number, true);
+        }
+    });
+}
+
+/// The level at a pin.
+#[inline(always)]
+fn is_high(pin: Pin) -> bool {
+    port(pin).idr().read().idr(pin.number) == pac::gpio::vals::Idr::HIGH
+}
 
 /// The break before everything; then the time base at 2 (the switch filter reads it), the switches, the step ring's
 /// producer. The serial port is below at 7.
@@ -236,7 +274,7 @@ fn configure_priorities() {
 /// No pulse, driver off. Registers only: callable from anywhere, also from a panic or a processor fault.
 pub fn outputs_off() {
     pac::TIM1.bdtr().modify(|w| w.set_moe(false));
-    pac::GPIOA.bsrr().write(|w| w.set_bs(9, true));
+    set(ENABLE, true);
 }
 
 /// No further pulse, from this instruction on; the driver keeps holding. Registers only.
@@ -246,25 +284,22 @@ pub fn cut_pulses() {
 
 /// STEP as it is at the pin.
 pub fn step_is_high() -> bool {
-    pac::GPIOA.idr().read().idr(10) == pac::gpio::vals::Idr::HIGH
+    is_high(STEP)
 }
 
 /// Driver on: the motor holds.
 pub fn enable_driver() {
-    pac::GPIOA.bsrr().write(|w| w.set_br(9, true));
+    set(ENABLE, false);
 }
 
 /// Sets DIR.
 pub fn set_direction(direction: Direction) {
-    pac::GPIOB.bsrr().write(|w| match direction {
-        Direction::Away => w.set_bs(4, true),
-        Direction::Home => w.set_br(4, true),
-    });
+    set(DIR, direction == Direction::Away);
 }
 
 /// DIR as it is set.
 pub fn direction() -> Direction {
-    match pac::GPIOB.odr().read().odr(4) {
+    match port(DIR).odr().read().odr(DIR.number) {
         pac::gpio::vals::Odr::HIGH => Direction::Away,
         pac::gpio::vals::Odr::LOW => Direction::Home,
     }
@@ -272,15 +307,14 @@ pub fn direction() -> Direction {
 
 /// The inputs now, not filtered; true = open.
 pub fn inputs() -> RigInputs {
-    let high = |idr: pac::gpio::vals::Idr| idr == pac::gpio::vals::Idr::HIGH;
     RigInputs {
-        home_flag: high(pac::GPIOC.idr().read().idr(7)),
-        far_limit: high(pac::GPIOB.idr().read().idr(6)),
-        estop_loop: high(pac::GPIOA.idr().read().idr(6)),
+        home_flag: is_high(HOME_FLAG),
+        far_limit: is_high(FAR_LIMIT),
+        estop_loop: is_high(ESTOP_LOOP),
     }
 }
 
 /// The start button is down, not filtered.
 pub fn button_is_down() -> bool {
-    pac::GPIOC.idr().read().idr(13) == pac::gpio::vals::Idr::LOW
+    !is_high(BUTTON)
 }

@@ -4,7 +4,7 @@ use super::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{
-    chip::{retained, start},
+    chip::{image, retained, start},
     identity::{identity, reset_cause},
 };
 use embassy_executor::{InterruptExecutor, Spawner};
@@ -23,8 +23,10 @@ unsafe fn SPI5() {
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     pins::make_outputs_safe();
+    image::guard_stack();
     let left = retained::start();
     let board = pins::init();
+    start::forget_catches();
     HOME_FLAG_OPEN.store(pins::inputs().home_flag, Ordering::Relaxed);
     let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);

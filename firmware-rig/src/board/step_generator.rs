@@ -3,8 +3,8 @@
 //!
 //! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
 //! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
-//! 12.3.3 and 12.3.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the same
-//! way, so both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
+//! 12.3.3, 12.4.19 and 12.4.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the
+//! same way, so both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
 //! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in
 //! direct mode loads one item ahead.
 //!
@@ -17,7 +17,12 @@
 
 #![allow(unsafe_code)]
 
-use super::{captures::Captures, channels, clock::clock_failed, pins};
+use super::{
+    captures::Captures,
+    channels::{self, DMA_ERRORS, INTERVALS, TIMER_RESETS},
+    clock::clock_failed,
+    pins,
+};
 use core::{
     cell::UnsafeCell,
     sync::atomic::{Ordering, compiler_fence},
@@ -295,13 +300,7 @@ impl Ring for StepGenerator {
 
     fn start(&mut self) -> Result<(), StartError> {
         let stream = DMA2.st(STREAM);
-        DMA2.ifcr(STREAM / 4).write(|w| {
-            w.set_htif(STREAM % 4, true);
-            w.set_tcif(STREAM % 4, true);
-            w.set_teif(STREAM % 4, true);
-            w.set_dmeif(STREAM % 4, true);
-            w.set_feif(STREAM % 4, true);
-        });
+        clear_flags();
         stream.cr().write(|w| {
             w.set_chsel(DMA_CHANNEL);
             w.set_dir(pac::dma::vals::Dir::MEMORY_TO_PERIPHERAL);
@@ -352,8 +351,14 @@ impl Ring for StepGenerator {
         DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
         let stopped = (0..STREAM_READS).any(|_| !DMA2.st(STREAM).cr().read().en());
         if !(whole && stopped) {
+            TIMER_RESETS.fetch_add(1, Ordering::Relaxed);
             restart_timer();
         }
+        let flags = DMA2.isr(STREAM / 4).read();
+        if flags.teif(STREAM % 4) || flags.dmeif(STREAM % 4) || flags.feif(STREAM % 4) {
+            DMA_ERRORS.fetch_add(1, Ordering::Relaxed);
+        }
+        clear_flags();
         self.running = false;
     }
 
@@ -385,12 +390,24 @@ impl Ring for StepGenerator {
             return true;
         };
         self.timing.compare(&self.line, &self.instants[..count]);
+        INTERVALS.show(self.timing.intervals());
         count < at_most
     }
 
     fn timed(&self) -> Timed {
         self.timing.timed()
     }
+}
+
+/// Clears the flags of the stream, which has to be off.
+fn clear_flags() {
+    DMA2.ifcr(STREAM / 4).write(|w| {
+        w.set_htif(STREAM % 4, true);
+        w.set_tcif(STREAM % 4, true);
+        w.set_teif(STREAM % 4, true);
+        w.set_dmeif(STREAM % 4, true);
+        w.set_feif(STREAM % 4, true);
+    });
 }
 
 /// All of TIM1's registers that no path changes. The outputs are off.

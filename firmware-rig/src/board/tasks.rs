@@ -2,8 +2,9 @@
 
 use super::{
     channels::{
-        COMMANDED, GLITCHES, HOME_FLAG_OPEN, MOTION_WAKE, MotionMailbox, NOTICES, ORDERS, SNAPSHOT,
-        STOP, STROKE, SWITCH_FILTER_US, wake_after_cut,
+        COMMANDED, DMA_ERRORS, ENABLE_HIGH_AT_START, GLITCHES, HOME_FLAG_OPEN, INTERVALS,
+        LOST_CAPTURES, MOTION_WAKE, MotionMailbox, NOTICES, ORDERS, SNAPSHOT, STOP, STROKE,
+        SWITCH_FILTER_US, TIMER_RESETS, wake_after_cut,
     },
     pins,
     step_generator::{self, StepGenerator},
@@ -40,7 +41,7 @@ use firmware_rig::{
 };
 use motion::units::StepPosition;
 use protocol::{
-    rig::{RigHealth, RigInputs, RigState, RigTelemetry},
+    rig::{RigHardware, RigHealth, RigInputs, RigState, RigTelemetry},
     system::{Identity, ResetCause, Urgent},
     table::Telemetry,
 };
@@ -121,6 +122,20 @@ impl control::Rig for Rig {
             underruns: 0,
             control_late_us: 0,
             image_hash: 0,
+        }
+    }
+
+    fn hardware(&self) -> RigHardware {
+        let [exact, one, two, more] = INTERVALS.get();
+        RigHardware {
+            intervals_exact: exact,
+            intervals_1_tick: one,
+            intervals_2_ticks: two,
+            intervals_more: more,
+            lost_captures: LOST_CAPTURES.load(Ordering::Relaxed),
+            dma_errors: DMA_ERRORS.load(Ordering::Relaxed),
+            timer_resets: TIMER_RESETS.load(Ordering::Relaxed),
+            enable_high_at_start: ENABLE_HIGH_AT_START.load(Ordering::Relaxed),
         }
     }
 

@@ -1,9 +1,9 @@
-//! Decimal numbers as people write them, read exactly into integers of the smallest unit. Without floats there is no
+//! Reads decimal numbers as people write them, exactly, into integers of the smallest unit. Without floats there is no
 //! NaN, no infinity and no rounding.
 
 use std::str::FromStr;
 
-/// Why a text was not accepted as a number.
+/// The reason why a text was refused as a number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecimalError {
     /// Below zero.
@@ -64,7 +64,7 @@ pub fn parse(text: &str, decimals: u32, max: u64) -> Result<u64, DecimalError> {
         .ok_or(too_large)
 }
 
-/// As [`parse`], with the largest `u32` as the limit.
+/// Like [`parse`], limited to `u32`.
 fn parse_u32(text: &str, decimals: u32) -> Result<u32, DecimalError> {
     let max = u64::from(u32::MAX);
     let value = parse(text, decimals, max)?;
@@ -141,7 +141,7 @@ pub fn seconds(ticks: u64) -> String {
     fixed(i64::try_from(ticks).unwrap_or(i64::MAX), 8)
 }
 
-/// As [`write()`], with a sign.
+/// Like [`write()`], with a sign.
 #[must_use]
 pub fn write_signed(value: i64, decimals: u32) -> String {
     let sign = if value < 0 { "-" } else { "" };

@@ -27,12 +27,12 @@ use crate::identity::Origin;
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{Link, LinkError};
 
-/// The longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
-/// rig's `link_timeout_ms`: three requests go out in that time, should it be shorter.
+/// Longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
+/// rig's `link_timeout_ms`; a third of that is used if it is shorter than this.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
-/// How long the owner of a line may leave a question unanswered before a window gives up, us. Its door has answered, so
-/// it lives: it is setting up, or its computer is.
+/// Time for the owner of a line to answer before a window gives up, us. Its door has answered, so the owner is alive:
+/// it may be setting up, or its computer may be busy.
 const OWNER_PATIENCE_US: u64 = 3_000_000;
 
 pub(crate) fn moves(state: CapsuleState) -> bool {
@@ -51,7 +51,7 @@ pub fn matches(identity: &Identity) -> bool {
     identity.protocol.major == VERSION.major && identity.schema_key == SCHEMA_KEY
 }
 
-/// A request whose answer comes in [`Device::attend`].
+/// A request whose answer [`Device::attend`] returns.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Posted {
     name: &'static str,
@@ -66,14 +66,14 @@ pub(crate) enum Turn {
     UrgentUnanswered,
 }
 
-/// One machine at the end of a link.
+/// Client of one machine at the end of a link.
 pub struct Device {
     link: Box<dyn Link>,
     client: Client,
     identity: Option<Identity>,
     /// Time between two requests while waiting, us.
     keep_alive_us: u64,
-    /// How long a question to the owner of the line is repeated, us.
+    /// Time during which a question to the owner of the line is repeated, us.
     owner_patience_us: u64,
     interrupt: Option<Interrupt>,
     pacer: Option<Pacer>,
@@ -82,11 +82,11 @@ pub struct Device {
     urgent_pending: bool,
     /// A command is pending that must not be repeated after a stop.
     commanding: bool,
-    /// A request whose answer is not waited for.
+    /// A request sent by [`Device::post`], whose answer is still to come.
     posted: Option<Posted>,
-    /// By the last exchange that told the device's time.
+    /// The relation of the two clocks, from the last exchange that contained the device's time.
     clock: Option<Clock>,
-    /// Something moves, by what the device has answered last.
+    /// Whether something moves, according to the device's last answer.
     moves: bool,
     /// Index of the next event to deliver.
     next_event: u32,
@@ -95,13 +95,13 @@ pub struct Device {
     events: VecDeque<Event>,
     lost_events: u32,
     telemetry: VecDeque<(u16, Telemetry)>,
-    /// What came since Hello was sent, until it is answered.
+    /// Bytes received since Hello was sent, until it is answered.
     overheard: Option<Vec<u8>>,
 }
 
 impl Device {
-    /// A client without a session: [`Device::urgent`] works at once, everything else after
-    /// [`Device::hello`]. It numbers its frames from the low bits of `nonce`, which should be new for every connection.
+    /// A client without a session. [`Device::urgent`] works at once, everything else after [`Device::hello`]. Frames
+    /// are numbered from the low bits of `nonce`, which should be new for every connection.
     #[must_use]
     pub fn new(link: Box<dyn Link>, nonce: u32) -> Self {
         Self {
@@ -143,7 +143,7 @@ impl Device {
         Ok(device)
     }
 
-    /// Opens a session with whatever machine is there. `nonce` should be new for every connection.
+    /// Opens a session with any machine. `nonce` should be new for every connection.
     ///
     /// # Errors
     /// [`ClientError::NoAnswer`], or the link's.
@@ -153,7 +153,7 @@ impl Device {
         let sign = diagnosis::sign(&self.overheard.take().unwrap_or_default());
         let identity = match answer {
             Ok(Some(Output::Accepted(Response::Hello(identity)))) => identity,
-            // A server of another kind says what it is, and ends the connection.
+            // Another kind of server identifies itself and closes the connection.
             Err(ClientError::Link(_)) if matches!(sign, Sign::Web | Sign::Ssh | Sign::Text(_)) => {
                 return Err(self.no_answer(sign));
             }
@@ -166,7 +166,7 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
-            // One that came before the answer will be fetched, and would be reported twice.
+            // An event that came before the answer will be fetched; forget it, or it would be reported twice.
             let next = self.next_event;
             self.events.retain(|event| event.index < next);
             self.keep_alive_us = self.asked_keep_alive_us()?;
@@ -174,7 +174,7 @@ impl Device {
         Ok(identity)
     }
 
-    /// How often this device wants to hear the host while it moves, us.
+    /// Interval of requests that keeps this device moving, us: at most a third of its link timeout.
     fn asked_keep_alive_us(&mut self) -> Result<u64, ClientError> {
         let key = SettingKey::LinkTimeoutMs;
         let timeout_ms = self.call(GetSetting { key })?.value;
@@ -205,13 +205,13 @@ impl Device {
         Ok(())
     }
 
-    /// The device's answer to Hello; none before [`Device::hello`].
+    /// The device's answer to Hello; `None` before [`Device::hello`].
     #[must_use]
     pub fn identity(&self) -> Option<&Identity> {
         self.identity.as_ref()
     }
 
-    /// What the link leads to.
+    /// Name of the place that the link leads to.
     #[must_use]
     pub fn place(&self) -> String {
         self.link.place()
@@ -231,22 +231,23 @@ impl Device {
         self.link.owner()
     }
 
-    /// Asks the owner of the line to give it up. True if it does that: then the line can be opened again soon.
+    /// Asks the owner of the line to give it up. If it agrees, returns true, and the line can soon be opened again.
     pub fn want_line(&mut self) -> bool {
         self.link.want_line()
     }
 
-    /// Another process wants the line, which was offered: it waits until this device is dropped.
+    /// Whether another process wants the line that this one offers. It waits until this device is dropped.
     pub fn is_line_wanted(&mut self) -> bool {
         self.link.is_line_wanted()
     }
 
-    /// From now on other processes may have the line, or no longer: an owner that works at times and only looks at others.
+    /// Offers the line to other processes, or withdraws the offer. For an owner that only looks at times, and works at
+    /// others.
     pub fn offer_line(&mut self, offered: bool) {
         self.link.offer_line(offered);
     }
 
-    /// Gives the link up, so that another one can be opened to the same port. From now on everything fails as with a
+    /// Drops the link, so that another one can be opened to the same port. Afterwards everything fails as with a
     /// pulled cable; the operator's stop is still noticed.
     pub fn hang_up(&mut self) {
         let gone = Gone {
@@ -256,19 +257,19 @@ impl Device {
         self.link = Box::new(gone);
     }
 
-    /// From now on, what happens is recorded in this file: whoever has the line after a process that was killed finds it
-    /// there. With `None` nothing is left to be ended.
+    /// Names the record that this process now writes; `None` when it is complete. If this process is killed, the
+    /// line's next owner finds the unfinished record there.
     pub fn records(&mut self, sidecar: Option<&Path>) {
         self.link.records(sidecar);
     }
 
-    /// The record of a process that had the line before this one, and was killed.
+    /// The record of the line's previous owner, if that was killed.
     #[must_use]
     pub fn left_record(&self) -> Option<PathBuf> {
         self.link.left_record()
     }
 
-    /// How the device's clock stands to the link's, by the last status.
+    /// The relation of the device's clock to the link's, from the last status.
     #[must_use]
     pub fn clock(&self) -> Option<Clock> {
         self.clock
@@ -280,23 +281,23 @@ impl Device {
         self.link.now_us()
     }
 
-    /// What is ordered from now on was wanted when this was the last stop on the line. After a newer one it is not sent:
+    /// Sets the last stop that was known when the next orders were given. After a newer stop they are not sent:
     /// commands end with [`ClientError::Interrupted`].
     pub fn ordered_at(&mut self, mark: StopMark) {
         self.link.ordered_at(mark);
     }
 
-    /// Asks the owner of the line once instead of for seconds.
+    /// Asks the owner of the line only once, instead of repeating the question for seconds.
     pub fn expect_haste(&mut self) {
         self.owner_patience_us = 0;
     }
 
-    /// Polls `interrupt` from now on and sends the stop it returns ahead of everything else.
+    /// Sets the interrupt. It is polled, and the stop that it returns is sent ahead of everything else.
     pub fn set_interrupt(&mut self, interrupt: Interrupt) {
         self.interrupt = Some(interrupt);
     }
 
-    /// Polls `pacer` from now on while waiting for the end of an action.
+    /// Sets the pacer, which is polled while waiting for the end of an action.
     pub fn set_pacer(&mut self, pacer: Pacer) {
         self.pacer = Some(pacer);
     }
@@ -313,14 +314,14 @@ impl Device {
         self.client.rejected_frames()
     }
 
-    /// Number of events that the device had dropped before they could be fetched again.
+    /// Number of events that the device had already dropped when they were to be fetched.
     #[must_use]
     pub fn lost_events(&self) -> u32 {
         self.lost_events
     }
 }
 
-/// What is left of a link that was given up.
+/// Replaces a link that was dropped.
 struct Gone {
     place: String,
     now_us: u64,

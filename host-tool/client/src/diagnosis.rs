@@ -1,35 +1,35 @@
-//! What is at the other end when nothing answers Hello: told from the bytes that came.
+//! Identifies the other end when nothing answers Hello, from the bytes that came.
 
 use std::fmt;
 
 use protocol::frame::{Deframer, Kind};
 
-/// How many bytes are kept for a diagnosis.
+/// Bytes kept for a diagnosis.
 pub(crate) const OVERHEARD: usize = 1_024;
 
-/// The longest excerpt of a text that is shown, in characters.
+/// Longest excerpt of a text that is shown, characters.
 const EXCERPT: usize = 40;
 
-/// What the other end seems to be.
+/// Presumed kind of the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Sign {
     /// No byte came.
     Silence,
-    /// What was sent comes back.
+    /// The bytes that were sent come back.
     Echo,
-    /// A machine sends, and does not hear.
+    /// A machine that sends but does not hear.
     Deaf,
     /// A web server.
     Web,
     /// A server for remote log-in.
     Ssh,
-    /// Some other instrument that sends text; its beginning.
+    /// Some other instrument that sends text; the beginning of the text.
     Text(String),
-    /// Bytes that are neither text nor frames; how many.
+    /// Bytes that are neither text nor frames; their number.
     Noise(usize),
 }
 
-/// Tells what sent these bytes.
+/// Identifies the sender of these bytes.
 #[must_use]
 pub fn sign(bytes: &[u8]) -> Sign {
     if bytes.is_empty() {
@@ -38,7 +38,7 @@ pub fn sign(bytes: &[u8]) -> Sign {
     let mut deframer = Deframer::new();
     for byte in bytes {
         match deframer.push(*byte).map(|frame| frame.header.kind) {
-            // Only a host sends these.
+            // Only hosts send these, so they are our own.
             Some(Kind::Request | Kind::Urgent) => return Sign::Echo,
             Some(Kind::Reply | Kind::Telemetry | Kind::Event) => return Sign::Deaf,
             None => {}
@@ -53,7 +53,7 @@ pub fn sign(bytes: &[u8]) -> Sign {
     }
     let printable = |byte: &&u8| matches!(byte, b' '..=b'~' | b'\r' | b'\n' | b'\t');
     let readable = bytes.iter().filter(printable).count();
-    // Of random bytes two in five are printable.
+    // Demand 90 %: of random bytes, two in five are printable.
     if bytes.len() >= 4 && readable * 10 >= bytes.len() * 9 {
         let text = String::from_utf8_lossy(bytes);
         let words: Vec<_> = text.split_whitespace().collect();
@@ -82,7 +82,7 @@ impl fmt::Display for Sign {
 }
 
 impl Sign {
-    /// What to do about it.
+    /// The remedy.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {

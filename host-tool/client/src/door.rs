@@ -1,30 +1,31 @@
-//! One owner of a line, many windows.
+//! Doors: one owner of a line, many windows.
 //!
-//! The process that opens a line (a serial port or a TCP server) takes the line's lock and opens a *door* beside it. Any
-//! other process of the same user finds the door through the lock and looks through it: a [`window::Window`] is a
+//! The process that opens a line (a serial port or a TCP server) takes the line's lock and opens a *door* beside it.
+//! Any other process of the same user finds the door through the lock and looks through it: a [`window::Window`] is a
 //! [`crate::link::Link`], so that the whole client works over it.
 //!
-//! What goes through, and how:
+//! Traffic through a door:
 //!
 //! * A stop is written to the line at once by the door's own thread, whatever the owner is doing.
-//! * Reading, holding, resuming and acknowledging are questions: the owner asks them between two requests of its own, in its
-//!   own session, so that nothing is executed twice and the owner's requests keep their answers.
+//! * Reading, holding, resuming and acknowledging are questions. The owner sends them between two requests of its own,
+//! in its own session, so that nothing is executed twice and the owner's requests keep their answers.
 //! * Telemetry and events are passed on as they come.
-//! * Everything else is for the owner alone: what moves, what writes settings, the interval of telemetry.
+//! * Everything else is for the owner alone: motion, writing settings, the interval of telemetry.
 //!
 //! # The door's protocol
 //!
-//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a [`Knock`],
-//! the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]), and the door is the
-//! device's end of a session of its own. It answers what it does not let through with
+//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a
+//! [`Knock`], the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
+//! and the door acts as the device's end of a separate session. It rejects requests that are not allowed with
 //! [`protocol::error::WireError::Malformed`]. A guest need not wait for the welcome before it sends a stop.
 //!
-//! A guest beyond the most that may look is welcome to stop the machine and for nothing else: [`Welcome::full`] says so.
+//! Once the limit of guests is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says
+//! so.
 //!
-//! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it: the owner
-//! closes line and door, the guest opens the line, and the former owner comes back as a guest.
+//! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it:
+//! the owner closes line and door, the guest opens the line, and the former owner comes back as a guest.
 //!
-//! A version only ever adds fields to the two lines. Stops work between all versions.
+//! New versions only add fields to the two lines. Stops work between all versions.
 
 pub mod lock;
 pub mod server;
@@ -42,7 +43,7 @@ use serde::{Deserialize, Serialize};
 /// Version of the door's protocol.
 pub const VERSION: u32 = 1;
 
-/// The longest first line of either side, bytes.
+/// Longest first line of either side, bytes.
 pub const LONGEST_LINE: usize = 2_048;
 
 /// The guest's first line.
@@ -50,10 +51,10 @@ pub const LONGEST_LINE: usize = 2_048;
 pub struct Knock {
     /// [`VERSION`] of the guest.
     pub retrograde_window: u32,
-    /// The token that the owner has left in the runtime directory, where the system's permissions do not guard the door.
+    /// The token from the runtime directory; needed where the system's permissions do not guard the door.
     #[serde(default)]
     pub token: String,
-    /// The guest wants the line for itself, if the owner would give it up. It then has to open it again.
+    /// The guest wants the line for itself if the owner gives it up. The guest then has to open the line itself.
     #[serde(default)]
     pub wants_line: bool,
 }
@@ -63,12 +64,12 @@ pub struct Knock {
 pub struct Welcome {
     /// [`VERSION`] of the door.
     pub retrograde_door: u32,
-    /// Who owns the line.
+    /// The process that owns the line.
     pub owner: Owner,
-    /// The owner only looks: it gives the line up for a guest that wants it.
+    /// The owner only looks: it gives the line up to a guest that wants it.
     #[serde(default)]
     pub yields: bool,
-    /// There are as many guests as may look: this one can only stop the machine.
+    /// The limit of guests is reached: this one can only stop the machine.
     #[serde(default)]
     pub full: bool,
 }
@@ -77,7 +78,7 @@ pub struct Welcome {
 #[must_use]
 pub fn admits(request: &Request) -> bool {
     match request.impact() {
-        // The owner's record depends on the interval.
+        // The owner's record depends on the telemetry interval.
         Impact::None => !matches!(request, Request::SetTelemetry(_)),
         Impact::Fault | Impact::Pace => true,
         Impact::Flash | Impact::Motion => false,

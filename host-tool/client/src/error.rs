@@ -1,4 +1,4 @@
-//! Why a machine did not do what was requested: an error of the link, of the wire, or the device's own refusal.
+//! Errors of requests to a machine: of the link, of the wire, or the device's own refusal.
 
 use miette::Diagnostic;
 use protocol::VERSION;
@@ -13,7 +13,7 @@ use crate::link::LinkError;
 use crate::link::owner::Owner;
 use crate::wording;
 
-/// Why something could not be done.
+/// The reason why a request failed.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ClientError {
     /// The link failed.
@@ -28,9 +28,9 @@ pub enum ClientError {
     #[error("no answer from {place}: {sign}")]
     #[diagnostic(code(retrograde::no_answer), help("{}", sign.remedy()))]
     NoAnswer {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
-        /// What is there instead.
+        /// The presumed kind of the other end.
         sign: Sign,
     },
 
@@ -44,11 +44,11 @@ pub enum ClientError {
         )
     )]
     WrongDevice {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// The wanted machine.
         wanted: DeviceKind,
-        /// What answered.
+        /// The machine that answered.
         found: Box<Identity>,
     },
 
@@ -59,9 +59,9 @@ pub enum ClientError {
         help("until then `info`, `stop` and `estop` work, and nothing else is sent")
     )]
     Mismatch {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
-        /// What answered.
+        /// The machine that answered.
         found: Box<Identity>,
     },
 
@@ -69,11 +69,11 @@ pub enum ClientError {
     #[error("{place} refused {request}: {}", wording::refusal(refusal))]
     #[diagnostic(code(retrograde::refused), help("{}", unharmed(*impact)))]
     Refused {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
-        /// What it would have changed.
+        /// The effect that the request would have had.
         impact: Impact,
         /// The device's reason.
         refusal: Refusal,
@@ -83,7 +83,7 @@ pub enum ClientError {
     #[error("{place} could not use {request}: {error}")]
     #[diagnostic(code(retrograde::rejected), help("nothing was moved by this request"))]
     Rejected {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
@@ -100,7 +100,7 @@ pub enum ClientError {
         )
     )]
     SessionLost {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
     },
 
@@ -113,7 +113,7 @@ pub enum ClientError {
         )
     )]
     Owned {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
@@ -121,7 +121,7 @@ pub enum ClientError {
         owner: Box<Owner>,
     },
 
-    /// The owner of the line has not passed a question on.
+    /// The owner of the line did not pass a question on.
     #[error("{place} belongs to {owner}, which has not passed {request} on")]
     #[diagnostic(
         code(retrograde::owner_busy),
@@ -130,7 +130,7 @@ pub enum ClientError {
         )
     )]
     OwnerBusy {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
@@ -145,7 +145,7 @@ pub enum ClientError {
         help("look whether the machine stands; check cable and supply, then try again")
     )]
     NoReply {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
@@ -160,7 +160,7 @@ pub enum ClientError {
         )
     )]
     Silent {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the action.
         action: &'static str,
@@ -177,7 +177,7 @@ pub enum ClientError {
         )
     )]
     OutcomeUnknown {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
@@ -192,7 +192,7 @@ pub enum ClientError {
         )
     )]
     StopUnconfirmed {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
     },
 
@@ -216,7 +216,7 @@ pub enum ClientError {
         help("host tool and firmware differ although their schema keys agree: report this")
     )]
     WrongResponse {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the request.
         request: &'static str,
@@ -229,7 +229,7 @@ pub enum ClientError {
         help("look at the machine and at `retrograde info`")
     )]
     Overdue {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// Name of the action.
         action: &'static str,
@@ -271,7 +271,7 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
     )
 }
 
-/// What a refused request has not done.
+/// The phrase for what a refused request has left unchanged.
 fn unharmed(impact: Impact) -> &'static str {
     match impact {
         Impact::Flash => "nothing was changed",

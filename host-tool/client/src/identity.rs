@@ -36,8 +36,8 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
     }
 }
 
-/// Whether a record is of a real machine. A virtual run must never pass as a measurement, so what is not known is never
-/// `board`, and `virtual` outweighs everything that speaks for a board.
+/// Whether a record is from a real machine. A virtual run must never pass as a measurement. So an unknown origin never
+/// counts as `board`, and any sign of `virtual` outweighs all signs of a board.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
@@ -45,20 +45,20 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
 pub enum Origin {
     /// A board measured it.
     Board,
-    /// The record does not say: older tools did not write it.
+    /// The record does not say; older tools did not write it.
     #[default]
     Unknown,
     /// A simulated machine produced it.
     Virtual,
 }
 
-/// Virtual machines begin the unique number of their chip with this, in ASCII; no wafer is numbered so.
+/// Prefix of a virtual machine's UID, in ASCII; no wafer is numbered like this.
 const VIRTUAL_UID: &[u8] = b"virtual";
-/// The virtual bench's places begin with this: `virtual`, `virtual rig`.
+/// Prefix of the virtual bench's places: `virtual`, `virtual rig`.
 const VIRTUAL_PLACE: &str = "virtual";
 
 impl Origin {
-    /// Of a machine that answers with this identity at this place, as [`crate::link::Link::place`] names it.
+    /// Origin of a machine with this identity at this place, as [`crate::link::Link::place`] names it.
     #[must_use]
     pub fn of(identity: &Identity, place: &str) -> Self {
         let word = place.split(' ').next();
@@ -69,7 +69,7 @@ impl Origin {
         }
     }
 
-    /// Of a record that says this of itself, by the hexadecimal UID in it, which is harder to leave out.
+    /// Origin of a record from its own statement and from its hexadecimal UID, which is harder to leave out.
     #[must_use]
     pub fn of_record(says: Self, uid: &str) -> Self {
         let virtual_uid: String = VIRTUAL_UID
@@ -83,7 +83,7 @@ impl Origin {
         }
     }
 
-    /// As in records.
+    /// Name as in records.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -93,7 +93,7 @@ impl Origin {
         }
     }
 
-    /// What it means, for people.
+    /// Meaning, for people.
     #[must_use]
     pub const fn meaning(self) -> &'static str {
         match self {
@@ -159,7 +159,7 @@ pub struct IdentityRecord {
 }
 
 impl IdentityRecord {
-    /// Of the machine that answers at this place.
+    /// The identity of the machine that answers at this place.
     #[must_use]
     pub fn new(identity: &Identity, place: &str) -> Self {
         Self {

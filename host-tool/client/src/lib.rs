@@ -1,17 +1,17 @@
-//! One machine over a line: what is sent, what comes back, and whose line it is.
+//! Client of one machine over a line: requests, answers, and the ownership of the line.
 //!
 //! * [`Device`]: typed requests, events, telemetry, waiting, stops.
-//! * [`address`]: where a machine is.
+//! * [`address`]: addresses of machines.
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
 //! * [`door`]: one process owns a line, others look through its door and can stop.
 //! * [`diagnosis`]: the other end when no machine answers.
-//! * [`error`]: why a request failed, and what to do about it.
+//! * [`error`]: the reason why a request failed, and the remedy.
 //! * [`identity`]: names of machines, images and versions.
 //! * [`named`]: the user's names for machines.
 //! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.
 //! * [`decimal`]: decimal numbers as people write them, exact.
-//! * [`limited`]: files that are read up to a limit.
+//! * [`limited`]: reads files up to a size limit.
 #![forbid(unsafe_code)]
 
 pub mod address;

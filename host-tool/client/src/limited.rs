@@ -1,16 +1,16 @@
-//! Files that are read whole are read up to a limit: one without an end would take all memory.
+//! Reads whole files up to a size limit: an endless one would take all memory.
 
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
-/// Settings, and other files that people write by hand.
+/// Limit for settings and other files that people write by hand, bytes.
 pub const BY_HAND: u64 = 64 << 10;
 
-/// What this program writes for itself: sidecars, records of commissioning.
+/// Limit for files that this program writes for itself (sidecars, records of commissioning), bytes.
 pub const RECORD: u64 = 64 << 20;
 
-/// An image for a board of 512 KiB, with its debug information.
+/// Limit for an image, bytes: enough for a board of 512 KiB with debug information.
 pub const IMAGE: u64 = 256 << 20;
 
 /// Reads a file of at most `limit` bytes.
@@ -19,7 +19,7 @@ pub const IMAGE: u64 = 256 << 20;
 /// Those of the file, and [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = vec![];
-    // One more shows that there are more.
+    // Read one byte more than allowed, to detect a larger file.
     File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit {
         let kib = limit >> 10;
@@ -29,7 +29,7 @@ pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// As [`read`], for text.
+/// Like [`read`], for text.
 ///
 /// # Errors
 /// As [`read`], and [`io::ErrorKind::InvalidData`] if it is not UTF-8.

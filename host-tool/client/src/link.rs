@@ -14,20 +14,20 @@ use protocol::system::{Identity, Urgent};
 
 use crate::link::owner::{Owner, Question, StopMark};
 
-/// Why a link could not be opened, for programs.
+/// The reason why a link could not be opened, for programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// The user may not.
+    /// The user lacks the permission.
     Permission,
-    /// Another program has it.
+    /// Another program uses it.
     Busy,
-    /// Another `retrograde` has it and does not answer at its door.
+    /// Another `retrograde` owns it and does not answer at its door.
     OwnerSilent,
-    /// There is no such place.
+    /// It does not exist.
     Absent,
-    /// It is no serial port.
+    /// It is not a serial port.
     NoPort,
-    /// Nobody listens there.
+    /// No server listens there.
     Unreachable,
     /// Something else, such as the folder of the locks.
     Other,
@@ -38,31 +38,31 @@ pub enum Reason {
 #[error("cannot open {place}: {why}")]
 #[diagnostic(code(retrograde::open), help("{remedy}"))]
 pub struct OpenError {
-    /// What the link would lead to, as the user named it.
+    /// The place, as the user named it.
     pub place: String,
     /// The reason, for programs.
     pub reason: Reason,
     /// The reason, for people.
     pub why: String,
-    /// What to do about it.
+    /// The remedy.
     pub remedy: String,
 }
 
-/// Why a link could not carry bytes.
+/// The reason why a link could not carry bytes.
 #[derive(Debug, thiserror::Error)]
 pub enum LinkError {
     /// The other end is gone: cable pulled, socket closed, emulator ended.
     #[error("the link to {place} was lost: {why}")]
     Lost {
-        /// What the link leads to, as the user named it.
+        /// The place, as the user named it.
         place: String,
         /// The operating system's or the bench's reason.
         why: String,
     },
-    /// The process that owns the line has ended, and its door with it.
+    /// The process that owned the line has ended or given the line up, so its door is closed.
     #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
     OwnerGone {
-        /// What the link leads to, as the user named it.
+        /// The place, as the user named it.
         place: String,
         /// The process.
         owner: Box<Owner>,
@@ -70,7 +70,7 @@ pub enum LinkError {
 }
 
 impl LinkError {
-    /// What to do about it.
+    /// The remedy.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {
@@ -84,7 +84,7 @@ impl LinkError {
 
 /// A byte link to one machine.
 pub trait Link: Send {
-    /// What the link leads to, for messages: `/dev/ttyACM0`, `tcp:127.0.0.1:7001`, `virtual rig`.
+    /// The place, for messages: `/dev/ttyACM0`, `tcp:127.0.0.1:7001`, `virtual rig`.
     fn place(&self) -> String;
 
     /// Microseconds on the link's own clock; never steps back.
@@ -108,20 +108,20 @@ pub trait Link: Send {
         None
     }
 
-    /// Asks the owner of the line to give it up. True if it does that: then the line can be opened again soon.
+    /// Asks the owner of the line to give it up. If it agrees, returns true, and the line can soon be opened again.
     fn want_line(&mut self) -> bool {
         false
     }
 
-    // What a line's owner does for others that look at the machine through it; see `crate::door`.
+    // Tasks of a line's owner for other processes that look at the machine through it; see `crate::door`.
 
-    /// Takes note of the machine that has answered Hello.
+    /// Notes the machine that has answered Hello.
     fn introduce(&mut self, identity: &Identity) {
         let _ = identity;
     }
 
-    /// What is ordered from now on was wanted when this was the line's last stop. If another one was sent since, it counts
-    /// as one that has just come.
+    /// Sets the last stop that was known when the next orders were given. A later stop counts as one that has just
+    /// come.
     fn ordered_at(&mut self, mark: StopMark) {
         let _ = mark;
     }
@@ -131,12 +131,12 @@ pub trait Link: Send {
         None
     }
 
-    /// Another process wants the line that was offered.
+    /// Whether another process wants the line that was offered.
     fn is_line_wanted(&mut self) -> bool {
         false
     }
 
-    /// From now on the line is offered to other processes, or no longer. Nothing where it is not this process's own.
+    /// Offers the line to other processes, or withdraws the offer. Does nothing if this process does not own the line.
     fn offer_line(&mut self, offered: bool) {
         let _ = offered;
     }
@@ -144,17 +144,17 @@ pub trait Link: Send {
     /// Forgets the stops that other processes have sent so far.
     fn forget_stop(&mut self) {}
 
-    /// The file in which this process records from now on; see [`Link::left_record`].
+    /// Names the record that this process now writes; see [`Link::left_record`].
     fn records(&mut self, sidecar: Option<&Path>) {
         let _ = sidecar;
     }
 
-    /// The record of a process that had the line before this one and was killed.
+    /// The record of the line's previous owner, if that was killed.
     fn left_record(&self) -> Option<PathBuf> {
         None
     }
 
-    /// The next question of another process, to be asked between two requests.
+    /// The next question of another process, to be sent between two requests.
     fn question(&mut self) -> Option<Question> {
         None
     }

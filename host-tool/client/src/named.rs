@@ -1,4 +1,4 @@
-//! Machines that have a name: a file says where they are, so that nobody has to remember ports.
+//! Names of machines: a file maps them to addresses, so that nobody has to remember ports.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -11,10 +11,10 @@ use serde::Deserialize;
 use crate::address::Address;
 use crate::limited;
 
-/// Names another file.
+/// Environment variable that names another file.
 pub const FILE_VARIABLE: &str = "RETROGRADE_CONFIG";
 
-/// Why the file cannot be used.
+/// The reason why the file cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {why}", file.display())]
 pub struct NamedError {
@@ -45,12 +45,12 @@ impl Named {
     /// Reads the user's file; no machine has a name if there is none.
     ///
     /// # Errors
-    /// [`NamedError`] if the file cannot be read or says something that cannot be.
+    /// [`NamedError`] if the file cannot be read or its contents are invalid.
     pub fn read() -> Result<Self, NamedError> {
         file().map_or_else(|| Ok(Self::default()), |file| Self::read_from(&file))
     }
 
-    /// As [`Named::read`], from another file.
+    /// Like [`Named::read`], from another file.
     ///
     /// # Errors
     /// As [`Named::read`].
@@ -72,7 +72,7 @@ impl Named {
         })
     }
 
-    /// Where the machine of this kind and name is.
+    /// Address of the machine of this kind and name.
     #[must_use]
     pub fn address(&self, kind: DeviceKind, name: &str) -> Option<&Address> {
         self.of(kind).get(name)
@@ -106,7 +106,7 @@ fn addresses(written: BTreeMap<String, String>) -> Result<BTreeMap<String, Addre
     written.into_iter().map(read).collect()
 }
 
-/// Whether a text can be the name of a machine, and nothing else.
+/// Whether a text can only be the name of a machine.
 #[must_use]
 pub fn may_be_a_name(text: &str) -> bool {
     let fits = !text.is_empty() && text.len() <= MAX_NAME;
@@ -121,7 +121,7 @@ pub fn may_be_a_name(text: &str) -> bool {
     fits && text.trim() == text && letters && !port && !["auto", "virtual"].contains(&text)
 }
 
-/// The file, whether it is there or not; none if the system does not say where files of this kind are.
+/// Path of the file, which need not exist; `None` if the system does not say where such files are.
 #[must_use]
 pub fn file() -> Option<PathBuf> {
     let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty());

@@ -1,4 +1,4 @@
-//! The machine that results are about, with everything that they depend on.
+//! The machine that results are about, with everything that the results depend on.
 
 use std::collections::BTreeMap;
 
@@ -31,7 +31,7 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// Asks a machine for everything that its results depend on.
+    /// Reads everything from a machine that its results depend on.
     ///
     /// # Errors
     /// As [`Device::call`]; [`ClientError::NoAnswer`] before [`Device::hello`].
@@ -56,7 +56,7 @@ impl Subject {
         Ok(subject)
     }
 
-    /// What an identity alone says of it.
+    /// The part that follows from the identity alone.
     #[must_use]
     pub fn of_identity(identity: &Identity) -> Self {
         let known = IdentityRecord::new(identity, "");

@@ -1,4 +1,4 @@
-//! Refusals in the units in which people type: mm, mm/s, s. On the wire and in the firmware's own texts they are
+//! Words refusals in the units in which people type: mm, mm/s, s. The wire and the firmware's own texts use
 //! micrometres and microseconds.
 
 use motion::axis::AxisError;
@@ -7,7 +7,7 @@ use protocol::error::{Field, Refusal};
 
 use crate::decimal;
 
-/// What a machine says when it refuses.
+/// Text of a machine's refusal.
 #[must_use]
 pub fn refusal(refusal: &Refusal) -> String {
     match *refusal {
@@ -58,7 +58,7 @@ pub fn refusal(refusal: &Refusal) -> String {
     }
 }
 
-/// Why a run is infeasible.
+/// The reason why a run is infeasible.
 #[must_use]
 pub fn infeasible(error: &RunError) -> String {
     match *error {
@@ -104,7 +104,7 @@ pub fn infeasible(error: &RunError) -> String {
     }
 }
 
-/// Why a screw, a speed or an acceleration is impossible.
+/// The reason why a screw, a speed or an acceleration is impossible.
 #[must_use]
 pub fn axis(error: &AxisError) -> String {
     match *error {
@@ -128,7 +128,7 @@ fn accel(um_s2: u64) -> String {
     format!("{} mm/s2", decimal::write(um_s2, 3))
 }
 
-/// A value's name, how many decimals people's unit has more than the wire's, and that unit.
+/// The value's name, how many more decimals people's unit has than the wire's, and that unit.
 fn named(field: Field) -> (&'static str, u32, &'static str) {
     match field {
         Field::Cycles => ("the number of cycles", 0, ""),

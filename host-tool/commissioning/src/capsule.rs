@@ -3,13 +3,14 @@
 use client::Unobserved;
 use client::decimal;
 use protocol::capsule::{
-    ActuationAccepted, ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CapsuleStatus,
+    ActuationAccepted, ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState,
+    CapsuleStatus, TracePoint,
 };
 use protocol::system::{BuildProfile, Urgent};
 
 use crate::device;
 use crate::halt::Halt;
-use crate::hands::Reading;
+use crate::hands::{Part, Reading};
 use crate::step::Step;
 use crate::work::{LOOK_US, Work};
 
@@ -48,6 +49,14 @@ pub const STEPS: &[Step] = &[
         name: "rest",
         shows: "no current is measured while the motor is off",
         check: rest,
+        ..PLAIN
+    },
+    Step {
+        name: "held",
+        shows: "with the motor held, the current measured is the one ordered, at three duties",
+        look: "the shaft must not turn",
+        needs_hands: true,
+        check: held,
         ..PLAIN
     },
     Step {
@@ -91,6 +100,14 @@ pub const STEPS: &[Step] = &[
     },
 ];
 
+/// The current measured at a third of the duty may differ from the one in proportion by this, parts per hundred:
+/// offset, ripple, steps of the duty.
+const HELD_PERCENT: u32 = 25;
+/// The largest duty has to be this much of the smallest, parts per hundred: with a shunt below the bridge the ratio
+/// follows it. The model's motor goes from 21 to 38 %.
+const HELD_SPAN_PERCENT: u32 = 150;
+/// Less current than this says nothing of a proportion, mA.
+const HELD_LEAST_MA: u16 = 15;
 /// The capsule's clock is the chip's own: 1 % at 25 C, more in the cold, parts per million.
 const CLOCK_PPM: i64 = 20_000;
 /// Most current that may be measured while the motor is off, mA: the amplifier's offset.
@@ -164,6 +181,112 @@ fn rest(work: &mut Work<'_>) -> Result<(), Halt> {
         )));
     }
     Ok(())
+}
+
+/// A motor that is held has no back-EMF: its current is the voltage over the resistance of the loop, at any duty, if
+/// the shunt sees what flows in the motor. One below the bridge sees the pulses only, a share of the current as large
+/// as the duty.
+fn held(work: &mut Work<'_>) -> Result<(), Halt> {
+    clear(work)?;
+    work.hand(Part::Rotor, true)?;
+    let accepted = work.device.reference();
+    let trace = accepted.and_then(|accepted| {
+        work.device.wait_actuation(&accepted, &mut Unobserved)?;
+        work.device.trace()
+    });
+    work.hand(Part::Rotor, false)?;
+    clear(work)?;
+    let trace = trace?;
+    let thirds = thirds(&trace.points)?;
+    for (name, third) in ["low", "middle", "high"].into_iter().zip(thirds) {
+        work.note(&format!("{name}_duty_percent"), third.duty_percent);
+        work.note(&format!("{name}_drive_mv"), third.drive_mv);
+        work.note(&format!("{name}_current_ma"), third.current_ma);
+    }
+    work.note("loop_milliohm", thirds[2].milliohm());
+    in_proportion(thirds)
+}
+
+/// Means of the readings of a motor that stands, by thirds of its duty.
+fn thirds(points: &[TracePoint]) -> Result<[Standing; 3], Halt> {
+    let mut standing = standing(points);
+    standing.sort_unstable_by_key(|point| point.duty_percent);
+    let (count, third) = (standing.len(), standing.len() / 3);
+    let of = |range: std::ops::Range<usize>| standing.get(range).and_then(mean);
+    match (of(0..third), of(third..count - third), of(count - third..count)) {
+        (Some(low), Some(middle), Some(high)) => Ok([low, middle, high]),
+        _ => Err(Halt::NotShown(
+            "the motor was not seen standing under voltage: hold its shaft, and see that the bridge drives it"
+                .to_owned(),
+        )),
+    }
+}
+
+/// Voltage and current have the same ratio at all three duties.
+fn in_proportion([low, middle, high]: [Standing; 3]) -> Result<(), Halt> {
+    if high.duty_percent * 100 < HELD_SPAN_PERCENT * low.duty_percent {
+        return Err(Halt::NotShown(format!(
+            "the duty went from {} to {} % only",
+            low.duty_percent, high.duty_percent
+        )));
+    }
+    for other in [low, middle] {
+        let most = u64::from(high.milliohm().max(other.milliohm()));
+        let least = u64::from(high.milliohm().min(other.milliohm()));
+        if most * 100 > least * u64::from(100 + HELD_PERCENT) {
+            return Err(Halt::Defect(format!(
+                "held, the motor draws {} mA with {} mV and {} mA with {} mV: not in proportion. The shunt does not see what flows between the pulses: it has to be in series with the motor (docs/capsule.md)",
+                other.current_ma, other.drive_mv, high.current_ma, high.drive_mv
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// A motor that stands under voltage.
+#[derive(Clone, Copy, Debug)]
+struct Standing {
+    duty_percent: u32,
+    drive_mv: u32,
+    current_ma: u32,
+}
+
+impl Standing {
+    fn milliohm(self) -> u32 {
+        self.drive_mv * 1_000 / self.current_ma.max(1)
+    }
+}
+
+/// The readings of a motor that stands: drive counts until the next reading, and is the same in two, so that the
+/// current has settled.
+fn standing(points: &[TracePoint]) -> Vec<Standing> {
+    let stands = |window: &&[TracePoint]| {
+        let [before, now, after] = window else {
+            return false;
+        };
+        let still = before.thread_um == now.thread_um && now.thread_um == after.thread_um;
+        let near = before.drive_mv.abs_diff(now.drive_mv) <= before.drive_mv.unsigned_abs() / 8;
+        still && near && now.drive_mv > 0 && now.battery_mv > 0 && after.current_ma >= HELD_LEAST_MA
+    };
+    let reading = |window: &[TracePoint]| Standing {
+        duty_percent: u32::from(window[1].drive_mv.unsigned_abs()) * 100
+            / u32::from(window[1].battery_mv),
+        drive_mv: window[1].drive_mv.unsigned_abs().into(),
+        current_ma: window[2].current_ma.into(),
+    };
+    points.windows(3).filter(stands).map(reading).collect()
+}
+
+fn mean(points: &[Standing]) -> Option<Standing> {
+    let count = u32::try_from(points.len())
+        .ok()
+        .filter(|count| *count > 0)?;
+    let of = |value: fn(&Standing) -> u32| points.iter().map(value).sum::<u32>() / count;
+    Some(Standing {
+        duty_percent: of(|point| point.duty_percent),
+        drive_mv: of(|point| point.drive_mv),
+        current_ma: of(|point| point.current_ma),
+    })
 }
 
 /// Waits for an actuation that has to end by itself; its numbers are kept.
@@ -322,5 +445,58 @@ fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
         other => Err(Halt::Defect(format!(
             "the motor did not stop when the host was silent: {other:?}"
         ))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A held motor whose drive rises from 0.1 to 1.5 V within 300 ms, with the current that `sensed` makes of duty and
+    /// mA.
+    fn ramp(sensed: impl Fn(f64, f64) -> f64) -> Vec<TracePoint> {
+        let drive = |n: i32| (100 + n * 1_400 / 300) / 40 * 40;
+        let point = |n: i32| {
+            let before = f64::from(drive((n - 1).max(0)));
+            TracePoint {
+                thread_um: 77,
+                current_ma: sensed(before / 3_700.0, before / 6.0).round() as u16,
+                battery_mv: 3_700,
+                drive_mv: drive(n) as i16,
+            }
+        };
+        (0..300).map(point).collect()
+    }
+
+    fn verdict(points: &[TracePoint]) -> Result<(), Halt> {
+        thirds(points).and_then(in_proportion)
+    }
+
+    #[test]
+    fn a_shunt_in_series_sees_the_current_at_any_duty() {
+        assert!(verdict(&ramp(|_, ma| ma)).is_ok());
+        // An amplifier that is 5 % off, and its offset.
+        assert!(verdict(&ramp(|_, ma| ma * 1.05 + 2.0)).is_ok());
+    }
+
+    #[test]
+    fn a_shunt_below_the_bridge_is_named() {
+        // It sees the pulses: a share as large as the duty.
+        match verdict(&ramp(|duty, ma| ma * duty * 3.0)) {
+            Err(Halt::Defect(why)) => assert!(why.contains("in series with the motor"), "{why}"),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_shaft_that_turns_shows_nothing() {
+        let mut points = ramp(|_, ma| ma);
+        for (n, point) in (0..).zip(&mut points) {
+            point.thread_um = n;
+        }
+        assert!(matches!(verdict(&points), Err(Halt::NotShown(_))));
+        assert!(matches!(verdict(&[]), Err(Halt::NotShown(_))));
+        let flat: Vec<_> = ramp(|_, ma| ma)[200..210].to_vec();
+        assert!(matches!(verdict(&flat), Err(Halt::NotShown(why)) if why.contains("duty went")));
     }
 }

@@ -63,6 +63,8 @@ named! {
         Supply: "motor-supply",
         /// The cable to the host, plugged or pulled.
         Cable: "cable",
+        /// The capsule's motor shaft, held or let go.
+        Rotor: "rotor",
         /// The carriage: `on` moves it to the middle of its travel by hand.
         Carriage: "carriage",
     }

@@ -128,7 +128,7 @@ pub const STEPS: &[Step] = &[
     },
     Step {
         name: "edge-timing",
-        shows: "the intervals between steps, timed at the pin, are those of the plan",
+        shows: "the intervals between steps, timed at the pin, are those of the plan within 10 ns",
         settings: PULSES,
         check: runs::edge_timing,
         ..PLAIN

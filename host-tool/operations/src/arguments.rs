@@ -1,4 +1,4 @@
-//! Arguments that several commands share, and that the server reads from the body of a request.
+//! Arguments that several commands share. The server reads them from the body of a request.
 
 use std::path::PathBuf;
 
@@ -197,7 +197,7 @@ impl Waves {
                 return_um_s: WAVE_UM_S,
                 accel_um_s2,
             },
-            // `waves` is in thousandths per minute. Rounded up, so that the run is never faster than requested.
+            // `waves` is in thousandths per minute. Round up, so that the run is never faster than requested.
             _ if let Some(waves) = self.waves_per_minute => {
                 total((cycles * 60_000_000_000).div_ceil(u64::from(waves.0).max(1)))
             }

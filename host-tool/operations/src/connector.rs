@@ -1,4 +1,4 @@
-//! Where links, nonces and the time of day come from. [`Ports`] takes them from this computer; the virtual bench has a
+//! Sources of links, nonces and the time of day. [`Ports`] takes them from this computer; the virtual bench has a
 //! connector of its own.
 
 use std::hash::{BuildHasher, RandomState};
@@ -18,38 +18,38 @@ use commissioning::hands::Hands;
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
-/// A place where a machine may be.
+/// A place where there may be a machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
     /// Its address.
     pub address: Address,
     /// The kind of machine, if it is known without asking.
     pub kind: Option<DeviceKind>,
-    /// What the system says about the place.
+    /// The system's description of the place.
     pub description: String,
-    /// Hello may be sent there without disturbing some other instrument.
+    /// Whether Hello may be sent there without disturbing some other instrument.
     pub may_ask: bool,
 }
 
-/// What a link is opened for; it decides how long it may take, and what becomes of a line that somebody else has.
+/// Purpose of a link. It decides how long opening may take, and how a line is treated that somebody else owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Whatever a machine can do.
+    /// Anything that a machine can do.
     Work,
-    /// Only to look, for as long as somebody likes: as the owner of the line it offers it to others from the beginning, see
-    /// [`Link::is_line_wanted`].
+    /// Looking for as long as the user likes. As the owner of the line it offers the line to others from the
+    /// beginning, see [`Link::is_line_wanted`].
     Watch,
-    /// To look once, soon: a place that does not answer by then is told as such.
+    /// Looking once and briefly; a place that does not answer in time is reported as such.
     Look,
-    /// Nothing but a stop, which does not wait for a place that does not answer.
+    /// A stop only, which does not wait for a place that does not answer.
     Stop,
-    /// The same past the owner of the line, who has not brought it to the machine.
+    /// A stop that bypasses the owner of the line, because the owner has not passed it on to the machine.
     StopDirectly,
 }
 
-/// Opens links. Several threads may, so that a stop goes to all machines at once.
+/// Opens links. Several threads may call it, so that a stop goes to all machines at once.
 pub trait Connector: Sync {
-    /// Opens a link to a machine; sends nothing. Does not search: the caller finds the address behind [`Address::Auto`].
+    /// Opens a link to a machine; sends nothing. It does not search: the caller resolves [`Address::Auto`].
     ///
     /// # Errors
     /// [`OpenError`] with what to do about it.
@@ -61,19 +61,20 @@ pub trait Connector: Sync {
         purpose: Purpose,
     ) -> Result<Box<dyn Link>, OpenError>;
 
-    /// The machine there is made when it is opened: it is neither homed nor referenced, and nobody is near it.
+    /// Whether the machine there is created when it is opened: it is neither homed nor referenced, and nobody is near
+    /// it.
     fn is_made_anew(&self, address: &Address) -> bool {
         let _ = address;
         false
     }
 
-    /// Lock and door of the line there, where several processes share it.
+    /// Lock and door of the line there, if several processes can share it.
     fn doorway(&self, address: &Address) -> Option<Doorway> {
         let _ = address;
         None
     }
 
-    /// The places where a machine may be, for `auto` and `devices`.
+    /// The places where there may be a machine, for `auto` and `devices`.
     fn candidates(&self) -> Vec<Candidate>;
 
     /// A nonce for the next session, different from the last one.
@@ -82,21 +83,21 @@ pub trait Connector: Sync {
     /// The time of day, for records.
     fn now(&self) -> Timestamp;
 
-    /// Hands at the machine of this kind and address, where they are part of this program. A board needs those of a
-    /// person.
+    /// The simulated hands at the machine of this kind and address, if they are part of this program. A board needs a
+    /// person's hands.
     fn hands(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Hands>> {
         let _ = (kind, address);
         None
     }
 }
 
-/// How long each of the ways may take.
+/// Time limits for the steps of opening a line.
 struct Patience {
-    /// A connection.
+    /// For a connection.
     connect: Duration,
-    /// An owner of the line whose door is open, with its answer to a knock.
+    /// For an owner with an open door to answer a knock.
     answer: Duration,
-    /// A line that is taken, without a door: its owner comes or goes, and its disk may be slow.
+    /// For a line that is taken but has no door: its owner is starting or leaving, and its disk may be slow.
     change: Duration,
 }
 
@@ -104,9 +105,9 @@ impl Purpose {
     fn patience(self) -> Patience {
         let [connect, answer, change] = match self {
             Self::Work | Self::Watch => [5_000, 2_000, 5_000],
-            // A diagnosis is there within 1 s, of which a silent machine takes 0.8 s to be called so.
+            // A diagnosis should take at most 1 s. Declaring a machine silent takes 0.8 s of that.
             Self::Look => [200, 500, 500],
-            // Whoever waits longer should be at the button.
+            // After this time the user should be at the emergency stop button.
             Self::Stop | Self::StopDirectly => [1_000, 250, 250],
         }
         .map(Duration::from_millis);
@@ -118,10 +119,10 @@ impl Purpose {
     }
 }
 
-/// Interval between two attempts at a line whose owner comes or goes.
+/// Interval between attempts at a line whose owner is starting or leaving.
 const AGAIN: Duration = Duration::from_millis(5);
 
-/// Opens the line as its owner, or a window to it if another process has it.
+/// Opens the line as its owner, or a window through its owner's door if another process has it.
 fn way_in(
     doorway: &Doorway,
     purpose: Purpose,
@@ -168,7 +169,7 @@ fn way_in(
     }
 }
 
-/// Opens the line for two threads.
+/// Opens the line, split for two threads.
 fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenError> {
     let opened = match address {
         Address::Serial(path) => Serial::open(path, baud)?.halves(),
@@ -183,7 +184,7 @@ fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenE
     })
 }
 
-/// Opens the line without regard to others.
+/// Opens the line without lock or door, whatever other processes do.
 fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>, OpenError> {
     match address {
         Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
@@ -192,7 +193,7 @@ fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>
     }
 }
 
-/// An address without a line.
+/// The error for an address without a line.
 fn nowhere(address: &Address) -> OpenError {
     let (why, remedy) = if *address == Address::Virtual {
         (
@@ -213,7 +214,7 @@ fn nowhere(address: &Address) -> OpenError {
     }
 }
 
-/// Serial ports and TCP, random nonces, the computer's clock.
+/// Takes links from serial ports and TCP, nonces from random numbers, and the time from the computer's clock.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Ports;
 
@@ -229,7 +230,7 @@ impl Connector for Ports {
         let through =
             |doorway: &Doorway| way_in(doorway, purpose, &|| halves(address, baud, limit));
         let doorway = match (Doorway::of(address), purpose) {
-            // Whatever is wrong with lock or door, a stop goes the direct way.
+            // If lock or door do not work, send a stop the direct way.
             (Err(_), Purpose::Stop | Purpose::StopDirectly) => None,
             (doorway, _) => doorway?,
         };
@@ -246,7 +247,7 @@ impl Connector for Ports {
     }
 
     fn doorway(&self, address: &Address) -> Option<Doorway> {
-        // Opening the line says what is wrong with its lock.
+        // Ignore errors of the lock: opening the line reports them.
         Doorway::of(address).ok().flatten()
     }
 
@@ -263,7 +264,7 @@ impl Connector for Ports {
     }
 
     fn nonce(&self) -> u32 {
-        // The keys of the standard library's hasher are the only source of randomness without a dependency.
+        // The standard library's hasher keys are the only source of randomness without a dependency.
         RandomState::new().hash_one(Timestamp::now().as_nanosecond()) as u32
     }
 
@@ -276,7 +277,7 @@ impl Connector for Ports {
 mod tests {
     use super::*;
 
-    /// A slow disk or a slow port may lie between an owner's name and its door.
+    /// A slow disk or port may delay an owner between writing its name and opening its door.
     #[test]
     fn an_owner_without_a_door_is_waited_for_longer_than_one_that_does_not_answer() {
         let folder = tempfile::tempdir().expect("a folder");

@@ -1,24 +1,24 @@
-//! What became of a stop, machine by machine.
+//! Results of a stop, machine by machine.
 
 use protocol::system::Urgent;
 use serde_json::{Value, json};
 
-/// What to do when a machine may not have been stopped.
+/// The advice when a machine may not have been stopped.
 pub const DO_NOW: &str = "press the emergency stop button or cut the motor supply NOW; or press Ctrl-C twice in the terminal whose `retrograde` moves the machine";
 
-/// What became of a stop.
+/// Result of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
     /// The machine has confirmed it.
     Stopped,
-    /// It was sent, and the machine did not confirm it.
+    /// It was sent, but the machine did not confirm it.
     NotConfirmed,
     /// It was not sent.
     NotDelivered,
 }
 
 impl Delivery {
-    /// For `--json`.
+    /// Name for `--json`.
     #[must_use]
     pub fn name(self) -> &'static str {
         match self {
@@ -29,19 +29,19 @@ impl Delivery {
     }
 }
 
-/// What became of the stop of one machine.
+/// Result of the stop of one machine.
 #[derive(Clone, Debug)]
 pub struct Told {
     /// The machine, as the user would name it: `rig at /dev/ttyACM0`.
     pub machine: String,
-    /// What became of the stop.
+    /// Result of the stop.
     pub delivery: Delivery,
-    /// Why it is not known to stand; empty if it is.
+    /// The reason why it is not known to stand; empty if it is.
     pub why: String,
 }
 
 impl Told {
-    /// For a person.
+    /// Text for a person.
     #[must_use]
     pub fn line(&self, urgent: Urgent) -> String {
         let machine = &self.machine;
@@ -57,7 +57,7 @@ impl Told {
         }
     }
 
-    /// For `--json`.
+    /// Value for `--json`.
     #[must_use]
     pub fn json(&self) -> Value {
         json!({
@@ -68,7 +68,7 @@ impl Told {
     }
 }
 
-/// Which machines did not confirm, in one sentence.
+/// Names the machines that did not confirm, in one sentence.
 #[must_use]
 pub fn summary(told: &[Told]) -> String {
     let of = |delivery, text: &str| {

@@ -1,4 +1,4 @@
-//! How a motion of the rig has ended.
+//! Ends of the rig's motions, in words.
 
 use client::Device;
 use client::decimal;
@@ -7,10 +7,10 @@ use trials::trial::Status;
 
 use crate::failure::Failure;
 
-/// Holds the run that goes on, and waits until the carriage stands.
+/// Holds the run that is under way, and waits until the carriage stands.
 ///
 /// # Errors
-/// The run has ended meanwhile, or was resumed by somebody else.
+/// The run has ended meanwhile, or somebody else has resumed it.
 pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
     rig.call(rig::Hold)?;
     let status = rig.wait_rest()?;
@@ -71,13 +71,13 @@ fn ended(
     }
 }
 
-/// Where the carriage is, in mm.
+/// Position of the carriage, in mm.
 #[must_use]
 pub fn millimetres(status: &RigStatus) -> String {
     decimal::write_signed(status.position_um.into(), 3)
 }
 
-/// The result of homing in one line.
+/// Result of homing, in one line.
 #[must_use]
 pub fn homed_text(homed: &client::Homed) -> String {
     format!(

@@ -1,4 +1,4 @@
-//! Failures as the user sees them: text, code, help, exit code.
+//! Failures as shown to the user: text, code, help, exit code.
 
 use std::io;
 use std::path::PathBuf;
@@ -21,7 +21,7 @@ use crate::delivery::{self, Delivery, Told};
 
 /// Success.
 pub const DONE: u8 = 0;
-/// A file or this program failed.
+/// A file could not be used, or this program failed.
 pub const FAILED: u8 = 1;
 /// The command line cannot be understood.
 pub const USAGE: u8 = 2;
@@ -40,18 +40,18 @@ pub const NOT_DELIVERED: u8 = 8;
 /// Stopped by the operator.
 pub const STOPPED: u8 = 130;
 
-/// A failure that only one command has.
+/// A failure specific to one command.
 pub trait CommandFailure: Diagnostic + Send + Sync {
     /// The exit code; the table is in `docs/host-tool.md`.
     fn exit_code(&self) -> u8;
 
-    /// Adds what `--json` shows beside the error.
+    /// Adds the fields that `--json` shows beside the error.
     fn describe(&self, value: &mut Value) {
         let _ = value;
     }
 }
 
-/// A [`CommandFailure`], shown as it is.
+/// A [`CommandFailure`], reported without further text.
 #[derive(Debug)]
 pub struct OfCommand(Box<dyn CommandFailure>);
 
@@ -83,10 +83,10 @@ impl<T: CommandFailure + 'static> From<T> for Failure {
     }
 }
 
-/// Why a command failed.
+/// The reason why a command failed.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum Failure {
-    /// The device or the link to it.
+    /// An error of the device or of the link to it.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
@@ -113,7 +113,7 @@ pub enum Failure {
     #[error("{}", wording::axis(.0))]
     #[diagnostic(code(retrograde::axis))]
     Axis(#[from] AxisError),
-    /// A number that the models do not cover.
+    /// A number outside the range of the models.
     #[error("{0}")]
     #[diagnostic(code(retrograde::range))]
     Range(#[from] OutOfRange),
@@ -126,7 +126,7 @@ pub enum Failure {
     NotFound {
         /// The wanted kind.
         wanted: DeviceKind,
-        /// What was found instead.
+        /// The machines and places that were found instead.
         there: String,
     },
     /// Several of the wanted kind were found.
@@ -138,7 +138,7 @@ pub enum Failure {
     Ambiguous {
         /// The wanted kind.
         wanted: DeviceKind,
-        /// All of them.
+        /// All machines of this kind that were found.
         there: String,
     },
     /// Nothing was found at all.
@@ -150,7 +150,7 @@ pub enum Failure {
         )
     )]
     NothingFound {
-        /// What was found instead.
+        /// The places that were found instead.
         there: String,
     },
     /// The action did not end as planned.
@@ -163,7 +163,7 @@ pub enum Failure {
         status: Status,
         /// The fault, if there was one.
         reason: Option<String>,
-        /// What the user can do now.
+        /// The remedy.
         help: String,
     },
     /// A file could not be written.
@@ -178,7 +178,7 @@ pub enum Failure {
         /// The operating system's reason.
         io: io::Error,
     },
-    /// The result could not be written. What was asked for has been done.
+    /// The result could not be written, although the command was carried out.
     #[error("standard output: {io}; the command was carried out, its result is lost")]
     #[diagnostic(
         code(retrograde::output),
@@ -196,26 +196,26 @@ pub enum Failure {
     Refused {
         /// The reason.
         why: String,
-        /// What the user can do.
+        /// The remedy.
         help: String,
     },
-    /// A file or an argument that cannot be used.
+    /// An unusable file or argument.
     #[error("{why}")]
     #[diagnostic(code(retrograde::input), help("{help}"))]
     Input {
         /// The reason.
         why: String,
-        /// What the user can do.
+        /// The remedy.
         help: String,
     },
-    /// A stop that not every machine has confirmed.
+    /// At least one machine has not confirmed the stop.
     #[error("{}", delivery::summary(told))]
     #[diagnostic(code(retrograde::stop), help("{}", delivery::DO_NOW))]
     Stops {
-        /// What became of it, for each machine.
+        /// The result for each machine.
         told: Vec<Told>,
     },
-    /// The rig was called by a name that it does not carry.
+    /// The rig does not have the name by which it was called.
     #[error("{}; nothing was moved", wrong_name(name, place, carried))]
     #[diagnostic(
         code(retrograde::wrong_name),
@@ -224,20 +224,20 @@ pub enum Failure {
         )
     )]
     WrongName {
-        /// What the link leads to.
+        /// The machine's place, as the user named it.
         place: String,
         /// The name by which it was called.
         name: String,
-        /// The name that it carries; empty if it has none.
+        /// The rig's actual name; empty if it has none.
         carried: String,
     },
-    /// What only one command can fail with.
+    /// A failure specific to one command.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Command(OfCommand),
 }
 
-/// What is wrong about a name.
+/// Text for a wrong name of a rig.
 pub fn wrong_name(name: &str, place: &str, carried: &str) -> String {
     match carried {
         "" => format!("the rig at {place} carries no name, and should be `{name}`"),
@@ -245,7 +245,7 @@ pub fn wrong_name(name: &str, place: &str, carried: &str) -> String {
     }
 }
 
-/// For `--json`, a command line that cannot be understood; `text` is what a person is told.
+/// Value for `--json` of a command line that cannot be understood; `text` is the message for a person.
 pub fn usage(text: &str) -> Value {
     let mut parts = text.trim().splitn(2, "\n\n");
     let mut part = || parts.next().unwrap_or_default().trim().to_owned();
@@ -261,7 +261,7 @@ pub fn usage(text: &str) -> Value {
     })
 }
 
-/// The options that make the run feasible, from the planner's numbers.
+/// Suggests options that make the run feasible, from the planner's numbers.
 fn way_out(error: &RunError) -> String {
     match *error {
         RunError::TotalTooShort {
@@ -296,7 +296,7 @@ fn ended(status: Status) -> &'static str {
 }
 
 impl Failure {
-    /// With its remedy, in one line.
+    /// Text with its remedy, in one line.
     #[must_use]
     pub fn in_one_line(&self) -> String {
         let help = self.help().map(|help| format!("; {help}"));
@@ -335,7 +335,7 @@ impl Failure {
         }
     }
 
-    /// For `--json`.
+    /// Value for `--json`.
     #[must_use]
     pub fn json(&self) -> Value {
         let mut value = json!({
@@ -356,7 +356,7 @@ impl Failure {
         value
     }
 
-    /// For people.
+    /// Text for people.
     #[must_use]
     pub fn text(&self) -> String {
         let code = self

@@ -1,4 +1,4 @@
-//! What `fold` is asked for: the end, a length of thread, or the indentation that would fold as far.
+//! Targets of `fold`: the end, a length of thread, or the indentation that would fold as far.
 
 use client::decimal;
 use locomotion::kinematics::Design;
@@ -8,10 +8,10 @@ use trials::experiment::Motion;
 use crate::arguments::PartialArgs;
 use crate::failure::Failure;
 
-/// What is wanted of the capsule.
+/// Converts the arguments to a motion of the capsule.
 ///
 /// # Errors
-/// No origami and no thread is that long.
+/// The target is longer than any origami or thread.
 pub fn motion(args: &PartialArgs) -> Result<Motion, Failure> {
     Ok(match (args.thread_mm, args.indentation_mm) {
         (Some(thread), _) => Motion::fold_to(target_um(thread.0.into())?),
@@ -29,10 +29,10 @@ fn target_um(thread_um: u64) -> Result<i32, Failure> {
     })
 }
 
-/// Thread on the spool when the paper's origami is as short as this indentation would make it.
+/// Length of thread on the spool at which the paper's origami is as short as this indentation would make it.
 fn thread_um(indentation_um: u64, slack_um: u64) -> Result<i32, Failure> {
     let design = Design::paper_printed();
-    // Lengths of some millimetres are exact.
+    // `f64` is exact for lengths of some millimetres.
     let indentation_mm = indentation_um as f64 / 1e3;
     let shortening_mm = design
         .shortening_mm(indentation_mm)

@@ -1,5 +1,5 @@
-//! The record that a process has left which was killed while it recorded: whoever has the line after it ends the record
-//! with what the machine itself knows.
+//! Completes the record of a process that was killed while it recorded. The line's next owner does this, with the
+//! machine's own data.
 
 use std::path::Path;
 
@@ -11,8 +11,8 @@ use protocol::rig::{RigState, RunOutcome};
 use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, RecordError, Status, Trial, json};
 use trials::writer::replace;
 
-/// Ends the record that was left on the line of `device`, if there is one and nothing moves any more. Returns what there
-/// is to say.
+/// Completes the record that was left on the line of `device`, if there is one and nothing moves any more. Returns a
+/// message for the user.
 ///
 /// # Errors
 /// As [`Device::call`].
@@ -20,7 +20,7 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
     let Some(sidecar) = device.left_record() else {
         return Ok(None);
     };
-    // A campaign ends its own records when it is resumed.
+    // Skip campaigns: they complete their own records when they are resumed.
     let is_campaign = |folder: &Path| folder.join(CAMPAIGN_PLAN).exists();
     let trial = Trial::read(&sidecar).ok();
     let trial = trial.filter(|trial| trial.status == Status::Running);
@@ -54,7 +54,7 @@ fn write(sidecar: &Path, trial: &Trial) -> Result<(), RecordError> {
         .map_err(|io| RecordError::write(sidecar, io))
 }
 
-/// How the action ended, by the machine; `None` as long as it moves.
+/// The end of the action according to the machine; `None` while it moves.
 fn ending(device: &mut Device, trial: &Trial) -> Result<Option<Ending>, ClientError> {
     let place = device.place();
     let now = device

@@ -1,11 +1,11 @@
-//! What the command line and the server share: the way to a machine, and how its actions fail and stop.
+//! Shared by the command line and the server: access to machines, and failures and stops of their actions.
 //!
 //! * [`arguments`]: arguments of commands, which are the fields of requests.
-//! * [`connector`]: where links come from. [`names`] and [`places`]: which machine is meant, and a session with it.
-//! * [`failure`]: why a command failed, its remedy and exit code.
-//! * [`interrupt`], [`stops`], [`delivery`]: what the operator wants stopped, and what became of it.
-//! * [`folding`], [`ending`], [`reached`], [`left`]: before and after a motion.
-//! * [`panel`]: what is known of a machine that is watched.
+//! * [`connector`]: sources of links. [`names`] and [`places`]: find the machine and open a session with it.
+//! * [`failure`]: the reason why a command failed, its remedy and exit code.
+//! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
+//! * [`folding`], [`ending`], [`reached`], [`left`]: tasks before and after a motion.
+//! * [`panel`]: the known state of a machine that is watched.
 #![forbid(unsafe_code)]
 
 pub mod arguments;

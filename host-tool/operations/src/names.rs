@@ -1,4 +1,4 @@
-//! Machines by the names that the user's file gives them.
+//! Names that the user's file gives to machines.
 
 use client::address::Address;
 use client::named::{self, Named, NamedError};
@@ -14,7 +14,7 @@ pub struct Names {
 }
 
 impl Names {
-    /// The name of this machine, if it was given by one.
+    /// The name by which the user called this machine, if any.
     #[must_use]
     pub fn of(&self, kind: DeviceKind) -> Option<&str> {
         match kind {
@@ -24,10 +24,10 @@ impl Names {
     }
 }
 
-/// Puts addresses in the place of names, and returns the names.
+/// Replaces names by addresses, and returns the names.
 ///
 /// # Errors
-/// A name was given, and the file cannot be used.
+/// A name was given, but the file cannot be used.
 pub fn resolve(rig: &mut Option<Address>, capsule: &mut Option<Address>) -> Result<Names, Failure> {
     let mut names = Names::default();
     for (kind, given, name) in [

@@ -1,4 +1,4 @@
-//! What is known of one machine that is watched. It is filled by `feed` and shown by `draw`.
+//! The known state of one machine that is watched. `feed` fills it and `draw` shows it.
 
 use std::collections::VecDeque;
 use std::sync::MutexGuard;
@@ -13,16 +13,16 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
 
-/// Events that are kept for the screen.
+/// Events kept for the screen.
 const KEPT_EVENTS: usize = 60;
 
-/// Over this time samples are counted, and a sample's speed is shown.
+/// Time over which samples are counted, and for which a sample's speed stays valid.
 const WINDOW: Duration = Duration::from_secs(2);
 
-/// How the machine is connected.
+/// State of the connection to the machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Contact {
-    /// Not at present; why, with the remedy.
+    /// Not connected; the reason, with the remedy.
     Lost(String),
     /// This process owns the line.
     Owned,
@@ -30,29 +30,29 @@ pub enum Contact {
     Window(String),
 }
 
-/// What came of a key.
+/// Result of a key press.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// It was done.
+    /// Success.
     Done(String),
-    /// It was not, or nobody knows.
+    /// Failure, or unknown outcome.
     Bad(String),
 }
 
-/// How good the link is.
+/// Quality of the link.
 #[derive(Clone, Debug, Default)]
 pub struct Quality {
-    /// From a question to its answer.
+    /// Time from a request to its answer.
     pub round_trip: Option<Duration>,
-    /// When the machine was heard last.
+    /// Time of the last message from the machine.
     pub heard: Option<Instant>,
-    /// When the latest samples of telemetry came.
+    /// Arrival times of the latest telemetry samples.
     samples: VecDeque<Instant>,
-    /// Samples lost since this program watches.
+    /// Samples lost since this program began to watch.
     pub missed: u64,
-    /// Blocks of bytes that were no frames, in this connection.
+    /// Blocks of bytes that were not valid frames, in this connection.
     pub bad_frames: u32,
-    /// Connections that were lost since this program watches.
+    /// Connections lost since this program began to watch.
     pub losses: u32,
 }
 
@@ -68,38 +68,39 @@ impl Quality {
     }
 }
 
-/// One machine on the screen.
+/// State of one machine on the screen.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// Which machine.
+    /// Kind of machine.
     pub kind: DeviceKind,
-    /// Where it is.
+    /// Its place.
     pub place: String,
-    /// How it is connected.
+    /// State of its connection.
     pub contact: Contact,
     /// Status of a rig, kept up to date by its telemetry.
     pub rig: Option<RigStatus>,
     /// Status of a capsule, kept up to date by its telemetry.
     pub capsule: Option<CapsuleStatus>,
-    /// The farthest position in the present run, um: how long its strokes are, once it has come back from there.
+    /// The farthest position in the present run, um. It shows the length of the strokes once the carriage has turned
+    /// back.
     reach: Option<(u32, i32)>,
-    /// A sample has shown another state than the status: what else has changed is not known yet.
+    /// A sample has shown another state than the status, so the rest of the status may be outdated.
     changed: bool,
-    /// Speed of the carriage, positive away from home, and when it was so.
+    /// Speed of the carriage, positive away from home, and the time of its measurement.
     speed: Option<(i32, Instant)>,
-    /// How good the link is.
+    /// Quality of the link.
     pub quality: Quality,
-    /// Device time in us and text of the latest events, the newest last.
+    /// Device time in us and text of the latest events, newest last.
     pub events: VecDeque<(u64, String)>,
-    /// What came of the latest key.
+    /// Result of the latest key press.
     pub notice: Option<Notice>,
 }
 
-/// What somebody is told who takes a line over while the machine moves.
+/// The warning for a user who takes a line over while the machine moves.
 pub const MOVES_ALREADY: &str = "SOMETHING MOVES that no process here has begun: the one that did has ended, or it was the start button. It stops by itself within 1 s, except a run that was to finish without its host; a stop works as ever";
 
 impl Panel {
-    /// Before the first connection.
+    /// The panel before the first connection.
     #[must_use]
     pub fn new(kind: DeviceKind, place: String) -> Self {
         Self {
@@ -117,7 +118,7 @@ impl Panel {
         }
     }
 
-    /// Something moves, by what the machine has said last.
+    /// Whether something moves, according to the machine's last message.
     #[must_use]
     pub fn moves(&self) -> bool {
         use protocol::capsule::CapsuleState::{Checking, Folding, Referencing, Unfolding};
@@ -166,7 +167,7 @@ impl Panel {
 
     /// Takes the answer to a question for the rig's status.
     pub fn rig_status(&mut self, status: &RigStatus, at: Instant) {
-        // Without telemetry the speed follows from two positions.
+        // Without telemetry, derive the speed from two positions.
         if self.quality.samples_per_s(at) == 0
             && let Some(before) = &self.rig
             && let Some(us @ 1..) = status.time_us.checked_sub(before.time_us)
@@ -189,16 +190,16 @@ impl Panel {
         self.reach = Some((status.run, farthest.max(status.position_um)));
     }
 
-    /// The state has changed since the last call, so that it is time for a question.
+    /// Whether the state has changed since the last call. If so, it is time to request the status.
     pub fn take_changed(&mut self) -> bool {
         std::mem::take(&mut self.changed)
     }
 
-    /// How far the present run has come, in thousandths of a stroke.
+    /// Progress of the present run, in thousandths of a stroke.
     #[must_use]
     pub fn run_thousandths(&self) -> Option<u64> {
         let status = self.rig.filter(in_run)?;
-        // The length of the run's strokes is seen at the first reversal.
+        // The length of the strokes is known after the first reversal.
         let length_um = match self.reach {
             Some((run, um)) if run == status.run && status.stroke > 0 => i64::from(um),
             _ => i64::from(status.stroke_um),
@@ -278,14 +279,14 @@ pub fn millimetres(um: i32) -> String {
     decimal::fixed(um.into(), 3)
 }
 
-/// The rig is within a run.
+/// Whether the rig is in a run.
 #[must_use]
 pub fn in_run(status: &RigStatus) -> bool {
     use protocol::rig::RigState::{Held, Running, Stopping};
     matches!(status.state, Running | Held | Stopping) && status.strokes > 0
 }
 
-/// How far the run has come.
+/// Progress of the run.
 #[must_use]
 pub fn run_text(status: &RigStatus) -> String {
     let tenths = status.elapsed_us / 100_000;
@@ -299,7 +300,7 @@ pub fn run_text(status: &RigStatus) -> String {
     )
 }
 
-/// About how long the run still takes, from its first stroke on.
+/// Approximate remaining time of the run, from its first stroke on.
 #[must_use]
 pub fn left_text(status: &RigStatus, thousandths: u64) -> String {
     let all = u64::from(status.strokes) * 1_000;
@@ -311,7 +312,7 @@ pub fn left_text(status: &RigStatus, thousandths: u64) -> String {
     format!(", about {} s left", left_us.div_ceil(1_000_000))
 }
 
-/// An event in a few words.
+/// Short text of an event.
 #[must_use]
 pub fn event_text(event: &Event) -> String {
     match event.what {
@@ -371,8 +372,8 @@ fn rig_text(event: RigEvent) -> String {
     }
 }
 
-/// Asks the machine for its status, and the panel takes it over, with how long the answer took. The panel is not held
-/// meanwhile.
+/// Requests the machine's status, and updates the panel with it and with the round-trip time. Does not lock the panel
+/// while waiting.
 ///
 /// # Errors
 /// No answer.

@@ -22,32 +22,32 @@ use crate::interrupt;
 use crate::left;
 use crate::names::Names;
 
-/// When this process began: a stop since then is newer than its command, however long it has looked for the machine.
+/// Start of this process. A stop after it is newer than the command, however long the search for the machine took.
 pub static BEGAN: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
 
-/// This process has connected to rig and capsule before.
+/// Whether this process has already connected to rig and capsule.
 static CONNECTED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
 
 /// Both machines.
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
-/// How many owners of a line may end while this process looks through their doors.
+/// Maximum owners of a line that may end while this process looks through their doors.
 const OWNERS: u32 = 5;
 
-/// How long an owner that only looks may take to give its line up.
+/// Time for an owner that only looks to give up its line.
 const YIELDING: Duration = Duration::from_secs(10);
 
-/// How soon a short look of another process is over.
+/// Longest wait for another process that only looks briefly.
 const SHORT_LOOK: Duration = Duration::from_millis(100);
 
-/// Interval between two attempts at a line that is about to be free.
+/// Interval between attempts at a line that is about to be free.
 const AGAIN: Duration = Duration::from_millis(10);
 
-/// A place and the answer from it.
+/// A place and its answer.
 pub struct Found {
     /// The place.
     pub candidate: Candidate,
-    /// Who answered there, or why nobody did.
+    /// The machine that answered, or the reason why none did.
     pub answer: Result<Identity, Failure>,
 }
 
@@ -60,13 +60,13 @@ pub struct Target {
 }
 
 impl Target {
-    /// What the machine is called.
+    /// Name of the machine for messages.
     #[must_use]
     pub fn name(&self) -> &'static str {
         self.kind.map_or("machine", identity::kind_name)
     }
 
-    /// What became of a stop of this machine.
+    /// Result of a stop of this machine.
     #[must_use]
     pub fn told(&self, result: Result<String, Failure>) -> Told {
         let (delivery, why) = match &result {
@@ -86,7 +86,7 @@ impl Target {
     }
 }
 
-/// As the user would name it.
+/// Name and place, in the user's words.
 impl std::fmt::Display for Target {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match &self.address {
@@ -96,7 +96,8 @@ impl std::fmt::Display for Target {
     }
 }
 
-/// What a failure leaves of a stop. A link that breaks may have carried it: that counts as not confirmed.
+/// Result of a stop that failed this way. If the link broke, the stop may have been sent: that counts as not
+/// confirmed.
 fn delivery(failure: &Failure) -> Delivery {
     match failure {
         Failure::Client(ClientError::StopUnconfirmed { .. } | ClientError::Link(_)) => {
@@ -106,20 +107,21 @@ fn delivery(failure: &Failure) -> Delivery {
     }
 }
 
-/// What a command needs of the line to its machine.
+/// Access to the line that a command needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
-    /// To read, to stop, to hold: the owner of the line does it for others, too.
+    /// Reading, stopping, holding: the owner of the line does this for other processes as well.
     Look,
-    /// To read or change the machine's name, which need not be the one by which the machine was called. The text is the
-    /// command's name, if it changes the name.
+    /// Reading or changing the machine's name, which may differ from the name by which it was called. If the command
+    /// changes the name, the text is the command's name.
     Name(Option<&'static str>),
-    /// To move something, to write settings, or the whole line: only its owner may. The text is the command's name.
+    /// Moving something, writing settings, or using the whole line: only for the owner. The text is the command's
+    /// name.
     Own(&'static str),
 }
 
 impl Need {
-    /// The command that only the owner of the line may send.
+    /// The command, if only the owner of the line may send it.
     fn of_owner(self) -> Option<&'static str> {
         match self {
             Self::Look => None,
@@ -128,7 +130,7 @@ impl Need {
         }
     }
 
-    /// Refuses a command of the owner before anything is sent or recorded.
+    /// Refuses a command for the owner before anything is sent or recorded.
     fn admit(self, device: &Device) -> Result<(), ClientError> {
         match (device.owner(), self.of_owner()) {
             (Some(owner), Some(request)) => Err(ClientError::Owned {
@@ -141,17 +143,17 @@ impl Need {
     }
 }
 
-/// Where the machines are, as the user said, and the way to open a link to them.
+/// The addresses that the user gave, and the connector to open links to them.
 pub struct Places<'a> {
     /// The rig's address, if one was given.
     pub rig: Option<Address>,
     /// The capsule's address, if one was given.
     pub capsule: Option<Address>,
-    /// The names by which the two were given.
+    /// The names by which the two addresses were given.
     pub names: Names,
     /// Speed of serial ports.
     pub baud: u32,
-    /// What opens links.
+    /// Opens the links.
     pub connector: &'a dyn Connector,
 }
 
@@ -165,7 +167,7 @@ impl Places<'_> {
         }
     }
 
-    /// Makes sure that a rig that was called by name carries this name. A capsule carries none.
+    /// Checks that a rig called by name has this name. A capsule has none.
     ///
     /// # Errors
     /// [`Failure::WrongName`], and those of the line.
@@ -188,7 +190,7 @@ impl Places<'_> {
         })
     }
 
-    /// The machines that the user gave an address for.
+    /// The machines for which the user gave an address.
     fn addressed(&self) -> Vec<DeviceKind> {
         KINDS
             .into_iter()
@@ -196,7 +198,7 @@ impl Places<'_> {
             .collect()
     }
 
-    /// Opens a session with a machine that speaks the same protocol. From now on Ctrl-C stops it.
+    /// Opens a session with a machine that speaks the same protocol. From then on Ctrl-C stops the machine.
     pub fn connect(&self, kind: DeviceKind, need: Need) -> Result<Device, Failure> {
         let device = self.greet(kind, need)?;
         device.require(kind)?;
@@ -206,16 +208,17 @@ impl Places<'_> {
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
     pub fn greet(&self, kind: DeviceKind, need: Need) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
-        // Before the line is waited for: a stop that comes meanwhile is meant for this command, too.
+        // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
         let doorway = self.connector.doorway(&address);
         let now = Doorway::last_stops(doorway.as_ref());
-        // The search for the machine may have taken seconds. Whoever connects again goes on after a stop that was told.
+        // The search for the machine may have taken seconds. A process that reconnects continues after stops that were
+        // reported.
         let again =
             CONNECTED[usize::from(kind == DeviceKind::Capsule)].swap(true, Ordering::Relaxed);
         let mark = if again { now } else { now.at(*BEGAN) };
         let interrupt = told(doorway, interrupt::install());
         let mut device = self.open_for_command(kind, &address, need)?;
-        // The owner of the line may end while it is asked; then the line is free.
+        // The owner of the line may end while it is asked; then the line is free, and a new attempt succeeds.
         for attempt in 1.. {
             need.admit(&device)?;
             device.ordered_at(mark);
@@ -237,7 +240,7 @@ impl Places<'_> {
         {
             eprintln!("{said}");
         }
-        // Whoever gives it a name does not need it to have one.
+        // A command that gives the machine a name does not need it to have one.
         if !matches!(need, Need::Name(_)) {
             self.require_name(&mut device)?;
         }
@@ -256,20 +259,20 @@ impl Places<'_> {
         }
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, Purpose::Stop) {
-                // The owner of the line has ended; then the line is free.
+                // The owner of the line has ended, so the line is free.
                 (Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))), _) => {}
                 (Err(failure), true) => {
                     let (past, _) = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
                     return past.map_err(|_| failure);
                 }
-                // What was sent without an owner was sent as directly as can be.
+                // A stop sent without an owner has already been sent directly.
                 (result, _) => return result,
             }
         }
         self.stop_by(kind, address, urgent, Purpose::StopDirectly).0
     }
 
-    /// Sends a stop one way; also tells whether that led through the owner of the line.
+    /// Sends a stop one way; also returns whether it went through the owner of the line.
     fn stop_by(
         &self,
         kind: DeviceKind,
@@ -286,8 +289,8 @@ impl Places<'_> {
         (result.map_err(Into::into), device.owner().is_some())
     }
 
-    /// Where to send an urgent stop: to the machines given by the user, or else to every place that may be probed.
-    /// Sends nothing; only the place of a machine given as `auto` has to be found by asking.
+    /// The targets of an urgent stop: the machines given by the user, or else every place that may be probed. Sends
+    /// nothing, except to find a machine given as `auto`.
     pub fn targets_to_stop(&self, which: &Which) -> Vec<Target> {
         let kinds = match which.machine {
             Some(machine) => vec![machine.into()],
@@ -313,7 +316,8 @@ impl Places<'_> {
         kinds.into_iter().map(target).collect()
     }
 
-    /// As [`Places::open`]; if the command is for the owner of the line, and the present one only looks, that one gives it up.
+    /// Like [`Places::open`]. If the command is for the owner of the line, a present owner that only looks gives the
+    /// line up.
     fn open_for_command(
         &self,
         kind: DeviceKind,
@@ -345,7 +349,7 @@ impl Places<'_> {
         Ok(Device::new(link, self.connector.nonce()))
     }
 
-    /// The address of a machine: as given by the user, or the only one where such a machine answers.
+    /// Address of a machine: as given by the user, or the only place where such a machine answers.
     pub fn resolve(&self, kind: DeviceKind) -> Result<Address, Failure> {
         match self.address(kind) {
             Some(Address::Auto) | None => {}
@@ -368,8 +372,8 @@ impl Places<'_> {
         }
     }
 
-    /// Asks for an identity at every place that may be probed. With `wanted`, places known to belong to the other
-    /// machine are left out.
+    /// Asks every place that may be probed for its identity. With `wanted`, skips places known to belong to the other
+    /// machine.
     pub fn survey(&self, wanted: Option<DeviceKind>) -> Vec<Found> {
         self.connector
             .candidates()
@@ -395,7 +399,7 @@ impl Places<'_> {
         Ok(device.hello(self.connector.nonce())?)
     }
 
-    /// The machines a command is for.
+    /// The machines that a command addresses.
     ///
     /// # Errors
     /// No address was given and no machine is found.
@@ -425,7 +429,7 @@ impl Places<'_> {
     }
 }
 
-/// The operator's stop of this process, which is told to the others before it is sent.
+/// This process's interrupt, extended to announce each stop to the other processes before it is sent.
 fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
     let told = [AtomicBool::new(false), AtomicBool::new(false)];
     Arc::new(move || {
@@ -440,7 +444,7 @@ fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
     })
 }
 
-/// Looks through the door of a line's owner, and again if the owner ends meanwhile: then the line is free.
+/// Looks through the door of a line's owner. Repeats if the owner ends meanwhile: then the line is free.
 pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
     let mut found = look();
     for _ in 1..OWNERS {
@@ -457,7 +461,7 @@ pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failur
     found
 }
 
-/// One line per place.
+/// Describes all places, one line each.
 pub fn list(found: &[Found]) -> String {
     if found.is_empty() {
         return "there is no port with an ST-LINK".to_owned();
@@ -466,7 +470,7 @@ pub fn list(found: &[Found]) -> String {
     format!("there is:\n  {}", lines.join("\n  "))
 }
 
-/// A place and what is known about it.
+/// Describes a place.
 pub fn line(found: &Found) -> String {
     let candidate = &found.candidate;
     let who = match &found.answer {

@@ -1,11 +1,11 @@
-//! Goals that are reached already: a command succeeds and says so, so that a script can repeat it.
+//! Detects goals that are already reached. The command then succeeds and says so, so that a script can repeat it.
 
 use client::Device;
 use client::error::ClientError;
 use protocol::capsule::{ActuationKind, CapsuleState, CapsuleStatus};
 use protocol::error::Refusal;
 
-/// The device refused because there is nothing to do.
+/// Whether the device refused because there is nothing to do.
 pub fn is_there(error: &ClientError) -> bool {
     matches!(
         error,
@@ -16,7 +16,7 @@ pub fn is_there(error: &ClientError) -> bool {
     )
 }
 
-/// The capsule's status, and what it is called, if it already is what the actuation would make it.
+/// The capsule's status and the name of its state, if it is already in the state that the actuation would lead to.
 pub fn reached(
     kind: ActuationKind,
     capsule: &mut Device,
@@ -27,7 +27,7 @@ pub fn reached(
         _ => return Ok(None),
     };
     let status = capsule.capsule_status()?;
-    // One that is not referenced has more to say.
+    // Let an unreferenced or faulted capsule refuse the command itself: its refusal names the reason.
     let there = status.state == goal && status.referenced && status.fault.is_none();
     Ok(there.then_some((status, name)))
 }

@@ -1,15 +1,15 @@
-//! Which stops of one machine somebody waits for, and which of them the machine has confirmed. It has neither clock nor
+//! Tracks the stops of one machine: which are awaited, and which the machine has confirmed. It uses neither clock nor
 //! thread.
 //!
-//! Each stop has a number. Only a confirmation by the machine counts for one, and only for those asked for before it was
-//! sent: a stop that nobody has answered says nothing about the next. What was ordered before a stop is older than its
-//! number, and must not move anything any more.
+//! Each stop has a number. Only a confirmation by the machine counts, and only for stops requested before the
+//! confirmed one was sent: a stop without an answer says nothing about the next. Orders older than a stop must not
+//! move anything any more.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use protocol::system::Urgent;
 
-/// A stop that somebody has asked for.
+/// A stop that was requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Ask {
     number: u64,
@@ -28,18 +28,18 @@ impl Ask {
 #[derive(Debug, Default)]
 pub struct Stops(Mutex<Book>);
 
-/// What [`Stops`] keeps, without the threads: a value that a model can copy and compare.
+/// The data of [`Stops`] without the lock: a value that a model can copy and compare.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Book {
     /// Number of the last stop.
     asked: u64,
-    /// The same for each strength.
+    /// Number of the last stop of each strength.
     last: [u64; 2],
-    /// Up to which number the machine has confirmed a stop of at least this strength.
+    /// For each strength, the number up to which the machine has confirmed a stop at least as strong.
     confirmed: [u64; 2],
-    /// Those that somebody waits for.
+    /// Requests that are still awaited.
     open: Vec<Ask>,
-    /// An order is being carried out that came after the stop of this number.
+    /// Set while an order is executed: the number of the last stop before it.
     order: Option<u64>,
 }
 
@@ -60,7 +60,7 @@ pub fn stronger(one: Option<Urgent>, other: Option<Urgent>) -> Option<Urgent> {
 }
 
 impl Book {
-    /// As [`Stops::ask`].
+    /// See [`Stops::ask`].
     pub fn ask(&mut self, urgent: Urgent) -> Ask {
         self.asked += 1;
         let number = self.asked;
@@ -70,39 +70,39 @@ impl Book {
         ask
     }
 
-    /// As [`Stops::withdraw`].
+    /// See [`Stops::withdraw`].
     pub fn withdraw(&mut self, ask: Ask) {
         self.open.retain(|open| *open != ask);
     }
 
-    /// As [`Stops::asked`].
+    /// See [`Stops::asked`].
     #[must_use]
     pub fn asked(&self) -> u64 {
         self.asked
     }
 
-    /// As [`Stops::confirm`].
+    /// See [`Stops::confirm`].
     pub fn confirm(&mut self, urgent: Urgent, number: u64) {
-        // An emergency stop is a stop as well.
+        // An emergency stop also confirms an ordinary one.
         for confirmed in &mut self.confirmed[..=strength(urgent)] {
             *confirmed = number.max(*confirmed);
         }
     }
 
-    /// As [`Stops::is_confirmed`].
+    /// See [`Stops::is_confirmed`].
     #[must_use]
     pub fn is_confirmed(&self, ask: Ask) -> bool {
         self.confirmed[strength(ask.urgent)] >= ask.number
     }
 
-    /// As [`Stops::unconfirmed`].
+    /// See [`Stops::unconfirmed`].
     #[must_use]
     pub fn unconfirmed(&self) -> Option<Urgent> {
         let open = self.open.iter().filter(|ask| !self.is_confirmed(**ask));
         open.fold(None, |all, ask| stronger(all, Some(ask.urgent)))
     }
 
-    /// As [`Stops::since`].
+    /// See [`Stops::since`].
     #[must_use]
     pub fn since(&self, number: u64) -> Option<Urgent> {
         [Urgent::EStop, Urgent::Stop]
@@ -110,12 +110,12 @@ impl Book {
             .find(|urgent| self.last[strength(*urgent)] > number)
     }
 
-    /// As [`Stops::begin_order`] and [`Stops::end_order`].
+    /// See [`Stops::begin_order`] and [`Stops::end_order`].
     pub fn order(&mut self, number: Option<u64>) {
         self.order = number;
     }
 
-    /// As [`Stops::wanted`].
+    /// See [`Stops::wanted`].
     #[must_use]
     pub fn wanted(&self) -> Option<Urgent> {
         let during = self.order.and_then(|number| self.since(number));
@@ -124,61 +124,61 @@ impl Book {
 }
 
 impl Stops {
-    // Nobody panics while holding it; if somebody did, a stop would have to go out all the same.
+    // No code panics while holding the lock; if it did, a stop must still go out.
     fn book(&self) -> MutexGuard<'_, Book> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Somebody wants a stop, and waits for its confirmation until [`Stops::withdraw`].
+    /// Requests a stop and awaits its confirmation until [`Stops::withdraw`].
     pub fn ask(&self, urgent: Urgent) -> Ask {
         self.book().ask(urgent)
     }
 
-    /// Nobody waits for this stop any more. Others that wait for theirs still do.
+    /// Ends the wait for this stop. Others may still wait for theirs.
     pub fn withdraw(&self, ask: Ask) {
         self.book().withdraw(ask);
     }
 
-    /// Number of the last stop: an order that comes now is newer than that, and older than the next.
+    /// Number of the last stop. An order that arrives now is newer than this stop and older than the next.
     #[must_use]
     pub fn asked(&self) -> u64 {
         self.book().asked()
     }
 
-    /// The machine has confirmed this stop, which was sent after the stop `number` was asked for.
+    /// Notes that the machine has confirmed this stop, which was sent after stop `number` was requested.
     pub fn confirm(&self, urgent: Urgent, number: u64) {
         self.book().confirm(urgent, number);
     }
 
-    /// The machine has confirmed a stop that was sent after this one was asked for.
+    /// Whether the machine has confirmed a stop that was sent after this one was requested.
     #[must_use]
     pub fn is_confirmed(&self, ask: Ask) -> bool {
         self.book().is_confirmed(ask)
     }
 
-    /// The strongest stop that somebody waits for and the machine has not confirmed.
+    /// The strongest stop that is awaited and not confirmed.
     #[must_use]
     pub fn unconfirmed(&self) -> Option<Urgent> {
         self.book().unconfirmed()
     }
 
-    /// The strongest stop that was asked for since the stop `number`, confirmed or not.
+    /// The strongest stop requested since stop `number`, confirmed or not.
     #[must_use]
     pub fn since(&self, number: u64) -> Option<Urgent> {
         self.book().since(number)
     }
 
-    /// From now on an order is carried out that came after the stop `number`: every later one stops it.
+    /// Begins an order that came after stop `number`: every later stop ends it.
     pub fn begin_order(&self, number: u64) {
         self.book().order(Some(number));
     }
 
-    /// The order has ended.
+    /// Ends the order.
     pub fn end_order(&self) {
         self.book().order(None);
     }
 
-    /// What has to be sent to the machine now.
+    /// The stop that has to be sent to the machine now, if any.
     #[must_use]
     pub fn wanted(&self) -> Option<Urgent> {
         self.book().wanted()
@@ -189,8 +189,8 @@ impl Stops {
 mod tests {
     use super::*;
 
-    /// Three presses at a machine that is dead: the second and the third were once told that it stands, because the first
-    /// had given up.
+    /// Regression: three stops of a dead machine. The second and third used to be reported as confirmed, because the
+    /// first had given up.
     #[test]
     fn a_stop_that_nobody_confirmed_confirms_no_other() {
         let stops = Stops::default();
@@ -212,7 +212,7 @@ mod tests {
         stops.confirm(Urgent::Stop, sent);
         assert!(stops.is_confirmed(early) && !stops.is_confirmed(late));
         assert_eq!(stops.unconfirmed(), Some(Urgent::Stop));
-        // One that was sent earlier and is answered later takes nothing back.
+        // A late answer to an earlier stop does not undo confirmations.
         stops.confirm(Urgent::Stop, stops.asked());
         stops.confirm(Urgent::Stop, 0);
         assert!(stops.is_confirmed(late));

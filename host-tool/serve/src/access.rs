@@ -1,8 +1,9 @@
-//! Who may do what: the name by which the server was called, the page that caused a request, the token.
+//! Decides who may do what, from the name by which the server was called, the page that caused a request, and the
+//! token.
 //!
-//! Three attacks by way of a browser are met here. A page elsewhere sends requests to this computer: `Origin` and
-//! `Sec-Fetch-Site` tell. A page elsewhere makes its own name point to this computer (DNS rebinding): `Host` has that name.
-//! Somebody else in the network sends requests himself: he has no token.
+//! It refuses three attacks. A foreign web page sends requests to this computer: `Origin` and `Sec-Fetch-Site` show
+//! it. A foreign page points its own name at this computer (DNS rebinding): `Host` has that name. Somebody else on the
+//! network sends requests: they have no token.
 
 use std::hash::{BuildHasher, RandomState};
 
@@ -10,10 +11,10 @@ use axum::http::header::{AUTHORIZATION, HOST, ORIGIN};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
 
-/// The fewest characters of a token.
+/// Minimum length of a token, characters.
 pub const LEAST_TOKEN: usize = 16;
 
-/// Headers by which proxies say that a request comes from somewhere else.
+/// Headers that proxies add when they forward a request.
 const PASSED_ON: [&str; 14] = [
     "forwarded",
     "x-forwarded-for",
@@ -31,52 +32,52 @@ const PASSED_ON: [&str; 14] = [
     "via",
 ];
 
-/// What a request wants.
+/// The kind of access that a request needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Demand {
-    /// The page itself, which shows nothing before it has asked for more.
+    /// Load the page, which shows nothing until it asks for more.
     Page,
-    /// To look.
+    /// Read.
     Look,
-    /// To stop.
+    /// Stop a machine.
     Stop,
-    /// To move or change something.
+    /// Move or change something.
     Change,
 }
 
-/// Where a request comes from.
+/// The origin of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Peer {
-    /// From this computer.
+    /// It comes from this computer.
     pub here: bool,
 }
 
-/// Why a request is refused.
+/// The reason why a request is refused.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Denied {
-    /// The status of the answer.
+    /// Status of the answer.
     pub status: StatusCode,
     /// The reason.
     pub why: String,
-    /// What to do.
+    /// The remedy.
     pub help: &'static str,
 }
 
-/// Lets requests in.
+/// Decides whether a request is let in.
 #[derive(Clone, Debug)]
 pub struct Access {
     token: String,
     hosts: Vec<String>,
 }
 
-/// What a request wants, by its method and path. What is not known to be harmless changes something.
+/// The access that a request needs, by its method and path. Anything not known to be harmless counts as a change.
 #[must_use]
 pub fn demand(method: &Method, path: &str) -> Demand {
     let reads = method == Method::GET || method == Method::HEAD;
     match path {
         "/" if reads => Demand::Page,
         "/api/v1/stop" | "/api/v1/estop" => Demand::Stop,
-        // It calculates.
+        // Planning only calculates.
         "/api/v1/plan" => Demand::Look,
         _ if reads => Demand::Look,
         _ => Demand::Change,
@@ -92,22 +93,22 @@ pub fn new_token() -> String {
 }
 
 impl Access {
-    /// With this token, for a computer that is also called by these names.
+    /// Takes the token and further host names of this computer.
     #[must_use]
     pub fn new(token: String, hosts: Vec<String>) -> Self {
         Self { token, hosts }
     }
 
-    /// The token.
+    /// The token that requests have to carry.
     #[must_use]
     pub fn token(&self) -> &str {
         &self.token
     }
 
-    /// Refuses what must not be done for this request.
+    /// Checks whether this request may have the access that it needs.
     ///
     /// # Errors
-    /// [`Denied`], for the answer.
+    /// [`Denied`], which becomes the answer.
     pub fn check(
         &self,
         peer: Peer,
@@ -119,7 +120,7 @@ impl Access {
         if demand != Demand::Page {
             check_origin(&host, headers)?;
         }
-        // What was passed on comes from wherever it was passed on from.
+        // A forwarded request can come from anywhere, even if the proxy runs on this computer.
         let passed_on = PASSED_ON.iter().any(|name| headers.contains_key(*name));
         let needed = match demand {
             Demand::Page => false,
@@ -168,7 +169,7 @@ impl Access {
 
     fn is_ours(&self, name: &str) -> bool {
         let number = name.trim_start_matches('[').trim_end_matches(']');
-        // A number cannot be made to point elsewhere.
+        // DNS rebinding needs a name; an IP address is safe.
         number.parse::<std::net::IpAddr>().is_ok()
             || name.eq_ignore_ascii_case("localhost")
             || self
@@ -185,13 +186,13 @@ impl Access {
     }
 }
 
-/// Compares in a time that does not tell where two texts of one length differ.
+/// Compares in constant time for texts of one length, so that the time does not reveal the token.
 fn is_same(one: &[u8], other: &[u8]) -> bool {
     let differences = one.iter().zip(other).fold(0, |all, (a, b)| all | (a ^ b));
     one.len() == other.len() && differences == 0
 }
 
-/// Refuses what another page has caused.
+/// Refuses requests that another page has caused.
 fn check_origin(host: &Authority, headers: &HeaderMap) -> Result<(), Denied> {
     let denied = |what: &str| Denied {
         status: StatusCode::FORBIDDEN,
@@ -321,7 +322,7 @@ mod tests {
         for site in ["cross-site", "same-site"] {
             let site = ("sec-fetch-site", site);
             assert!(check(HERE, Demand::Look, &[host, site]).is_some());
-            // A link elsewhere may lead to the page.
+            // Other sites may link to the page.
             assert_eq!(check(HERE, Demand::Page, &[host, site]), None);
         }
     }

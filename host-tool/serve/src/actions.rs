@@ -1,4 +1,4 @@
-//! Commands and what has become of them, each executed once however often it is requested.
+//! Actions: commands and their results. Each command is executed once, however often it is requested.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -11,10 +11,10 @@ use tokio::sync::watch;
 
 use operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
 
-/// Actions that are remembered.
+/// Actions kept in memory; the oldest go first.
 pub const KEPT: usize = 512;
 
-/// How far an action has come.
+/// State of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
     /// The machine has not answered yet.
@@ -29,11 +29,11 @@ pub enum Standing {
     LinkLost,
     /// Ended by a fault.
     Faulted,
-    /// Not begun.
+    /// Refused; the action did not begin.
     Refused,
-    /// Not begun, or its record could not be written.
+    /// Failed to begin, or its record could not be written.
     Failed,
-    /// Nobody knows.
+    /// The outcome is unknown.
     Unknown,
 }
 
@@ -56,7 +56,7 @@ impl Standing {
         }
     }
 
-    /// What a failure leaves of an action.
+    /// State of an action that ended with this failure.
     fn of(failure: &Failure) -> Self {
         match failure {
             Failure::Ended { status, .. } => match status {
@@ -76,12 +76,12 @@ impl Standing {
     }
 }
 
-/// A command and what has become of it.
+/// A command and its state.
 #[derive(Clone, Debug)]
 pub struct Action {
     pub number: u64,
     key: String,
-    /// Of the request, so that its key is not used for another one.
+    /// Hash of the request; shows when a key is reused for a different request.
     print: [u8; 32],
     pub machine: DeviceKind,
     pub kind: &'static str,
@@ -90,25 +90,25 @@ pub struct Action {
     pub accepted: Value,
     pub progress: Value,
     pub result: Value,
-    /// The failure as with `--json`, and its exit code.
+    /// The failure as `--json` prints it, and its exit code.
     pub failure: Option<(u8, Value)>,
     pub files: Value,
     started: Timestamp,
     ended: Option<Timestamp>,
 }
 
-/// What a request is at its arrival.
+/// Classifies an incoming request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// To be executed, under this number.
+    /// New; execute it under this number.
     New(u64),
-    /// Here before, under this number.
+    /// A repetition of the action with this number.
     Again(u64),
-    /// Its key belongs to another request.
+    /// The key is already used for a different request.
     Contradiction,
 }
 
-/// What is to be done.
+/// A command to be executed.
 pub struct Command {
     pub key: String,
     pub print: [u8; 32],
@@ -117,7 +117,7 @@ pub struct Command {
     pub requested: Value,
 }
 
-/// All actions of this server.
+/// All actions that this server remembers.
 #[derive(Debug)]
 pub struct Actions {
     instance: String,
@@ -138,7 +138,7 @@ impl Actions {
         self.list.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Notes a request; the same one again is no new action.
+    /// Registers a request; a repetition does not create a new action.
     pub fn arrive(&self, command: Command, now: Timestamp) -> Arrival {
         let mut list = self.list();
         if let Some(known) = list.iter().find(|action| action.key == command.key) {
@@ -175,13 +175,13 @@ impl Actions {
         list.iter().find(|action| action.number == number).cloned()
     }
 
-    /// The number behind an `id`.
+    /// The action's number in an `id`.
     pub fn number(&self, id: &str) -> Option<u64> {
         let (instance, number) = id.rsplit_once('-')?;
         (instance == self.instance).then(|| number.parse().ok())?
     }
 
-    /// Changes an action, and wakes who waits for that.
+    /// Changes an action and wakes everybody who waits for it.
     pub fn update(&self, number: u64, change: impl FnOnce(&mut Action)) -> Option<Action> {
         let mut list = self.list();
         let action = list.iter_mut().find(|action| action.number == number)?;
@@ -192,7 +192,7 @@ impl Actions {
         Some(action)
     }
 
-    /// Notes the end of an action.
+    /// Records the end of an action.
     pub fn end(
         &self,
         number: u64,
@@ -202,7 +202,7 @@ impl Actions {
     ) -> Option<Action> {
         self.update(number, |action| {
             action.standing = failure.map_or(Standing::Complete, Standing::of);
-            // The machine had accepted it, and then it was gone.
+            // The machine accepted the action and was lost afterwards.
             let gone = failure.is_some_and(|failure| failure.exit_code() == NO_DEVICE);
             if gone && !action.accepted.is_null() {
                 action.standing = Standing::Unknown;
@@ -214,7 +214,7 @@ impl Actions {
         })
     }
 
-    /// None of this machine goes on.
+    /// Whether no action of this machine is under way.
     pub fn are_over(&self, machine: DeviceKind) -> bool {
         let list = self.list();
         let mut ours = list.iter().filter(|action| action.machine == machine);
@@ -242,18 +242,18 @@ impl Actions {
         })
     }
 
-    /// All that are remembered, the oldest first.
+    /// All remembered actions, oldest first.
     pub fn all(&self) -> Vec<Value> {
         let list = self.list().clone();
         list.iter().map(|action| self.json(action)).collect()
     }
 
-    /// The one of this machine that is under way, or its latest.
+    /// The action of this machine that is under way, or else the one that ended last.
     pub fn latest(&self, machine: DeviceKind) -> Value {
         let list = self.list();
         let ours = || list.iter().rev().filter(|action| action.machine == machine);
         let under_way = ours().find(|action| action.standing == Standing::UnderWay);
-        // A hold or a resume does not hide the run that it was for.
+        // A hold or a resume ends before its run, so it does not hide the run.
         let ended = ours().max_by_key(|action| action.ended);
         let shown = under_way.or(ended).cloned();
         drop(list);

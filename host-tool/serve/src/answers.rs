@@ -1,4 +1,4 @@
-//! Answers to requests.
+//! Builds the answers to requests.
 
 use axum::body::Body;
 use axum::http::StatusCode;
@@ -7,17 +7,17 @@ use axum::response::Response;
 use operations::failure::{self, Failure};
 use serde_json::{Value, json};
 
-/// An answer that comes instead of what was asked for.
+/// An error response, returned in place of a value.
 pub type Instead = Box<Response>;
 
-/// The connection ends with this answer: whoever is refused keeps no place.
+/// Closes the connection after this answer, so that a refused client holds no place.
 pub fn closing(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(CONNECTION, HeaderValue::from_static("close"));
     response
 }
 
-/// An answer with this status.
+/// An answer with this status and JSON body.
 pub fn answer(status: StatusCode, value: &Value) -> Response {
     let mut response = Response::new(Body::from(format!("{value}\n")));
     *response.status_mut() = status;
@@ -26,7 +26,7 @@ pub fn answer(status: StatusCode, value: &Value) -> Response {
     response
 }
 
-/// The answer to a request that was carried out.
+/// The answer to a successful request.
 pub fn good(mut value: Value) -> Response {
     if let Some(object) = value.as_object_mut() {
         object.insert("ok".to_owned(), Value::Bool(true));
@@ -34,7 +34,7 @@ pub fn good(mut value: Value) -> Response {
     answer(StatusCode::OK, &value)
 }
 
-/// The answer to a request that cannot be one.
+/// The answer to an invalid request.
 pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     let code = if status == StatusCode::UNAUTHORIZED || status == StatusCode::FORBIDDEN {
         "retrograde::denied"
@@ -49,12 +49,12 @@ pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     answer(status, &value)
 }
 
-/// The same, in place of a value.
+/// Like [`bad`], boxed for use as an error.
 pub fn boxed(status: StatusCode, why: &str, help: &str) -> Instead {
     Box::new(bad(status, why, help))
 }
 
-/// The status of an answer that tells a failure with this exit code.
+/// HTTP status for a failure with this exit code.
 pub fn status(exit_code: u8) -> StatusCode {
     match exit_code {
         failure::DONE => StatusCode::OK,
@@ -67,7 +67,7 @@ pub fn status(exit_code: u8) -> StatusCode {
     }
 }
 
-/// The answer that tells a failure.
+/// The answer that reports a failure.
 pub fn failed(failure: &Failure) -> Response {
     answer(status(failure.exit_code()), &failure.json())
 }

@@ -1,4 +1,4 @@
-//! What keepers, requests and readers share, and how it is shown.
+//! State shared by keepers, requests and readers, and its JSON form.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -25,47 +25,47 @@ use operations::failure::Failure;
 use operations::panel::{Contact, Notice, Panel, event_text, in_run};
 use operations::stops::{Ask, Stops, stronger};
 
-/// Samples are told in portions of this time.
+/// Telemetry is sent to readers in batches of this length.
 const PORTION: Duration = Duration::from_millis(50);
 
-/// Samples that wait for the end of a portion: more do not come within it.
+/// Samples buffered for one batch; the telemetry rate never yields more within [`PORTION`].
 const WAITING_SAMPLES: usize = 64;
 
-/// Events of a machine that the state shows.
+/// Latest events of a machine that the state lists.
 const SHOWN_EVENTS: usize = 12;
 
-/// What a keeper is to do.
+/// An order for a keeper.
 pub struct Order {
     pub action: u64,
     pub work: Work,
     pub at: Instant,
-    /// The last stop before it: of this server, and of any process.
+    /// The last stop before this order: of this server, and of any process.
     pub after: (u64, StopMark),
 }
 
-/// A jog that goes on as long as it is renewed.
+/// A jog that continues only while it is renewed.
 #[derive(Clone, Copy, Debug)]
 pub struct Lease {
     pub action: u64,
-    /// Renewals so far.
+    /// Number of the latest renewal.
     pub n: u64,
     pub renewed: Instant,
-    /// The time within which the next renewal has to come.
+    /// The next renewal has to come within this time.
     pub within: Duration,
-    /// The latest renewal was not passed on yet.
+    /// The latest renewal still has to be passed on to the rig.
     pub due: bool,
 }
 
-/// One machine.
+/// State of one machine.
 pub struct Machine {
     pub kind: DeviceKind,
     pub address: Address,
     panel: Mutex<Panel>,
     identity: Mutex<Option<(Identity, String)>>,
     pub stops: Arc<Stops>,
-    /// Lock and door of its line, since there was one.
+    /// Lock and door of the machine's line, once a line is known.
     doorway: Mutex<Option<Doorway>>,
-    /// This server moves it.
+    /// This server is moving the machine.
     pub acting: Arc<AtomicBool>,
     pub orders: SyncSender<Order>,
     pub lease: Mutex<Option<Lease>>,
@@ -73,7 +73,7 @@ pub struct Machine {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // Nobody panics while holding one; if somebody did, what is there is shown.
+    // No code panics while holding the lock; if it did, showing the data is still better than failing.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -114,12 +114,12 @@ impl Machine {
 
     // Stops.
 
-    /// From now on this is the line that the machine is at.
+    /// Sets the line that the machine is connected to.
     pub fn is_behind(&self, doorway: Option<Doorway>) {
         *lock(&self.doorway) = doorway;
     }
 
-    /// Somebody wants a stop. The keeper sends it as soon as it sees this, within 20 ms if there is a connection.
+    /// Requests a stop. The keeper sends it as soon as it sees the request: within 20 ms if there is a connection.
     pub fn stop(&self, urgent: Urgent) -> Ask {
         if let Some(doorway) = &*lock(&self.doorway) {
             doorway.mark_stop(urgent);
@@ -127,7 +127,7 @@ impl Machine {
         self.stops.ask(urgent)
     }
 
-    /// What comes now is newer than this.
+    /// The latest stop; orders that arrive from now on are newer.
     pub fn last_stop(&self) -> (u64, StopMark) {
         (
             self.stops.asked(),
@@ -135,13 +135,13 @@ impl Machine {
         )
     }
 
-    /// What stops the machine: a request, and Ctrl-C if this server moves it.
+    /// A stop request interrupts the machine, and so does Ctrl-C if this server moves it.
     pub fn interrupt(&self, pressed: Interrupt) -> Interrupt {
         let (stops, acting) = (Arc::clone(&self.stops), Arc::clone(&self.acting));
         Arc::new(move || {
             let pressed = match acting.load(Ordering::SeqCst) {
                 true => pressed(),
-                // Others' work is none of Ctrl-C's business.
+                // Ctrl-C does not stop motions that other processes started.
                 false => None,
             };
             stronger(stops.wanted(), pressed)
@@ -149,15 +149,15 @@ impl Machine {
     }
 }
 
-/// Everything that is known.
+/// State of the whole server.
 pub struct Board {
     pub instance: String,
     pub machines: Vec<Machine>,
     pub actions: Actions,
     pub stream: Arc<Stream>,
-    /// Something has changed that readers should see soon.
+    /// Signals a change that readers should see soon.
     pub changed: Notify,
-    /// Folder of the records.
+    /// Folder for the records.
     pub out: PathBuf,
     campaign: Mutex<Value>,
 }
@@ -193,7 +193,7 @@ impl Board {
         self.changed.notify_one();
     }
 
-    /// Takes a sample; it is told with others of the same portion.
+    /// Takes a sample; it is sent together with the others of its batch.
     pub fn sample(&self, machine: &Machine, sample: &Telemetry, missed: u16) {
         let shown = {
             let mut panel = machine.panel();
@@ -210,7 +210,7 @@ impl Board {
         }
     }
 
-    /// Tells the samples of a portion that is over.
+    /// Sends a batch that is complete; `now` also sends an incomplete one.
     pub fn flush(&self, machine: &Machine, now: bool) {
         let mut samples = lock(&machine.samples);
         if samples.0.is_empty() || (!now && samples.1.elapsed() < PORTION) {
@@ -235,7 +235,7 @@ impl Board {
         self.changed.notify_one();
     }
 
-    /// The machine has accepted an action.
+    /// Records that the machine has accepted an action.
     pub fn accepted(&self, number: u64, accepted: Value) {
         let action = self.actions.update(number, |action| {
             action.standing = crate::actions::Standing::UnderWay;
@@ -256,14 +256,14 @@ impl Board {
         }
     }
 
-    /// Tells readers the state.
+    /// Sends the state to all readers.
     pub fn tell_state(&self) {
         if self.stream.is_read() {
             self.stream.tell("state", &self.json());
         }
     }
 
-    /// The state.
+    /// The state as JSON.
     pub fn json(&self) -> Value {
         let mut machines = Map::new();
         for machine in &self.machines {
@@ -371,7 +371,7 @@ fn identity_json(found: &Identity, place: &str) -> Value {
     })
 }
 
-/// The run that goes on, if one does.
+/// The run that is under way, if any.
 fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
     if !in_run(status) {
         return Value::Null;
@@ -394,7 +394,7 @@ fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
 fn sample_json(sample: &Telemetry, missed: u16, status: Option<&RigStatus>) -> Value {
     match sample {
         Telemetry::Rig(sample) => {
-            // The panel has worked it out with the screw of the rig's own status.
+            // The panel has already computed the position with the screw of the rig's own status.
             let position_um = status.map(|status| status.position_um);
             json!({
                 "time_us": sample.time_us,

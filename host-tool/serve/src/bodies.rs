@@ -1,4 +1,4 @@
-//! The body of a request, read within limits of size and time.
+//! Reads the body of a request, within limits of size and time.
 
 use std::time::Duration;
 
@@ -10,12 +10,12 @@ use tokio::time::timeout;
 
 use crate::answers::{Instead, boxed};
 
-/// The longest body, bytes.
+/// Maximum length of a body, bytes.
 pub const LONGEST_BODY: usize = 16 * 1024;
-/// How long a body may take.
+/// Time limit for receiving a body.
 const BODY: Duration = Duration::from_secs(5);
 
-/// A body that is a JSON object, or empty.
+/// Reads a body that is a JSON object or empty.
 pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value>, Instead> {
     let bytes = bytes(body).await?;
     if bytes.iter().all(u8::is_ascii_whitespace) {

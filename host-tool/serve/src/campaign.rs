@@ -1,4 +1,4 @@
-//! What the page shows of a campaign that goes on in a terminal.
+//! Shows the progress of a campaign that runs in a terminal.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use campaign::order::doing;
 use campaign::remaining;
 use operations::arguments::CAMPAIGNS_FOLDER;
 
-/// The newest campaign that is not complete.
+/// The newest incomplete campaign.
 pub fn newest() -> Option<PathBuf> {
     let wanted = Wanted {
         outcome: Some("open".to_owned()),
@@ -24,7 +24,7 @@ pub fn newest() -> Option<PathBuf> {
         .map(|entry| entry.path)
 }
 
-/// Its name, how far it has come, and what is next; why not, if it cannot be read.
+/// The campaign's name, progress and next step, or the reason why it cannot be read.
 pub fn json(folder: &Path) -> Value {
     let campaign = match Campaign::read(folder) {
         Ok(campaign) => campaign,

@@ -1,32 +1,33 @@
-//! Which connections are served, and which one goes when there are too many: a stop always finds a place.
+//! Limits the connections, and decides which one to drop when there are too many. A stop always finds a place.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::task::AbortHandle;
 
-/// Connections at a time from this computer, and from elsewhere: those cannot take the place of a stop from here.
+/// Maximum connections from this computer, and from elsewhere. Separate limits: remote clients cannot block a local
+/// stop.
 const MOST: [usize; 2] = [256, 128];
 
-/// Connections beyond these, each for a stop and nothing else.
+/// Further connections, on which only stops are answered.
 const FOR_STOPS: usize = 64;
 
-/// What a connection does.
+/// State of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Doing {
-    /// It waits for its first or next request.
+    /// Idle: waiting for its first or next request.
     Nothing,
-    /// A reader of the stream follows it, or has ceased to read.
+    /// Serving a reader of the stream, who may have stopped reading.
     Following,
-    /// A request is being answered.
+    /// Answering a request.
     Answering,
 }
 
-/// For whom there is room.
+/// Kinds of room; each has its own limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Room {
     Here,
     Elsewhere,
-    /// For a stop and nothing else.
+    /// Connections that may only stop.
     Stop,
 }
 
@@ -41,20 +42,20 @@ struct Entry {
 #[derive(Debug, Default)]
 struct Table {
     next: u64,
-    /// The one that has done something least recently comes first.
+    /// Ordered by last activity, least recent first.
     entries: Vec<Entry>,
 }
 
-/// All connections.
+/// All open connections.
 #[derive(Debug, Default)]
 pub struct Connections(Mutex<Table>);
 
-/// The place of one connection, until it is dropped.
+/// The place of one connection; freed when dropped.
 #[derive(Debug)]
 pub struct Place {
     all: Arc<Connections>,
     number: u64,
-    /// Beyond the most: only a stop is answered.
+    /// Beyond the limit: only stops are answered.
     pub is_for_stops: bool,
 }
 
@@ -64,7 +65,7 @@ impl Table {
         of.count()
     }
 
-    /// Ends the connection that has been idle for longest; false if all are at work.
+    /// Drops the connection that has been idle longest; false if all are busy.
     fn make_room(&mut self, room: Room) -> bool {
         let found = [Doing::Nothing, Doing::Following].iter().find_map(|doing| {
             self.entries
@@ -98,12 +99,12 @@ impl Table {
 }
 
 impl Connections {
-    // Nobody panics while holding it; if somebody did, a stop would have to find a place all the same.
+    // No code panics while holding the lock; if it did, a stop still has to find a place.
     fn table(&self) -> MutexGuard<'_, Table> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place for one more connection. `None` if so many stops are being answered that there is none for another.
+    /// Takes a place for one more connection. `None` if even the places for stops are full.
     pub fn enter(self: &Arc<Self>, here: bool) -> Option<Place> {
         let (number, is_for_stops) = self.table().enter(here)?;
         Some(Place {
@@ -113,7 +114,7 @@ impl Connections {
         })
     }
 
-    /// How the connection of this place is ended when there is no other room.
+    /// Registers how to abort this connection when its place is needed.
     pub fn ended_by(&self, number: u64, end: AbortHandle) {
         let mut table = self.table();
         let entry = table
@@ -131,7 +132,7 @@ impl Place {
         self.number
     }
 
-    /// From now on it does this.
+    /// Sets the state of this connection.
     pub fn does(&self, doing: Doing) {
         let mut table = self.all.table();
         let found = table
@@ -188,7 +189,7 @@ mod tests {
             .filter(|index| is_there(&places[*index]))
             .collect();
         assert_eq!(left, [0, 1, 2]);
-        // After the idle ones a reader.
+        // When no idle connection is left, a reader is dropped.
         for place in &more {
             place.does(Doing::Answering);
         }
@@ -213,7 +214,7 @@ mod tests {
             FOR_STOPS
         );
         assert!(is_there(&stops[3 * FOR_STOPS - 1]));
-        // Connections from elsewhere have room of their own.
+        // Connections from elsewhere have their own limit.
         assert!(
             enter(&all, false, 1)
                 .iter()

@@ -1,5 +1,6 @@
-//! What does not pass through a keeper, each on a thread of its own: stops, which wait for nothing, and questions that are
-//! asked through the door, as other processes ask them, so that they are answered while the keeper works.
+//! Errands: requests that bypass the keeper, each on a thread of its own. These are stops, which wait for nothing, and
+//! questions. Questions go through the door like those of other processes, so they are answered while the keeper
+//! works.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -22,18 +23,18 @@ use operations::panel::Notice;
 use operations::places::{Places, Target, past_owners};
 use operations::stops::Ask;
 
-/// Questions on their way at a time.
+/// Maximum questions in progress.
 const QUESTIONS: usize = 4;
 
-/// How long the keeper may take to confirm a stop that did not get through on its own way.
+/// Time for the keeper to confirm a stop that failed on its direct way.
 const KEEPERS: Duration = Duration::from_secs(1);
 
-/// A question about a machine.
+/// A question to a machine.
 #[derive(Clone, Copy, Debug)]
 pub enum Question {
-    /// Of the rig.
+    /// Health of the rig.
     Health,
-    /// Of this machine.
+    /// Settings of this machine.
     Settings(DeviceKind),
 }
 
@@ -46,13 +47,13 @@ impl Question {
     }
 }
 
-/// Somebody who waits for a stop.
+/// Somebody waiting for a stop.
 pub struct Wait {
     pub ask: Ask,
     pub reply: oneshot::Sender<Told>,
 }
 
-/// What is to be done.
+/// A task that bypasses the keeper.
 pub enum Errand {
     Stop {
         machine: DeviceKind,
@@ -63,15 +64,15 @@ pub enum Errand {
         question: Question,
         reply: oneshot::Sender<Result<Value, Failure>>,
     },
-    /// The server ends.
+    /// The server is shutting down.
     End,
 }
 
-/// Questions on their way.
+/// Counts the questions in progress.
 #[derive(Debug, Default)]
 pub struct Questions(AtomicUsize);
 
-/// One more question on its way, as long as it lives.
+/// Counts one question in progress until it is dropped.
 struct Counted<'a>(&'a AtomicUsize);
 
 impl<'a> Counted<'a> {
@@ -90,7 +91,7 @@ impl Drop for Counted<'_> {
     }
 }
 
-/// Sends errands off until the server ends.
+/// Dispatches errands until the server shuts down.
 pub fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
     places: &'scope Places<'scope>,
@@ -98,7 +99,7 @@ pub fn run<'scope>(
     questions: &'scope Questions,
     errands: &Receiver<Errand>,
 ) {
-    // Its own courier for each strength: an emergency stop waits for no other stop.
+    // One courier per kind of stop, so that an emergency stop never waits for an ordinary one.
     let mut couriers = vec![];
     for machine in &board.machines {
         for urgent in [Urgent::Stop, Urgent::EStop] {
@@ -124,7 +125,7 @@ pub fn run<'scope>(
                     .iter()
                     .find(|courier| (courier.0, courier.1) == (machine, urgent));
                 if let Some((.., waits)) = courier {
-                    // It lives as long as this thread.
+                    // Cannot fail: the courier lives as long as this thread.
                     let _ = waits.send(wait);
                 }
             }
@@ -146,8 +147,8 @@ pub fn run<'scope>(
     }
 }
 
-/// Stops a machine once for all who wait for it: through the door of its owner, which is the keeper's more often than not, or
-/// over a line of its own; and if that fails, waits for the keeper, which sends it, too.
+/// Stops a machine once for everybody who waits for it. The stop goes through the door of the line's owner (usually
+/// the keeper) or over a line of its own. If that fails, it waits for the keeper, which sends the stop as well.
 pub fn stop(
     places: &Places<'_>,
     board: &Board,
@@ -160,7 +161,7 @@ pub fn stop(
         address: Some(machine.address.clone()),
     };
     let stops = &machine.stops;
-    // Whoever waits has asked by now.
+    // Everybody who waits has already asked.
     let asked = stops.asked();
     let told = target.told(places.urgent(&target, urgent));
     if told.delivery == Delivery::Stopped {
@@ -184,7 +185,7 @@ pub fn stop(
             told.why = String::new();
         }
         stops.withdraw(ask);
-        // Whoever wanted it may have left.
+        // The waiting client may have disconnected.
         let _ = reply.send(told);
     }
 }
@@ -207,7 +208,10 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         device.hello(nonce)?;
         device.require(machine.kind)?;
         match question {
-            Question::Health => Ok(json!({ "health": device.call(rig::GetRigHealth)? })),
+            Question::Health => Ok(json!({
+                "health": device.call(rig::GetRigHealth)?,
+                "hardware": device.call(rig::GetRigHardware)?,
+            })),
             Question::Settings(kind) => {
                 let settings = SettingKey::of(kind)
                     .map(|key| {

@@ -1,4 +1,4 @@
-//! The requests: HTTP/1.1 with JSON. docs/serve.md describes them for people, docs/openapi.json for programs.
+//! HTTP/1.1 interface with JSON. docs/serve.md describes it for people, docs/openapi.json for programs.
 
 use std::convert::Infallible;
 use std::io::Read;
@@ -45,14 +45,14 @@ use crate::errands::{Errand, Question, Wait};
 use crate::orders::{self, Work};
 use crate::records::{is_record, list, open};
 
-/// What programs read.
+/// The interface description for programs.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
-/// What people see.
+/// The control page.
 const PAGE: &str = include_str!("page.html");
-/// Stands in the page for what makes its own script and style, and no others, admissible.
+/// Placeholder in the page for the nonce that admits the page's own script and style, and no others.
 const NONCE: &str = "@NONCE@";
 
-/// All requests: method and path, as in [`OPENAPI`].
+/// All routes: method and path, as in [`OPENAPI`].
 pub const ROUTES: [(&str, &str); 28] = [
     ("get", "/"),
     ("get", "/openapi.json"),
@@ -84,37 +84,37 @@ pub const ROUTES: [(&str, &str); 28] = [
     ("post", "/api/v1/capsule/unfold"),
 ];
 
-/// Priority of plans, as of `nice`: below everything else that the server does.
+/// Nice value of the planning thread: below everything else that the server does.
 #[cfg(target_os = "linux")]
 const LAST: i32 = 15;
-/// How long a stop waits for a body that says which machine: nobody waits for the rest of a request to stop a machine.
+/// Time that a stop waits for the body that names the machine; short, because a late body must not delay a stop.
 const STOP_BODY: Duration = Duration::from_millis(20);
-/// How long the head of a request may take, and how long a connection may wait for its next request.
+/// Time limit for the head of a request, and for the next request on an open connection.
 const HEAD: Duration = Duration::from_secs(10);
-/// What waits for a reader within this process, bytes.
+/// Write buffer of a connection, bytes.
 const BUFFER: usize = 64 * 1024;
-/// The longest wait for the end of an action, s.
+/// Longest wait for the end of an action, s.
 const LONGEST_WAIT_S: u64 = 60;
-/// Stops are confirmed, or not, by then.
+/// A stop is confirmed or reported as failed within this time.
 const STOPPING: Duration = Duration::from_secs(10);
 
-/// What requests need.
+/// State shared by all requests.
 pub struct App {
-    /// What is known of the machines.
+    /// State of the machines.
     pub board: Arc<Board>,
-    /// Who may do what.
+    /// Decides who may do what.
     pub access: Access,
-    /// Stops and questions.
+    /// Queue for stops and questions.
     pub errands: Sender<Errand>,
-    /// One list of records at a time.
+    /// Allows one listing of records at a time.
     pub listing: Semaphore,
-    /// One plan at a time, beside the threads that answer.
+    /// Allows one plan at a time, beside the threads that answer.
     pub planning: Semaphore,
 }
 
 type Shared = State<Arc<App>>;
 
-/// The requests.
+/// Routes all requests.
 pub fn router(app: Arc<App>) -> Router {
     Router::new()
         .route("/", get(page))
@@ -144,7 +144,7 @@ pub async fn listen(listener: TcpListener, router: Router) {
     let connections = Arc::<Connections>::default();
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
-            // Too many open files, most likely: some will be closed.
+            // Most likely too many open files; wait until some are closed.
             tokio::time::sleep(Duration::from_millis(50)).await;
             continue;
         };
@@ -155,7 +155,7 @@ pub async fn listen(listener: TcpListener, router: Router) {
             continue;
         };
         let number = place.number();
-        // A stop must not wait for more data.
+        // Send at once: a stop must not wait for more data.
         let _ = stream.set_nodelay(true);
         let router = router.clone();
         let connection = tokio::spawn(async move {
@@ -177,7 +177,7 @@ pub async fn listen(listener: TcpListener, router: Router) {
                     Ok::<_, Infallible>(response)
                 }
             });
-            // A browser that goes away is of no concern.
+            // A browser that disconnects is not an error.
             let _ = http1::Builder::new()
                 .timer(TokioTimer::new())
                 .header_read_timeout(HEAD)
@@ -200,7 +200,7 @@ fn is_stream(response: &Response) -> bool {
         .is_some_and(|kind| kind == "text/event-stream")
 }
 
-/// The answer to all but stops when there are too many connections.
+/// The answer to anything but a stop when there are too many connections.
 fn full() -> Response {
     let response = bad(
         StatusCode::SERVICE_UNAVAILABLE,
@@ -210,13 +210,13 @@ fn full() -> Response {
     closing(response)
 }
 
-/// The other end is on this computer.
+/// Whether the other end is on this computer.
 fn is_here(peer: SocketAddr, local: Option<SocketAddr>) -> bool {
     let ip = peer.ip().to_canonical();
     ip.is_loopback() || local.is_some_and(|local| local.ip().to_canonical() == ip)
 }
 
-/// Lets a request in, or not, and says to browsers what the answer may be used for.
+/// Checks access, and adds the headers that tell browsers how the answer may be used.
 async fn guard(
     State(app): Shared,
     Extension(peer): Extension<Peer>,
@@ -277,7 +277,7 @@ async fn wrong_method(request: Request) -> Response {
     )
 }
 
-// To look.
+// Routes that read.
 
 async fn page() -> Response {
     let nonce = crate::access::new_token();
@@ -345,7 +345,7 @@ async fn action(State(app): Shared, Path(id): Path<String>, request: Request) ->
     match timeout(limit, wait(&app.board, number, over)).await {
         Ok(Some(action)) => good(json!({ "action": app.board.actions.json(&action) })),
         Ok(None) => unknown(),
-        // Not over yet.
+        // The action has not ended yet.
         Err(_) => match app.board.actions.get(number) {
             Some(action) => good(json!({ "action": app.board.actions.json(&action) })),
             None => unknown(),
@@ -368,7 +368,7 @@ fn wait_s(query: &str) -> Result<u64, String> {
     Ok(wait_s)
 }
 
-/// Waits until an action is as wanted; `None` if it is not known.
+/// Waits until an action meets the condition; `None` if the action is unknown.
 async fn wait(board: &Board, number: u64, until: impl Fn(&Action) -> bool) -> Option<Action> {
     let mut changes = board.actions.changes();
     loop {
@@ -419,7 +419,7 @@ async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Respons
     let Ok(_one) = app.planning.acquire().await else {
         return ends();
     };
-    // Not on a thread that answers: it takes long enough to delay a stop.
+    // Plan on a thread of its own: on an answering thread it could delay a stop.
     match tokio::task::spawn_blocking(move || planned(&body)).await {
         Ok(Ok(summary)) => good(json!({ "plan": summary })),
         Ok(Err(failure)) => failed(&failure),
@@ -428,7 +428,7 @@ async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Respons
 }
 
 fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
-    // On Linux that is the priority of this thread: where all cores are busy, a stop goes first.
+    // On Linux this sets the priority of this thread only: when all cores are busy, a stop goes first.
     #[cfg(target_os = "linux")]
     let _ = rustix::process::setpriority_process(None, LAST);
     let run = orders::run(body)?;
@@ -465,7 +465,7 @@ async fn record(State(app): Shared, Path(name): Path<String>) -> Response {
             "`GET /api/v1/records` lists all",
         );
     };
-    // In pieces: a record of a day is larger than what should wait here.
+    // Stream in pieces: a record of a whole day is too large to hold in memory.
     let pieces = unfold(Some(file), |file| async {
         let file = file?;
         let read = tokio::task::spawn_blocking(move || {
@@ -487,7 +487,7 @@ async fn record(State(app): Shared, Path(name): Path<String>) -> Response {
     response
 }
 
-// To stop.
+// Routes that stop.
 
 async fn stop(state: Shared, body: Body) -> Response {
     stop_all(state, Urgent::Stop, body).await
@@ -498,7 +498,7 @@ async fn estop(state: Shared, body: Body) -> Response {
 }
 
 async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
-    // What cannot be understood, or does not come at once, stops everything.
+    // A body that is invalid or late stops every machine.
     let body = timeout(STOP_BODY, to_bytes(body, LONGEST_BODY)).await;
     let only = body
         .ok()
@@ -518,7 +518,7 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
     let mut replies = vec![];
     for machine in kinds.iter().filter_map(|kind| app.board.machine(*kind)) {
         let (reply, told) = oneshot::channel();
-        // Both ways at once: the keeper's, and one past it.
+        // Stop in both ways at once: through the keeper and past it.
         let wait = Wait {
             ask: machine.stop(urgent),
             reply,
@@ -549,7 +549,7 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
     good(json!({ "machines": machines }))
 }
 
-// To move and to change.
+// Routes that move or change something.
 
 fn machine_of(name: &str) -> Option<DeviceKind> {
     match name {
@@ -568,7 +568,7 @@ fn no_machine(kind: DeviceKind) -> Response {
     )
 }
 
-/// The key of a command, if it is one of this server.
+/// The key of a command, if it belongs to this server instance.
 fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
     let denied = |why: &str| {
         boxed(
@@ -623,7 +623,7 @@ async fn order(
         )
     };
     let kind = machine_of(machine).ok_or_else(unknown)?;
-    // Before the body is waited for.
+    // Note the last stop before waiting for the body, so that a stop meanwhile overtakes this order.
     let after = app.board.machine(kind).map(Machine::last_stop);
     let body = object(headers, body).await?;
     let work = Work::read(kind, name, &body)
@@ -710,7 +710,7 @@ async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
     let mut lease = machine.lease();
     match lease.as_mut() {
         Some(lease) if Some(lease.action) == number && lease.renewed.elapsed() < lease.within => {
-            // One that comes twice, or late, renews nothing.
+            // A repeated or late renewal does not count.
             if n > lease.n {
                 lease.n = n;
                 lease.renewed = Instant::now();

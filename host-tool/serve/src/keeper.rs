@@ -1,5 +1,5 @@
-//! Keeps one machine, on a thread of its own: owns its line or looks through the door of its owner, does what is ordered,
-//! and tells what happens. A stop does not pass through here; this thread only notices it.
+//! Keeps one machine, on a thread of its own. It owns the line or looks through the door of its owner, executes
+//! orders, and reports what happens. Stops do not pass through here; this thread only notices them.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -31,31 +31,31 @@ use crate::orders::Work;
 use crate::results::server_ends;
 use crate::results::{ended, files, lost, overtaken, place};
 
-/// Interval of telemetry while nothing is recorded, ms.
+/// Telemetry interval while nothing is recorded, ms.
 const TELEMETRY_MS: u16 = 50;
 
-/// Interval between two questions for the status, us.
+/// Interval between status requests, us.
 const ASK_US: u64 = 250_000;
 
-/// How long bytes are waited for before orders are looked at, us.
+/// Longest wait for bytes before looking at the orders again, us.
 const SLICE_US: u64 = 10_000;
 
-/// Interval between two questions for the status of a motion, us.
+/// Interval between status requests during a motion, us.
 const POLL_US: u64 = 50_000;
 
-/// An order that has waited for longer is refused: nobody expects a machine to move by now.
+/// Refuse orders that have waited longer: by then nobody expects the machine to move.
 const STALE: Duration = Duration::from_secs(5);
 
-/// How long an owner that only looks may take to give its line up.
+/// Time for an owner that only looks to give up its line.
 const YIELDING: Duration = Duration::from_secs(3);
 
-/// How long a line that has become free is left to others: it may have been given up for one that waits.
+/// Leave a freed line to others for this long: it may have been given up for somebody who waits.
 const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 
-/// Interval between two attempts to connect.
+/// Interval between attempts to connect.
 const AGAIN: Duration = Duration::from_millis(500);
 
-/// What an action leaves.
+/// Result of an action.
 struct Outcome {
     result: Value,
     files: Value,
@@ -72,7 +72,7 @@ impl From<Value> for Outcome {
     }
 }
 
-/// A hold or a resume that waits for its end within a run.
+/// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
 type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
 
 pub struct Keeper<'a> {
@@ -80,21 +80,21 @@ pub struct Keeper<'a> {
     pub board: &'a Board,
     pub machine: &'a Machine,
     pub orders: Receiver<Order>,
-    /// The server ends.
+    /// Set when the server shuts down.
     pub leaving: &'a AtomicBool,
     pub pressed: Interrupt,
 }
 
 impl Keeper<'_> {
-    /// Keeps the machine until the server ends, whatever becomes of the line.
+    /// Keeps the machine until the server shuts down, and reconnects whenever the line is lost.
     pub fn keep(&self) {
-        // An order that waits for the line.
+        // An order that waits until this server owns the line.
         let mut waiting = None;
         while !self.is_leaving() {
             let failure = match self.connection(&mut waiting) {
                 Ok(()) if self.is_leaving() => break,
                 Ok(()) => {
-                    // Somebody waits for the line, or this server does.
+                    // Somebody else waits for the line, or this server waits for it.
                     self.pause(
                         if waiting.is_some() {
                             Duration::from_millis(20)
@@ -106,7 +106,7 @@ impl Keeper<'_> {
                     continue;
                 }
                 Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
-                    // It has ended, as commands do: the line is free.
+                    // The owner has finished, as commands do, so the line is free.
                     self.pause(LEFT_TO_OTHERS, None);
                     continue;
                 }
@@ -134,7 +134,7 @@ impl Keeper<'_> {
         self.leaving.load(Ordering::Relaxed)
     }
 
-    /// Waits; without a connection, orders are refused meanwhile.
+    /// Waits; orders that arrive without a connection are refused.
     fn pause(&self, limit: Duration, failure: Option<&Failure>) {
         let begin = Instant::now();
         while begin.elapsed() < limit && !self.is_leaving() {
@@ -151,7 +151,8 @@ impl Keeper<'_> {
         self.board.ended(order.action, Value::Null, Some(failure));
     }
 
-    /// Connects, and keeps the machine until the connection is lost, the server ends, or somebody else needs the line.
+    /// Connects, and keeps the machine until the connection is lost, the server shuts down, or another process needs
+    /// the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (places, machine) = (self.places, self.machine);
         machine.is_behind(places.connector.doorway(&machine.address));
@@ -171,7 +172,7 @@ impl Keeper<'_> {
         if owned {
             device.set_telemetry(TELEMETRY_MS)?;
         }
-        // Before the first sample: it takes the screw to know where the carriage is.
+        // Ask before the first sample: the carriage's position depends on the screw in the status.
         self.ask(&mut device)?;
         self.board.contact(
             machine,
@@ -186,7 +187,7 @@ impl Keeper<'_> {
         }
         let result = self.watch(&mut device, waiting);
         if owned && result.is_ok() {
-            // The line is given up in any case.
+            // Ignore failures: the line is given up in any case.
             let _ = device.set_telemetry(0);
         }
         result
@@ -200,7 +201,7 @@ impl Keeper<'_> {
             if self.machine.panel().take_changed() || due {
                 asked_us = Some(now_us);
                 match self.ask(device) {
-                    // The owner works; it answers later.
+                    // The owner is busy and answers later.
                     Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
                     Err(error) => return Err(error.into()),
                 }
@@ -229,7 +230,7 @@ impl Keeper<'_> {
         Ok(())
     }
 
-    /// The order is for the owner of the line, and the owner gives it up.
+    /// Whether the order needs the line itself and the line's owner gives it up.
     fn needs_line(&self, device: &mut Device, order: &Order) -> bool {
         device.owner().is_some()
             && order.work.is_for_owner()
@@ -241,14 +242,14 @@ impl Keeper<'_> {
         panel::ask(device, || self.machine.panel())
     }
 
-    /// Waits until a stop that was sent is confirmed, and is ready for the next order.
+    /// Waits until a stop that was sent is confirmed; then the machine is ready for the next order.
     fn settle(&self, device: &mut Device) -> Result<(), ClientError> {
         let stops = &self.machine.stops;
         if device.interrupted().is_none() {
             return Ok(());
         }
         device.settle()?;
-        // What was sent may be older than what somebody waits for.
+        // The stop that was sent may be older than the one that somebody waits for.
         if let Some(urgent) = stops.unconfirmed() {
             let asked = stops.asked();
             device.urgent(urgent)?;
@@ -270,9 +271,9 @@ impl Keeper<'_> {
         Ok(())
     }
 
-    // Orders.
+    // Execution of orders.
 
-    /// Does what is ordered. An error means that the connection has to be made again.
+    /// Executes an order. An error means that the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
         let Order {
             action,
@@ -303,7 +304,7 @@ impl Keeper<'_> {
             self.machine.acting.store(true, Ordering::SeqCst);
         }
         let kind = work.kind();
-        // A stop that comes from now on is seen between any two frames.
+        // From here on, a stop is noticed between any two frames.
         stops.begin_order(stop);
         device.ordered_at(mark);
         let result = self.act(device, action, &work);
@@ -325,7 +326,7 @@ impl Keeper<'_> {
             None => Notice::Done(format!("{kind}: done")),
             Some(failure) => Notice::Bad(failure.in_one_line()),
         };
-        // Whoever hears of the end finds the machine as it is then, and all samples until then told.
+        // Send all samples first, so that the readers' picture is complete when the action ends.
         self.board.flush(self.machine, true);
         let settled = match lost {
             true => Ok(()),
@@ -378,7 +379,7 @@ impl Keeper<'_> {
             Work::Move(to) => self.move_to(device, action, *to, &mut busy),
             Work::Jog(jog) => {
                 let result = self.jog(device, action, *jog, &mut busy);
-                // Whatever has ended it: no renewal counts any more.
+                // However the jog ended, no renewal counts any more.
                 *self.machine.lease() = None;
                 result
             }
@@ -429,7 +430,7 @@ impl Keeper<'_> {
         }));
         let trial = experiment::run(rig, run, &self.recording("run", record), &mut busy);
         rig.set_pacer(Box::new(|| None));
-        // A hold that came too late for this run.
+        // Fail a hold that came too late for this run.
         let too_late = Failure::Refused {
             why: "too late, the run has ended".to_owned(),
             help: "nothing is held; the state says where the rig is".to_owned(),
@@ -503,7 +504,7 @@ impl Keeper<'_> {
         Ok(place(&status).into())
     }
 
-    /// Listens until the carriage stands; the questions keep the rig going.
+    /// Waits until the carriage stands. The status requests also keep the rig's link time-out from expiring.
     fn until_rest(&self, rig: &mut Device, busy: &mut Busy<'_>) -> Result<RigStatus, Failure> {
         let silent = |error| while_moving("the motion", error);
         loop {
@@ -517,8 +518,8 @@ impl Keeper<'_> {
         }
     }
 
-    /// Each renewal is passed on to the rig once. Nothing else keeps the jog going, so that it ends by itself wherever
-    /// the chain from the browser's finger to the rig breaks.
+    /// Passes each renewal on to the rig once. Nothing else keeps the jog going, so that it ends by itself wherever
+    /// the chain from the browser to the rig breaks.
     fn jog(
         &self,
         rig: &mut Device,
@@ -528,7 +529,7 @@ impl Keeper<'_> {
     ) -> Result<Outcome, Failure> {
         let key = SettingKey::DeadManMs;
         let dead_man_ms = u64::from(rig.call(GetSetting { key })?.value);
-        // Shorter than the rig's own: a renewal that comes later would begin a new jog.
+        // Shorter than the rig's own limit: a renewal after that limit would begin a new jog.
         let within = Duration::from_millis(dead_man_ms * 5 / 6);
         rig.call(jog)?;
         *self.machine.lease() = Some(Lease {
@@ -555,7 +556,7 @@ impl Keeper<'_> {
                     Some(lease) if lease.renewed.elapsed() < lease.within => {
                         std::mem::take(&mut lease.due)
                     }
-                    // Nobody has renewed it in time: from now on nobody can.
+                    // No renewal came in time; from now on renewals are refused.
                     _ => {
                         *lease = None;
                         break;
@@ -565,7 +566,7 @@ impl Keeper<'_> {
             if renewal {
                 match rig.call(jog) {
                     Ok(_) => {}
-                    // It has just ended; the status says how.
+                    // The jog has just ended; the status says how.
                     Err(ClientError::Refused { .. } | ClientError::Interrupted { .. }) => break,
                     Err(error) => return Err(error.into()),
                 }
@@ -596,7 +597,7 @@ fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>> {
     pacing.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Sees what happens while nothing is ordered.
+/// Handles what the machine sends while no order is executed.
 struct Seen<'a>(&'a Keeper<'a>);
 
 impl Observer for Seen<'_> {
@@ -608,7 +609,7 @@ impl Observer for Seen<'_> {
     }
 }
 
-/// Sees what happens during an action, and what is ordered meanwhile.
+/// Handles what the machine sends during an action, and takes orders meanwhile.
 struct Busy<'a> {
     keeper: &'a Keeper<'a>,
     action: u64,
@@ -617,7 +618,7 @@ struct Busy<'a> {
 }
 
 impl Busy<'_> {
-    /// Takes what was ordered meanwhile: a hold or a resume within a run, and nothing else.
+    /// Takes orders during an action: a hold or a resume of a run, and nothing else.
     fn look(&mut self) {
         let keeper = self.keeper;
         while let Ok(order) = keeper.orders.try_recv() {
@@ -646,7 +647,7 @@ impl Busy<'_> {
         keeper.board.flush(keeper.machine, false);
     }
 
-    /// The end of the hold or the resume that waits for it.
+    /// Reports the end of the hold or resume that is waiting for it.
     fn paced<'f>(&mut self, end: impl FnOnce(Pace) -> Result<Value, &'f Failure>) {
         let Some((action, pace, _)) = held(&self.pacing).take() else {
             return;
@@ -666,7 +667,7 @@ impl Observer for Busy<'_> {
     fn begun(&mut self, begun: &Begun) {
         if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.keeper.machine.panel().rig)
         {
-            // Until the next question nobody else tells the panel.
+            // The panel is otherwise stale until the next status request.
             status.run = accepted.run;
             status.strokes = u32::from(accepted.requested.cycles) * 2;
             status.elapsed_us = 0;
@@ -744,7 +745,7 @@ impl Observer for Busy<'_> {
             .actions
             .update(self.action, |action| action.progress = shown);
         {
-            // The wait has asked for the status; the panel learns what telemetry does not say.
+            // The wait has asked for the status; copy to the panel what telemetry does not contain.
             let mut panel = keeper.machine.panel();
             if let (
                 Progress::Run {

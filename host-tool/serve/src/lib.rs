@@ -7,17 +7,17 @@
 //!  browser <--server-sent events-- stream (a ring of fixed size) <-- board <-- keeper
 //! ```
 //!
-//! * [`access`]: who may do what.
-//! * `http`: the requests; `bodies`, `answers`, and `records` that are handed out.
-//! * `connections`: which are served, and which one goes when there are too many.
-//! * `orders`: from the body of a request to what is to be done, by way of the command line.
-//! * `actions`: commands and what has become of them; each is executed once.
-//! * `keeper`: one machine: connection, orders, telemetry.
-//! * `results`: what has become of an order.
-//! * `errands`: stops and questions, which do not pass through a keeper.
-//! * `board`: what all of them share, and how it is shown.
-//! * `stream`: what is told to all readers.
-//! * `campaign`: the next step of a campaign that goes on elsewhere.
+//! * [`access`]: decides who may do what.
+//! * `http`: the routes, with `bodies`, `answers`, and `records` for downloads.
+//! * `connections`: limits the connections, and decides which one to drop.
+//! * `orders`: turns the body of a request into an order, using the command line's arguments.
+//! * `actions`: commands and their results; each is executed once.
+//! * `keeper`: connection, orders and telemetry of one machine.
+//! * `results`: the result of an order.
+//! * `errands`: stops and questions, which bypass the keeper.
+//! * `board`: the state that all of them share, and its JSON form.
+//! * `stream`: sends events to all readers.
+//! * `campaign`: the next step of a campaign that runs in a terminal.
 //!
 //! Fuzzing drives board, keeper and errands without sockets; that is why they are public.
 
@@ -70,41 +70,41 @@ use crate::keeper::Keeper;
 use operations::failure::Failure;
 use operations::places::Places;
 
-/// Orders that wait for a keeper.
+/// Orders that can wait for a keeper; more are refused.
 pub const ORDERS: usize = 8;
-/// What the system keeps for a reader that does not read, bytes.
+/// Send buffer in the system for a reader that does not read, bytes.
 const SEND_BUFFER: u32 = 64 * 1024;
-/// Connections that wait to be accepted. A burst of more would cost a stop a second: the system then drops the first
-/// packet of its connection, and sends it again after that time.
+/// Connections that can wait to be accepted. With a longer burst the system drops a connection's first packet, and the
+/// client repeats it after a second. A stop cannot wait that long.
 const BACKLOG: u32 = 1_024;
-/// Interval between two states.
+/// Interval between states sent to readers.
 const STATE: Duration = Duration::from_millis(250);
-/// Interval between two looks at the campaign, and at which is the newest.
+/// Interval between checks of the campaign, and of which campaign is the newest.
 const CAMPAIGN: Duration = Duration::from_secs(5);
-/// Interval between two looks at whether the server ends.
+/// Interval between checks whether the server should shut down.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// What is served, and where.
+/// Options of the server.
 #[derive(Debug)]
 pub struct Options {
-    /// Where to listen.
+    /// Listening address.
     pub listen: SocketAddr,
-    /// The file of the token; without it each start has a new one.
+    /// File with the token; without one, each start creates a new token.
     pub token_file: Option<PathBuf>,
-    /// Names by which browsers call this computer.
+    /// Further names by which browsers call this computer.
     pub hosts: Vec<String>,
-    /// Folder of the records.
+    /// Folder for the records.
     pub out: PathBuf,
-    /// The campaign whose next step is shown, instead of the newest one.
+    /// Campaign whose next step is shown, instead of the newest one.
     pub campaign: Option<PathBuf>,
     /// The machines.
     pub machines: Vec<(DeviceKind, Address)>,
 }
 
-/// Serves until the operator ends it; returns the address.
+/// Serves until the operator ends it; returns the listening address.
 ///
 /// # Errors
-/// Nothing can be served there, or the token's file cannot be used.
+/// Fails if the address cannot be listened on, or the token's file cannot be used.
 pub fn serve(
     options: Options,
     places: &Places<'_>,
@@ -158,7 +158,7 @@ pub fn serve(
     let leaving = AtomicBool::new(false);
     let questions = Questions::default();
     thread::scope(|scope| {
-        // Also when something panics here.
+        // Dropped on panic as well, so that the threads always end.
         let leave = Leave(&leaving, errands);
         for (machine, orders) in board.machines.iter().zip(orders) {
             let keeper = Keeper {
@@ -176,7 +176,7 @@ pub fn serve(
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
-        // A machine that is being moved has to stand before its keeper leaves, and stops are taken until then.
+        // Before the keepers leave, every moving machine has to come to rest; until then stops are still accepted.
         runtime.block_on(async {
             while pressed().is_none() {
                 sleep(LOOK).await;
@@ -198,7 +198,7 @@ pub fn serve(
     Ok(url)
 }
 
-/// Ends keepers and errands.
+/// Ends keepers and errands when dropped.
 struct Leave<'a>(&'a AtomicBool, mpsc::Sender<Errand>);
 
 impl Drop for Leave<'_> {
@@ -215,7 +215,7 @@ fn bind(runtime: &Runtime, at: SocketAddr) -> io::Result<TcpListener> {
     } else {
         TcpSocket::new_v6()?
     };
-    // On Windows this would let another program take the port.
+    // On Windows this option would let another program take over the port.
     #[cfg(unix)]
     socket.set_reuseaddr(true)?;
     socket.set_send_buffer_size(SEND_BUFFER)?;
@@ -230,7 +230,7 @@ fn no_place(at: SocketAddr, why: &io::Error) -> Failure {
     }
 }
 
-/// The address for a browser on this computer.
+/// The URL for a browser on this computer.
 fn url(at: SocketAddr) -> String {
     let host = match at {
         SocketAddr::V4(v4) if v4.ip().is_unspecified() => "127.0.0.1".to_owned(),
@@ -267,7 +267,7 @@ fn introduction(
     lines
 }
 
-/// The token in a file; a new one, if there is no file.
+/// Reads the token from a file; creates file and token if there is none.
 fn token_of(file: &Path) -> Result<String, Failure> {
     let failed = |io: io::Error| Failure::File {
         path: file.to_owned(),
@@ -296,7 +296,7 @@ fn token_of(file: &Path) -> Result<String, Failure> {
     }
 }
 
-/// Writes a new file that only this user can read.
+/// Creates a file that only this user can read.
 fn private(file: &Path, text: &str) -> io::Result<()> {
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);
@@ -308,7 +308,7 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
     options.open(file)?.write_all(text.as_bytes())
 }
 
-/// Where programs of the same user find the server.
+/// A file in which programs of the same user find the address of the server.
 struct Plate {
     file: PathBuf,
     text: String,
@@ -329,14 +329,14 @@ impl Plate {
 
 impl Drop for Plate {
     fn drop(&mut self) {
-        // Another server may have put up its own.
+        // Another server may have replaced the file.
         if fs::read_to_string(&self.file).is_ok_and(|text| text == self.text) {
             let _ = fs::remove_file(&self.file);
         }
     }
 }
 
-/// Tells the state again and again, and soon after something has changed.
+/// Sends the state periodically, and soon after a change.
 async fn tell_states(app: Arc<App>) {
     loop {
         let _ = timeout(STATE, app.board.changed.notified()).await;

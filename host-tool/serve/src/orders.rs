@@ -1,5 +1,5 @@
-//! From the body of a request to what is to be done: by way of the arguments of the command line, so that fields, defaults and
-//! texts of refusals are the same.
+//! Turns the body of a request into an order. It uses the arguments of the command line, so that fields, defaults and
+//! refusals are the same.
 
 use clap::{Args, Command};
 use protocol::capsule::ActuationKind;
@@ -13,7 +13,7 @@ use operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs}
 use operations::failure::{self, Failure};
 use operations::folding;
 
-/// What is to be done by a machine.
+/// An order for a machine.
 #[derive(Debug)]
 pub enum Work {
     Home,
@@ -26,7 +26,7 @@ pub enum Work {
     Actuate(Motion, RecordArgs),
 }
 
-/// A field of a request is an option of the command, or its argument.
+/// Fields of a request, named after the command's options and arguments.
 const RECORD: [&str; 2] = ["telemetry_ms", "note"];
 const FOLD: [&str; 5] = [
     "thread_mm",
@@ -98,7 +98,7 @@ impl Work {
         })
     }
 
-    /// Its name, as in the path of its request.
+    /// Name of the command, as in the path of its request.
     pub fn kind(&self) -> &'static str {
         match self {
             Self::Home => "home",
@@ -118,7 +118,7 @@ impl Work {
         }
     }
 
-    /// What is asked of the machine.
+    /// The requested values, as JSON.
     pub fn requested(&self) -> Value {
         match self {
             Self::Run(run, _) => json!(run),
@@ -131,18 +131,18 @@ impl Work {
         }
     }
 
-    /// Only the owner of the line may ask for it.
+    /// Whether only the owner of the line may send it.
     pub fn is_for_owner(&self) -> bool {
         !matches!(self, Self::Hold | Self::Resume | Self::Acknowledge)
     }
 
-    /// Its end is soon, so that the answer waits for it.
+    /// Whether it ends soon enough for the answer to wait for the end.
     pub fn is_short(&self) -> bool {
         !self.is_for_owner()
     }
 }
 
-/// A run as `POST /api/v1/plan` has it.
+/// A run from the body of `POST /api/v1/plan`.
 pub fn run(body: &Map<String, Value>) -> Result<Run, Failure> {
     waves(body).map(|(run, _)| run)
 }
@@ -154,8 +154,8 @@ fn waves(body: &Map<String, Value>) -> Result<(Run, RecordArgs), Failure> {
     Ok((run, args.record))
 }
 
-/// The arguments of a command. The command line as a whole has a hundred times as many, and building it takes longer than the
-/// rest of a request.
+/// Parses the arguments of one command. The whole command line has a hundred times as many, and building it would take
+/// longer than the rest of the request.
 fn parse<A: Args>(
     options: &[&str],
     argument: Option<&str>,
@@ -184,7 +184,7 @@ fn parse<A: Args>(
     })
 }
 
-/// The fields as words of a command line.
+/// Converts the fields to words of a command line.
 fn words(
     options: &[&str],
     argument: Option<&str>,
@@ -218,14 +218,14 @@ fn words(
     Ok(words)
 }
 
-/// The value as on the command line; `None` if it is null.
+/// A value as written on the command line; `None` if it is null.
 fn text(field: &str, value: &Value) -> Result<Option<String>, Failure> {
     Ok(Some(match value {
         Value::Null => return Ok(None),
         Value::String(text) => text.clone(),
         Value::Number(number) => match (number.as_u64(), number.as_f64()) {
             (Some(whole), _) => whole.to_string(),
-            // The shortest text that means the same number.
+            // The shortest decimal that gives the same number.
             (None, Some(decimal)) => decimal.to_string(),
             (None, None) => number.to_string(),
         },
@@ -241,7 +241,7 @@ fn text(field: &str, value: &Value) -> Result<Option<String>, Failure> {
     }))
 }
 
-/// The name of an unknown field, not too long and on one line.
+/// The name of an unknown field, shortened and on one line.
 fn shown(field: &str) -> String {
     let clean = field.chars().map(|c| if c.is_control() { ' ' } else { c });
     clean.take(40).collect()

@@ -1,11 +1,11 @@
-//! Records that are listed and handed out.
+//! Lists records and hands them out.
 
 use std::path::{Path as FilePath, PathBuf};
 
 use campaign::catalogue::{self, Kind, Wanted};
 use serde_json::{Value, json};
 
-/// The records in a folder.
+/// Lists the records in a folder.
 pub fn list(folder: &FilePath) -> Value {
     let folders = [folder.to_owned()];
     let found = catalogue::list(&folders, false, &Wanted::default());
@@ -34,7 +34,7 @@ pub fn list(folder: &FilePath) -> Value {
     json!({ "records": records, "unreadable": found.unreadable })
 }
 
-/// A name that this program gives to a record.
+/// Whether a name has the form that this program gives to records.
 pub fn is_record(name: &str) -> bool {
     let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
     !name.starts_with('.')
@@ -45,7 +45,7 @@ pub fn is_record(name: &str) -> bool {
 /// Opens the file of a record.
 pub async fn open(path: PathBuf) -> Option<std::fs::File> {
     let opened = tokio::task::spawn_blocking(move || {
-        // Not through a link that leads elsewhere.
+        // Do not follow links: they could lead out of the folder.
         let found = std::fs::symlink_metadata(&path).ok()?;
         found.is_file().then(|| std::fs::File::open(&path).ok())?
     });

@@ -1,4 +1,4 @@
-//! What has become of an order: where the carriage is, which files there are, why it failed.
+//! The result of an order: the carriage's position, the files, the reason of a failure.
 
 use operations::failure::Failure;
 use protocol::rig::RigStatus;
@@ -26,14 +26,14 @@ pub fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failur
     })
 }
 
-/// What an order finds without a connection.
+/// Failure of an order that arrives without a connection.
 pub fn lost(failure: &Failure) -> Failure {
     Failure::NothingFound {
         there: format!("nothing was sent: {}", failure.in_one_line()),
     }
 }
 
-/// What an order finds that is older than a stop.
+/// Failure of an order that is older than a stop.
 pub fn overtaken() -> Failure {
     Failure::Refused {
         why: "a stop came after this order".to_owned(),
@@ -41,7 +41,7 @@ pub fn overtaken() -> Failure {
     }
 }
 
-/// What an order finds when the server ends.
+/// Failure of an order when the server shuts down.
 pub fn server_ends() -> Failure {
     Failure::Refused {
         why: "the server ends".to_owned(),

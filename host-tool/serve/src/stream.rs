@@ -1,5 +1,5 @@
-//! What is told to all readers: server-sent events in a ring of fixed size. A reader that does not keep up loses the
-//! oldest, and is told how many.
+//! Sends server-sent events to all readers, from a ring of fixed size. A reader that is too slow loses the oldest
+//! events and is told how many.
 
 use std::convert::Infallible;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,16 +13,16 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 use tokio::time::timeout;
 
-/// Messages in the ring: some 5 s of both machines.
+/// Messages in the ring: about 5 s of both machines.
 pub const RING: usize = 256;
 
-/// The most readers.
+/// Maximum readers.
 pub const READERS: usize = 100;
 
-/// After this time without a message a reader gets a sign of life.
+/// Send a keep-alive to a reader after this time without a message.
 const SIGN_OF_LIFE: Duration = Duration::from_secs(10);
 
-/// What has been told so far.
+/// Counts of everything sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Told {
     rig_samples: u64,
@@ -41,20 +41,20 @@ impl Told {
 
 #[derive(Clone, Debug)]
 struct Message {
-    /// What was told before.
+    /// Counts before this message.
     before: Told,
-    /// What has been told with it.
+    /// Counts including this message.
     after: Told,
     text: Bytes,
 }
 
-/// The ring.
+/// The ring of messages.
 #[derive(Debug)]
 pub struct Stream {
     told: Mutex<Told>,
     ring: broadcast::Sender<Arc<Message>>,
     readers: Mutex<usize>,
-    /// The server ends.
+    /// Set when the server shuts down.
     closed: watch::Sender<bool>,
 }
 
@@ -65,7 +65,7 @@ impl Default for Stream {
 }
 
 impl Stream {
-    /// A stream that has told nothing yet.
+    /// An empty stream.
     pub fn new() -> Self {
         Self {
             told: Mutex::default(),
@@ -75,17 +75,17 @@ impl Stream {
         }
     }
 
-    /// Somebody reads.
+    /// Whether there are readers.
     pub fn is_read(&self) -> bool {
         self.ring.receiver_count() > 0
     }
 
-    /// Tells all readers; waits for none.
+    /// Sends an event to all readers without waiting for any.
     pub fn tell(&self, event: &str, data: &Value) {
         self.send(event, data, None);
     }
 
-    /// Tells samples of telemetry, which are counted.
+    /// Sends telemetry samples; they are counted, so that a reader learns how many it lost.
     pub fn tell_samples(&self, machine: DeviceKind, samples: Vec<Value>) {
         let event = client::identity::kind_name(machine);
         self.send(event, &Value::Array(samples), Some(machine));
@@ -108,16 +108,17 @@ impl Stream {
             after: *told,
             text: text.into(),
         };
-        // In order, so before the next one is numbered. Nobody may read.
+        // Send before the next message is numbered, to keep the order. It is no error if there are no readers.
         let _ = self.ring.send(Arc::new(message));
     }
 
-    /// Ends all readers.
+    /// Disconnects all readers.
     pub fn close(&self) {
         let _ = self.closed.send(true);
     }
 
-    /// The body of an answer that goes on until its reader leaves; `first` is its first event. `None` if there are too many.
+    /// A response body that lasts until its reader leaves; `first` is its first event. `None` if there are too many
+    /// readers.
     pub fn body(self: &Arc<Self>, first: &Value) -> Option<Body> {
         let place = Place::take(self)?;
         let told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
@@ -137,7 +138,7 @@ impl Stream {
     }
 }
 
-/// A reader's place among those that are allowed.
+/// A reader's place within [`READERS`].
 struct Place(Arc<Stream>);
 
 impl Place {
@@ -166,17 +167,17 @@ impl Drop for Place {
 
 struct Reader {
     ring: broadcast::Receiver<Arc<Message>>,
-    /// What it has seen, or was told that it has missed.
+    /// Counts of what the reader has received or was told it lost.
     seen: Told,
     greeting: Option<Bytes>,
-    /// The message after those that were lost.
+    /// The message that follows the lost ones.
     held: Option<Arc<Message>>,
     closed: watch::Receiver<bool>,
     _place: Place,
 }
 
 impl Reader {
-    /// The next text for this reader; `None` at the end of the server.
+    /// The next text for this reader; `None` when the server shuts down.
     async fn next(&mut self) -> Option<Bytes> {
         if let Some(greeting) = self.greeting.take() {
             return Some(greeting);
@@ -190,7 +191,7 @@ impl Reader {
                     Err(_) => return Some(Bytes::from_static(b":\n\n")),
                 },
             };
-            // Told before this reader came.
+            // Sent before this reader connected.
             if message.after.messages <= self.seen.messages {
                 continue;
             }
@@ -216,7 +217,7 @@ impl Reader {
             loop {
                 match ring.recv().await {
                     Ok(message) => return Some(message),
-                    // The counts of the next one tell what is lost.
+                    // The counts of the next message tell how many were lost.
                     Err(RecvError::Lagged(_)) => {}
                     Err(RecvError::Closed) => return None,
                 }
@@ -240,7 +241,7 @@ mod tests {
 
     use super::*;
 
-    /// The texts that are there.
+    /// Reads the texts that are available.
     async fn read(body: &mut Body, count: usize) -> Vec<String> {
         let mut all = vec![];
         for _ in 0..count {
@@ -299,7 +300,7 @@ mod tests {
                 texts[2],
                 "event: rig\ndata: {\"first\":100,\"samples\":[100,100]}\n\n"
             );
-            // The rest is there, and nothing is lost again.
+            // The remaining messages follow, without further loss.
             let rest = read(&mut body, RING - 1).await;
             assert!(rest.iter().all(|text| !text.contains("lost")));
         });

@@ -1,4 +1,5 @@
 //! A machine at the end of a real line, in real time: TCP or a pseudo-terminal.
+use std::collections::VecDeque;
 use std::fs::Permissions;
 use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -19,6 +20,9 @@ use simulated_machines::link::Peer;
 
 use simulated_machines::machine::pace::Pace;
 use simulated_machines::machine::{Log, Machine, Script};
+
+/// Bytes kept for a reader at a port: some seconds of telemetry.
+const LONGEST_FREEZE: usize = 16 * 1024;
 
 /// The machine's end of a line: sends bytes and takes those that have arrived.
 type Carry = Box<dyn FnMut(&[u8], &mut [u8]) -> usize + Send>;
@@ -95,9 +99,15 @@ impl Bench {
         let address = name.into_string().expect("UTF-8");
         fcntl_setfl(&master, OFlags::NONBLOCK).expect("set");
         let mut port = std::fs::File::from(master);
+        let mut waiting = VecDeque::new();
         let carry = move |out: &[u8], into: &mut [u8]| {
-            // Bytes that no process reads are lost, as at a real port.
-            let _ = port.write(out);
+            // The system keeps 4 KiB for a reader, which is a second of telemetry: a computer that stands still for longer
+            // is no line that loses bytes.
+            waiting.extend(out);
+            let written = port.write(waiting.make_contiguous()).unwrap_or(0);
+            waiting.drain(..written);
+            // Bytes that no reader fetches are lost, as at a port.
+            waiting.drain(..waiting.len().saturating_sub(LONGEST_FREEZE));
             port.read(into).unwrap_or(0)
         };
         Self::at(kind, address, Box::new(carry), Arc::default())

@@ -146,6 +146,7 @@ pub struct Plant {
     shorted: bool,
     sense_open: bool,
     collapsing: bool,
+    held: bool,
 }
 
 impl Plant {
@@ -186,6 +187,7 @@ impl Plant {
             shorted: false,
             sense_open: false,
             collapsing: false,
+            held: false,
         }
     }
 
@@ -238,6 +240,11 @@ impl Plant {
         self.shorted = false;
         self.sense_open = false;
         self.collapsing = false;
+    }
+
+    /// Holds the motor's shaft, or lets it go.
+    pub fn hold(&mut self, held: bool) {
+        self.held = held;
     }
 
     /// Sets the bridge.
@@ -533,6 +540,11 @@ impl Plant {
         let mm_per_rad = self.parameters.mm_per_rad();
         self.time_s += dt;
         self.polarise(dt);
+        if self.held {
+            self.speed = 0.0;
+            self.follow(dt);
+            return;
+        }
         let mut force = self.force_n();
         if let Some(limit) = self.clutch_n
             && force > limit
@@ -605,6 +617,20 @@ mod tests {
             known = plant.encoder();
         });
         edges
+    }
+
+    /// What it draws is the voltage over the loop's resistance.
+    #[test]
+    fn a_motor_that_is_held_stands_and_draws() {
+        let mut plant = Plant::new(Parameters::nominal());
+        plant.hold(true);
+        plant.set_bridge(Bridge::Forward);
+        assert_eq!(run(&mut plant, 200_000), 0);
+        let held_ma = plant.current_ma();
+        assert!(held_ma > 400.0, "{held_ma} mA");
+        plant.hold(false);
+        assert!(run(&mut plant, 200_000) > 100);
+        assert!(plant.current_ma() < held_ma / 2.0);
     }
 
     #[test]

@@ -69,6 +69,7 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::GetTrace(GetTrace { from: 1_300 }),
         Request::GetCapsuleTotals(GetCapsuleTotals),
         Request::FoldTo(FoldTo { thread_um: 12_345 }),
+        Request::GetRigHardware(GetRigHardware),
     ]
 }
 
@@ -373,6 +374,16 @@ pub fn responses() -> std::vec::Vec<Response> {
         Response::FoldTo(ActuationAccepted {
             actuation: 7,
             timeout_ms: 8_000,
+        }),
+        Response::GetRigHardware(RigHardware {
+            intervals_exact: 190_000,
+            intervals_1_tick: 1_500,
+            intervals_2_ticks: 300,
+            intervals_more: 4,
+            lost_captures: 5,
+            dma_errors: 6,
+            timer_resets: 7,
+            enable_high_at_start: true,
         }),
     ]
 }

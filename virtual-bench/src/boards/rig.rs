@@ -59,6 +59,8 @@ pub struct RigBoard {
     broken: Option<bool>,
     read_back: Option<bool>,
     captured: Option<bool>,
+    enable: Option<bool>,
+    kept_from_dma: bool,
     outputs_safe: bool,
     safe_before_clock: Option<bool>,
 }
@@ -77,6 +79,8 @@ impl RigBoard {
             broken: None,
             read_back: None,
             captured: None,
+            enable: None,
+            kept_from_dma: false,
             outputs_safe: false,
             safe_before_clock: None,
         }
@@ -103,6 +107,10 @@ impl RigBoard {
         self.rig
             .set_armed(pads.function(STEP) == AF_TIMER && pads.tim1_armed());
         self.rig.step(high, at_ns);
+        let kept = self.rig.keeps_captures_from_dma();
+        if std::mem::replace(&mut self.kept_from_dma, kept) != kept {
+            pads.keep_tim5_from_dma(kept);
+        }
         if let Some(at_ns) = self.rig.captured_ns() {
             self.capture(at_ns, pads);
         }
@@ -140,6 +148,10 @@ impl RigBoard {
         if self.broken.replace(broken) != Some(broken) {
             pads.drive_break(broken);
         }
+        let pulled = self.rig.pulls_enable_up();
+        if self.enable.replace(pulled) != Some(pulled) {
+            pads.drive(ENABLE, Some(pulled));
+        }
         let counted = self.rig.read_back() && pads.function(READ_BACK) == AF_TIMER;
         if self.read_back.replace(counted) != Some(counted) {
             pads.drive_tim2_etr(counted);
@@ -157,6 +169,8 @@ impl Wiring for RigBoard {
         self.broken = None;
         self.read_back = None;
         self.captured = None;
+        self.enable = None;
+        self.kept_from_dma = false;
         self.outputs_safe = false;
         self.safe_before_clock = None;
     }

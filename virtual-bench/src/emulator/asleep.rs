@@ -67,7 +67,8 @@ impl Asleep {
         }
     }
 
-    /// Pulses of which only the number matters, and those that the inputs get one by one: the last, and the one before it as long as
+    /// Pulses of which only the number matters, and those that the inputs get one by one: the last, and the one before
+    /// it as long as
     /// the last one's capture is to come.
     fn split(&self) -> (u64, &[(u64, Option<u64>)]) {
         let enough = if self.to_capture.is_empty() { 1 } else { 2 };

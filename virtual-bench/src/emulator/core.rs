@@ -1,7 +1,9 @@
 //! The processor, with a bell: it says when it falls asleep and when it wakes, before it does anything.
 //!
-//! Between the two nobody but models and the board changes anything: neither memory nor registers. The emulator itself does not
-//! tell. So this stands between it and its processor, and makes an access that no program makes when one of the two happens.
+//! Between the two nobody but models and the board changes anything: neither memory nor registers. The emulator itself
+//! does not
+//! tell. So this stands between it and its processor, and makes an access that no program makes when one of the two
+//! happens.
 //!
 //! It also hands the processor on when its machine is gone, see [`super::spare`].
 
@@ -151,7 +153,8 @@ impl Processor for Belled {
         ran
     }
 
-    // SAFETY: the caller's promises are those that the processor behind this one asks for, and it is dropped with this one.
+    // SAFETY: the caller's promises are those that the processor behind this one asks for, and it is dropped with this
+    // one.
     #[allow(unsafe_code)]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
         // SAFETY: as above.

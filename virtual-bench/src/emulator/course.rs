@@ -1,10 +1,14 @@
-//! The step timer's course while the processor sleeps: nothing but the ring in memory decides it, and nobody can change that.
+//! The step timer's course while the processor sleeps: nothing but the ring in memory decides it, and nobody can
+//! change that.
 //!
-//! So the timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow from the ring,
-//! each at its exact instant, and the board gets them in order. Whoever wakes, or looks, finds all of them as if they had gone on:
+//! So the timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow
+//! from the ring,
+//! each at its exact instant, and the board gets them in order. Whoever wakes, or looks, finds all of them as if they
+//! had gone on:
 //! [`Course::advance`] says how far they have come, and the timers' own models are set to that.
 //!
-//! The course ends before anything that somebody might notice at once: the ring's interrupts, its end, and what the board says.
+//! The course ends before anything that somebody might notice at once: the ring's interrupts, its end, and what the
+//! board says.
 
 use std::collections::VecDeque;
 

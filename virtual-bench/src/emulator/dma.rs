@@ -1,5 +1,7 @@
-//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come one after
-//! the other, and whoever stops in between has stopped within a burst. The emulator's own transfers all happen in one instant.
+//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come
+//! one after
+//! the other, and whoever stops in between has stopped within a burst. The emulator's own transfers all happen in one
+//! instant.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::st::tim::UPDATE_REQUEST;
@@ -48,6 +50,12 @@ impl Paced {
             shown: false,
             next_word: None,
         }
+    }
+
+    /// How long bursts take from now on, where they take time at all: a ring's take none.
+    pub(super) fn set_beats(&mut self, beats: Beats) {
+        let paced = self.beats.replace(beats);
+        assert!(paced.is_some(), "bursts have to take time from the start");
     }
 
     /// The same with a ring at `place`.

@@ -1,4 +1,5 @@
-//! Where an STM32F411RE differs from the emulated STM32F427: memory sizes, peripherals, DMA requests, unique number. Use
+//! Where an STM32F411RE differs from the emulated STM32F427: memory sizes, peripherals, DMA requests, unique number.
+//! Use
 //! of anything that it does not have is recorded and fails a run.
 
 use std::num::{NonZeroU32, NonZeroU64};

@@ -1,7 +1,9 @@
 //! A timer whose inputs change often, and whose own events hardly anybody waits for.
 //!
-//! Its digital filters make an event of each edge of an input. The emulator stops for every event, although most change nothing
-//! that anybody notices before the timer is looked at: and then it brings itself up to date first. So the edges are put in with a
+//! Its digital filters make an event of each edge of an input. The emulator stops for every event, although most
+//! change nothing
+//! that anybody notices before the timer is looked at: and then it brings itself up to date first. So the edges are
+//! put in with a
 //! context whose events lead nowhere, and only those that raise a request or an interrupt are waited for.
 
 use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
@@ -12,7 +14,8 @@ use rigless::time::{EventId, VirtualNanos};
 
 use super::forward::forward;
 
-/// DIER with nothing but the DMA request of channel 2, CCER with nothing but its rising edges (RM0383 sections 13.4.4, 13.4.9).
+/// DIER with nothing but the DMA request of channel 2, CCER with nothing but its rising edges (RM0383 sections 13.4.4,
+/// 13.4.9).
 const CAPTURE_REQUEST: u64 = 1 << 10;
 const RISING_EDGES: u64 = 1 << 4;
 
@@ -106,6 +109,23 @@ impl Quiet {
         }
     }
 
+    /// Takes its DMA requests away, or gives them back.
+    pub(super) fn keep_from_dma(
+        &mut self,
+        kept: bool,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) {
+        let asks_for = registers.get(Register::Dier);
+        let value = if kept {
+            asks_for & !CAPTURE_REQUEST
+        } else {
+            asks_for | CAPTURE_REQUEST
+        };
+        registers.set(Register::Dier, value);
+        Device::write(self, Register::Dier, value, registers, context);
+    }
+
     /// Whether it does nothing but count rising edges of its external trigger, in the 32 bits it has.
     pub(super) fn counts_edges(&self, registers: &RegisterFile) -> bool {
         registers.get(Register::Cr1) & !DOWN == COUNTS
@@ -137,7 +157,8 @@ impl Quiet {
         }
     }
 
-    /// Whether it does nothing but capture rising edges at channel 2, for DMA. How much later than an edge, ns, if that is known
+    /// Whether it does nothing but capture rising edges at channel 2, for DMA. How much later than an edge, ns, if
+    /// that is known
     /// for edges in step with the last one.
     pub(super) fn captures_edges(
         &self,
@@ -181,7 +202,8 @@ impl Quiet {
         self.nowhere.reset();
     }
 
-    /// Captures a rising edge that was kept from it, at `edge` and through the filter at `at`. Its instant has been moved to memory.
+    /// Captures a rising edge that was kept from it, at `edge` and through the filter at `at`. Its instant has been
+    /// moved to memory.
     pub(super) fn capture(
         &mut self,
         edge: VirtualNanos,
@@ -213,7 +235,22 @@ fn is_noticed(high: bool, registers: &RegisterFile) -> bool {
 impl Device for Quiet {
     type Register = Register;
 
-    forward!(tim: layout, peek, read, on_refused, poll);
+    forward!(tim: layout, peek, on_refused, poll);
+
+    /// The status is looked at without bringing the timer up to date: an edge of this very instruction may be put in
+    /// behind it, with its own instant.
+    fn read(
+        &mut self,
+        register: Register,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+    ) -> Option<u64> {
+        if register == Register::Sr {
+            let seen = Device::peek(&self.tim, register, registers, context.now());
+            return Some(seen.unwrap_or_else(|| registers.get(register)));
+        }
+        Device::read(&mut self.tim, register, registers, context)
+    }
 
     fn write(
         &mut self,

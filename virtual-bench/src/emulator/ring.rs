@@ -1,4 +1,5 @@
-//! A stream of a DMA controller that goes round a ring in memory, one item a request: the step timer's periods, the captured
+//! A stream of a DMA controller that goes round a ring in memory, one item a request: the step timer's periods, the
+//! captured
 //! instants. The emulator's own streams cannot be moved on by many items at once; this one can, and moves item by item
 //! exactly as they do.
 

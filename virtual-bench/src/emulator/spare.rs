@@ -1,8 +1,11 @@
-//! Processors whose machine is gone, with all that they have translated: the next machine with the same program takes one
+//! Processors whose machine is gone, with all that they have translated: the next machine with the same program takes
+//! one
 //! instead of translating everything again.
 //!
-//! A processor is put back to the state in which it was made, and what it knows of memory that may have changed is dropped. Its
-//! translations of the program stay: the program is the same to the byte. What it executes is the same with them and without.
+//! A processor is put back to the state in which it was made, and what it knows of memory that may have changed is
+//! dropped. Its
+//! translations of the program stay: the program is the same to the byte. What it executes is the same with them and
+//! without.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -101,7 +104,8 @@ pub(super) fn keep(mut usable: Usable) {
         let mut bytes = vec![0_u8; length as usize + PAGE];
         let host = bytes.as_mut_ptr();
         let host = host.wrapping_add(host.align_offset(PAGE));
-        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`, which nobody touches and which is dropped after the
+        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`, which nobody touches and which is
+        // dropped after the
         // processor, or when other memory is mapped in its place.
         #[allow(unsafe_code)]
         unsafe {

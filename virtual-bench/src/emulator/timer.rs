@@ -59,8 +59,10 @@ const COUNTS: u64 = 1 << 0;
 const PRELOADED_ODD_CHANNEL: u64 = 1 << 3;
 const INPUTS: u64 = 0x0303;
 
-/// The bursts that bring the next period. Each of their words has the timer calculate its course anew, four times, although
-/// preloaded registers change nothing before the next update. So where all of them are preloaded, the words go past the timer into
+/// The bursts that bring the next period. Each of their words has the timer calculate its course anew, four times,
+/// although
+/// preloaded registers change nothing before the next update. So where all of them are preloaded, the words go past
+/// the timer into
 /// its registers, and it hears of the last one only.
 #[derive(Debug)]
 struct Burst<R> {
@@ -75,7 +77,8 @@ struct Burst<R> {
     past: bool,
     /// What went past the timer last.
     words: Option<Words>,
-    /// What went past it before that, and when the update came that makes it the period that is played; none while the processor
+    /// What went past it before that, and when the update came that makes it the period that is played; none while the
+    /// processor
     /// has a hand in it.
     playing: Option<(Words, u64)>,
     /// Bursts that went past it since the processor wrote one of their registers.
@@ -206,7 +209,8 @@ impl<F: Family> Watched<F> {
         true
     }
 
-    /// The processor writes to a register that bursts write to, too. The timer brings itself up to date with what was in it before,
+    /// The processor writes to a register that bursts write to, too. The timer brings itself up to date with what was
+    /// in it before,
     /// but knows that only of what it was shown.
     fn before_write(
         &mut self,
@@ -245,7 +249,8 @@ impl<F: Family> Watched<F> {
     }
 }
 
-/// Registers of the step timer as a course needs them: it counts up, on its own clock, each of its outputs is high at the beginning
+/// Registers of the step timer as a course needs them: it counts up, on its own clock, each of its outputs is high at
+/// the beginning
 /// of a period, and nobody but DMA hears of an update (RM0383 section 12.4).
 const AS_STEP_TIMER: [(tim1::Register, u64); 7] = [
     (tim1::Register::Cr1, PRELOADED_PERIOD | COUNTS),

@@ -53,8 +53,9 @@ pub struct RigOptions {
     pub swapped_switches: bool,
     /// The second jumper leads from STEP to the capture input.
     pub capture_jumper: bool,
-    /// EN is pulled up on the board; without it the driver's own resistor switches it on.
-    pub enable_pull_up: bool,
+    /// What EN is pulled up to, mV: 3,300 by the board, 5,000 by a shield at 5 V; without a pull-up the driver's own
+    /// resistor switches it on.
+    pub enable_pull_up_mv: Option<u32>,
 }
 
 impl Default for RigOptions {
@@ -76,7 +77,7 @@ impl RigOptions {
         reversed: false,
         swapped_switches: false,
         capture_jumper: false,
-        enable_pull_up: true,
+        enable_pull_up_mv: Some(3_300),
     };
 
     /// The same as the manual wires it, with the jumper by which it times its steps. Edges take the bench longer then.
@@ -346,7 +347,13 @@ impl Rig {
     /// Whether EN is pulled up on the board.
     #[must_use]
     pub fn pulls_enable_up(&self) -> bool {
-        self.options.enable_pull_up
+        self.options.enable_pull_up_mv.is_some()
+    }
+
+    /// EN while nothing drives it, mV: 10 kohm against the driver's own 100 kohm to ground, or that alone.
+    #[must_use]
+    pub fn enable_undriven_mv(&self) -> u32 {
+        self.options.enable_pull_up_mv.unwrap_or(0) * 10 / 11
     }
 
     /// Whether the start button is pressed.
@@ -371,6 +378,12 @@ impl Rig {
     #[must_use]
     pub fn captured_ns(&self) -> Option<u64> {
         self.captured_ns
+    }
+
+    /// DMA does not come for the captured instants now.
+    #[must_use]
+    pub fn keeps_captures_from_dma(&self) -> bool {
+        self.capture.keeps_from_dma()
     }
 
     /// The jumpers to the read-back and to the capture input.

@@ -11,6 +11,25 @@ pub enum Fault {
     Delay(u64),
     /// Keep the next pulse away.
     Skip,
+    /// From now on let each pulse come by nothing or by this much later, ns, as if by chance: what a slow edge and a
+    /// sampled input make of equal intervals. 0 ends it.
+    Jitter(u64),
+    /// DMA fetches the next pulse's instant only after the one behind it has come, and so loses it.
+    Lose,
+}
+
+/// What keeps DMA from an instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Keeping {
+    /// Nothing.
+    #[default]
+    Nothing,
+    /// The next pulse's instant will be kept from it.
+    Next,
+    /// That instant is, until the pulse behind it.
+    First,
+    /// The pulse behind it has come.
+    Second,
 }
 
 /// The jumper.
@@ -22,6 +41,9 @@ pub struct Wire {
     fault: Option<Fault>,
     /// Of the pulse in progress.
     delay_ns: u64,
+    jitter_ns: u64,
+    dice: u64,
+    keeping: Keeping,
     /// The level of STEP as it comes through.
     high: bool,
 }
@@ -35,8 +57,25 @@ impl Wire {
             spike_until_ns: None,
             fault: None,
             delay_ns: 0,
+            jitter_ns: 0,
+            dice: 0x9E37_79B9_7F4A_7C15,
+            keeping: Keeping::Nothing,
             high: false,
         }
+    }
+
+    /// The instants that come now are kept from DMA.
+    #[must_use]
+    pub fn keeps_from_dma(&self) -> bool {
+        matches!(self.keeping, Keeping::First | Keeping::Second)
+    }
+
+    /// Nothing, or all of the jitter.
+    fn jitter_ns(&mut self) -> u64 {
+        self.dice ^= self.dice << 13;
+        self.dice ^= self.dice >> 7;
+        self.dice ^= self.dice << 17;
+        self.jitter_ns * (self.dice & 1)
     }
 
     /// `fault` happens now.
@@ -48,6 +87,8 @@ impl Wire {
             }
             Fault::Spike(width_ns) => self.spike_until_ns = Some(at_ns + width_ns),
             Fault::Delay(_) | Fault::Skip => self.fault = Some(fault),
+            Fault::Jitter(ns) => self.jitter_ns = ns,
+            Fault::Lose => self.keeping = Keeping::Next,
         }
     }
 
@@ -57,10 +98,18 @@ impl Wire {
             let fault = self.fault.take();
             self.delay_ns = match fault {
                 Some(Fault::Delay(ns)) => ns,
-                _ => 0,
+                _ => self.jitter_ns(),
+            };
+            self.keeping = match self.keeping {
+                Keeping::Next => Keeping::First,
+                Keeping::First => Keeping::Second,
+                after => after,
             };
             self.whole && fault != Some(Fault::Skip)
         } else {
+            if self.keeping == Keeping::Second {
+                self.keeping = Keeping::Nothing;
+            }
             self.high
         };
         self.high = high && comes;
@@ -70,7 +119,11 @@ impl Wire {
     /// Whether it leads, if nothing but STEP changes what comes through.
     #[must_use]
     pub fn leads(&self) -> Option<bool> {
-        let plain = self.fault.is_none() && self.spike_until_ns.is_none() && self.delay_ns == 0;
+        let plain = self.fault.is_none()
+            && self.spike_until_ns.is_none()
+            && self.delay_ns == 0
+            && self.jitter_ns == 0
+            && self.keeping == Keeping::Nothing;
         plain.then_some(self.whole)
     }
 
@@ -117,6 +170,66 @@ mod tests {
         assert_eq!(pulse(&mut wire, 40_000), (Some(40_000), Some(42_000)));
         wire.act(Fault::Whole(false), 43_000);
         assert_eq!(pulse(&mut wire, 50_000), (None, None));
+    }
+
+    #[test]
+    fn jitter_comes_by_nothing_or_by_all_of_it() {
+        let mut wire = Wire::new(true);
+        wire.act(Fault::Jitter(10), 0);
+        let mut by = [0, 0];
+        for n in 0..1_000 {
+            let (rise, fall) = pulse(&mut wire, n * 10_000);
+            let late = rise.expect("it comes") - n * 10_000;
+            assert_eq!(fall, Some(n * 10_000 + 2_000 + late));
+            by[usize::from(late == 10)] += 1;
+            assert!(late == 0 || late == 10);
+        }
+        assert!(by.iter().all(|count| *count > 400), "{by:?}");
+    }
+
+    #[test]
+    fn a_lost_instant_is_kept_until_the_next_pulse_is_over() {
+        let mut wire = Wire::new(true);
+        wire.act(Fault::Lose, 0);
+        let mut kept = vec![];
+        for n in 0..3 {
+            for high in [true, false] {
+                wire.step(high, n * 10_000 + u64::from(!high) * 2_000);
+                kept.push(wire.keeps_from_dma());
+            }
+        }
+        assert_eq!(kept, [true, true, true, false, false, false]);
+    }
+
+    #[test]
+    fn it_leads_plainly_unless_something_is_wrong_with_it() {
+        for whole in [true, false] {
+            assert_eq!(Wire::new(whole).leads(), Some(whole));
+        }
+        let faults = [
+            Fault::Spike(100),
+            Fault::Delay(10),
+            Fault::Skip,
+            Fault::Jitter(10),
+            Fault::Lose,
+        ];
+        for fault in faults {
+            let mut wire = Wire::new(true);
+            wire.act(fault, 0);
+            assert_eq!(wire.leads(), None, "{fault:?}");
+        }
+        // Until the pulse after the lost one is over.
+        let mut wire = Wire::new(true);
+        wire.act(Fault::Lose, 0);
+        for (high, leads) in [
+            (true, None),
+            (false, None),
+            (true, None),
+            (false, Some(true)),
+        ] {
+            wire.step(high, 1_000);
+            assert_eq!(wire.leads(), leads);
+        }
     }
 
     #[test]

@@ -144,7 +144,8 @@ fn trial(number: u64) -> Trial {
         let stroke_um = (steps * lead_um / steps_per_rev).min(100_000);
         if !(1..=200_000).contains(&speed_um_s)
             || stroke_um < 500
-            || lead_um * 1_000 % (steps_per_rev) != 0 && 1_000 * steps_per_rev % lead_um != 0
+            || !(lead_um * 1_000).is_multiple_of(steps_per_rev)
+                && !(1_000 * steps_per_rev).is_multiple_of(lead_um)
         {
             continue;
         }

@@ -25,6 +25,7 @@ use protocol::system::{DeviceKind, Urgent};
 use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::RigBoard;
 use virtual_bench::boards::{capsule, rig};
+use virtual_bench::faults::When;
 use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
@@ -527,10 +528,78 @@ fn a_noisy_loop_is_named() {
 #[test]
 fn an_enable_without_pull_up_is_named() {
     let options = RigOptions {
-        enable_pull_up: false,
+        enable_pull_up_mv: None,
         ..short()
     };
     defect(options, &[], &[], "enable", "EN has no pull-up");
+}
+
+/// A shield at 5 V is no fault of EN; two pull-ups to different supplies are, and so is what the pin does not stand.
+#[test]
+fn a_shield_at_5_v_is_told_from_a_fault() {
+    let shield = |mv| RigOptions {
+        enable_pull_up_mv: Some(mv),
+        ..short()
+    };
+    let (_folder, record) = folder();
+    let workshop = Workshop::new(Machine::Rig(rig_bench(RigOptions {
+        capture_jumper: true,
+        ..shield(5_000)
+    })));
+    set_short(&workshop);
+    let (code, text) = commission(&workshop, "rig", &record, &[]);
+    assert_eq!(code, 0, "{text}");
+    fits_the_screen(&text);
+    assert!(text.contains("the shield's logic is at 5 V"), "{text}");
+    let found = read(&record);
+    let enable = found.result("enable").expect("a result");
+    assert_eq!(enable.outcome, Outcome::Passed);
+    assert_eq!(enable.measured["shield_logic"], "5 V");
+    assert_eq!(enable.measured["enable_in_reset_mv"], 4_545);
+    for (mv, says) in [
+        (4_300, "two pull-ups to different supplies"),
+        (12_000, "more than the 5.5 V"),
+    ] {
+        defect(shield(mv), &[], &[], "enable", says);
+    }
+}
+
+/// Of what the wire of the captures may bring: 10 ns of jitter are none, 20 ns are named, and a lost capture as what it
+/// is.
+#[test]
+fn jitter_and_a_lost_capture_are_named() {
+    let options = RigOptions {
+        capture_jumper: true,
+        ..short()
+    };
+    let jitter = |ns| Action::Capture(Fault::Jitter(ns));
+    let bench = rig_bench(options);
+    act(&bench, jitter(10));
+    let (_folder, record) = folder();
+    let workshop = Workshop::new(Machine::Rig(bench));
+    set_short(&workshop);
+    let (code, text) = commission(&workshop, "rig", &record, &[]);
+    assert_eq!(code, 0, "{text}");
+    let found = read(&record);
+    let timing = found.result("edge-timing").expect("a result");
+    assert_eq!(timing.outcome, Outcome::Passed, "{text}");
+    let count = |name: &str| timing.measured[name].as_u64().expect("a number");
+    assert_eq!(count("worst_interval_error_ticks"), 1, "{text}");
+    assert!(count("intervals_1_tick") > 10_000, "{text}");
+    let all = count("intervals_exact") + count("intervals_1_tick");
+    assert_eq!(all, count("edges_timed") - 1, "{text}");
+    defect(options, &[jitter(20)], &[], "edge-timing", "by 20 ns");
+    // Again and again, so that one falls into the step, wherever it begins: no other step looks at captures.
+    let bench = rig_bench(options);
+    bench
+        .visit(|visit| {
+            let rig = &mut visit.board().rig;
+            for edge in (50_000..700_000).step_by(20_000) {
+                rig.plan(When::Edge(edge), Action::Capture(Fault::Lose));
+            }
+        })
+        .expect("the bench runs");
+    is_named(bench, &[], "edge-timing", "a capture was lost");
 }
 
 #[test]

@@ -7,7 +7,10 @@ use crate::common::{
 };
 use crate::speed::{quick_rig_on, quick_run};
 use protocol::{
-    rig::{Hold, Resume, RigFault, RigState, Run, RunOutcome, RunRecord, RunTiming},
+    rig::{
+        GetRigHardware, Hold, Resume, RigFault, RigHardware, RigState, Run, RunOutcome, RunRecord,
+        RunTiming,
+    },
     system::Urgent,
 };
 use virtual_bench::{
@@ -173,6 +176,67 @@ const INTERVAL: u32 = 3_125;
 #[test]
 fn a_step_that_is_moved_by_two_ticks_is_found() {
     assert_eq!(found(&with(Fault::Delay(20))), (16_000, 2));
+}
+
+fn hardware(rig: &mut RigRun) -> RigHardware {
+    rig.device.call(GetRigHardware).expect("counters")
+}
+
+/// A sampled edge of a real pad comes 10 ns earlier or later: no fault, and the histogram has it. 20 ns are one.
+#[test]
+fn jitter_is_counted_by_ticks() {
+    let mut rig = timed_rig();
+    for (ns, worst) in [(10, 1), (20, 2), (30, 3)] {
+        rig.act(Action::Capture(Fault::Jitter(ns)));
+        let before = hardware(&mut rig);
+        let (_, record) = execute(&mut rig, short());
+        assert_eq!(found(&record), (16_000, worst), "{record:?}");
+        let after = hardware(&mut rig);
+        let of = |counts: &RigHardware| {
+            [
+                counts.intervals_exact,
+                counts.intervals_1_tick,
+                counts.intervals_2_ticks,
+                counts.intervals_more,
+            ]
+        };
+        let (before, after) = (of(&before), of(&after));
+        let counts: Vec<u32> = after
+            .iter()
+            .zip(before)
+            .map(|(now, was)| now - was)
+            .collect();
+        assert_eq!(counts.iter().sum::<u32>(), 15_999, "{ns} ns: {counts:?}");
+        // Each edge by chance: half of the intervals keep their length.
+        assert!((7_000..9_000).contains(&counts[0]), "{ns} ns: {counts:?}");
+        assert_eq!(
+            counts[worst as usize],
+            15_999 - counts[0],
+            "{ns} ns: {counts:?}"
+        );
+    }
+    rig.check_clean(0);
+}
+
+/// An instant that is overwritten before DMA fetches it ends the comparison, and is told as that and not as a wrong
+/// step.
+#[test]
+fn a_lost_capture_is_told_as_one() {
+    let mut rig = timed_rig();
+    let before = hardware(&mut rig);
+    let at = rig.edge_count() as u64 + 5_000;
+    rig.look(move |rig| rig.plan(When::Edge(at - 1), Action::Capture(Fault::Lose)));
+    let (_, record) = execute(&mut rig, short());
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    let (timed, worst) = found(&record);
+    assert_eq!(worst, 0, "{record:?}");
+    assert!((4_000..5_000).contains(&timed), "{record:?}");
+    let after = hardware(&mut rig);
+    assert_eq!(after.lost_captures - before.lost_captures, 1, "{after:?}");
+    // The next run is timed as a whole.
+    let (_, record) = execute(&mut rig, short());
+    assert_eq!(found(&record), (16_000, 0), "{record:?}");
+    rig.check_clean(0);
 }
 
 #[test]

@@ -9,7 +9,7 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},
+    rig::{GetRigHardware, GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},
     settings::{FactoryReset, GetSetting, Name, Setting, SettingKey},
     system::{BrownOut, Clock, GetChip, Urgent},
     table::{Endpoint, Telemetry},
@@ -306,6 +306,72 @@ fn a_halt_within_a_burst_shifts_no_word() {
         assert_eq!(rig.edge_count() - edges, 1_600, "{what}");
     }
     rig.check_clean_after(0, 30);
+}
+
+/// Item 20: a burst that does not end makes a stop reset the timer, and `health` says how often. Whatever was cut, the
+/// next path is right.
+#[test]
+fn a_timer_that_is_reset_is_counted() {
+    let mut dice = Dice(0x5EED_0C77);
+    let fast = Beats {
+        first_ns: 500,
+        apart_ns: 100,
+    };
+    let mut options = BenchOptions::new(board::image());
+    options.chip.burst = Some(fast);
+    let mut rig = start(RigOptions::default(), options);
+    home_quickly(&mut rig);
+    rig.home();
+    let resets = |rig: &mut RigRun| {
+        let hardware = rig.device.call(GetRigHardware).expect("counters");
+        assert_eq!(hardware.dma_errors, 0);
+        hardware.timer_resets
+    };
+    assert_eq!(resets(&mut rig), 0);
+    let burst = |rig: &RigRun, beats| rig.bench.visit(move |visit| visit.set_burst(beats));
+    let mut cut = 0;
+    while resets(&mut rig) == 0 {
+        assert!(cut < 60, "none in {cut} stops");
+        cut += 1;
+        // A step every 417 us, and bursts of 320 us: a stop does not wait so long.
+        let run = quick(1, 4_000, 3_000, 500_000);
+        let accepted = rig.device.run(run).expect("accepted");
+        rig.bench.advance_us(100_000).expect("the bench runs");
+        let slow = Beats {
+            first_ns: 500,
+            apart_ns: 80_000,
+        };
+        burst(&rig, slow).expect("the bench runs");
+        let at_ns = rig.bench.now_ns() + dice.roll(20_000_000..50_000_000);
+        rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
+        let record = rig.device.wait_run(&accepted, &mut Unobserved);
+        let outcome = record.expect("a record").outcome;
+        assert_eq!(outcome, RunOutcome::Faulted(RigFault::EStopLoop));
+        rig.idle(5_000);
+        burst(&rig, fast).expect("the bench runs");
+        rig.device.acknowledge().expect("the loop is closed");
+        rig.home();
+        let edges = rig.edge_count();
+        let (_, record) = execute(&mut rig, quick(1, 1_000, 20_000, 2_000_000));
+        let complete = (record.outcome, record.counted_edges);
+        assert_eq!(complete, (RunOutcome::Complete, 1_600));
+        assert_eq!(rig.edge_count() - edges, 1_600);
+    }
+    eprintln!("a reset in {cut} stops");
+    rig.check_clean_after(0, cut);
+}
+
+/// Item 7: what pulls EN before the firmware drives it is known afterwards.
+#[test]
+fn a_pull_up_at_en_is_seen_at_the_start() {
+    for mv in [None, Some(3_300), Some(5_000)] {
+        let mut rig = crate::common::rig_with(RigOptions {
+            enable_pull_up_mv: mv,
+            ..RigOptions::REFERENCE
+        });
+        let hardware = rig.device.call(GetRigHardware).expect("counters");
+        assert_eq!(hardware.enable_high_at_start, mv.is_some());
+    }
 }
 
 fn register<W: Wiring>(bench: &Bench<W>, address: u32) -> u32 {

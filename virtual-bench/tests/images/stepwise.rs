@@ -166,7 +166,7 @@ fn mishap(number: u64, dice: &mut Dice, rig: &RigRun) -> Option<(When, Action)> 
     let when = [edge, at][dice.roll(0..2) as usize];
     Some((
         when,
-        match number % 12 {
+        match number % 14 {
             0 => Action::EStop(true),
             1 => Action::Stick(Switch::Far, Some(true)),
             2 => Action::Stick(Switch::Home, Some(true)),
@@ -178,6 +178,8 @@ fn mishap(number: u64, dice: &mut Dice, rig: &RigRun) -> Option<(When, Action)> 
             8 => Action::Capture(Fault::Delay(dice.roll(1..900))),
             9 => Action::Capture(Fault::Whole(false)),
             10 => Action::Disturb(Switch::EStop, dice.roll(50..900)),
+            11 => Action::Capture(Fault::Lose),
+            12 => Action::Capture(Fault::Jitter(10 * dice.roll(1..4))),
             _ => return None,
         },
     ))
@@ -188,7 +190,8 @@ fn mishap(number: u64, dice: &mut Dice, rig: &RigRun) -> Option<(When, Action)> 
 #[test]
 fn what_is_left_out_is_noticed_by_nobody() {
     let mut stories = 0;
-    for number in 0..trials(5, 60) {
+    // Always with a lost capture and with jitter, too.
+    for number in (0..trials(5, 60)).chain([25, 26]) {
         eprintln!("scenario {number}");
         let every_event = |every_event| {
             let mut options = BenchOptions::new(board::image());

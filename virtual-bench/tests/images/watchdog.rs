@@ -179,6 +179,108 @@ fn a_panic_switches_off_at_once_and_leaves_its_callers() {
     assert_eq!(told.len(), CLIENTS.len(), "each at one place: {told:x?}");
 }
 
+/// A panic within a frame of the log finds it taken when it wants to log its own last words, and panics again. The
+/// first words stand, and it ends at once: before, it went on so until the stack was used up.
+#[test]
+fn a_panic_within_the_log_ends_at_once_with_its_words() {
+    let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
+    for (client, name) in CLIENTS {
+        let mut ended = sabotaged(client, Misbehaviour::PanicInLog, false, cause, fault);
+        let took_ns = ended.reset_ns - ended.armed_ns;
+        assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
+        let words = ended.rig.device.last_words().expect("they are kept");
+        assert!(
+            words.starts_with("panic, called from 0x"),
+            "{name}: {words:?}"
+        );
+        // Of a panic within a panic the addresses would all be those of the handler.
+        let callers: std::collections::BTreeSet<_> = words.split(" 0x").skip(1).collect();
+        assert!(callers.len() >= 4, "{name}: {words:?}");
+        ended.rig.check_clean(1);
+        fixed(ended);
+    }
+}
+
+/// A stack that is used up ends in the guard below it, with outputs off and last words, whether an instruction meets
+/// the guard or the frame of an interrupt.
+#[test]
+fn a_stack_overflow_is_a_fault_with_last_words() {
+    for misbehaviour in [Misbehaviour::Overflow, Misbehaviour::OverflowByInterrupt] {
+        for (client, name) in CLIENTS {
+            let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
+            let mut ended = sabotaged(client, misbehaviour, client == 2, cause, fault);
+            let took_ns = ended.reset_ns - ended.armed_ns;
+            assert!(took_ns <= 201_000_000, "{name}: reset after {took_ns} ns");
+            let words = ended.rig.device.last_words().expect("they are kept");
+            let callers = words.strip_prefix("stack overflow, called from 0x");
+            let callers = callers.unwrap_or_else(|| panic!("{name}: {words:?}"));
+            // The task, and the executor that runs it.
+            let code = callers
+                .split(" 0x")
+                .filter(|caller| caller.starts_with("80"));
+            assert!(code.count() >= 2, "{name}: {words:?}");
+            fixed(ended);
+        }
+    }
+}
+
+/// The same of the capsule.
+#[test]
+fn the_capsules_stack_has_a_guard_too() {
+    use client::Device;
+    use protocol::{capsule::CapsuleFault, system::DeviceKind};
+    use virtual_bench::{boards::capsule, link::VirtualLink, plants::capsule::Parameters};
+    for (misbehaviour, expected) in [
+        (Misbehaviour::Overflow, "stack overflow, called from 0x"),
+        (
+            Misbehaviour::OverflowByInterrupt,
+            "stack overflow, called from 0x",
+        ),
+        (Misbehaviour::PanicInLog, "panic, called from 0x"),
+    ] {
+        let bench = capsule::start(Parameters::nominal()).expect("the image boots");
+        let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
+        let mut device = Device::connect(link, DeviceKind::Capsule, 1).expect("it answers");
+        let sabotage = Sabotage::new(&capsule::image(), 4, misbehaviour).expect("an image");
+        bench
+            .visit(move |visit| sabotage.apply(visit))
+            .expect("the bench runs");
+        bench.advance_us(500_000).expect("the bench runs");
+        let resets = bench.bus().expect("the bench runs").resets;
+        assert_eq!(resets.len(), 1, "{resets:?}");
+        let identity = device.hello(2).expect("it answers again");
+        assert_eq!(identity.reset_cause, ResetCause::Panic);
+        let words = device.last_words().expect("they are kept");
+        assert!(words.starts_with(expected), "{words:?}");
+        let fault = device.capsule_status().expect("a status").fault;
+        assert_eq!(fault, Some(CapsuleFault::Panic));
+    }
+}
+
+/// What a debugger has left in DEMCR outlives a reset, and would hold the processor at the next one. A start that comes
+/// through clears it.
+#[test]
+fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
+    let mut rig = homed();
+    let sabotage =
+        Sabotage::new(&image(), 4, Misbehaviour::SetCatches).expect("an image with its symbols");
+    rig.bench
+        .visit(move |visit| sabotage.apply(visit))
+        .expect("the bench runs");
+    rig.idle(50_000);
+    let found = |rig: &RigRun| rig.log().matches("left catch bits: 0x7f1").count();
+    for expected in [1, 1] {
+        rig.bench.reset().expect("the bench runs");
+        rig.bench.advance_us(500_000).expect("the bench runs");
+        rig.device
+            .hello(2 + expected as u32)
+            .expect("it answers again");
+        // The first start finds them; the second one none any more.
+        assert_eq!(found(&rig), expected, "{}", rig.log());
+    }
+    rig.check_clean(2);
+}
+
 /// The substitute of the code is harmless for everybody but the client that it is made for.
 #[test]
 fn a_client_that_does_not_exist_changes_nothing() {

@@ -93,7 +93,7 @@ fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
         let watch = pac::TIM5;
         let counts = pac::RCC.apb1enr().read().tim5en();
         pac::RCC.apb1enr().modify(|w| w.set_tim5en(true));
-        let _ = pac::RCC.apb1enr().read();
+        start::let_clocks_come();
         if !counts {
             watch.cr1().modify(|w| w.set_cen(true));
         }

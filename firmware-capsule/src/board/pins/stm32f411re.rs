@@ -1,15 +1,6 @@
 //! The NUCLEO-F411RE, on which the capsule is studied.
 //!
-//! | signal | pin | peripheral |
-//! |---|---|---|
-//! | IN1, IN2 | PB4, PB5 | TIM3_CH1, TIM3_CH2 |
-//! | nSLEEP | PB10 | |
-//! | nFAULT | PA8 | |
-//! | A, B | PA0, PA1 | TIM2 in encoder mode |
-//! | current | PA4 | ADC1_IN4 |
-//! | battery | PB0 | ADC1_IN8 |
-//! | sensors | PB1 | |
-//! | serial | PA2, PA3 | USART2, DMA1 streams 6 and 5 |
+//! Which signal is at which pin is [`wiring::capsule`].
 //!
 //! Time driver: TIM4. Motor task: interrupt SPI5, whose peripheral is not used. Clock: the 16 MHz HSI for everything;
 //! nothing here needs more, and the idle current is what the battery pays for.
@@ -43,12 +34,35 @@ const ADC_PATIENCE: u32 = 200;
 /// Of the bridge's pulses.
 pub(crate) const PULSES: Pulses = Pulses(pac::TIM3);
 
-const ENCODER: [usize; 2] = [0, 1];
-const IN1: usize = 4;
-const IN2: usize = 5;
-const N_SLEEP: usize = 10;
-const SENSORS: usize = 1;
-const N_FAULT: usize = 8;
+/// Of port A.
+const ENCODER: [usize; 2] = [
+    at('A', wiring::capsule::ENCODER[0]),
+    at('A', wiring::capsule::ENCODER[1]),
+];
+const N_FAULT: usize = at('A', wiring::capsule::N_FAULT);
+/// Of port B.
+const IN1: usize = at('B', wiring::capsule::IN1);
+const IN2: usize = at('B', wiring::capsule::IN2);
+const N_SLEEP: usize = at('B', wiring::capsule::N_SLEEP);
+const SENSORS: usize = at('B', wiring::capsule::SENSORS);
+
+/// What has the HAL's names below.
+const _: () = {
+    use wiring::capsule::{BATTERY, CURRENT, ENCODER, IN1, IN2, SERIAL};
+    assert!(ENCODER[0].is('A', 0) && ENCODER[1].is('A', 1));
+    assert!(IN1.is('B', 4) && IN2.is('B', 5));
+    assert!(CURRENT.is('A', 4) && BATTERY.is('B', 0));
+    assert!(SERIAL[0].is('A', 2) && SERIAL[1].is('A', 3));
+};
+
+/// A pin's number, if it is at this port.
+const fn at(port: char, pin: wiring::Pin) -> usize {
+    assert!(
+        pin.port == port,
+        "the registers below are those of another port"
+    );
+    pin.number
+}
 
 #[embassy_stm32::interrupt]
 unsafe fn SPI5() {
@@ -80,6 +94,7 @@ pub(crate) fn init() -> Board {
         w.set_tim3en(true);
     });
     pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
+    start::let_clocks_come();
     outputs_off();
     pac::GPIOB.moder().modify(|w| {
         w.set_moder(N_SLEEP, Moder::OUTPUT);
@@ -201,7 +216,7 @@ pub(crate) fn power_sensors(on: bool) {
 /// Switches the ADC on, and waits until it converts.
 pub(crate) fn switch_adc_on() {
     pac::ADC1.cr2().modify(|w| w.set_adon(true));
-    // 3 us to power up (DS9716 section 6.3.20).
+    // 3 us to power up (DS10314 section 6.3.20).
     cortex_m::asm::delay(48);
 }
 

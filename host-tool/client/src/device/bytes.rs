@@ -1,4 +1,4 @@
-//! From a request to its answer: bytes, repetitions, stops ahead of everything else.
+//! Sends requests and receives answers: bytes, repetitions, and stops ahead of everything else.
 
 use protocol::client::{Client, Output, Poll};
 use protocol::error::WireError;
@@ -12,22 +12,24 @@ use crate::diagnosis::{OVERHEARD, Sign};
 use crate::door;
 use crate::error::ClientError;
 
-/// The longest wait for bytes before the [`Interrupt`] is polled again, us.
+/// Longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
 
-/// Whether a stop makes the host forget it: once the operator has stopped, it must not be repeated.
+/// Whether a stop cancels a pending request: one that moves something must not be repeated after the operator has
+/// stopped.
 fn is_abandonable(impact: Impact) -> bool {
     !matches!(impact, Impact::None | Impact::Pace)
 }
 
-/// Samples that are kept until somebody takes them; beyond that the oldest are dropped.
+/// Telemetry samples kept until they are taken; beyond that the oldest are dropped.
 const TELEMETRY_INBOX: usize = 4_096;
 
 impl Device {
-    /// Sends a request; [`Device::attend`] returns the answer. One at a time, and no other request before its answer.
+    /// Sends a request whose answer [`Device::attend`] returns. Only one at a time, and no other request before its
+    /// answer.
     ///
     /// # Errors
-    /// [`ClientError::Owned`], [`ClientError::Interrupted`] or [`ClientError::SessionLost`]; then it was not sent.
+    /// [`ClientError::Owned`], [`ClientError::Interrupted`] or [`ClientError::SessionLost`]; the request was not sent.
     pub fn post<E: Endpoint>(&mut self, request: E) -> Result<(), ClientError> {
         let request = request.into_request();
         self.ask_interrupt();
@@ -54,11 +56,11 @@ impl Device {
         self.posted.is_some()
     }
 
-    /// Sends and receives what is there until `until_us` on the link's clock, at once if that is past; hands out what comes.
-    /// Returns the answer to what was posted, if it has come.
+    /// Sends and receives until `until_us` on the link's clock, or once if that time is past. Delivers everything that
+    /// arrives, and returns the answer to a posted request if it has come.
     ///
     /// # Errors
-    /// As [`Device::call`] of what was posted.
+    /// As [`Device::call`], for the posted request.
     pub fn attend(
         &mut self,
         until_us: u64,
@@ -68,7 +70,7 @@ impl Device {
             self.serve()?;
         }
         let mut answer = None;
-        // Once more after the end: a turn either sends or receives.
+        // Take one more turn after the deadline: a turn either sends or receives.
         let mut last = false;
         while !last && answer.is_none() {
             last = self.now_us() >= until_us;
@@ -122,7 +124,7 @@ impl Device {
         self.answered(posted, answer)
     }
 
-    /// Refuses what the owner of the line would not do for this process.
+    /// Refuses requests that the owner of the line would not send for this process.
     pub(crate) fn admit(&self, request: &Request) -> Result<(), ClientError> {
         match self.link.owner() {
             Some(owner) if !door::admits(request) => Err(ClientError::Owned {
@@ -134,7 +136,7 @@ impl Device {
         }
     }
 
-    /// What the answer to a request means, or its absence.
+    /// Converts the answer to a request, or its absence, to a result.
     pub(crate) fn answered(
         &mut self,
         posted: Posted,
@@ -178,7 +180,7 @@ impl Device {
                     .map(ToString::to_string)
                     .unwrap_or_default(),
             }),
-            // What was asked last says nothing about what moves.
+            // A silent machine may still be moving, whatever was asked last.
             _ if !command && self.moves => Err(ClientError::Silent {
                 place,
                 action: "a motion",
@@ -194,7 +196,7 @@ impl Device {
         }
     }
 
-    /// Notes the device's time, if an answer tells it. The last one counts: clocks drift.
+    /// Notes the device's time if an answer contains it. Always use the latest: clocks drift.
     pub(crate) fn note_clock(&mut self, asked_us: u64, response: &Response) {
         let device_us = match response {
             Response::GetRigStatus(status) => status.time_us,
@@ -204,7 +206,7 @@ impl Device {
         self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
     }
 
-    /// Notes what an answer says of the motion.
+    /// Notes whether the machine moves, if an answer says so.
     pub(crate) fn note_motion(&mut self, impact: Impact, response: &Response) {
         self.moves = match response {
             Response::GetRigStatus(status) => matches!(
@@ -218,8 +220,8 @@ impl Device {
         };
     }
 
-    /// The fault that is latched after everything that the operator has asked for: another stop may go out while the device
-    /// answers, and an emergency stop costs the position also of a machine that stands already.
+    /// Returns the fault that is latched once every stop of the operator has been sent. Another stop may go out while
+    /// the device answers, and an emergency stop loses the position even of a machine that stands.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -236,8 +238,8 @@ impl Device {
         }
     }
 
-    /// Asks, and waits for the answer as [`Device::answer`] does. What `may_repeat` is asked again while the owner of the
-    /// line is busy.
+    /// Sends a request and waits for the answer as [`Device::answer`] does. If `may_repeat` is set, asks again while
+    /// the owner of the line is busy.
     pub(crate) fn asked<E>(
         &mut self,
         may_repeat: bool,
@@ -261,7 +263,7 @@ impl Device {
         }
     }
 
-    /// Waits for the answer to the pending request; `None` if there was none, or if a stop has cancelled it.
+    /// Waits for the answer to the pending request; `None` if there was none, or if a stop has cancelled the request.
     pub(crate) fn answer(&mut self) -> Result<Option<Output>, ClientError> {
         let commanding = self.commanding;
         loop {
@@ -277,7 +279,7 @@ impl Device {
         }
     }
 
-    /// Asks what another process wants to know, while no request is pending.
+    /// Sends the question of another process, while no request is pending.
     pub(crate) fn serve(&mut self) -> Result<(), ClientError> {
         if self.urgent_pending || !self.client.is_open() {
             return Ok(());
@@ -289,7 +291,7 @@ impl Device {
             Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
             Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
             Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
-            // The other process finds silence. So will this one, if it lasts.
+            // The other process gets no answer. If the silence lasts, this one will notice as well.
             Err(
                 ClientError::NoReply { .. }
                 | ClientError::OutcomeUnknown { .. }
@@ -301,7 +303,7 @@ impl Device {
         result
     }
 
-    /// As [`Device::turn`], while no request is pending.
+    /// Like [`Device::turn`], while no request is pending.
     pub(crate) fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
         self.serve()?;
         match self.turn(deadline_us)? {
@@ -310,7 +312,7 @@ impl Device {
         }
     }
 
-    /// Sends what is due, or receives for [`SLICE_US`] at most, and not beyond `deadline_us`.
+    /// Sends what is due, or receives for at most [`SLICE_US`] and not beyond `deadline_us`.
     pub(crate) fn turn(&mut self, deadline_us: u64) -> Result<Turn, ClientError> {
         self.ask_interrupt();
         let now_us = self.link.now_us();
@@ -358,7 +360,7 @@ impl Device {
 
     pub(crate) fn ask_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
-        // A stop that came from elsewhere is the operator's as well. It is sent again, which does no harm.
+        // A stop sent by another process counts as the operator's. Sending it again does no harm.
         let wanted = match (wanted, self.link.stopped()) {
             (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
             (here, elsewhere) => here.or(elsewhere),
@@ -371,8 +373,8 @@ impl Device {
         if let Some(urgent) = stronger {
             self.interrupted = Some(urgent);
             if std::mem::take(&mut self.commanding) {
-                // Repeated after the stop, the command would start what the operator has just stopped. Only a new
-                // client forgets it. That also ends the session, which a stop does not need.
+                // If repeated after the stop, the command would start again what the operator has just stopped. Only a
+                // new client forgets it. That also ends the session, which a stop does not need.
                 self.client = self.client.renewed();
             }
             self.client.urgent(urgent);

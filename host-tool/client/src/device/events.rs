@@ -1,4 +1,4 @@
-//! Events without gaps, and telemetry.
+//! Delivers events without gaps, and telemetry.
 
 use protocol::capsule::CapsuleEvent;
 use protocol::rig::RigEvent;
@@ -9,7 +9,7 @@ use crate::device::Device;
 use crate::device::observer::Observer;
 use crate::error::ClientError;
 
-/// After this event the machine stands, or brakes.
+/// Whether the machine stands or brakes after this event.
 fn is_end(event: &Event) -> bool {
     matches!(
         event.what,
@@ -59,7 +59,7 @@ impl Device {
     }
 
     pub(crate) fn note_event(&mut self, event: Event) {
-        // The largest index is that of no event: whoever asks for it gets none.
+        // The largest index belongs to no event: asking from there returns none.
         if event.index >= self.next_event && event.index != u32::MAX {
             self.early.insert(event.index, event);
         }
@@ -70,7 +70,7 @@ impl Device {
         }
     }
 
-    /// Fetches all events that the device has and this client has not.
+    /// Fetches all events that the device has and this client lacks.
     pub(crate) fn fetch_events(&mut self) -> Result<(), ClientError> {
         loop {
             let from = self.next_event;
@@ -90,6 +90,4 @@ impl Device {
             }
         }
     }
-
-    // Bytes.
 }

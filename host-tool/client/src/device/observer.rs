@@ -1,4 +1,4 @@
-//! What a caller sees of a motion, and what the operator wants meanwhile.
+//! Reports a motion to the caller, and takes the operator's wishes meanwhile.
 
 use std::sync::Arc;
 
@@ -8,11 +8,11 @@ use protocol::rig::{HomeAccepted, MoveAccepted, RunAccepted};
 use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
 
-/// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge: once
-/// it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
+/// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge:
+/// once it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
 pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
 
-/// What the operator may want during a run.
+/// A request of the operator during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
     /// Hold it.
@@ -27,7 +27,7 @@ pub type Pacer = Box<dyn FnMut() -> Option<Pace> + Send>;
 
 /// An action that was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-// One exists at a time, on the stack.
+// Only one exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 pub enum Begun {
     /// Homing.
@@ -40,12 +40,12 @@ pub enum Begun {
     Move(MoveAccepted),
 }
 
-/// How far an action has come.
+/// Progress of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Progress {
     /// Homing.
     Homing {
-        /// Since its acceptance, us.
+        /// Time since its acceptance, us.
         elapsed_us: u64,
         /// It ends within this time, us, successfully or with a fault.
         at_most_us: u64,
@@ -54,8 +54,8 @@ pub enum Progress {
     },
     /// A run; a move is one stroke.
     Run {
-        /// Into the run, us, without the time it was held; at most `total_us`, although a hold and a resume make the
-        /// run a little longer.
+        /// Time into the run, us, without holds; at most `total_us`, although a hold and a resume make the run a
+        /// little longer.
         elapsed_us: u64,
         /// Duration of the whole run, us.
         total_us: u64,
@@ -65,12 +65,12 @@ pub enum Progress {
         strokes: u32,
         /// Position by the read-back counter, um.
         position_um: i32,
-        /// It is held there.
+        /// Whether it is held at this position.
         held: bool,
     },
     /// Referencing, folding or unfolding.
     Actuation {
-        /// Since its acceptance, us.
+        /// Time since its acceptance, us.
         elapsed_us: u64,
         /// It ends within this time, us, successfully or with a fault.
         at_most_us: u64,
@@ -81,7 +81,7 @@ pub enum Progress {
     },
 }
 
-/// Sees what happens during a wait. By default every method does nothing.
+/// Receives what happens during a wait. By default every method does nothing.
 pub trait Observer {
     /// An action has begun.
     fn begun(&mut self, begun: &Begun) {
@@ -91,40 +91,41 @@ pub trait Observer {
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
         let _ = (sample, missed);
     }
-    /// An event. Each comes once and in order; one that is lost on the link is fetched again.
+    /// An event. Each comes once and in order; events lost on the link are fetched again.
     fn event(&mut self, event: &Event) {
         let _ = event;
     }
-    /// Called about four times a second, more often if the rig wants to hear the host more often.
+    /// Called about four times a second, or more often if the rig wants to hear the host more often.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
-    /// The record cannot be written; the machine goes on, and so does the wait.
+    /// The record cannot be written. Machine and wait continue.
     fn unrecorded(&mut self, why: &str) {
         let _ = why;
     }
-    /// The device refused what the [`Pacer`] wanted; the wait goes on.
+    /// The device refused a request of the [`Pacer`]; the wait continues.
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         let _ = (pace, refusal);
     }
-    /// Called in each turn of the wait for a run or an actuation, at least every 20 ms while no request is pending, with
-    /// the link's clock. It must not take long: until it returns, nobody listens to the device.
+    /// Called in each turn of the wait for a run or an actuation, at least every 20 ms while no request is pending,
+    /// with the link's clock. It must return quickly: meanwhile nothing is received from the device.
     fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
         let _ = (now_us, clock);
     }
 }
 
-/// How a device's clock stands to that of its link.
+/// Relation of a device's clock to that of its link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clock {
-    /// Link's time less device's, us: at least, at most. The device has read its clock between a request and its answer.
+    /// Link's time minus device's, us: lower and upper bound. The device has read its clock between a request and its
+    /// answer.
     pub ahead_us: (i64, i64),
 }
 
 impl Clock {
-    /// What an exchange shows in which the device said `device_us`.
+    /// The relation shown by one exchange, in which the device reported `device_us`.
     pub(crate) fn of(asked_us: u64, device_us: u64, answered_us: u64) -> Self {
-        // A device that says it has run for 300,000 years must not end its host.
+        // Saturate: a device that claims to have run for 300,000 years must not crash the host.
         let ahead = |link_us: u64| {
             link_us
                 .cast_signed()
@@ -135,7 +136,7 @@ impl Clock {
         }
     }
 
-    /// Time that has passed on the link but not for the device since it was `then`, us, at least.
+    /// Lower bound of the time that has passed on the link but not on the device since `then`, us.
     pub(crate) fn behind_us(self, then: Self) -> u64 {
         let behind_us = self.ahead_us.0.saturating_sub(then.ahead_us.1);
         u64::try_from(behind_us).unwrap_or(0)
@@ -176,7 +177,7 @@ impl Observer for Both<'_> {
     }
 }
 
-/// Ignores everything.
+/// An observer that ignores everything.
 #[derive(Clone, Copy, Debug)]
 pub struct Unobserved;
 impl Observer for Unobserved {}
@@ -188,6 +189,6 @@ pub struct Homed {
     pub repeat_steps: i32,
     /// Shift of the reference since the previous homing, steps; 0 if the position was not trusted before.
     pub shift_steps: i32,
-    /// From the acceptance of the request to the end, us.
+    /// Time from the acceptance of the request to the end, us.
     pub duration_us: u64,
 }

@@ -11,7 +11,7 @@ use crate::device::Device;
 use crate::error::ClientError;
 
 impl Device {
-    /// Sends any request of the table and unwraps its response.
+    /// Sends any request of the protocol's table and unwraps its response.
     ///
     /// # Errors
     /// [`ClientError`]; [`ClientError::OutcomeUnknown`] if a command was sent and not answered.
@@ -25,7 +25,7 @@ impl Device {
         })
     }
 
-    /// Tells the device that the host is there.
+    /// Tells the device that the host is still there.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -49,7 +49,7 @@ impl Device {
         self.call(SetTelemetry { period_ms }).map(|_| ())
     }
 
-    /// Some events from the device's ring, from index `from` on.
+    /// Fetches events from the device's ring, from index `from` on; not necessarily all.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -81,7 +81,7 @@ impl Device {
         self.call(rig::Home)
     }
 
-    /// Begins a run; [`Device::wait_run`] waits for its end. Nothing is checked here: the device decides.
+    /// Begins a run; [`Device::wait_run`] waits for its end. The host checks nothing here: the device decides.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -105,7 +105,7 @@ impl Device {
         self.call(capsule::GetCapsuleStatus)
     }
 
-    /// Begins to find the thread's zero; [`Device::wait_actuation`] waits for its end.
+    /// Begins the search for the thread's zero; [`Device::wait_actuation`] waits for its end.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -137,7 +137,7 @@ impl Device {
         self.call(capsule::GetActuationRecord)
     }
 
-    /// Stops the machine, ahead of everything else; needs no session and no matching protocol.
+    /// Stops the machine, ahead of everything else. Needs no session and no matching protocol.
     ///
     /// # Errors
     /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
@@ -149,6 +149,4 @@ impl Device {
         }
         Ok(())
     }
-
-    // Bytes.
 }

@@ -1,4 +1,4 @@
-//! Waiting for the end of a motion, with its progress.
+//! Waits for the end of a motion and reports its progress.
 
 use protocol::capsule::{self, ActuationAccepted, ActuationRecord, CapsuleEvent};
 use protocol::rig::{
@@ -11,23 +11,24 @@ use crate::device::observer::{Begun, Clock, Homed, Observer, Pace, Progress, Uno
 use crate::device::{Device, moves};
 use crate::error::ClientError;
 
-/// Interval between two requests for the status of a move, us.
+/// Interval between status requests during a move, us.
 const POLL_US: u64 = 50_000;
 
-/// Interval between two looks at the record of an actuation that has ended, us: several readings of the capsule.
+/// Interval between reads of the record after an actuation has ended, us: several readings of the capsule.
 const BRAKING_US: u64 = 20_000;
 
-/// How much later than announced an action may end before it is stopped as overdue, us.
+/// Time past the announced end after which an action is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
-/// Factor by which a device's clock may be slower than the link's: an emulator on a busy computer, not a time base that
-/// stands.
+/// Greatest factor by which a device's clock may be slower than the link's. An emulator on a busy computer may reach
+/// it; a clock that is slower still has stopped.
 const SLOWEST: u64 = 20;
 
-/// Readings of a recording, beyond which it is that of no capsule: they keep the last 2,000.
+/// Upper limit of the readings in a recording. A capsule keeps the last 2,000, so a longer recording than this limit
+/// is not from a capsule.
 const MOST_POINTS: usize = 10_000;
 
-/// What an error means while something may move: a request without an answer changes nothing, but nobody knows what the
-/// machine does.
+/// Converts an error that occurred while something may be moving. A request without an answer changes nothing, but the
+/// state of the machine is unknown.
 pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
         ClientError::NoReply { place, .. } | ClientError::Silent { place, .. } => {
@@ -37,7 +38,7 @@ pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     }
 }
 
-/// Upper limit for the duration of homing, us: both passes over the whole allowed travel, with a margin.
+/// Upper limit for the duration of homing, us: both passes over the whole permitted travel, plus a margin.
 #[must_use]
 pub fn homing_limit_us(accepted: &HomeAccepted) -> u64 {
     let travel_us = |um: u64, um_s: u32| um * 1_000_000 / u64::from(um_s.max(1));
@@ -57,13 +58,13 @@ pub struct Recorded {
     pub points: Vec<capsule::TracePoint>,
 }
 
-/// State of an action that is waited for.
+/// State of an action during a wait.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ActionState {
     Running,
-    /// Held: its time limit moves on.
+    /// Held: its time limit is put off.
     Paused,
-    /// Running again after a hold, which makes it this much longer than announced, us.
+    /// Running again after a hold, which prolongs the announced duration by this time, us.
     Extended(u64),
     Ended,
 }
@@ -98,7 +99,7 @@ impl Device {
                         found = Some((repeat_steps, shift_steps));
                         true
                     }
-                    // The event may be an older one that was still in transit, so the status decides.
+                    // The event may be an older one still in transit, so the status decides.
                     What::Rig(RigEvent::Faulted(_) | RigEvent::Stopped { .. }) => !matches!(
                         device.rig_status()?.state,
                         RigState::Homing | RigState::Stopping
@@ -140,7 +141,7 @@ impl Device {
     ) -> Result<RunRecord, ClientError> {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
-        // Braking and accelerating again take no longer than the ramps of a stroke.
+        // Braking and accelerating again takes no longer than the ramps of a stroke.
         let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) / 50;
         let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0_u64, None);
         self.wait("the run", total_us, observer, |device, event, observer| {
@@ -184,7 +185,7 @@ impl Device {
         self.run_record()
     }
 
-    /// Waits until a move ends, however it ends, and returns how it did and the rig's status then.
+    /// Waits until a move ends, successfully or not, and returns its result and the rig's status.
     ///
     /// # Errors
     /// [`ClientError::Overdue`], or as [`Device::call`].
@@ -199,7 +200,7 @@ impl Device {
         let mut link_lost = false;
         self.wait("the move", total_us, observer, |device, event, observer| {
             link_lost |= event.is_some_and(|event| event.what == What::LinkLost);
-            // Events only hasten the look: an older one may still be in transit.
+            // Events only trigger an early check: an older one may still be in transit.
             let status = device.rig_status()?;
             observer.progress(&Progress::Run {
                 elapsed_us: (device.now_us() - begun_us).min(total_us),
@@ -241,7 +242,7 @@ impl Device {
         }
     }
 
-    /// Fetches the recording of the capsule's last actuation, once it has ended: until then it grows.
+    /// Fetches the recording of the capsule's last actuation, after the actuation has ended: until then it grows.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -271,8 +272,8 @@ impl Device {
         }
     }
 
-    /// Waits until an actuation of the capsule ends, however it ends, and its motor stands, and returns the device's
-    /// record of it.
+    /// Waits until an actuation of the capsule has ended, successfully or not, and its motor stands. Returns the
+    /// device's record of it.
     ///
     /// # Errors
     /// [`ClientError::Overdue`], or as [`Device::call`].
@@ -310,8 +311,8 @@ impl Device {
             .map_err(|error| while_moving("the actuation", error))
     }
 
-    /// The record of the actuation that has just ended, when it no longer changes: while the motor is braked, it runs
-    /// on for a tenth of a millimetre of thread.
+    /// Returns the record of the actuation that has just ended, once it no longer changes. While the motor is braked
+    /// it still winds a tenth of a millimetre of thread.
     pub(crate) fn final_record(
         &mut self,
         observer: &mut dyn Observer,
@@ -348,8 +349,8 @@ impl Device {
         Ok(())
     }
 
-    /// Receives for `duration_us` of link time without a request of its own, and hands out what comes as it comes. What
-    /// another process asks through the door is asked.
+    /// Receives for `duration_us` of link time without sending requests of its own, and delivers everything that
+    /// arrives. Questions from other processes are still sent.
     ///
     /// # Errors
     /// As [`Device::call`].
@@ -380,14 +381,15 @@ impl Device {
         Ok(())
     }
 
-    /// Forgets the stop that the interrupt or another process has wanted: commands are sent again. For a process that goes
-    /// on after a stop, once it is settled.
+    /// Forgets the stop requested by the interrupt or by another process, so that commands are sent again. For a
+    /// process that continues after a stop, once it is settled.
     pub fn forget_stop(&mut self) {
         self.interrupted = None;
         self.link.forget_stop();
     }
 
-    /// Sends nothing for `duration_us` of link time, as a host that is gone. The operator's stop goes out all the same.
+    /// Sends nothing for `duration_us` of link time, as if the host were gone. The operator's stop is sent
+    /// nevertheless.
     ///
     /// # Errors
     /// The link's, or [`ClientError::StopUnconfirmed`].
@@ -395,7 +397,7 @@ impl Device {
         self.listen(self.now_us().saturating_add(duration_us))
     }
 
-    /// As [`Device::wait_for`]; a link that falls silent meanwhile is no small matter.
+    /// Like [`Device::wait_for`]; here a silent link is reported as a machine that may be moving.
     fn wait<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
@@ -407,9 +409,9 @@ impl Device {
             .map_err(|error| while_moving(action, error))
     }
 
-    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every
-    /// `keep_alive_us` without one. Then it requests the device's status, which is also the keep-alive and shows the end even if its
-    /// event was lost.
+    /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every `keep_alive_us`
+    /// without one. In the latter case it requests the device's status. That is also the keep-alive, and it shows the
+    /// end even if its event was lost.
     fn wait_for<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
@@ -444,7 +446,7 @@ impl Device {
             if now_us >= asked_us.saturating_add(self.keep_alive_us) {
                 match state(self, None, observer)?.into() {
                     ActionState::Ended => {
-                        // The action has ended: an event that has not arrived by now was lost.
+                        // The action has ended, so an event that has not arrived by now was lost.
                         over = true;
                         self.fetch_events()?;
                         continue;
@@ -467,8 +469,9 @@ impl Device {
         }
     }
 
-    /// Time since the link's clock was at `start_us` and the device's at `start_clock`, us. The device's clock counts, so
-    /// that an emulated device that cannot keep up is not overdue; a clock slower than [`SLOWEST`] is broken.
+    /// Time since the link's clock was at `start_us` and the device's at `start_clock`, us. It counts by the device's
+    /// clock, so that an emulated device that cannot keep up is not overdue. A clock slower than [`SLOWEST`] counts as
+    /// broken.
     fn passed_us(&self, start_us: u64, start_clock: Option<Clock>) -> u64 {
         let passed_us = self.now_us() - start_us;
         let behind_us = start_clock
@@ -477,7 +480,7 @@ impl Device {
         passed_us.saturating_sub(behind_us).max(passed_us / SLOWEST)
     }
 
-    /// Sends what the pacer returns. After a stop it no longer matters that this is not sent.
+    /// Sends the request of the pacer. After a stop it is not sent, which no longer matters.
     pub(crate) fn pace(&mut self, observer: &mut dyn Observer) -> Result<(), ClientError> {
         let Some(pace) = self.pacer.as_mut().and_then(|pacer| pacer()) else {
             return Ok(());

@@ -1,10 +1,10 @@
-//! The lock of a line, and where its door is.
+//! The lock of a line, and the path of its door.
 //!
-//! All is in one folder of the user's, by default `/tmp/retrograde-UID`: not below `XDG_RUNTIME_DIR`, which is another one in
-//! a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has five files there, named by a
-//! hash of what the line really leads to: `.lock`, held locked by the owner as long as it lives; `.owner`, which says who
-//! that is; `.door`, the socket; and `.stop` and `.estop`, whose times of change tell each process that somebody has wanted
-//! a stop since it last looked.
+//! All files are in one folder of the user's, by default `/tmp/retrograde-UID`. It is not below `XDG_RUNTIME_DIR`,
+//! because that differs in a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has
+//! five files there, named by a hash of the device or address that it resolves to. The owner keeps `.lock` locked as
+//! long as it lives; `.owner` describes the owner; `.door` is the socket. The modification times of `.stop` and
+//! `.estop` tell each process that a stop was requested since it last looked.
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::BuildHasher;
@@ -24,24 +24,24 @@ use crate::door::stream::{Listener, Stream};
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 
-/// Names another folder for locks and doors.
+/// Environment variable that names another folder for locks and doors.
 pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
-/// What the owner leaves for others.
+/// Description that the owner leaves for others.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Plate {
-    /// Who owns the line.
+    /// The process that owns the line.
     pub owner: Owner,
-    /// Of a loopback door.
+    /// Port of a loopback door.
     pub port: Option<u16>,
-    /// Of a loopback door.
+    /// Token of a loopback door.
     pub token: String,
-    /// The record that the owner writes: should it be killed, the next one ends it.
+    /// The record that the owner is writing. If the owner is killed, the line's next owner completes it.
     #[serde(default)]
     pub recording: Option<PathBuf>,
 }
 
-/// Where lock and door of one line are.
+/// Location of lock and door of one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Doorway {
     folder: PathBuf,
@@ -50,25 +50,25 @@ pub struct Doorway {
     place: String,
 }
 
-/// A line that is this process's own, until it is dropped.
+/// Exclusive ownership of a line, until dropped.
 #[derive(Debug)]
 pub struct Lock {
     doorway: Doorway,
     plate: Mutex<Plate>,
     /// The record of an owner that was killed.
     left: Mutex<Option<PathBuf>>,
-    // Released by the system when the file is closed, however the process ends.
+    // The system releases the lock when the file is closed, however the process ends.
     _file: File,
 }
 
 impl Doorway {
-    /// The last stops on the line behind this doorway; where there is none, no other process can send one.
+    /// The last stops on this line; empty without a doorway, where no other process can send one.
     #[must_use]
     pub fn last_stops(doorway: Option<&Self>) -> StopMark {
         doorway.map_or_else(StopMark::default, Self::stop_mark)
     }
 
-    /// Lock and door of the line behind an address; `None` where there is no line to own.
+    /// Locates lock and door of the line behind an address; `None` if there is no line to own.
     ///
     /// # Errors
     /// The folder cannot be made, or belongs to somebody else.
@@ -88,7 +88,7 @@ impl Doorway {
         Ok(Some(Self::new(folder, &line, place)))
     }
 
-    /// As [`Doorway::of`], in another folder, which must be there and safe from other users.
+    /// Like [`Doorway::of`], in another folder, which must exist and be safe from other users.
     #[must_use]
     pub fn within(folder: &Path, address: &Address) -> Option<Self> {
         Some(Self::new(
@@ -100,7 +100,7 @@ impl Doorway {
 
     /// The doorway of a line, with its lock in this folder.
     pub fn new(folder: PathBuf, line: &str, place: String) -> Self {
-        // FNV-1a: the same in every build, and short, for the path of a socket has 107 bytes at most.
+        // FNV-1a: the same in every build, and short, because the path of a socket may have at most 107 bytes.
         let hash = line.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
             (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
         });
@@ -144,10 +144,10 @@ impl Doorway {
             .open(self.file("lock"))
             .map_err(|why| self.error(why))?;
         match file.try_lock() {
-            // Somebody listens at the door: the line is theirs, though a cleaner of `/tmp` has taken their lock away.
+            // Somebody listens at the door, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
             Ok(()) if cfg!(unix) && self.connect(None).is_ok() => Ok(None),
             Ok(()) => {
-                // What an owner that was killed has left.
+                // Left by an owner that was killed.
                 let left = self.plate().and_then(|plate| plate.recording);
                 let _ = fs::remove_file(self.file("door"));
                 let plate = Plate {
@@ -184,11 +184,10 @@ impl Doorway {
         }
     }
 
-    /// Tells all processes that a stop is being sent. Only the file's time changes, which a full disk allows. A stop goes
-    /// out whether or not this works.
+    /// Tells all processes that a stop is being sent. Only the modification time of a file changes, which works on a
+    /// full disk. The stop is sent even if this fails.
     ///
-    /// Whoever wants a stop calls this before the stop is sent. Called later, it would refuse what was ordered after the
-    /// stop had been confirmed.
+    /// Call this before sending the stop. If called later, orders given after the stop was confirmed would be refused.
     pub fn mark_stop(&self, urgent: Urgent) {
         let file = OpenOptions::new()
             .create(true)
@@ -198,18 +197,19 @@ impl Doorway {
         let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
     }
 
-    /// Who owns the line, as far as it has said so.
+    /// The owner's description, as far as it was written.
     pub fn plate(&self) -> Option<Plate> {
         serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
     }
 
-    /// The owner of the line, as far as it has said so.
+    /// The owner of the line, as far as it was written.
     #[must_use]
     pub fn owner(&self) -> Option<Owner> {
         self.plate().map(|plate| plate.owner)
     }
 
-    /// The owner listens, as far as can be seen from outside: between its name and its door it sets up, or it leaves.
+    /// Whether the owner seems to listen. It does not if there is a description but no door: the owner is setting up
+    /// or leaving.
     pub fn is_open(&self) -> bool {
         if cfg!(unix) {
             self.file("door").exists()
@@ -218,7 +218,7 @@ impl Doorway {
         }
     }
 
-    /// Goes to the door. A socket is found by its own name: it needs no plate, which somebody may have cleaned away.
+    /// Connects to the door. A socket has a fixed path: it works even if somebody has removed the plate.
     pub fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
         if plate.is_none() && !cfg!(unix) {
             return Err(io::ErrorKind::NotFound.into());
@@ -228,7 +228,7 @@ impl Doorway {
 }
 
 impl Lock {
-    /// Opens the door, and says who opened it.
+    /// Opens the door and publishes its owner.
     pub fn listen(&self) -> Result<(Listener, Plate), OpenError> {
         let doorway = &self.doorway;
         #[cfg(unix)]
@@ -253,7 +253,7 @@ impl Lock {
 
     fn put_up(&self, plate: &Plate) -> Result<(), OpenError> {
         let doorway = &self.doorway;
-        // Whoever reads it meanwhile finds the old one or the new one.
+        // Write and rename, so that a reader finds the old file or the new one, never a part.
         let (new, file) = (doorway.file("new"), doorway.file("owner"));
         let text = serde_json::to_vec(plate).map_err(|why| doorway.error(why))?;
         fs::write(&new, text)
@@ -261,7 +261,8 @@ impl Lock {
             .map_err(|why| doorway.error(why))
     }
 
-    /// The owner records there from now on, or no longer. A full disk is told by the record itself.
+    /// Publishes the record that the owner now writes; `None` when it is complete. Errors are ignored: on a full disk
+    /// the record itself reports one.
     pub fn records(&self, sidecar: Option<&Path>) {
         let mut plate = self.plate();
         plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
@@ -269,7 +270,7 @@ impl Lock {
         *self.left() = None;
     }
 
-    /// The record that the last owner left unfinished.
+    /// The unfinished record of the previous owner.
     pub fn left_record(&self) -> Option<PathBuf> {
         self.left().clone()
     }
@@ -278,9 +279,9 @@ impl Lock {
         self.left.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Says who has the line before its door is open.
+    /// Publishes the owner before its door is open.
     pub fn announce(&self) -> Result<(), OpenError> {
-        // The door of an owner that was killed leads nowhere.
+        // Remove the door of an owner that was killed: nobody answers there.
         let _ = fs::remove_file(self.doorway.file("door"));
         self.put_up(&self.plate())
     }
@@ -295,7 +296,7 @@ impl Drop for Lock {
     fn drop(&mut self) {
         // The lock itself stays: another process may be about to take it.
         let _ = fs::remove_file(self.doorway.file("door"));
-        // A record without an end is for the next owner.
+        // Keep the description of an unfinished record, for the next owner.
         if self.plate().recording.is_none() {
             let _ = fs::remove_file(self.doorway.file("owner"));
         }
@@ -309,14 +310,14 @@ fn stop_file(urgent: Urgent) -> &'static str {
     }
 }
 
-/// What an address really leads to: two names of one line give the same.
+/// Resolves an address, so that two names of one line give the same text.
 fn line(address: &Address) -> Option<String> {
     match address {
         Address::Serial(path) => {
             let path = if cfg!(windows) {
                 PathBuf::from(path.to_uppercase())
             } else {
-                // A port that is not there has no owner; opening it says what is wrong.
+                // A missing port has no owner; opening it reports the problem.
                 fs::canonicalize(path).ok()?
             };
             Some(format!("serial {}", path.display()))
@@ -329,7 +330,7 @@ fn line(address: &Address) -> Option<String> {
     }
 }
 
-/// All names of this computer's loopback are one.
+/// Gives all loopback addresses of this computer the same name.
 fn host(at: SocketAddr) -> String {
     if at.ip().is_loopback() {
         return format!("loopback:{}", at.port());
@@ -337,7 +338,7 @@ fn host(at: SocketAddr) -> String {
     at.to_string()
 }
 
-/// The folder, made if need be, and safe from other users.
+/// The folder, created if necessary, and safe from other users.
 pub fn folder() -> Result<PathBuf, String> {
     let folder = match std::env::var_os(FOLDER_VARIABLE) {
         Some(folder) if !folder.is_empty() => PathBuf::from(folder),
@@ -367,7 +368,7 @@ fn make(folder: &Path) -> Result<(), String> {
         Err(why) if why.kind() != io::ErrorKind::AlreadyExists => return Err(why.to_string()),
         _ => {}
     }
-    // Not through a link: in /tmp anybody may have made one.
+    // Do not follow a link: in /tmp anybody may have made one.
     let found = fs::symlink_metadata(folder).map_err(|why| why.to_string())?;
     if !found.is_dir() {
         return Err("it is no folder".to_owned());

@@ -1,4 +1,4 @@
-//! The owner's side of a door: guests, their stops, their questions, and what is passed on to them.
+//! The owner's side of a door: guests, their stops and questions, and the traffic passed on to them.
 
 use std::collections::{HashMap, VecDeque};
 use std::io::{self, Read, Write};
@@ -19,63 +19,63 @@ use crate::door::stream::{Listener, Stream, read_line};
 use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome, admits};
 use crate::link::owner::{Question, StopMark};
 
-/// Bytes that wait for an owner that does not read: 90 s of a full line. Beyond that new ones are lost.
+/// Buffer for an owner that does not read, bytes: 90 s of a full line. Beyond that new bytes are lost.
 const UNREAD: usize = 1 << 20;
 
-/// A question that the owner has not taken for so long is forgotten: the guest no longer waits for it.
+/// Forget a question that the owner has not taken for this long: the guest no longer waits for it.
 const STALE: Duration = Duration::from_millis(600);
 
-/// The least time between two questions, so that guests cannot fill the line.
+/// Minimum time between two questions, so that guests cannot saturate the line.
 const BREATH: Duration = Duration::from_millis(10);
 
-/// The most guests at a time that may look. There is no limit for those that only stop.
+/// Maximum guests that may look. Guests that only stop are not limited.
 pub const GUESTS: usize = 32;
 
-/// Frames that wait for a guest that does not read; beyond that it misses some.
+/// Frames buffered for a guest that does not read; beyond that it misses some.
 pub const WAITING_FRAMES: usize = 512;
 
-/// How long a guest may take to say what it is, and how long one that can only stop may be silent.
+/// Time for a guest to introduce itself, and longest silence of a guest that can only stop.
 const KNOCKING: Duration = Duration::from_secs(2);
 
-/// Stack of a guest's thread, bytes: many may come at once.
+/// Stack of a guest's thread, bytes; small, because many guests may come at once.
 const GUEST_STACK: usize = 256 * 1024;
 
-/// The first sequence number of guests' stops on the line, far from the owner's, which count from 0.
+/// First sequence number of guests' stops on the line, far from the owner's, which count from 0.
 const FIRST_SEQ: u16 = 0x8000;
 
-/// What owner, pump and guests share.
+/// State shared by owner, pump and guests.
 pub struct Core {
     state: Mutex<State>,
     woken: Condvar,
     out: Mutex<Out>,
     closing: AtomicBool,
-    /// The owner gives the line up for whoever wants it.
+    /// The owner gives the line up to anybody who wants it.
     yields: AtomicBool,
-    /// Somebody wants it.
+    /// Somebody wants the line.
     wanted: AtomicBool,
-    /// Where processes tell of stops that need not come through this door.
+    /// Where processes announce stops that do not come through this door.
     doorway: Option<Doorway>,
 }
 
 #[derive(Default)]
 struct State {
-    /// From the machine, for the owner.
+    /// Bytes from the machine for the owner.
     unread: VecDeque<u8>,
     lost: Option<String>,
-    /// Something new for the owner that is no byte.
+    /// A wake-up without data is pending.
     nudged: bool,
     identity: Option<Identity>,
     questions: VecDeque<Question>,
     last_question: Option<Instant>,
     stopped: Option<Urgent>,
-    /// Stops of guests on the line, newest last.
+    /// Stops that guests have sent on the line, newest last.
     stops: VecDeque<Stop>,
     guests: HashMap<u64, Guest>,
     next_guest: u64,
 }
 
 impl State {
-    /// Somebody else has sent this stop.
+    /// Notes a stop that somebody else has sent.
     fn stop(&mut self, urgent: Urgent) {
         self.stopped = match self.stopped {
             Some(Urgent::EStop) => Some(Urgent::EStop),
@@ -83,7 +83,7 @@ impl State {
         };
     }
 
-    /// What guests wanted done before a stop came: asked after it, it would undo the stop.
+    /// Removes and returns the guests' commands when a stop comes: executed later, they would undo the stop.
     fn take_orders(&mut self) -> VecDeque<Question> {
         let looks = |question: &Question| question.request.impact() == Impact::None;
         let (look, orders) = self.questions.drain(..).partition(looks);
@@ -95,34 +95,34 @@ impl State {
 /// A stop that a guest has sent.
 struct Stop {
     guest: u64,
-    /// Its own header, to which the answer goes.
+    /// The guest's own header, for the answer.
     header: Header,
     urgent: Urgent,
-    /// Its sequence on the line.
+    /// Its sequence number on the line.
     seq: u16,
 }
 
 struct Guest {
-    /// It sees what the machine says, and may ask.
+    /// May receive the machine's messages and ask questions.
     looks: bool,
     frames: SyncSender<Vec<u8>>,
     /// Ends its connection.
     shut: Box<dyn Fn() + Send>,
 }
 
-/// The line's way out. Whoever writes a frame holds it.
+/// Output side of the line. A thread locks it while it writes a frame.
 struct Out {
     line: Box<dyn Write + Send>,
     next_seq: u16,
-    /// Stops of guests so far, and how many of these the owner has noticed.
+    /// Number of stops that guests have sent, and how many of them the owner has noticed.
     stops: u32,
     noticed: u32,
-    /// The last stop that the owner knows of, of all that any process has sent on this line.
+    /// The last stop that the owner knows of, among those of all processes on this line.
     mark: StopMark,
 }
 
 impl Core {
-    /// The owner's side of the line that `line` writes to; with `yields` it gives the line up when somebody wants it.
+    /// The owner's side of the line that `line` writes to. With `yields` it gives the line up when somebody wants it.
     pub fn new(line: Box<dyn Write + Send>, yields: bool, doorway: Option<Doorway>) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State::default()),
@@ -141,7 +141,7 @@ impl Core {
         })
     }
 
-    // Nobody panics while holding these; if somebody did, a stop would have to go out all the same.
+    // No code panics while holding these locks; if it did, a stop must still go out.
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -150,7 +150,7 @@ impl Core {
         self.out.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// The owner is leaving.
+    /// Whether the owner is leaving.
     pub fn is_closing(&self) -> bool {
         self.closing.load(Ordering::Relaxed)
     }
@@ -158,7 +158,7 @@ impl Core {
     /// Ends all threads that wait for guests.
     pub fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
-        // Threads of guests may live on for a moment, the line must not: somebody is about to open it.
+        // Threads of guests may live on for a moment. Close the line now: somebody is about to open it.
         self.out().line = Box::new(Closed);
         for guest in self.state().guests.values() {
             (guest.shut)();
@@ -166,10 +166,10 @@ impl Core {
         self.woken.notify_all();
     }
 
-    // The owner.
+    // Calls by the owner.
 
-    /// Writes the owner's frame. A request that comes after a stop which the owner has not noticed yet is left out: it
-    /// might start again what was stopped. The client repeats what it still wants.
+    /// Writes the owner's frame. Drops a request that follows a stop which the owner has not noticed yet: it might
+    /// restart what was stopped. The client repeats the request if it still wants it.
     pub fn send(&self, bytes: &[u8]) -> io::Result<()> {
         let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
         let mut out = self.out();
@@ -179,12 +179,13 @@ impl Core {
         out.line.write_all(bytes)
     }
 
-    /// What is ordered from now on was wanted at this mark: a stop since then is one that the owner has not noticed yet.
+    /// Sets the last stop known when the next orders were given; a later stop is one that the owner has not noticed
+    /// yet.
     pub fn ordered_at(&self, mark: StopMark) {
         self.out().mark = mark;
     }
 
-    /// Waits for bytes until `deadline`; 0 then, and when there is something else to see to.
+    /// Waits for bytes until `deadline`. Returns 0 then, or on a wake-up without data.
     pub fn receive(&self, into: &mut [u8], deadline: Instant) -> Result<usize, String> {
         let mut state = self.state();
         loop {
@@ -209,12 +210,12 @@ impl Core {
         }
     }
 
-    /// The owner has met the machine.
+    /// Notes the identity of the machine that the owner has connected to.
     pub fn introduce(&self, identity: &Identity) {
         self.state().identity = Some(*identity);
     }
 
-    /// The strongest stop that others have sent so far: guests, and processes that went past this door.
+    /// The strongest stop that others have sent so far: guests, and processes that bypassed this door.
     pub fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
@@ -228,12 +229,12 @@ impl Core {
         state.stopped
     }
 
-    /// A guest wants the line.
+    /// Whether a guest wants the line.
     pub fn is_line_wanted(&self) -> bool {
         self.wanted.load(Ordering::Relaxed)
     }
 
-    /// Offers the line to others, or does so no longer: whoever wanted it until now has to ask again.
+    /// Offers the line to others or withdraws the offer. Guests that wanted it before have to ask again.
     pub fn offer_line(&self, offered: bool) {
         let _state = self.state();
         self.yields.store(offered, Ordering::Relaxed);
@@ -254,7 +255,7 @@ impl Core {
         offered
     }
 
-    /// Forgets the stops that the owner has noticed. One that it has not stays.
+    /// Forgets the stops that the owner has noticed; others remain.
     pub fn forget_stop(&self) {
         let out = self.out();
         if out.stops == out.noticed {
@@ -262,7 +263,7 @@ impl Core {
         }
     }
 
-    /// The next question of a guest for the machine.
+    /// The next question from a guest to the machine.
     pub fn question(&self, now: Instant) -> Option<Question> {
         let mut state = self.state();
         let early = |last: Instant| now.duration_since(last) < BREATH;
@@ -279,8 +280,8 @@ impl Core {
             }
         };
         state.last_question = Some(now);
-        // What several guests want to see is asked once: five of them would ask more than the line can carry, and each
-        // would wait for the others until it gives up.
+        // Ask once if several guests want to know the same. Five of them would ask for more than the line can carry,
+        // and each would wait for the others until it gives up.
         let (same, others): (VecDeque<_>, _) = state.questions.drain(..).partition(|other| {
             question.as_ref().is_some_and(|question| {
                 other.request.impact() == Impact::None && other.request == question.request
@@ -294,9 +295,9 @@ impl Core {
         question.map(|question| question.shared_with(same))
     }
 
-    // The line.
+    // Calls by the thread that reads the line.
 
-    /// Hands the machine's bytes to the owner.
+    /// Passes the machine's bytes to the owner.
     pub fn arrived(&self, bytes: &[u8]) {
         let mut state = self.state();
         if state.unread.len() + bytes.len() <= UNREAD {
@@ -305,23 +306,23 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Ends all guests: the line is lost.
+    /// Disconnects all guests: the line is lost.
     pub fn lost(&self, why: String) {
         let mut state = self.state();
         state.lost.get_or_insert(why);
-        // Without the line there is nothing to see here.
+        // Without the line a guest has nothing to look at.
         for guest in state.guests.values() {
             (guest.shut)();
         }
         self.woken.notify_all();
     }
 
-    /// Passes a frame of the machine on to whom it concerns; `wire` are its bytes.
+    /// Passes a frame of the machine to everybody concerned; `wire` is its encoded form.
     pub fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
                 for guest in self.state().guests.values().filter(|guest| guest.looks) {
-                    // One that does not read misses some, as on a bad line.
+                    // A guest that does not read misses frames, as on a bad line.
                     let _ = guest.frames.try_send(wire.to_vec());
                 }
             }
@@ -348,9 +349,9 @@ impl Core {
         }
     }
 
-    // Guests.
+    // Calls by guests.
 
-    /// Writes a guest's stop to the line at once. A repetition goes out again under the same number.
+    /// Writes a guest's stop to the line at once. A repetition is sent again under the same number.
     fn stop(&self, guest: u64, header: Header, urgent: Urgent) -> io::Result<()> {
         let mut out = self.out();
         let mut state = self.state();
@@ -380,7 +381,7 @@ impl Core {
         state.nudged = true;
         drop(state);
         out.stops = out.stops.wrapping_add(1);
-        // A stop needs no session.
+        // Stops need no session.
         let header = Header {
             kind: Kind::Urgent,
             session: 0,
@@ -403,7 +404,7 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Lets a guest in, if only to stop; `None` if the line is gone.
+    /// Admits a guest, if only to stop; `None` if the line is gone.
     fn admit(
         &self,
         shut: Box<dyn Fn() + Send>,
@@ -430,7 +431,7 @@ impl Core {
     }
 }
 
-/// What is left of a line that was closed.
+/// Replaces a line that was closed.
 struct Closed;
 
 impl Write for Closed {
@@ -443,7 +444,7 @@ impl Write for Closed {
     }
 }
 
-/// Lets guests in until the core closes.
+/// Accepts guests until the core closes.
 pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
     loop {
         let stream = listener.accept();
@@ -451,7 +452,7 @@ pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
             return;
         }
         let Ok(stream) = stream else {
-            // Too many open files, most likely: some will be closed.
+            // Most likely too many open files; wait until some are closed.
             thread::sleep(Duration::from_millis(50));
             continue;
         };
@@ -459,9 +460,9 @@ pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
         let host = thread::Builder::new()
             .name("guest".to_owned())
             .stack_size(GUEST_STACK);
-        // Without a thread the guest finds its connection closed.
+        // If there is no thread for it, the guest finds its connection closed.
         let _ = host.spawn(move || {
-            // A guest that leaves or breaks the rules is of no concern to anybody else.
+            // A guest that leaves or breaks the rules affects nobody else.
             let _ = receive_guest(stream, &plate, &core);
         });
     }
@@ -473,7 +474,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     let knock = knocked(&read_line(&mut stream, LONGEST_LINE)?, plate)?;
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
     let shut = stream.try_clone()?;
-    // Before the welcome: whoever is welcome can stop the machine.
+    // Admit the guest before the welcome: once welcomed, it has to be able to stop the machine.
     let Some(mut visit) = Visit::new(core, Box::new(move || shut.shut()), frames) else {
         return Ok(());
     };
@@ -482,7 +483,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
         stream.set_read_timeout(None)?;
     }
     let mut to_guest = stream.try_clone()?;
-    // Ends when the last sender is gone: core, visit and open questions have one each.
+    // Ends when the last sender is dropped: core, visit and open questions hold one each.
     let writer = thread::Builder::new()
         .name("guest's frames".to_owned())
         .stack_size(GUEST_STACK);
@@ -503,7 +504,7 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
     result
 }
 
-/// What a guest says first, if it may come in.
+/// Parses a guest's first line and checks whether the guest may enter.
 pub fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
     let knock: Knock = serde_json::from_slice(line)?;
     if knock.token != plate.token {
@@ -515,17 +516,17 @@ pub fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
 /// A guest's session with the door.
 struct Asking {
     session: Session,
-    /// A question is with the owner.
+    /// The owner is working on a question.
     pending: bool,
-    /// Sequence of the question that the owner has left without an answer. Its repetitions stay without one, too.
+    /// Sequence number of the last question that the owner left unanswered. Its repetitions get no answer either.
     unanswered: Option<u16>,
 }
 
-/// A guest that was let in; it leaves with this value.
+/// A guest that was admitted; it leaves when this value is dropped.
 pub struct Visit {
     core: Arc<Core>,
     number: u64,
-    /// It may do more than stop.
+    /// May do more than stop.
     looks: bool,
     frames: SyncSender<Vec<u8>>,
     session: Arc<Mutex<Asking>>,
@@ -560,7 +561,7 @@ impl Visit {
         })
     }
 
-    /// What the guest is told first.
+    /// The first line sent to the guest.
     pub fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
         if knock.wants_line {
             self.core.want_line();
@@ -589,7 +590,7 @@ impl Visit {
         }
     }
 
-    /// Takes the guest's bytes.
+    /// Processes the guest's bytes.
     pub fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
         let mut deframer = std::mem::take(&mut self.deframer);
         let frames = bytes
@@ -606,7 +607,7 @@ impl Visit {
         let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         let left = asking.unanswered == Some(frame.header.seq);
         if (asking.pending || left || !self.looks) && frame.header.kind == Kind::Request {
-            // A repetition of what the owner has not answered, or a guest that was told that it can only stop.
+            // A repetition of an unanswered question, or a guest that was told that it can only stop.
             return Ok(());
         }
         let header = |session, seq| Header {
@@ -619,7 +620,7 @@ impl Visit {
                 drop(asking);
                 return self.core.stop(self.number, frame.header, urgent);
             }
-            // Until the owner knows who is there, the guest asks again.
+            // Until the owner knows the machine's identity, the guest has to ask again.
             Decision::Greet { session, seq } => {
                 let identity = self.core.state().identity;
                 if let Some(identity) = identity {
@@ -630,7 +631,7 @@ impl Visit {
                     self.say(reply(header(session, seq), &Reply::Accepted(hello)));
                 }
             }
-            // The owner keeps the machine alive, or does not; a guest cannot.
+            // Only the owner keeps the machine alive; a guest cannot.
             Decision::Execute {
                 request: Request::KeepAlive(_),
                 ticket,
@@ -682,7 +683,7 @@ impl Visit {
 
     fn say(&self, frame: Option<Encoded>) {
         if let Some(frame) = frame {
-            // A guest that does not read gets no answer, and asks again.
+            // A guest that does not read loses the answer and asks again.
             let _ = self.frames.try_send(frame.to_vec());
         }
     }

@@ -1,5 +1,5 @@
-//! A link whose line this process owns, with a door for others. A thread of its own reads the line, so that a stop of a
-//! guest goes out and is confirmed whatever the owner is doing.
+//! A link over a line that this process owns, with a door for others. A separate thread reads the line, so that a
+//! guest's stop is sent and confirmed whatever the owner is doing.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -23,12 +23,12 @@ pub struct Shared {
     start: Instant,
     core: Arc<Core>,
     pump: Option<JoinHandle<()>>,
-    // Last, so that the line is free only when it is closed.
+    // Declared last, so that it is dropped after the line is closed.
     lock: Lock,
 }
 
 impl Shared {
-    /// With `yields` the line is for any other process that wants it: see [`Link::is_line_wanted`].
+    /// With `yields` the line is offered to other processes: see [`Link::is_line_wanted`].
     pub fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
         let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
@@ -71,7 +71,7 @@ impl Shared {
 impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
-        // Lets the door's thread see that; without a connection it sees it at the next one.
+        // Wake the door's thread with a connection; otherwise it would not see the end until somebody connects.
         let doorway = self.lock.doorway();
         let _ = doorway.connect(doorway.plate().as_ref());
         if let Some(pump) = self.pump.take() {
@@ -95,7 +95,7 @@ impl Link for Shared {
 
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
         let left = Duration::from_micros(deadline_us.saturating_sub(self.now_us()));
-        // Bounded, so that it can be added to a time.
+        // Limit it, so that it can be added to an `Instant`.
         let deadline = Instant::now() + left.min(Duration::from_secs(60));
         self.core
             .receive(buffer, deadline)
@@ -139,7 +139,7 @@ impl Link for Shared {
     }
 }
 
-/// Hands what the machine says to the owner and, frame by frame, to its guests.
+/// Passes the machine's bytes to the owner and, frame by frame, to its guests.
 #[derive(Default)]
 pub struct Pump {
     deframer: Deframer,
@@ -147,7 +147,7 @@ pub struct Pump {
 }
 
 impl Pump {
-    /// Hands on what the machine has said.
+    /// Passes on bytes of the machine.
     pub fn take(&mut self, core: &Core, bytes: &[u8]) {
         core.arrived(bytes);
         for byte in bytes {
@@ -155,7 +155,7 @@ impl Pump {
                 self.block.push(*byte);
             }
             if let Some(frame) = self.deframer.push(*byte) {
-                // With the delimiter of the block before, which a guest may have missed.
+                // Include the delimiter of the preceding block, which a guest may have missed.
                 let wire = [&[0], &self.block[..]].concat();
                 core.passed(&frame, &wire);
             }
@@ -166,7 +166,7 @@ impl Pump {
     }
 }
 
-/// Reads the line until it or the link ends.
+/// Reads the line until the line or the link ends.
 fn pump(core: &Core, mut reader: Box<dyn Read + Send>, end: &str) {
     let mut pump = Pump::default();
     let mut bytes = [0; 512];

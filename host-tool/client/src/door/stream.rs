@@ -1,4 +1,4 @@
-//! What a door listens on: a Unix socket; elsewhere a loopback port.
+//! Listeners and connections of a door: a Unix socket, or a loopback port on other systems.
 
 use std::io::{self, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
@@ -17,7 +17,7 @@ pub enum Listener {
     Loopback(TcpListener),
 }
 
-/// One guest's connection, on either side.
+/// A guest's connection, used on both sides.
 #[derive(Debug)]
 pub enum Stream {
     #[cfg(unix)]
@@ -102,7 +102,7 @@ impl Stream {
     }
 
     pub fn shut(&self) {
-        // A connection that is gone already needs no end.
+        // It is no error if the connection is already gone.
         let _ = match self {
             #[cfg(unix)]
             Self::Unix(stream) => stream.shutdown(Shutdown::Both),
@@ -135,7 +135,7 @@ impl Write for Stream {
     }
 }
 
-/// Reads a line of at most `limit` bytes, and not a byte beyond its end.
+/// Reads a line of at most `limit` bytes, and no byte beyond its end.
 pub fn read_line(from: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
     let mut line = vec![];
     let mut byte = [0];

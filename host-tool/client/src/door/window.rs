@@ -10,8 +10,8 @@ use crate::link::owner::Owner;
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError};
 
-/// A link through another process. Stops go out at once; reading goes between the owner's requests; what only the owner
-/// may do is refused by [`crate::device::Device`] before it is sent.
+/// A link through another process. Stops are sent at once; reading goes between the owner's requests.
+/// [`crate::device::Device`] refuses everything that is for the owner alone, before it is sent.
 #[derive(Debug)]
 pub struct Window {
     place: String,
@@ -24,11 +24,11 @@ pub struct Window {
 }
 
 impl Window {
-    /// Goes to the door and knocks; the owner has `limit` to answer. Through one that is [full](Window::is_full) only stops
-    /// go.
+    /// Connects to the door and introduces itself; the owner has `limit` to answer. A [full](Window::is_full) window
+    /// only passes stops.
     ///
     /// # Errors
-    /// There is no door, nobody answers, or what answers is no door.
+    /// There is no door, nobody answers, or something else than a door answers.
     pub fn open(doorway: &Doorway, limit: Duration) -> io::Result<Self> {
         Self::knock(doorway, limit, false)
     }
@@ -59,7 +59,7 @@ impl Window {
         })
     }
 
-    /// As many processes look as may: through this window nothing but a stop goes.
+    /// Whether the limit of guests is reached: this window only passes stops.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.full
@@ -104,7 +104,7 @@ impl Link for Window {
     }
 
     fn want_line(&mut self) -> bool {
-        // An owner that is gone has given it up, too.
+        // An owner that has ended has also given the line up.
         if self.yields {
             let _ = Self::knock(&self.doorway, Duration::from_secs(1), true);
         }

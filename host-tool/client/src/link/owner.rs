@@ -1,4 +1,4 @@
-//! What a line's owner and the others on it know of each other: who it is, which stops there were, what a guest asks.
+//! Shared knowledge of a line's owner and its guests: the owner, the stops, the guests' questions.
 
 use std::collections::VecDeque;
 use std::fmt;
@@ -9,22 +9,22 @@ use protocol::system::Urgent;
 use protocol::table::{Reply, Request};
 use serde::{Deserialize, Serialize};
 
-/// The longest command that is shown, in characters.
+/// Longest command that is shown, characters.
 const LONGEST_COMMAND: usize = 200;
 
 /// The process that owns a line.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Owner {
-    /// Its process number.
+    /// Its process ID.
     pub pid: u32,
     /// Its command line.
     pub command: String,
-    /// When it took the line.
+    /// Time at which it took the line.
     pub since: Timestamp,
 }
 
 impl Owner {
-    /// This process, from now on.
+    /// This process, with the present time.
     #[must_use]
     pub fn this_process() -> Self {
         let args: Vec<_> = std::env::args_os()
@@ -49,7 +49,7 @@ impl fmt::Display for Owner {
     }
 }
 
-/// A command line without the program's folder, without control characters, not too long.
+/// A command line without the program's folder and without control characters, shortened.
 pub(crate) fn shown(args: &[String]) -> String {
     let program = args.first().map_or("", |path| {
         path.rsplit(['/', '\\']).next().unwrap_or_default()
@@ -62,8 +62,8 @@ pub(crate) fn shown(args: &[String]) -> String {
     clean.take(LONGEST_COMMAND).collect()
 }
 
-/// Which stop and which emergency stop were the last ones on a line, whichever process wanted them. Two marks that differ
-/// say that one was wanted between them: what was ordered before it must no longer move anything.
+/// The last stop and the last emergency stop on a line, from any process. If two marks differ, a stop was requested
+/// between them: orders given before it must no longer move anything.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct StopMark {
     pub(crate) stop: Option<SystemTime>,
@@ -71,8 +71,8 @@ pub struct StopMark {
 }
 
 impl StopMark {
-    /// What it was at an earlier time of this computer: a stop since then is not in it. One from the future, after the
-    /// clock was set back, counts as an old one.
+    /// The mark as of an earlier time of this computer, without later stops. A mark from the future, after the clock
+    /// was set back, counts as old.
     #[must_use]
     pub fn at(self, time: SystemTime) -> Self {
         let until_now = |stop: &SystemTime| *stop <= time || *stop > SystemTime::now();
@@ -92,7 +92,7 @@ impl StopMark {
     }
 }
 
-/// A guest's question to the machine, which the owner asks.
+/// A guest's question to the machine, which the owner sends.
 pub struct Question {
     /// The request. [`crate::door::admits`] has let it through.
     pub request: Request,
@@ -101,7 +101,7 @@ pub struct Question {
 }
 
 impl Question {
-    /// The same question of several guests.
+    /// Merges the same questions of several guests.
     pub(crate) fn shared_with(self, others: VecDeque<Self>) -> Self {
         let Self {
             request,
@@ -120,7 +120,7 @@ impl Question {
         }
     }
 
-    /// Hands the answer to the guest; `None` if there was none.
+    /// Sends the answer to the guest; `None` if there was none.
     pub fn answer(self, reply: Option<Reply>) {
         (self.answer)(reply);
     }

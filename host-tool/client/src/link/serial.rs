@@ -11,7 +11,7 @@ use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
 use crate::named;
 
-/// Speed of both firmwares.
+/// Baud rate of both firmwares.
 pub const DEFAULT_BAUD: u32 = 115_200;
 
 /// USB vendor of the ST-LINK on every Nucleo board.
@@ -20,7 +20,7 @@ const STMICROELECTRONICS: u16 = 0x0483;
 /// Time limit for a write. A frame of 170 bytes takes 15 ms, so a port that takes longer than this is stuck.
 const WRITE: Duration = Duration::from_secs(1);
 
-/// Why a port ends.
+/// The reason when a port ends.
 const GONE: &str = "the port is gone";
 
 /// A serial port.
@@ -40,7 +40,7 @@ impl Serial {
             .timeout(WRITE)
             .open()
             .map_err(|error| explain(path, &error))?;
-        // Bytes from before belong to no session of this process.
+        // Drop old bytes: they belong to no session of this process.
         let _ = port.clear(ClearBuffer::Input);
         Ok(Self {
             path: path.to_owned(),
@@ -49,7 +49,7 @@ impl Serial {
         })
     }
 
-    /// Both directions for two threads.
+    /// Splits the port for two threads.
     pub fn halves(mut self) -> io::Result<Halves> {
         let mut reader = self.port.try_clone()?;
         reader.set_timeout(READ)?;
@@ -104,9 +104,9 @@ impl Link for Serial {
 pub struct Port {
     /// Name to open it by.
     pub path: String,
-    /// What the system knows about it.
+    /// The system's description of it.
     pub description: String,
-    /// It belongs to an ST-LINK, so that Hello cannot disturb some other instrument.
+    /// Belongs to an ST-LINK, so that Hello cannot disturb some other instrument.
     pub stlink: bool,
 }
 
@@ -146,7 +146,7 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
             Reason::Permission,
             "no permission".to_owned(),
             match group(path) {
-                // Membership of that group is not for a user.
+                // A user cannot join that group.
                 Some(group) if group == "root" => "the port belongs to the administrator alone: a udev rule that gives it to a group of yours (`dialout`), or `sudo setfacl -m u:$USER:rw` on the port until it is unplugged".to_owned(),
                 Some(group) => format!(
                     "the port belongs to the group `{group}`: run `sudo usermod -aG {group} $USER`, then log out and in again"
@@ -199,7 +199,7 @@ fn is_a_device(path: &str) -> bool {
     use std::io::IsTerminal;
     use std::os::unix::fs::FileTypeExt;
     let device = fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
-    // One that cannot be opened may be anything.
+    // A device that cannot be opened may still be a port.
     device && fs::File::open(path).map_or(true, |file| file.is_terminal())
 }
 
@@ -226,7 +226,7 @@ fn group(_path: &str) -> Option<String> {
     None
 }
 
-/// The process that has a file open, as far as this user may see it (Linux).
+/// The process that has a file open, as far as this user can see it (Linux).
 fn owner(path: &str) -> Option<String> {
     let wanted = fs::canonicalize(path).ok()?;
     fs::read_dir("/proc").ok()?.flatten().find_map(|process| {
@@ -267,7 +267,7 @@ mod tests {
         let forbidden = explained(ErrorKind::Io(io::ErrorKind::PermissionDenied));
         assert_eq!(forbidden.reason, Reason::Permission);
         assert!(!forbidden.remedy.is_empty());
-        // Another process has it open.
+        // Another process opens it.
         let mut other = Command::new("sh")
             .args(["-c", "exec 3< \"$0\"; echo open; read line", path])
             .stdin(Stdio::piped())

@@ -1,4 +1,4 @@
-//! A link to a machine behind a TCP server, which passes on the bytes of its serial port in real time.
+//! A link to a machine behind a TCP server that passes the bytes of its serial port in real time.
 
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::TcpStream;
@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use crate::link::halves::{Halves, READ};
 use crate::link::{Link, LinkError, OpenError, Reason};
 
-/// Time limit for a write: a server that reads nothing for so long is stuck.
+/// Time limit for a write: a server that reads nothing for this long is stuck.
 const WRITE: Duration = Duration::from_secs(1);
 
-/// Why a connection ends.
+/// The reason when a connection ends.
 const CLOSED: &str = "the other end closed the connection";
 
 /// A TCP link.
@@ -23,7 +23,7 @@ pub struct Tcp {
 }
 
 impl Tcp {
-    /// Connects to `HOST:PORT`, giving each address of the host so much time.
+    /// Connects to `HOST:PORT`, with a time limit for each address of the host.
     ///
     /// # Errors
     /// [`OpenError`] if the name is unknown or nobody listens there.
@@ -59,7 +59,7 @@ impl Tcp {
         Err(error(last))
     }
 
-    /// Both directions for two threads.
+    /// Splits the connection for two threads.
     pub fn halves(self) -> io::Result<Halves> {
         self.stream.set_read_timeout(Some(READ))?;
         self.stream.set_write_timeout(Some(WRITE))?;

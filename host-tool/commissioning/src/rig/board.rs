@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use client::decimal;
-use protocol::rig::RigFault;
+use protocol::rig::{GetRigHardware, RigFault};
 use protocol::system::{BrownOut, Clock, GetChip};
 
 use crate::halt::{Halt, fault_text};
@@ -15,6 +15,10 @@ use crate::{device, image};
 const LEAST_ENABLE_MV: i64 = 2_500;
 /// More than the 3.3 V of the board, mV.
 const MOST_ENABLE_MV: i64 = 3_600;
+/// A pull-up of 10 kohm to 5 V against the driver's own resistor gives more than this, mV: 4.5 V against 100 kohm.
+const LEAST_5_V_MV: i64 = 4_200;
+/// PA9 stands this while it is an input, mV (DS10314 table 14: FT pins, with no pull of their own).
+const MOST_PIN_MV: i64 = 5_500;
 /// Two quartz clocks differ by less than 100; the rest is for a host whose answers come late, parts per million.
 const CLOCK_PPM: i64 = 2_000;
 
@@ -70,6 +74,8 @@ pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
     let mv = work.read(Reading::EnableInReset)?;
     work.find_again()?;
     work.note("enable_in_reset_mv", mv);
+    let high = work.device.call(GetRigHardware)?.enable_high_at_start;
+    work.note("enable_high_at_start", high);
     if work.boot_id() == boot {
         return Err(Halt::NotShown(
             "the board was not reset, so it drove EN itself".to_owned(),
@@ -81,10 +87,34 @@ pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
             "EN has no pull-up: {volts} V in reset, so the driver is on while no firmware runs. 10 kohm from D8 to 3.3 V"
         )));
     }
-    if mv > MOST_ENABLE_MV {
-        return Err(Halt::Defect(format!(
-            "EN is pulled up to {volts} V, more than the board's 3.3 V: 10 kohm from D8 to 3.3 V"
+    if !high {
+        return Err(Halt::NotShown(format!(
+            "the meter shows {volts} V, and the board read EN as low when it started: measure D8, at the board's own socket"
         )));
+    }
+    let logic = match mv {
+        _ if mv <= MOST_ENABLE_MV => "3.3 V",
+        LEAST_5_V_MV..=MOST_PIN_MV => "5 V",
+        _ if mv < LEAST_5_V_MV => {
+            return Err(Halt::Defect(format!(
+                "EN is pulled up to {volts} V, between 3.3 V and 5 V: two pull-ups to different supplies. Take one away"
+            )));
+        }
+        _ => {
+            return Err(Halt::Defect(format!(
+                "EN is pulled up to {volts} V, more than the 5.5 V that the board's pin stands: take the shield off"
+            )));
+        }
+    };
+    work.note("shield_logic", logic);
+    if logic == "5 V" {
+        work.say(
+            "  note: the shield's logic is at 5 V. The board's pin stands that, and a DRV8825",
+        );
+        work.say(
+            "        takes the 3.3 V of STEP and DIR. An A4988 or a TMC2209 may miss steps at",
+        );
+        work.say("        5 V: docs/rig.md, \"A shield at 3.3 V\"");
     }
     Ok(())
 }

@@ -141,6 +141,10 @@ fn act_text(act: Act) -> &'static str {
             "Keep a hand on its switch, then switch the MOTOR SUPPLY ON. The carriage will move."
         }
         (Part::Supply, false) => "Switch the MOTOR SUPPLY OFF.",
+        (Part::Rotor, true) => {
+            "HOLD the capsule's MOTOR SHAFT (the vice at its worm), so that it cannot turn, and keep it so."
+        }
+        (Part::Rotor, false) => "Let the motor shaft go.",
         (Part::Cable, true) => "Wait 3 s, then plug the cable in again.",
         (Part::Cable, false) => {
             "Pull the USB CABLE while the carriage moves (the board has to be fed by E5V or VIN)."

@@ -31,7 +31,7 @@ fn a_line_that_is_no_longer_offered_is_given_to_nobody() {
     assert!(!core.want_line() && !core.is_line_wanted());
     core.offer_line(true);
     assert!(core.want_line() && core.is_line_wanted());
-    // The owner begins to work: whoever wanted the line has to ask again.
+    // The owner begins to work: a guest that wanted the line has to ask again.
     core.offer_line(false);
     assert!(!core.is_line_wanted() && !core.want_line());
     assert!(!core.is_line_wanted());
@@ -105,7 +105,7 @@ fn a_question_that_waited_too_long_is_not_asked() {
     thread::sleep(BREATH);
     core.ask(question(Instant::now()));
     assert!(core.question(Instant::now()).is_some());
-    // The next one has to wait, however often the owner looks.
+    // The next question has to wait, however often the owner looks.
     core.ask(question(Instant::now()));
     assert!(core.question(Instant::now()).is_none());
 }
@@ -146,7 +146,7 @@ fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_
     assert!(core.question(Instant::now()).is_none());
 }
 
-/// The door of a system without Unix sockets.
+/// The door as on a system without Unix sockets.
 #[test]
 fn at_a_loopback_door_the_token_decides() {
     let (core, written) = core();
@@ -163,7 +163,7 @@ fn at_a_loopback_door_the_token_decides() {
         let mut stream = Stream::connect("".as_ref(), plate.port).expect("open");
         let knock = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
         let stop = encode(STOP, &Urgent::EStop).expect("fits");
-        // Without waiting for the welcome.
+        // The guest does not wait for the welcome.
         stream.write_all(knock.as_bytes()).expect("sent");
         let _ = stream.write_all(&stop);
         read_line(&mut stream, LONGEST_LINE)

@@ -1,0 +1,45 @@
+//! The capsule, on the board on which it is studied.
+
+use crate::{Pin, Signal};
+
+/// Inputs of the bridge.
+pub const IN1: Pin = Pin::new('B', 4);
+/// See [`IN1`].
+pub const IN2: Pin = Pin::new('B', 5);
+/// Bridge asleep when low.
+pub const N_SLEEP: Pin = Pin::new('B', 10);
+/// The bridge reports a fault when low.
+pub const N_FAULT: Pin = Pin::new('A', 8);
+/// Lines A and B of the motor's encoder.
+pub const ENCODER: [Pin; 2] = [Pin::new('A', 0), Pin::new('A', 1)];
+/// Output of the current amplifier.
+pub const CURRENT: Pin = Pin::new('A', 4);
+/// The cell, halved.
+pub const BATTERY: Pin = Pin::new('B', 0);
+/// Supply of encoder and amplifier, high = on.
+pub const SENSORS: Pin = Pin::new('B', 1);
+/// Serial port, from the chip and to it.
+pub const SERIAL: [Pin; 2] = [Pin::new('A', 2), Pin::new('A', 3)];
+
+/// All of them, in the manual's order.
+pub const SIGNALS: [Signal; 11] = [
+    signal("IN1", IN1, "TIM3_CH1"),
+    signal("IN2", IN2, "TIM3_CH2"),
+    signal("nSLEEP", N_SLEEP, ""),
+    signal("nFAULT", N_FAULT, ""),
+    signal("encoder A", ENCODER[0], "TIM2_CH1"),
+    signal("encoder B", ENCODER[1], "TIM2_CH2"),
+    signal("motor current", CURRENT, "ADC1_IN4"),
+    signal("battery", BATTERY, "ADC1_IN8"),
+    signal("sensors", SENSORS, ""),
+    signal("serial, out", SERIAL[0], "USART2, DMA1 stream 6"),
+    signal("serial, in", SERIAL[1], "USART2, DMA1 stream 5"),
+];
+
+const fn signal(name: &'static str, pin: Pin, function: &'static str) -> Signal {
+    Signal {
+        name,
+        pin,
+        function,
+    }
+}

@@ -1,0 +1,55 @@
+//! Which signal is at which pin of the chip, and where NUCLEO-F411RE and CNC shield bring it out.
+//!
+//! The images take their pins from here, and the diagrams of the manual are drawn from here (`cargo xtask pictures`).
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod board;
+pub mod capsule;
+pub mod rig;
+
+/// A pin of the chip.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pin {
+    /// `'A'` to `'C'`.
+    pub port: char,
+    /// 0 to 15.
+    pub number: usize,
+}
+
+impl Pin {
+    /// Pin `number` of `port`.
+    #[must_use]
+    pub const fn new(port: char, number: usize) -> Self {
+        assert!(
+            matches!(port, 'A'..='C') && number < 16,
+            "ports A to C have 16 pins"
+        );
+        Self { port, number }
+    }
+}
+
+impl Pin {
+    /// The same pin; for checks at compile time.
+    #[must_use]
+    pub const fn is(self, port: char, number: usize) -> bool {
+        self.port == port && self.number == number
+    }
+}
+
+impl core::fmt::Display for Pin {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "P{}{}", self.port, self.number)
+    }
+}
+
+/// A signal of a machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Signal {
+    /// As the manual calls it.
+    pub name: &'static str,
+    /// Where it is.
+    pub pin: Pin,
+    /// What the chip uses there; empty where it is a plain input or output.
+    pub function: &'static str,
+}

@@ -1,0 +1,57 @@
+//! The rig.
+
+use crate::{Pin, Signal};
+
+/// Step pulses to the driver.
+pub const STEP: Pin = Pin::new('A', 10);
+/// Direction, high = away from home.
+pub const DIR: Pin = Pin::new('B', 4);
+/// Driver on when low.
+pub const ENABLE: Pin = Pin::new('A', 9);
+/// E-stop and end-of-travel loop, normally closed to ground.
+pub const ESTOP_LOOP: Pin = Pin::new('A', 6);
+/// Counts what leaves [`STEP`].
+pub const READ_BACK: Pin = Pin::new('A', 0);
+/// Times what leaves [`STEP`].
+pub const CAPTURE: Pin = Pin::new('A', 1);
+/// Home flag, normally closed to ground.
+pub const HOME_FLAG: Pin = Pin::new('C', 7);
+/// Far limit, normally closed to ground.
+pub const FAR_LIMIT: Pin = Pin::new('B', 6);
+/// A pulse at the start of each stroke.
+pub const SYNC: Pin = Pin::new('A', 8);
+/// Start button, low = pressed.
+pub const BUTTON: Pin = Pin::new('C', 13);
+/// Status LED.
+pub const LED: Pin = Pin::new('A', 5);
+/// Serial port, from the chip and to it.
+pub const SERIAL: [Pin; 2] = [Pin::new('A', 2), Pin::new('A', 3)];
+
+/// All of them, in the manual's order.
+pub const SIGNALS: [Signal; 13] = [
+    signal("STEP", STEP, "TIM1_CH3, AF1"),
+    signal("DIR", DIR, ""),
+    signal("EN", ENABLE, ""),
+    signal(
+        "E-stop and end-of-travel loop",
+        ESTOP_LOOP,
+        "TIM1_BKIN, AF1",
+    ),
+    signal("step read-back", READ_BACK, "TIM2_ETR, AF1"),
+    signal("step timing", CAPTURE, "TIM5_CH2, AF2"),
+    signal("home flag", HOME_FLAG, "EXTI7"),
+    signal("far limit", FAR_LIMIT, "EXTI6"),
+    signal("stroke sync", SYNC, "TIM1_CH1, AF1"),
+    signal("start button", BUTTON, ""),
+    signal("status LED", LED, ""),
+    signal("serial, out", SERIAL[0], "USART2, DMA1 stream 6"),
+    signal("serial, in", SERIAL[1], "USART2, DMA1 stream 5"),
+];
+
+const fn signal(name: &'static str, pin: Pin, function: &'static str) -> Signal {
+    Signal {
+        name,
+        pin,
+        function,
+    }
+}
