@@ -265,7 +265,7 @@ fn passes_that_would_not_be_isolated_are_refused() {
     }
 }
 
-/// Folders that were made before there were passes are read with the order that they have.
+/// Folders from before passes existed must keep their order.
 #[test]
 fn the_order_of_the_papers_plan_stays() {
     let hash = hmac_sha256::Hash::hash(order_text(&order(&plan(PAPER))).as_bytes());
@@ -338,7 +338,7 @@ fn another_seed_is_another_order() {
             order_text(&order(&plan(&text)))
         })
         .collect();
-    // Of 5! x 5! x 2 orders.
+    // Out of 5! x 5! x 2 possible orders.
     assert!(texts.len() >= 49, "{}", texts.len());
 }
 
@@ -367,7 +367,7 @@ const OUTCOMES: [Outcome; 6] = [
     Outcome::Lost,
 ];
 
-/// A row that may or may not be possible now.
+/// A random row, which may be impossible at this point.
 fn any_row(chance: &mut Chance, trials: usize) -> Row {
     let trial = chance.below(trials) as u32 + 1;
     let attempt = chance.below(3) as u32 + 1;
@@ -380,7 +380,7 @@ fn any_row(chance: &mut Chance, trials: usize) -> Row {
     row
 }
 
-/// The displacements that count, told from the rows alone in another way than the ledger does: backwards.
+/// Displacements that count, worked out backwards from the rows alone, unlike the ledger's own way.
 fn counted(rows: &[Row], trial: u32) -> Option<Millimetres> {
     let of: Vec<&Row> = rows.iter().filter(|row| row.trial == Some(trial)).collect();
     let last = |wanted: &[Event]| {
@@ -415,7 +415,7 @@ proptest! {
         let order = order(&plan(SMALL));
         let mut chance = Chance::new(seed);
         let (mut state, mut rows) = (State::new(&order), vec![]);
-        // Few trials, so that many rows are possible.
+        // Few trials, so that many of the rows are possible.
         for _ in 0..200 {
             let mut row = any_row(&mut chance, 3);
             row.row = state.sequence.next_row();
@@ -435,7 +435,7 @@ proptest! {
         prop_assert_eq!(State::replay(&order, &rows), Ok(state));
     }
 
-    /// Whatever is missing, doubled or exchanged within a ledger, replaying it says so.
+    /// Replaying a ledger reports any row that is missing, doubled or exchanged.
     #[test]
     fn a_ledger_without_one_of_its_rows_is_found(seed: u64) {
         let order = order(&plan(SMALL));
@@ -455,13 +455,13 @@ proptest! {
         let mut exchanged = rows.clone();
         exchanged.swap(one, other);
         prop_assert_eq!(State::replay(&order, &exchanged).is_err(), one != other);
-        // Without its last row it is one that is still growing: the manifest finds that.
+        // Without its last row a ledger looks like one that is still growing. Only the manifest can tell.
         let removed = rows.remove(one);
         prop_assert_eq!(State::replay(&order, &rows).is_err(), removed.row != 8);
     }
 }
 
-/// Strokes come before the net displacement; undo takes back what was said last.
+/// Strokes come before the net displacement. Undo takes back the last entry.
 #[test]
 fn strokes_are_entered_and_taken_back_one_by_one() {
     let order = order(&plan(SMALL));
@@ -505,7 +505,7 @@ fn strokes_are_entered_and_taken_back_one_by_one() {
     assert_eq!(step(Event::Undone), (true, vec![3, 8], true, Unmeasured));
 }
 
-/// A row of each kind in turn, and how the trial stands then.
+/// One row of each kind in turn, and the trial's standing after each.
 #[test]
 fn a_trial_goes_through_its_standings() {
     let order = order(&plan(SMALL));
@@ -681,7 +681,7 @@ fn at(second: i64) -> Timestamp {
     Timestamp::from_second(1_769_000_000 + second).expect("a time")
 }
 
-/// A campaign of which some trials are done, with real records.
+/// A campaign with real records in which some trials are done.
 fn campaign(path: &Path) -> Folder {
     let mut folder = Folder::create(path, SMALL, Path::new("small.toml")).expect("made");
     let mut second = 0;
@@ -758,7 +758,7 @@ fn a_folder_is_read_back_as_it_was_written() {
         read.state.trial(2).expect("there").notes,
         ["a \"note\", with a comma"]
     );
-    // One process writes.
+    // Only one process may write.
     let error = Folder::resume(&path, at(0)).err().expect("locked");
     assert!(error.why.contains("another process"), "{}", error.why);
     drop(written);
@@ -770,8 +770,8 @@ fn a_folder_is_read_back_as_it_was_written() {
     assert!(error.remedy.contains("campaign resume"), "{}", error.remedy);
 }
 
-/// Cut at any byte of what was added last, before or after the manifest knew it, a folder can be resumed and loses no whole
-/// line.
+/// Cuts the last addition at any byte, before or after the manifest lists it. The folder can still be resumed, and no
+/// whole line is lost.
 #[test]
 fn a_crash_at_any_byte_loses_no_whole_line() {
     let place = tempfile::tempdir().expect("a folder");
@@ -804,7 +804,8 @@ fn a_crash_at_any_byte_loses_no_whole_line() {
     }
 }
 
-/// Killed between two steps of an attempt: what was completed by its record counts as such, all else is lost.
+/// Kills the tool between any two steps of an attempt. The attempt counts if its record is complete; otherwise it is
+/// lost.
 #[test]
 fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     let place = tempfile::tempdir().expect("a folder");
@@ -814,7 +815,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
         .append(Row::of(Event::Began, 4, Some(1)), at(200), Origin::Board)
         .expect("written");
     drop(folder);
-    // Its files, as those of trial 3: completed, and not in the manifest.
+    // Copy the files of trial 3: completed, but not in the manifest.
     let [from, to] = ["003-1", "004-1"].map(|name| path.join(ATTEMPTS).join(name));
     fs::create_dir(&to).expect("made");
     for entry in fs::read_dir(&from).expect("there") {
@@ -864,15 +865,15 @@ fn what_no_crash_does_is_not_resumed() {
 
 // Verification.
 
-/// What was done to a folder, and how to undo it.
+/// A change of a folder, and how to undo it.
 struct Change {
     what: String,
-    /// One of these is named.
+    /// The finding must name one of these.
     files: Vec<String>,
     undo: Vec<(PathBuf, Option<Vec<u8>>)>,
 }
 
-/// One change, drawn by chance; none if it happened to change nothing.
+/// A random change; none if it happens to change nothing.
 fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change> {
     let name = files[chance.below(files.len())].clone();
     let path = folder.join(&name);
@@ -959,7 +960,7 @@ fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change
     })
 }
 
-/// The file is named, what is wrong, and what to do.
+/// Each finding names the file, the change and the remedy.
 #[test]
 fn each_of_a_thousand_single_changes_is_found() {
     let place = tempfile::tempdir().expect("a folder");
@@ -978,7 +979,7 @@ fn each_of_a_thousand_single_changes_is_found() {
         let found = &verified.findings;
         assert!(!found.is_empty(), "{} is not found", change.what);
         let manifest = change.files.iter().any(|file| file == manifest::NAME);
-        // A changed path in the manifest makes the file unknown that it stood for.
+        // A changed path in the manifest makes its file unknown.
         let named = found
             .iter()
             .any(|finding| change.files.contains(&finding.path));
@@ -994,7 +995,7 @@ fn each_of_a_thousand_single_changes_is_found() {
     assert_eq!(findings(&path), Vec::<String>::new());
 }
 
-/// Whoever changes a file and its hash is found by what the files say of each other.
+/// Changes a file together with its hash. The contradictions between the files reveal it.
 #[test]
 fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
     let place = tempfile::tempdir().expect("a folder");

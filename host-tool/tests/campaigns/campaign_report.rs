@@ -1,4 +1,4 @@
-//! The report of a campaign: what counts and what does not, its numbers, its files.
+//! The report of a campaign: which trials count, its numbers, its files.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -68,7 +68,7 @@ fn mm(text: &str) -> Millimetres {
     text.parse().expect("a number")
 }
 
-/// The displacement of a trial of this campaign, um: no two alike, and not on a line.
+/// Displacement of a trial of this campaign, um. No two are equal, and they are not on a line.
 fn displacement_um(trial: u32) -> i64 {
     let trial = i64::from(trial);
     2_000 + 731 * trial - 1_900 * (trial % 3) - 61 * trial * trial
@@ -114,7 +114,7 @@ fn read(folder: &mut Folder, clock: &mut Clock, set: u32, name: Option<&str>, va
         .expect("written");
 }
 
-/// All trials but the last are done; trial 2 needed two attempts, trial 5 is excluded.
+/// All trials but the last are done. Trial 2 needed two attempts, trial 5 is excluded.
 fn campaign(path: &Path) -> Folder {
     let mut folder = Folder::create(path, PLAN, Path::new("small.toml")).expect("made");
     let mut clock = Clock(0);
@@ -194,12 +194,12 @@ fn campaign(path: &Path) -> Folder {
     folder
 }
 
-/// A copy of it for each test.
+/// A copy of the campaign for each test.
 fn made() -> (tempfile::TempDir, PathBuf) {
     static MADE: OnceLock<PathBuf> = OnceLock::new();
     let made = MADE.get_or_init(|| {
         let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("campaign-report");
-        // Of the last time, if there was one.
+        // Remove the folder of an earlier test run.
         let _ = fs::remove_dir_all(&made);
         drop(campaign(&made));
         made
@@ -265,9 +265,9 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     assert!(html.contains("A. &lt;Person&gt; &amp; Co") && html.contains("&lt;caught&gt;"));
     assert!(!html.contains("<script") && !html.contains("src=") && !html.contains("http-equiv"));
     assert!(!html.contains("class=\"banner\""), "measured and verified");
-    // Its two figures, and one for each run.
+    // The campaign's two figures, and one for each run.
     assert_eq!(html.matches("<svg").count(), 2 + 13);
-    // What the report makes is no change of the campaign.
+    // The report's own files must not count as a change of the campaign.
     assert_eq!(
         write(&path, Existing::Replace, &BandSource::default())
             .expect("again")
@@ -297,7 +297,7 @@ fn a_campaign_that_has_not_begun_has_a_report_without_figures() {
     assert!(html.contains("ORIGIN UNKNOWN"));
 }
 
-/// The means and lines are those of the trials that count, and of no other.
+/// Means and lines use only the trials that count.
 #[test]
 fn the_numbers_are_those_of_the_trials_that_count() {
     let (_place, path) = made();
@@ -382,7 +382,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     assert!(!written.findings.is_empty());
     let html = page(&written);
     assert!(html.contains("NOT AS IT WAS WRITTEN") && !html.contains("class=\"ok\">Verified"));
-    // A displacement in the ledger that was edited is a finding, too.
+    // An edited displacement in the ledger is a finding, too.
     fs::write(&file, text).expect("as before");
     let ledger = path.join("trials.csv");
     let text = fs::read_to_string(&ledger).expect("there");
@@ -391,7 +391,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     fs::write(&ledger, edited).expect("edited");
     let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
     assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
-    // A script sees it by the exit code; the page is there all the same.
+    // The exit code tells a script, but the page is written all the same.
     fs::remove_file(&written.page).expect("removed");
     let folder = path.display().to_string();
     let (code, _, err) = Memory::with(vec![]).run(&["report", &folder]);
@@ -403,7 +403,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
 }
 
-/// The same campaign, as the virtual bench would have written it.
+/// The same campaign as written by the virtual bench.
 #[test]
 fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     let (_place, path) = made();
@@ -443,7 +443,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
             assert!(rows.all(|row| row.ends_with(",virtual")), "{file:?}");
         }
     }
-    // One run of another origin does not count among them.
+    // One run of another origin must not be counted with them.
     let telemetry = evaluate(&path).expect("a campaign").trials[2]
         .telemetry
         .clone();
@@ -454,7 +454,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
     let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
     assert_eq!((written.counted, written.defects), (11, 1));
-    // A script sees that as well.
+    // The exit code tells a script, too.
     let at = path.to_str().expect("UTF-8");
     let (code, _, err) = Memory::with(vec![]).run(&["report", at, "--force"]);
     assert_eq!(code, 1, "{err}");
@@ -489,7 +489,7 @@ fn the_command_says_what_it_wrote_and_what_does_not_count() {
     }
 }
 
-/// Behind the series stands what a model leaves open, and the page says whose bodies and what that is worth.
+/// The chart shows the model's band behind the series. The page says whose bodies it shows and what that is worth.
 #[test]
 fn a_models_band_stands_behind_the_series_and_says_what_it_is() {
     let (place, path) = made();
@@ -530,7 +530,7 @@ fn a_models_band_stands_behind_the_series_and_says_what_it_is() {
     assert!(!page.contains("these very trials"));
     assert!(fitted != prior);
 
-    // Its own data in a posterior: agreement is no evidence.
+    // The posterior contains the campaign's own data, so agreement is no evidence.
     let listed = fs::read_to_string(path.join(manifest::NAME)).expect("a list");
     let hash = listed.lines().find(|line| line.ends_with("  trials.csv"));
     let hash = hash.expect("the ledger is listed");
@@ -549,7 +549,7 @@ fn a_models_band_stands_behind_the_series_and_says_what_it_is() {
     assert!(code == 2 && err.contains("no campaign is named"), "{err}");
 }
 
-/// An independent program, in another language, works out every number of the page from the campaign's own files.
+/// An independent program in another language recalculates every number of the page from the campaign's files.
 #[test]
 fn every_number_of_the_page_is_worked_out_again() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
@@ -561,7 +561,7 @@ fn every_number_of_the_page_is_worked_out_again() {
     let (_place, path) = made();
     write(&path, Existing::Keep, &BandSource::default()).expect("written");
     let Ok(output) = python(&path) else {
-        // Without Python there is no second opinion.
+        // Without Python there is no independent program to compare with.
         return;
     };
     let said = String::from_utf8_lossy(&output.stdout).into_owned()
@@ -572,7 +572,7 @@ fn every_number_of_the_page_is_worked_out_again() {
         .next()
         .and_then(|count| count.parse::<u32>().ok());
     assert!(count.expect("a count") > 200, "{said}");
-    // It is no check that cannot fail: another line, another deviation.
+    // Make sure that the check can fail: change a line, expect a deviation.
     let page = report_folder(&path).join("report.html");
     let html = fs::read_to_string(&page).expect("a page");
     for key in ["/r_squared\">", "/greatest_deviation_mm\">"] {
@@ -593,7 +593,7 @@ fn every_number_of_the_page_is_worked_out_again() {
 #[test]
 fn the_catalogue_finds_campaigns_and_trials_by_date_specimen_and_outcome() {
     let (place, path) = made();
-    // Beside it, two ordinary trials: one as written, one that a crash has left.
+    // Two ordinary trials beside it: one intact, one left by a crash.
     let runs = evaluate(&path).expect("a campaign").parts;
     let data = place.path().join("data/old");
     fs::create_dir_all(&data).expect("a folder");
@@ -662,8 +662,8 @@ fn the_catalogue_finds_campaigns_and_trials_by_date_specimen_and_outcome() {
     assert_eq!(code, 2, "{err}");
 }
 
-/// A calibration takes the net displacements that count, lists all others with the reason, and nothing of a changed
-/// folder.
+/// A calibration takes the net displacements that count and lists all others with the reason. It takes nothing from a
+/// changed folder.
 #[test]
 fn a_calibration_takes_what_counts_and_lists_what_does_not() {
     let (_place, path) = made();

@@ -1,5 +1,5 @@
-//! Campaigns on the command line, over the firmware's own request handling in virtual time: a person at the keyboard, and
-//! nobody.
+//! Campaigns on the command line, over the firmware's own request handling in virtual time, with a person at the
+//! keyboard and without one.
 
 use std::fs;
 use std::io::{self, BufRead, Read, Write};
@@ -28,7 +28,7 @@ use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, VIRTUAL_UID, World};
 use trials::trial::{Action, Moved, RigSample, Trial};
 
-/// The paper's plan, but for the number of trials and the length of the run, with these changes.
+/// The paper's plan with fewer trials, shorter runs and these changes.
 fn small_plan(changes: &[(&str, &str)]) -> String {
     let small = [
         ("repeats = 10", "repeats = 1"),
@@ -185,7 +185,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
             .collect::<Vec<_>>()
     };
     assert_eq!(values(&whole(&again)), values(&campaign));
-    // The folded body is measured, then unfolded; both are in the attempt's folder.
+    // The folded body is measured, then unfolded. Both records are in the attempt's folder.
     let fold = campaign
         .state
         .trials
@@ -237,7 +237,7 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
         let counted = trial.counted().expect("counts");
         (trial.planned.trial, counted.value.mm())
     };
-    // Wherever the folded block lies, the carriage pushes it to the same end.
+    // The carriage pushes the folded body to the same end, wherever it lies.
     let ((_, unfolded), (_, folded)) = (mm(Form::Unfolded), mm(Form::Folded));
     let (number, folding) = mm(Form::Folding);
     assert!(
@@ -253,7 +253,7 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
         text.contains("roller model until the fold begins"),
         "{text}"
     );
-    // The fold is recorded beside the run, and names its place.
+    // The fold's record stands beside the run and says where in the run it happened.
     let of_fold = fs::read_dir(campaign.attempt_folder(number, 1))
         .expect("there")
         .map(|entry| entry.expect("an entry").path())
@@ -276,7 +276,7 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
     assert!(figure.contains("folding at cycle 2, n = 1"));
 }
 
-/// A run, and a pass each way, at one indentation; strokes are asked for.
+/// A plan of a run and a pass each way at one indentation, which asks for strokes.
 fn plan_of_passes() -> String {
     let changes = [
         ("repeats = 10", "repeats = 1"),
@@ -292,7 +292,7 @@ fn plan_of_passes() -> String {
     changed(PAPER, &[&ONE_CONDITION[..], &changes].concat())
 }
 
-/// The move of each pass goes the way that its name says, over the whole stroke.
+/// The passes with their moves. Each goes over the whole stroke in its named direction.
 fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
     let trials = campaign.state.trials.iter();
     let passes = trials.filter(|trial| trial.planned.purpose.pass().is_some());
@@ -331,7 +331,7 @@ fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
         .collect()
 }
 
-/// What is changed in the record of a move is named.
+/// Every change in the record of a move must be reported.
 fn contradicted(record: &Trial, rows: &[RigSample]) {
     let with = |change: &dyn Fn(&mut Trial, &mut Vec<RigSample>)| {
         let (mut record, mut rows) = (record.clone(), rows.to_vec());
@@ -383,7 +383,7 @@ fn contradicted(record: &Trial, rows: &[RigSample]) {
     }
 }
 
-/// From the plan to what a fit takes, on the models.
+/// From the plan to the input of a fit, with models instead of machines.
 #[test]
 fn passes_and_strokes_reach_the_fit_and_the_report() {
     let place = place(&plan_of_passes());
@@ -400,7 +400,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
             Purpose::AntegradePass => model.antegrade_mm,
             _ => model.returning_mm,
         };
-        // The ripple of the model, for the body lies elsewhere, and the rounding to the caliper.
+        // Allow for the model's ripple, because the body lies elsewhere, and for the caliper's rounding.
         assert!((mm - alone).abs() < 0.3, "{purpose:?}: {mm}, alone {alone}");
     }
     let trials = observations::read(Path::new(&out), None).expect("verifies");
@@ -436,7 +436,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
     let mut python = Command::new("python3");
     python.env("PYTHONDONTWRITEBYTECODE", "1");
-    // Without Python there is no second opinion.
+    // Without Python there is no independent program to compare with.
     if let Ok(output) = python.arg(&script).arg(&out).output() {
         let said = String::from_utf8_lossy(&output.stdout).into_owned()
             + &String::from_utf8_lossy(&output.stderr);
@@ -446,7 +446,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
     assert_eq!(code, 0, "{err}");
     assert!(listed.contains("dry, a5, returning pass"), "{listed}");
 
-    // What is excluded is left out, and listed.
+    // An excluded pass is left out and listed.
     let pass = campaign
         .state
         .trials
@@ -460,8 +460,8 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
     assert_eq!(trials.left_out[0].why, "excluded: torn");
 }
 
-/// Rollers move before the body is laid in, from the right end also after an interruption; strokes that contradict the net
-/// displacement are asked for again.
+/// The rollers move before the body is laid in, and start from the right end even after an interruption. Strokes that
+/// contradict the net displacement are asked for again.
 #[test]
 fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
     let place = place(&plan_of_passes());
@@ -498,14 +498,14 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
             ("not for now", ""),
             ("Trial 2 of 3", ""),
             ("Displacement of the tail", "4.1"),
-            // The rollers stand where the way back begins: nothing has to move.
+            // The rollers already stand where the way back begins, so nothing has to move.
             ("Trial 3 of 3", "q"),
         ],
     );
     assert_eq!(code, 130, "{shown}");
     let between = &shown[shown.find("Trial 2 of 3").expect("there")..];
     assert!(!between.contains("before the body is laid in"), "{between}");
-    // Nobody knows where the rollers stand now: they are homed, and go to the right end, without the body.
+    // The rollers' position is unknown now. They are homed and go to the right end, without the body.
     let (code, shown) = converse(
         &memory,
         &["resume", &out],
@@ -539,7 +539,7 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
         (um, run.displacement.map(|one| one.value.um)),
         (vec![9_500, 9_400], Some(9_200))
     );
-    // A correction keeps to what was entered after the last stroke.
+    // A correction must agree with the entry after the last stroke.
     let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &out], args].concat());
     let (code, _, err) = edit(&["displacement", "1", "12", "misread"]);
     assert!(
@@ -550,7 +550,7 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
     assert_eq!(code, 0, "{err}");
 }
 
-/// Neither the way to where a pass begins nor the pass goes beyond the stroke that the rig has.
+/// Neither the way to the start of a pass nor the pass itself may leave the rig's stroke.
 #[test]
 fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
     for seed in 1..=4 {
@@ -573,7 +573,7 @@ fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
         let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
         match first.planned.purpose {
             Purpose::AntegradePass => assert_eq!(outcomes, [Some(Outcome::Refused)]),
-            // The rollers do not even get to where it begins.
+            // The rollers do not even reach the start of the pass.
             _ => assert_eq!(outcomes, []),
         }
     }
@@ -608,7 +608,7 @@ fn nobody_answers_for_a_board() {
     assert_eq!(whole(&out).rows, vec![]);
 }
 
-/// Output that a keyboard can look at.
+/// Output that a simulated person can read.
 #[derive(Clone, Default)]
 struct Shown(Arc<Mutex<Vec<u8>>>);
 
@@ -628,7 +628,7 @@ impl Shown {
     }
 }
 
-/// A person who waits for a text, then types a line.
+/// A simulated person who waits for a text, then types a line.
 struct Person {
     shown: Shown,
     seen: usize,
@@ -667,7 +667,7 @@ impl BufRead for Person {
     }
 }
 
-/// Exit code, and all that was shown.
+/// Returns the exit code and everything shown.
 fn converse(
     memory: &Memory,
     args: &[&str],

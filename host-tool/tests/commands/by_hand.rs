@@ -1,4 +1,4 @@
-//! Hold, resume, jog and move: what they say is what happened.
+//! Hold, resume, jog and move report what really happened.
 
 use crate::support::tool::{Memory, ready};
 use protocol::rig::{Run, RunTiming};
@@ -18,8 +18,8 @@ const SHORT_RUN: Run = Run {
     ..PAPER_RUN
 };
 
-/// A rig in the middle of the paper's first stroke, at 35.7 mm/s. A hold reaches it 6 ms after the host has connected;
-/// 8 ms are queued then, and braking takes 36 ms: it stands after 50 ms.
+/// A rig in the middle of the paper's first stroke, at 35.7 mm/s. A hold reaches it 6 ms after the host has
+/// connected. With 8 ms queued and 36 ms of braking, it stands after 50 ms.
 fn running() -> Script {
     Script {
         running: Some((PAPER_RUN, 2_000_000)),
@@ -40,14 +40,16 @@ fn a_hold_is_reported_when_the_carriage_stands_within_the_run() {
     assert_eq!(code, 0, "{err}");
     assert_eq!(json["held"], true);
     assert_eq!(json["status"]["state"], "Held");
-    // At 35.683 mm/s after a ramp of 0.357 s it begins to brake 2.020 s after the start, at 65.71 mm, and takes 0.64 mm.
+    // At 35.683 mm/s after a ramp of 0.357 s, it begins to brake 2.020 s after the start, at 65.71 mm. Braking takes
+    // 0.64 mm.
     let um = json["status"]["position_um"].as_i64().expect("a number");
     assert!(um.abs_diff(66_350) < 100, "{um}");
 }
 
 #[test]
 fn a_hold_that_the_start_button_has_ended_is_no_hold() {
-    // Down in the third of control's rounds, which is when it counts, the rig is held; while it brakes, it would not.
+    // A press counts at its third round of control. Pressed at 32 ms, it finds the rig held and resumes the run.
+    // Pressed at 10 ms, it finds the rig braking and does nothing.
     for (pressed_us, code, text) in [
         (32_000, 3, "the run was held, and goes on again"),
         (10_000, 0, "Held at 66."),
@@ -66,8 +68,8 @@ fn a_hold_that_the_start_button_has_ended_is_no_hold() {
 
 #[test]
 fn a_hold_that_came_too_late_is_no_hold() {
-    // Of the run's time, the other host takes 6 ms beside this idling, and this host 6 ms until the hold: that comes 4 ms
-    // before the end, when all steps are queued.
+    // The other host takes 6 ms of the run beside this idling. This host takes 6 ms until the hold, so that comes 4
+    // ms before the end, when all steps are queued.
     let late = Script {
         running: Some((SHORT_RUN, SHORT_RUN_US - 16_000)),
         ..ready(DeviceKind::Rig)
@@ -124,7 +126,7 @@ fn a_jog_ends_in_time_or_at_the_end_of_the_stroke() {
     assert_eq!(ends["status"]["position_um"], 130_000);
 }
 
-/// The rig's own dead-man time is what a jog is renewed by.
+/// A jog is renewed within the rig's own dead-man time.
 #[test]
 fn a_jog_goes_on_with_the_shortest_dead_man_time() {
     let quick = Script {
@@ -154,7 +156,7 @@ fn a_move_that_a_fault_ends_has_moved() {
         err.contains("the carriage is at 8.8") && !err.contains("nothing was moved"),
         "{err}"
     );
-    // One that is there before does not begin at all.
+    // With a fault latched before, the jog does not even begin.
     let faulted = Script {
         world: estop(1),
         ..ready(DeviceKind::Rig)

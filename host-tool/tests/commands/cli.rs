@@ -25,7 +25,7 @@ fn retrograde(args: &[&str]) -> (i32, String, String) {
     )
 }
 
-/// Nobody listens at this address: whoever gets so far as to connect ends with exit code 4.
+/// An address without a listener: a command that tries to connect ends with exit code 4.
 const NOBODY: &str = "tcp:127.0.0.1:1";
 
 #[test]
@@ -59,7 +59,7 @@ fn impossible_runs_are_refused_before_a_link_is_opened() {
         assert!(err.contains(says), "{args:?}: {err}");
         assert!(out.is_empty(), "{args:?}: {out}");
     }
-    // The same line with possible numbers does try to connect.
+    // The same line with valid numbers does try to connect.
     assert_eq!(retrograde(&["run", "--rig", NOBODY]).0, 4);
 }
 
@@ -150,8 +150,8 @@ fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
     let both = Memory::with(vec![ready(DeviceKind::Capsule), ready(DeviceKind::Rig)]);
     let (code, out, err) = both.run(&["home"]);
     assert_eq!(code, 0, "{err}");
-    // It stands at 0: 0.26 s off the flag at 4 mm/s, 0.04 s back to it, 0.25 s pull-off of 3 mm, 1.51 s over these at
-    // 2 mm/s, 0.14 s for the last millimetre.
+    // It stands at 0: 0.26 s off the flag at 4 mm/s, 0.04 s back to it, 0.25 s for the pull-off of 3 mm, 1.51 s over
+    // those 3 mm at 2 mm/s, 0.14 s for the last millimetre.
     assert!(out.contains("Homed in 2.2"), "{out}");
     let (code, out, _) = both.run(&["--json", "info"]);
     let json: Value = serde_json::from_str(&out).expect("one object");
@@ -248,7 +248,7 @@ fn json_is_one_object_and_progress_goes_elsewhere() {
     let thread_um = json["trial"]["action"]["record"]["thread_um"].as_i64();
     let thread_um = thread_um.expect("a number");
     assert!(thread_um.abs_diff(FOLDED_UM.into()) < 150, "{thread_um}");
-    // The first one was that of the reference.
+    // The first actuation was the reference.
     assert!(err.contains("Actuation 2"), "{err}");
     let (code, out, _) = Memory::with(vec![]).run(&["--json", "home"]);
     let json: Value = serde_json::from_str(&out).expect("one object");
@@ -264,7 +264,7 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
     let folder = tempfile::tempdir().expect("folder");
     let out_dir = folder.path().to_str().expect("UTF-8");
     let trace = ["--json", "capsule", "trace", "--out", out_dir];
-    // The actuation before was the reference: slower than what is kept.
+    // The last actuation is the reference, which takes longer than the recording keeps.
     let (code, out, err) = Memory::with(vec![ready(DeviceKind::Capsule)]).run(&trace);
     assert_eq!(code, 0, "{err}");
     let json: Value = serde_json::from_str(&out).expect("one object");
@@ -290,7 +290,7 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
         .collect();
     assert_eq!(rows.len(), KEPT_TRACE_POINTS);
     assert!((0..).zip(&rows).all(|(time_ms, row)| row[0] == time_ms));
-    // It pays out at the end, to zero, driven the other way, and the cell sags a little.
+    // The end pays out to zero: driven the other way, and the cell sags a little.
     assert!(rows.iter().any(|row| row[4] < -1_000));
     assert!(rows.iter().all(|row| (3_000..=3_700).contains(&row[3])));
     let last = &rows[rows.len() - 1];
@@ -302,7 +302,7 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
     assert_eq!((&json["readings"], &json["csv"]), (&0.into(), &Value::Null));
 }
 
-/// A recording as rows of numbers; an empty field is none.
+/// Header and rows of a recording; an empty field becomes none.
 fn rows(path: &Path) -> (String, Vec<Vec<Option<f64>>>) {
     let text = std::fs::read_to_string(path).expect("a file");
     let (head, body) = text.split_once('\n').expect("lines");
@@ -342,10 +342,10 @@ fn a_fold_brings_its_recording_with_the_force() {
         .filter_map(|row| Some((row[1]?, row[5]?, row[6]?)))
         .collect();
     assert!(forces.len() > 1_500);
-    // The model capsule pulls with 0 N where the thread is slack, and 6 N at the end.
+    // The model capsule pulls with 0 N while the thread is slack, and with 6 N at the end.
     let slack = forces.iter().filter(|(um, ..)| *um < 2_000.0);
     let slack: Vec<_> = slack.map(|(_, _, most)| *most).collect();
-    // One reading may be off by the rounding of the speed: 3 mA.
+    // A single reading may be off by 3 mA from the rounding of the speed.
     let mean_n = slack.iter().sum::<f64>() / slack.len() as f64;
     assert!(slack.len() > 5 && mean_n < 0.3, "{slack:?}");
     let (um, least, most) = *forces.last().expect("some");
@@ -355,7 +355,7 @@ fn a_fold_brings_its_recording_with_the_force() {
         "{least} {most}"
     );
 
-    // A file that is there is not touched, and nothing moves.
+    // An existing file is not touched, and nothing moves.
     let (code, _, err) = memory.run(&fold);
     assert_eq!(code, 2, "{err}");
     assert!(err.contains("nothing moved"), "{err}");
@@ -374,7 +374,7 @@ fn a_fold_brings_its_recording_with_the_force() {
     ]);
     assert_eq!((code, none.exists()), (3, false));
 
-    // What was recorded until a stop is fetched, too.
+    // A stopped motion's recording is fetched, too.
     let stopped = path("stopped.csv");
     let script = Script {
         world: vec![(1_500_000, World::StopFrame)],
@@ -392,7 +392,7 @@ fn a_fold_brings_its_recording_with_the_force() {
     assert!((100..1_600).contains(&count), "{count}");
 }
 
-/// Runs `capsule cycle`; exit code, rows, summary, and what was said.
+/// Runs `capsule cycle`. Returns exit code, rows, summary and text.
 fn cycle(script: Script, pairs: &str) -> (u8, Vec<Vec<Option<f64>>>, Value, String) {
     let folder = tempfile::tempdir().expect("folder");
     let out_dir = folder.path().to_str().expect("UTF-8");
@@ -476,7 +476,7 @@ fn endurance_ends_with_the_first_thing_that_is_wrong() {
     assert_eq!((code, rows.len()), (4, 1), "{text}");
     assert_eq!(summary["status"], "unknown");
 
-    // Before anything moves.
+    // The cell is too low before anything moves.
     let (code, rows, _, text) = cycle(at(0, World::Battery { mv: 2_900 }), "5");
     assert_eq!((code, rows.len()), (3, 0), "{text}");
     assert!(text.contains("0 of 5 pairs"), "{text}");
@@ -566,7 +566,7 @@ fn stops_are_sent_before_anything_else_and_to_all() {
     assert_eq!(code, 0, "{err}");
     assert_eq!(out.lines().count(), 2, "{out}");
     assert_eq!(both.heard(), ["Urgent", "Urgent"], "no Hello first");
-    // Without an address to everyone who may be there, and an unconfirmed stop is no success.
+    // Without addresses the stop goes to every machine that may be there. An unconfirmed stop is no success.
     let dead = Script {
         dead: true,
         ..ready(DeviceKind::Rig)
@@ -611,7 +611,7 @@ fn what_the_environment_gives_is_not_shown_as_required() {
         err.contains("Usage: retrograde settings set <KEY> <VALUE>"),
         "{err}"
     );
-    // What it gives wrongly is told.
+    // A wrong value from the environment is reported.
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_retrograde"))
         .args(["settings", "list"])
         .env("RETROGRADE_RIG", "tcp:127.0.0.1")
@@ -652,7 +652,7 @@ fn an_identification_folds_unfolds_and_says_what_it_found() {
     ] {
         assert!(out.contains(line), "{line}\n{out}");
     }
-    // Two trials of two files each, and two recordings.
+    // Two trials with two files each, and two recordings.
     let starting = |stem: &str| files.iter().filter(|name| name.starts_with(stem)).count();
     let counts = ["identify-fold", "identify-unfold", "trace-"].map(starting);
     assert_eq!(counts, [2, 2, 2], "{files:?}");
@@ -673,7 +673,7 @@ fn an_identification_begins_unfolded_and_ends_with_the_first_fault() {
     let (code, out, err, files) = identify(Script::new(DeviceKind::Capsule), &[]);
     assert_eq!((code, files.len()), (3, 0), "{out}{err}");
     assert!(err.contains("retrograde capsule reference"), "{err}");
-    // In the middle of the fold.
+    // The stop comes in the middle of the fold.
     let stopped = Script {
         world: vec![(1_000_000, World::StopFrame)],
         ..ready(DeviceKind::Capsule)

@@ -1,4 +1,4 @@
-//! Commissioning without the image: which step is next, what the record keeps, what a person at the terminal sees.
+//! Commissioning without the image: the next step, the record, and the view of a person at the terminal.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -74,7 +74,7 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
     assert!(record.complete);
     assert_eq!(open_names(&record, &known), Vec::<&str>::new());
 
-    // EN in reset is no matter of the firmware.
+    // The firmware does not matter for the test of EN in reset.
     let mut flashed = known.clone();
     flashed.image = "00000000".to_owned();
     let open = open_names(&record, &flashed);
@@ -93,7 +93,7 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
     assert_eq!(travel, Standing::OtherSetting("lead_um"));
     assert_eq!(standing(step("e-stop"), &record, &set), Standing::Holds);
 
-    // The name of a rig or the button's run concern no step.
+    // No step depends on the rig's name or the button's run.
     let mut button = known;
     button.settings.insert("button_cycles".to_owned(), 7);
     assert_eq!(open_names(&record, &button), Vec::<&str>::new());
@@ -117,7 +117,7 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
     enter(&mut record, "travel", finding(Outcome::Passed), &subject);
     enter(&mut record, "jumper", finding(Outcome::Passed), &subject);
     assert!(record.complete);
-    // In the order of the steps, whatever the order of the results.
+    // Lists the steps in their order, whatever the order of the results.
     let order: Vec<_> = record
         .steps
         .iter()
@@ -170,7 +170,7 @@ fn a_record_is_read_back_as_it_was_written() {
     assert_eq!(json["steps"][0]["measured"]["measured_um"], 50_000);
     assert_eq!(json["board_uid"], subject.uid);
 
-    // Nothing is left beside it, and another board's record is not continued.
+    // No other file is left beside it, and another board's record is not continued.
     let files = std::fs::read_dir(path.parent().expect("a folder")).expect("read");
     assert_eq!(files.count(), 1);
     let mut other = subject;
@@ -273,7 +273,7 @@ fn without_hands_what_needs_them_is_not_shown() {
     let found = outcomes(&path);
     assert_eq!(found.len(), steps::of(DeviceKind::Rig).len());
     for step in steps::of(DeviceKind::Rig) {
-        // The machine of this test has no image, so there is none to compare.
+        // This test's machine has no image, so no image can be compared.
         let passed = ["clock", "quiet"].contains(&step.name);
         let expected = if passed {
             Outcome::Passed
@@ -284,7 +284,7 @@ fn without_hands_what_needs_them_is_not_shown() {
             assert_eq!(found[step.name], expected, "{}", step.name);
         }
     }
-    // Nothing moved.
+    // Nothing has moved.
     let heard = memory.heard();
     assert!(
         !heard
@@ -327,7 +327,8 @@ fn numbers_that_no_session_takes_are_refused_with_their_range() {
     }
 }
 
-/// An ELF file whose symbols are those of another chip, or of none: no gigabytes are hashed, and nothing reads as an image.
+/// ELF files with another chip's symbols or none. The tool must not hash gigabytes, and must not take any of them for
+/// an image.
 #[test]
 fn a_file_that_is_no_image_of_this_chip_has_no_fingerprint() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -354,7 +355,7 @@ fn a_file_that_is_no_image_of_this_chip_has_no_fingerprint() {
     }
 }
 
-/// An ELF file with no segments and the linker's four names.
+/// An ELF file with no segments and the linker's four symbols.
 fn elf(start: u32, end: u32) -> Vec<u8> {
     let symbols = [
         ("__stext", start),
@@ -418,7 +419,8 @@ fn elf(start: u32, end: u32) -> Vec<u8> {
     file
 }
 
-/// Leaving by key and by the end of the input; what was found is kept, and the next session begins with the rest.
+/// A person leaves, by key and by the end of the input. The results are kept, and the next session begins with the
+/// rest.
 #[test]
 fn a_person_who_leaves_loses_nothing() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -445,7 +447,7 @@ fn a_person_who_leaves_loses_nothing() {
         .expect("a file");
     let enable = found.result("enable").expect("a result");
     assert_eq!(enable.measured["enable_in_reset_mv"], 200);
-    // This machine does not start again, so nobody held its reset button.
+    // This machine does not restart, so its reset button cannot have been held.
     assert_eq!(enable.outcome, Outcome::NotShown);
     let reason = enable.reason.as_deref().unwrap_or_default();
     assert!(reason.contains("was not reset"), "{reason}");
@@ -476,7 +478,7 @@ fn a_run_says_that_its_board_was_not_commissioned() {
         "{err}"
     );
 
-    // One that is complete is silent; one of another image, or damaged, is not.
+    // A complete record gives no warning. One of another image, or a damaged one, does.
     let mut subject = subject();
     subject.uid = "ab".repeat(12);
     subject.image = "0000cafe".to_owned();

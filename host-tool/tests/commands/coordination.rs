@@ -1,4 +1,4 @@
-//! A fold or an unfolding at a place of a run: when it begins, and what becomes of the run if it does not.
+//! A fold or an unfolding at a certain place of a run: its start, and the fate of the run if it fails.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -104,7 +104,7 @@ fn it_begins_within_20_ms_of_its_place() {
         let what = format!("cycle {cycle}, {at_um:?} um, dwell {}", run.home_dwell_us);
         let (mut rig, _) = connected(ready(DeviceKind::Rig));
         let (mut capsule, _) = connected(ready(DeviceKind::Capsule));
-        // Both have been there for different times.
+        // Let the two devices' clocks differ.
         rig.idle(1_234_567, &mut Unobserved).expect("there");
         let both = (&mut rig, &mut capsule);
         let done = tied(both, run, at(cycle, at_um), &mut Unobserved);
@@ -167,7 +167,7 @@ fn a_folded_capsule_is_unfolded() {
     );
 }
 
-/// The run is the experiment: a capsule that does not answer, refuses or stops does not end it.
+/// The run is the experiment: it continues if the capsule does not answer, refuses or stops.
 #[test]
 fn the_run_goes_on_whatever_becomes_of_the_capsule() {
     let deaf = |to: &[&'static str]| Script {
@@ -228,7 +228,7 @@ fn a_run_that_ends_before_its_place_folds_nothing() {
     assert!(!log.lock().expect("a log").executed.contains(&"Fold"));
 }
 
-/// Wants a stop so long after the run has begun.
+/// An operator who wants a stop this long after the run has begun.
 struct Operator {
     began_us: Option<u64>,
     after_us: u64,
@@ -246,7 +246,7 @@ impl Observer for Operator {
 
 #[test]
 fn the_operators_stop_goes_to_both() {
-    // The fold begins 2 s after the run; before, in it, and all but at once with its command.
+    // The fold begins 2 s after the run. Stop before it, in it, and almost at once with its command.
     for after_us in [1_000_000, 1_995_000, 2_003_000, 2_008_000, 2_600_000] {
         let (mut rig, _) = connected(ready(DeviceKind::Rig));
         let (mut capsule, log) = connected(ready(DeviceKind::Capsule));
@@ -269,7 +269,7 @@ fn the_operators_stop_goes_to_both() {
         if let Ok(actuation) = &done.actuation {
             assert_eq!(actuation.trial.status, Status::Stopped, "{after_us}");
         }
-        // Whatever the host knows of it: it does not go on.
+        // The fold must not continue, whatever the host knows of it.
         drop(capsule);
         let log = log.lock().expect("a log");
         let folds = log.executed.iter().filter(|name| **name == "Fold").count();
@@ -357,7 +357,7 @@ fn the_command_line_says_what_is_wrong_before_anything_moves() {
         out.contains("after the carriage passed 5 mm in cycle 2"),
         "{out}"
     );
-    // Where both fail, the run's failure is told last and is the exit code.
+    // If both fail, the run's failure is reported last and gives the exit code.
     let stopped = Script {
         world: vec![(1_500_000, World::StopFrame)],
         ..ready(DeviceKind::Rig)

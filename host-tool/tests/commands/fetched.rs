@@ -1,4 +1,4 @@
-//! What a machine still knows after its host died or its button was pressed, and that asking for it changes nothing.
+//! Fetches a machine's own record after its host died or its button was pressed. Asking for it changes nothing.
 
 use std::fs;
 use std::path::Path;
@@ -74,7 +74,7 @@ fn a_run_whose_host_died_is_fetched() {
     for what in ["Homed", "RunStarted", "RunEnded"] {
         assert!(whats(&record).contains(what), "{record}");
     }
-    // The events are before the instant of asking, on the same clock.
+    // The events lie before the moment of asking, on the same clock.
     let asked_us = record["fetched_device_us"].as_u64().expect("a number");
     for event in record["events"].as_array().expect("events") {
         assert!(event["time_us"].as_u64().expect("a number") < asked_us);

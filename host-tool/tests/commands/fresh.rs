@@ -1,4 +1,4 @@
-//! A machine that is made for one command is made ready in the same command; a real one never is.
+//! A machine made for one command is made ready in that command; a real one never is.
 
 use std::sync::{Arc, Mutex};
 
@@ -10,7 +10,7 @@ use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Log, Script, link};
 
-/// New machines at every address.
+/// Creates a new machine at every address.
 #[derive(Default)]
 struct New(Mutex<Vec<Arc<Mutex<Log>>>>);
 

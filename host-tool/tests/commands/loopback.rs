@@ -90,7 +90,7 @@ fn a_run_is_seen_from_its_start_to_its_end() {
         .iter()
         .filter(|event| matches!(event.what, What::Rig(RigEvent::StrokeDone { .. })));
     assert_eq!(strokes.count(), 10);
-    // 40 s at four reports a second; the machine stops a run after 1 s of silence, and this one was not stopped.
+    // 40 s at four reports a second. The machine would have stopped the run after 1 s of silence.
     assert!(
         seen.progress.len().abs_diff(160) <= 10,
         "{}",
@@ -110,8 +110,8 @@ fn the_capsule_is_referenced_folded_and_unfolded() {
             ..
         })
     ));
-    // Unfolded is at zero, or up to half a tenth before it; folded is where the thread pulls with the end force, within a
-    // tenth and a half of the estimate.
+    // Unfolded means at zero or up to half a tenth before it. Folded means where the thread pulls with the end force,
+    // within 0.15 mm of the estimate.
     let unfolded = 0..=60;
     let folded = FOLDED_UM - 150..=FOLDED_UM + 150;
     for (begin, thread_um) in [
@@ -126,7 +126,7 @@ fn the_capsule_is_referenced_folded_and_unfolded() {
         assert_eq!(record.outcome, ActuationOutcome::Complete);
         assert_eq!(record.actuation, accepted.actuation);
         assert!(thread_um.contains(&record.thread_um), "{record:?}");
-        // The record is that of the motor at rest.
+        // The status is that of the motor at rest.
         capsule.idle(500_000, &mut Unobserved).expect("there");
         let status = capsule.capsule_status().expect("status");
         assert_eq!(record.thread_um, status.thread_um);
@@ -172,7 +172,7 @@ fn on_a_bad_line_nothing_is_executed_twice_and_nothing_is_missed() {
 #[test]
 fn lost_events_are_fetched_again_in_order() {
     let mut script = Script::new(DeviceKind::Rig);
-    // Booted 0, Homed 1, RunStarted 2, strokes 3..=6, RunEnded 7.
+    // Events: Booted 0, Homed 1, RunStarted 2, strokes 3..=6, RunEnded 7.
     script.silent_events = vec![3, 4, 6];
     let (mut rig, _) = homed_rig(script);
     let mut seen = Seen::default();
@@ -276,7 +276,7 @@ fn a_reset_under_way_ends_the_session_and_starts_nothing_again() {
         Err(ClientError::SessionLost { .. })
     ));
     assert_eq!(count(&log.lock().expect("log").executed, "Run"), 1);
-    // A new Hello finds the restarted machine at rest: its second start, and nothing moves before somebody has looked.
+    // A new Hello finds the restarted machine at rest, in its second start. Nothing moves before a person has looked.
     let identity = rig.hello(12).expect("there");
     assert_eq!(
         (identity.boot_id, identity.reset_cause),
@@ -360,7 +360,7 @@ fn a_stop_overtakes_a_pending_command_which_is_not_sent_again() {
             "the lost frame was repeated after the stop"
         );
     }
-    // Nothing that moves is begun after the wish, either.
+    // After the wish to stop, nothing that moves may begin either.
     rig.hello(99).expect("a new session");
     assert!(matches!(
         rig.home(),
@@ -426,7 +426,8 @@ fn silence_is_reported_as_what_it_means() {
     rig.rig_status().expect("everything else still works");
 }
 
-/// "SetTelemetry changes nothing, so nothing was done" was once all that was said, with the carriage on its way.
+/// An unanswered request reports the state of the motion. It once said only "SetTelemetry changes nothing, so nothing
+/// was done", with the carriage moving.
 #[test]
 fn a_request_that_is_not_answered_says_what_is_known_of_the_motion() {
     let mut script = Script::new(DeviceKind::Rig);
@@ -477,7 +478,7 @@ fn the_device_is_the_authority_on_the_stroke() {
     assert_eq!(count(&log.lock().expect("log").executed, "Run"), 1);
 }
 
-/// What the operator wants, each at its time on the machine's clock.
+/// The operator's wishes, each at its time on the machine's clock.
 fn wishes(
     log: &Arc<std::sync::Mutex<simulated_machines::machine::Log>>,
     wishes: Vec<(u64, Pace)>,
@@ -498,7 +499,7 @@ fn a_run_is_held_and_resumed_by_the_one_who_waits_for_it() {
     let accepted = rig.run(SHORT_RUN).expect("accepted");
     let begin_us = rig.now_us();
     let hold_us = begin_us + 1_500_000;
-    // Much longer than the run may be late: what stands still is not overdue, and the rig does hear from us.
+    // Hold for much longer than the run may be late: a held run is not overdue, and the rig still hears the host.
     let resume_us = hold_us + 600_000_000;
     rig.set_pacer(wishes(
         &log,
@@ -544,7 +545,7 @@ fn a_run_is_held_and_resumed_by_the_one_who_waits_for_it() {
 #[test]
 fn a_resumed_run_that_does_not_end_is_stopped_all_the_same() {
     let mut script = Script::new(DeviceKind::Rig);
-    // Homing takes 2.2 s, and the hold comes after 1 s of the run.
+    // Homing takes 2.2 s; the timer fails 1 s into the run.
     script.world = vec![(3_500_000, World::TimerStands)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
@@ -579,7 +580,7 @@ fn a_hold_that_is_refused_ends_no_wait() {
 
 #[test]
 fn a_stop_overtakes_a_hold_and_the_run_is_recorded_as_stopped() {
-    // The hold is not heard, and the stop comes while it is still waited for.
+    // The hold is not heard. The stop comes while the host still waits for the hold.
     let mut script = Script::new(DeviceKind::Rig);
     script.deaf_to = vec![("Hold", 2)];
     let (mut rig, log) = homed_rig(script);
@@ -614,7 +615,7 @@ fn a_held_run_is_stopped_by_the_operator() {
     assert!(rig.now_us() - begin_us < 20_500_000);
 }
 
-/// A machine whose clock is slower than the link's by a factor, as that of an emulator on a busy computer.
+/// A machine whose clock is slower than the link's by a factor, like an emulator on a busy computer.
 struct Slowed<P>(P, u64);
 
 impl<P: Peer> Peer for Slowed<P> {
@@ -647,7 +648,7 @@ fn a_run_is_overdue_by_the_clock_of_the_machine() {
     let (ended, urgent) = of(8, vec![]);
     assert_eq!(ended.expect("ends").outcome, RunOutcome::Complete);
     assert_eq!(urgent, 0);
-    // Slow, and its motion does not end.
+    // Slow, and with a motion that never ends.
     let (ended, urgent) = of(8, vec![(3_500_000, World::TimerStands)]);
     let error = ended.expect_err("overdue");
     assert!(matches!(error, ClientError::Overdue { .. }), "{error:?}");
@@ -657,7 +658,7 @@ fn a_run_is_overdue_by_the_clock_of_the_machine() {
 #[test]
 fn a_run_that_does_not_end_is_stopped() {
     let mut script = Script::new(DeviceKind::Rig);
-    // In the middle of the run.
+    // The timer fails in the middle of the run.
     script.world = vec![(3_500_000, World::TimerStands)];
     let (mut rig, log) = homed_rig(script);
     let accepted = rig.run(SHORT_RUN).expect("accepted");
@@ -699,7 +700,7 @@ fn the_memory_link_takes_no_time_to_send_and_waits_no_longer_than_asked() {
     assert_eq!(link.now_us(), 1_000);
 }
 
-/// The time in which the rig wants to hear the host is a setting of the rig.
+/// The host keeps to the rig's own link time-out, which is a setting.
 #[test]
 fn a_rig_with_the_shortest_link_timeout_hears_the_host_often_enough() {
     let mut script = Script::new(DeviceKind::Rig);
@@ -722,7 +723,7 @@ fn a_rig_with_the_shortest_link_timeout_hears_the_host_often_enough() {
 fn a_run_that_the_rig_has_stopped_in_silence_is_recorded_as_that() {
     let mut script = Script::new(DeviceKind::Rig);
     script.settings = vec![(SettingKey::LinkTimeoutMs, 500)];
-    // Asked for after a third of that, and again every 0.1 s.
+    // The host asks after a third of the time-out, and again every 0.1 s.
     script.deaf_to = vec![("GetRigStatus", 6)];
     script.ready = true;
     let (link, log) = link(script);

@@ -1,4 +1,4 @@
-//! Records on disk: read back, identical for identical runs, readable after a crash, and the experiment of the paper.
+//! Records on disk: read back, identical for identical runs, readable after a crash, and the paper's experiment.
 
 use std::fs;
 use std::path::Path;
@@ -97,7 +97,7 @@ fn a_recorded_run_is_read_back_whole() {
 fn a_record_without_an_origin_is_readable_and_of_no_board() {
     let folder = tempfile::tempdir().expect("folder");
     let run = recorded_run(folder.path());
-    // As the tools before this one wrote them.
+    // A record as earlier versions of the tool wrote it.
     let old = |path: &Path, gone: &str| {
         let text = fs::read_to_string(path).expect("there");
         assert!(text.contains(gone), "{text}");
@@ -114,7 +114,7 @@ fn a_record_without_an_origin_is_readable_and_of_no_board() {
             .iter()
             .all(|sample| sample.origin == Origin::Unknown)
     );
-    // The UID of a virtual machine says what the record does not.
+    // The UID reveals a virtual machine even if the record does not say so.
     let text = fs::read_to_string(&run.sidecar).expect("there");
     let virtual_uid = "7669727475616c2072696700";
     fs::write(&run.sidecar, text.replace(&"ab".repeat(12), virtual_uid)).expect("written");
@@ -143,7 +143,7 @@ fn the_same_run_gives_the_same_bytes_and_overwrites_nothing() {
     );
 }
 
-/// Whether a run that goes on is on disk as far as its eighth report: 2 s at 50 Hz, less one report's worth.
+/// The run in progress is on disk up to its eighth report: 2 s at 50 Hz, less one report.
 fn is_on_disk(folder: &Path) -> bool {
     let sidecar = fs::read_dir(folder)
         .expect("folder")
@@ -172,7 +172,8 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
         fn progress(&mut self, _: &Progress) {
             self.1 += 1;
             if self.1 == 8 {
-                // What is on disk at this instant is what a crash would leave. The device's time runs faster than the disk.
+                // A crash now would leave the present content of the disk. The device's time runs faster than the
+                // disk, so wait for it.
                 let begin = Instant::now();
                 while !is_on_disk(self.0) {
                     assert!(begin.elapsed() < Duration::from_secs(20), "never");
@@ -192,7 +193,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     .expect("recorded");
     assert!(crash.1 > 8);
 
-    // A last row that was cut anywhere is left out, whatever is left of it.
+    // Cut the last row anywhere: it is left out whatever remains of it.
     let text = fs::read(&run.csv).expect("telemetry");
     let whole = run.trial.samples as usize;
     for cut in 2..40 {
@@ -203,7 +204,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
             "cut {cut}"
         );
     }
-    // A damaged row in the middle is not passed over.
+    // A damaged row in the middle is an error.
     let damaged = String::from_utf8(text)
         .expect("ASCII")
         .replacen("Running", "Running,,", 1);
@@ -211,7 +212,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     assert!(run.trial.samples::<RigSample>(&run.sidecar).is_err());
 }
 
-/// Asked for while the telemetry is switched off: it reaches the rig, and costs the position.
+/// The emergency stop is ordered while telemetry is being switched off. It reaches the rig and costs the position.
 #[test]
 fn an_emergency_stop_behind_the_end_is_in_the_record() {
     let folder = tempfile::tempdir().expect("folder");
@@ -267,8 +268,8 @@ fn a_refused_run_leaves_a_record_that_says_so() {
     assert!(trial.error.expect("why").contains("home first"));
 }
 
-/// Ready, with an operator who stops it under way, and presses the emergency stop when it stands and has been asked
-/// how the action ended.
+/// A ready machine with an operator who stops it under way, then presses the emergency stop once it stands and has
+/// been asked how the action ended.
 fn stopped_twice(kind: DeviceKind) -> Device {
     let mut script = Script::new(kind);
     script.ready = true;
@@ -286,7 +287,7 @@ fn stopped_twice(kind: DeviceKind) -> Device {
     device
 }
 
-/// The device's record of the action ends before the emergency stop, which costs the position all the same.
+/// The device's record ends before the emergency stop, but the stop still costs the position.
 #[test]
 fn an_emergency_stop_behind_the_stop_is_in_the_record() {
     let folder = tempfile::tempdir().expect("folder");
@@ -305,7 +306,7 @@ fn an_emergency_stop_behind_the_stop_is_in_the_record() {
         let why = trial.error.expect("a reason");
         assert!(why.contains("emergency stop"), "{why}");
     }
-    // As `serve` and a campaign list them.
+    // As `serve` and a campaign list the records.
     let folders = [folder.path().to_owned()];
     let found = catalogue::list(&folders, false, &Wanted::default());
     let outcomes: Vec<_> = found.entries.iter().map(|entry| &entry.outcome).collect();

@@ -1,5 +1,4 @@
-//! The report tells a record that contradicts itself from one that is whole, lists what it leaves out, and replaces nothing
-//! unasked.
+//! The report tells contradictory records from intact ones, lists what it leaves out, and replaces no file unasked.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +40,7 @@ fn recording(folder: &Path, stem: &str) -> Recording {
     }
 }
 
-/// A run and a fold in a folder: their sidecars.
+/// Sidecars of a run and a fold in a folder.
 fn trials(folder: &Path) -> [PathBuf; 2] {
     let mut rig = ready(DeviceKind::Rig);
     let run = experiment::run(&mut rig, RUN, &recording(folder, "run"), &mut Unobserved);
@@ -63,7 +62,7 @@ fn found(sidecar: &Path) -> Found {
     }
 }
 
-/// Makes the change, asks for the report, and takes the change back.
+/// Makes a change, runs the report, and takes the change back.
 fn damage(file: &Path, sidecar: &Path, change: &dyn Fn(&str) -> String) -> (String, Vec<Damaged>) {
     let before = fs::read_to_string(file).expect("there");
     let after = change(&before);
@@ -74,7 +73,7 @@ fn damage(file: &Path, sidecar: &Path, change: &dyn Fn(&str) -> String) -> (Stri
     (report.html, report.damaged)
 }
 
-/// The rows of a CSV file between its heading and its end.
+/// Changes the rows of a CSV file between its heading and its end.
 fn rows(text: &str, change: impl FnOnce(&mut Vec<&str>)) -> String {
     let mut lines: Vec<&str> = text.lines().collect();
     let heading = lines.remove(0);
@@ -83,7 +82,7 @@ fn rows(text: &str, change: impl FnOnce(&mut Vec<&str>)) -> String {
     lines.join("\n") + "\n"
 }
 
-/// The same row with another value in this column.
+/// Text with another value in this row and column.
 fn with_value(text: &str, row: usize, column: &str, value: &str) -> String {
     let place = text.lines().next().expect("heading");
     let place = place.split(',').position(|name| name == column);
@@ -95,7 +94,7 @@ fn with_value(text: &str, row: usize, column: &str, value: &str) -> String {
     lines.join("\n") + "\n"
 }
 
-/// The sidecar with another value at this place.
+/// The sidecar with another value at this pointer.
 fn with_json(text: &str, pointer: &str, value: serde_json::Value) -> String {
     let mut json: serde_json::Value = serde_json::from_str(text).expect("JSON");
     *json.pointer_mut(pointer).expect("a value") = value;
@@ -243,7 +242,7 @@ fn a_damaged_run_is_red_with_the_reason() {
     );
 }
 
-/// All counts of a record edited alike contradict the telemetry.
+/// All counts of a record, edited alike, contradict the telemetry.
 #[test]
 fn counts_that_agree_with_each_other_must_agree_with_the_telemetry() {
     let folder = tempfile::tempdir().expect("folder");
@@ -380,14 +379,14 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
     assert_eq!((code, err.as_str()), (0, ""), "{text}");
     let html = fs::read_to_string(&out).expect("there");
     assert!(html.starts_with("<!DOCTYPE html>"));
-    // Nothing is loaded from elsewhere, and no part of the file is left.
+    // The page loads nothing from elsewhere, and no partial file is left.
     assert!(!html.contains("<script") && !html.contains("src=") && !html.contains("@import"));
     assert!(!folder.path().join("report.html.part").exists());
     for own in [run.clone(), run.with_extension("csv")] {
         let error = report::write(&found(&run), &[], &own, Existing::Replace).expect_err("own");
         assert!(error.to_string().contains("one of the records"), "{error}");
     }
-    // A damaged record is told at the terminal, too.
+    // The terminal reports a damaged record, too.
     fs::write(run.with_extension("csv"), "").expect("emptied");
     let (code, _, err) = memory.run(&["report", &run_at, "--out", &out_at, "--force"]);
     assert_eq!(code, 1);
@@ -423,7 +422,7 @@ fn a_virtual_run_cannot_pass_as_a_measurement() {
     let measured = page(&[&run, &fold]);
     assert!(!measured.contains("class=\"banner\""));
     assert_eq!(measured.matches("Origin: board: measured").count(), 4);
-    // As the bench's firmware says of itself.
+    // As the bench's firmware identifies itself.
     let text = fs::read_to_string(&run).expect("there");
     let text = text.replace(&"ab".repeat(12), "7669727475616c2072696700");
     fs::write(&run, text).expect("written");

@@ -1,4 +1,4 @@
-//! Settings at the command line: an import is all or nothing, and what is refused says what may be used.
+//! Settings on the command line: an import is all or nothing, and each refusal says what is allowed.
 
 use std::fs;
 use std::path::PathBuf;
@@ -38,7 +38,7 @@ impl Bench {
         self.settings(&["import", file.to_str().expect("UTF-8")])
     }
 
-    /// Asks the log of the rig that was spoken to last.
+    /// Reads the log of the last rig that was connected.
     fn log<T>(&self, ask: impl FnOnce(&Log) -> T) -> T {
         let logs = self.rig.logs.lock().expect("logs");
         ask(&logs.last().expect("a rig").lock().expect("log"))
@@ -66,7 +66,7 @@ fn rig() -> Bench {
     Bench::new(ready(DeviceKind::Rig))
 }
 
-/// How often an import of this file writes to the flash.
+/// Number of writes to the flash in an import of this file.
 fn writes(text: &str) -> usize {
     let bench = rig();
     assert_eq!(bench.import(text).0, 0);
@@ -132,7 +132,7 @@ fn a_file_with_anything_wrong_is_refused_before_the_first_change() {
         ),
     ] {
         let bench = rig();
-        // A bell is written as JSON writes it.
+        // A bell character, as JSON escapes it.
         let (code, _, err) = bench.import(&text.replace("bell", "be\\u0007ll"));
         assert_eq!(code, 2, "{text}: {err}");
         assert!(err.contains(says), "{text}: {err}");
@@ -150,7 +150,7 @@ fn all_that_is_wrong_with_a_file_is_said_at_once() {
 #[test]
 fn an_import_finds_the_order_in_which_values_go_together() {
     let bench = rig();
-    // In the order of the file the stroke would be too short for flag and pull-off.
+    // Applied in the file's order, the stroke would be too short for flag and pull-off.
     let text = r#"{"name": "left bench",
         "settings": {"stroke_um": 2000, "pull_off_um": 500, "flag_um": 500}}"#;
     let (code, out, err) = bench.import(text);

@@ -1,28 +1,28 @@
-//! A model of stopping, explored exhaustively: a server's requests, courier and keeper around the real
-//! [`operations::stops::Book`], another process that begins a run and dies, one that takes its line over, and a rig. All
-//! interleavings of their steps to a bounded depth.
+//! An exhaustive model of stopping, with all interleavings of the steps up to a bounded depth. Its parts: a server's
+//! requests, courier and keeper around the real [`operations::stops::Book`], another process that begins a run and
+//! dies, one that takes over its line, and a rig.
 //!
-//! What the model leaves out: a frame is at the rig as soon as it is written (in earnest within a millisecond), and a
-//! process that is frozen between the last look at the stops and the write that follows it.
+//! Two simplifications: a frame reaches the rig as soon as it is written (in reality within a millisecond), and no
+//! process freezes between its last look at the stops and the write that follows.
 
 use std::collections::HashSet;
 
 use operations::stops::{Ask, Book};
 use protocol::system::Urgent;
 
-/// The longest path that is followed.
+/// Longest path that is explored.
 const DEPTH: usize = 14;
 
-/// Mends that can be taken out, to see that the model finds what they mend.
+/// Safeguards that can be removed, to see that the model finds the fault that each prevents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Mends {
     /// Only the machine confirms a stop.
     confirmation: bool,
-    /// An order is refused after a stop that is newer.
+    /// An order older than a stop is refused.
     age: bool,
-    /// The life of a motion is that of whoever began it.
+    /// A motion lives only as long as the host that began it.
     life: bool,
-    /// A stop that the owner of the line does not take goes past it.
+    /// A stop that the owner of the line does not take goes around it.
     past: bool,
 }
 
@@ -33,7 +33,7 @@ const ALL: Mends = Mends {
     past: true,
 };
 
-/// Who begins motions.
+/// Hosts that begin motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Host {
     Server,
@@ -43,18 +43,18 @@ enum Host {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Motion {
     by: Host,
-    /// When it was ordered.
+    /// Clock when the motion was ordered.
     ordered: u8,
-    /// Ticks since the host that counts was last heard.
+    /// Ticks since the host that keeps the motion alive was last heard.
     silent: u8,
 }
 
-/// Somebody who pressed stop.
+/// A press of stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct Press {
     ask: Ask,
     at: u8,
-    /// `Some(true)`: told that the machine stands.
+    /// The answer: `Some(true)` says that the machine stands.
     told: Option<bool>,
 }
 
@@ -67,7 +67,7 @@ struct Order {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Courier {
     Idle,
-    /// It has taken all presses until this stop.
+    /// The courier has taken all presses up to this stop.
     Taken(u64),
     Answered(u64),
     Failed(u64),
@@ -75,12 +75,12 @@ enum Courier {
 
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct State {
-    /// Orders and presses so far; the order of everything that people do.
+    /// Number of orders and presses so far. It puts everything that people do in order.
     clock: u8,
     book: Book,
     presses: Vec<Press>,
     queue: Vec<Order>,
-    /// The keeper carries this out and has not sent it yet.
+    /// The keeper has taken this order and has not sent it yet.
     taken: Option<Order>,
     courier: Courier,
     /// The rig answers.
@@ -88,7 +88,7 @@ struct State {
     /// Its door lets guests in.
     open: bool,
     motion: Option<Motion>,
-    /// The last press before the stop that the rig has seen last.
+    /// Number of the last press before the latest stop that the rig has seen.
     seen: u8,
     other_lives: bool,
     other_began: bool,
@@ -119,7 +119,7 @@ impl State {
         self.seen = self.clock;
     }
 
-    /// Everything that may happen next.
+    /// All states that may follow.
     fn next(&self, mends: Mends) -> Result<Vec<Self>, String> {
         let mut all = vec![];
         let mut then = |act: &dyn Fn(&mut Self)| {
@@ -127,7 +127,7 @@ impl State {
             act(&mut state);
             all.push(state);
         };
-        // People.
+        // Steps of people.
         if self.presses.len() < 3 {
             then(&|state| {
                 state.clock += 1;
@@ -145,7 +145,7 @@ impl State {
                 state.queue.push(Order { after, at });
             });
         }
-        // The courier.
+        // Steps of the courier.
         let waits = |press: &&Press| press.told.is_none();
         if self.courier == Courier::Idle && self.presses.iter().any(|press| waits(&press)) {
             then(&|state| state.courier = Courier::Taken(state.book.asked()));
@@ -161,7 +161,7 @@ impl State {
                 }
             });
             if self.alive {
-                // The answer is lost.
+                // The answer gets lost.
                 then(&|state| {
                     state.stops();
                     state.courier = Courier::Failed(asked);
@@ -177,7 +177,7 @@ impl State {
         if let Courier::Failed(_) = self.courier {
             then(&|state| state.tell(mends));
         }
-        // The keeper: a stop first, then an order.
+        // Steps of the keeper: a stop first, then an order.
         if self.alive && self.book.unconfirmed().is_some() && self.taken.is_none() {
             then(&|state| {
                 let asked = state.book.asked();
@@ -199,7 +199,7 @@ impl State {
             let interrupted = self.book.wanted().is_some();
             let begins = self.alive && !interrupted && self.motion.is_none();
             if begins {
-                // What a person was told before may not be undone by what came before it.
+                // An earlier order must not undo what a person has already been told.
                 let undone = self
                     .presses
                     .iter()
@@ -224,7 +224,7 @@ impl State {
                 }
             });
         }
-        // The other process, its death, and time. The server asks the rig all the time.
+        // Steps of the other process, its death, and time. The server polls the rig all the time.
         if self.other_lives
             && !self.other_began
             && self.motion.is_none()
@@ -250,7 +250,7 @@ impl State {
             let heard = match (motion.by, mends.life) {
                 (Host::Server, _) => true,
                 (Host::Other, true) => self.other_lives,
-                // Whoever asks something counts.
+                // Without the safeguard, any host that asks keeps the motion alive.
                 (Host::Other, false) => true,
             };
             if motion.by == Host::Other && !self.other_lives && motion.silent == 0 && heard {
@@ -262,7 +262,7 @@ impl State {
                 _ => {}
             });
         }
-        // The rig and its line.
+        // Steps of the rig and its line.
         if self.alive {
             then(&|state| {
                 state.alive = false;
@@ -281,7 +281,7 @@ impl State {
         Ok(all)
     }
 
-    /// All whom the courier has taken are told, and those that it has not wait for the next.
+    /// Answers all presses that the courier has taken. The others wait for the next round.
     fn tell(&mut self, mends: Mends) {
         let (Courier::Answered(asked) | Courier::Failed(asked)) = self.courier else {
             return;
@@ -294,13 +294,13 @@ impl State {
                 let confirmed = self.book.is_confirmed(press.ask);
                 press.told = Some(confirmed || cleared);
                 self.book.withdraw(press.ask);
-                // Once, what somebody who gave up had cleared was taken for a confirmation by the next.
+                // The old fault: an entry cleared for one who gave up was taken for a confirmation by the next.
                 cleared = !mends.confirmation;
             }
         }
     }
 
-    /// What must hold in every state.
+    /// Checks the invariants of a state.
     fn judge(&self, mends: Mends) -> Result<(), String> {
         for press in &self.presses {
             if press.told == Some(true) && self.seen < press.at {
@@ -317,7 +317,7 @@ impl State {
     }
 }
 
-/// Explores everything; returns the number of states, or what went wrong first.
+/// Explores all states. Returns their number, or the first violation.
 fn explore(mends: Mends) -> Result<usize, String> {
     let mut seen = HashSet::from([State::new()]);
     let mut edge = vec![State::new()];
@@ -339,7 +339,7 @@ fn explore(mends: Mends) -> Result<usize, String> {
 #[test]
 fn nothing_goes_wrong_in_any_order_of_events() {
     let states = explore(ALL).unwrap_or_else(|why| panic!("{why}"));
-    // As docs/stopping.md says.
+    // The number in docs/stopping.md.
     assert_eq!(states, 546_704);
 }
 
@@ -368,7 +368,7 @@ fn the_model_finds_what_each_mend_mends() {
     }
 }
 
-/// docs/stopping.md names a test for each row of its table, and each of them is there.
+/// docs/stopping.md names a test for each row of its table. All of them must exist.
 #[test]
 fn the_table_of_the_manual_names_tests_that_exist() {
     let tests = include_str!("../lines/stopping.rs");
@@ -386,7 +386,7 @@ fn the_table_of_the_manual_names_tests_that_exist() {
             .expect("a column");
         let name = name.split('`').nth(1).expect("a test");
         let is_there = match name {
-            // A file of tests.
+            // Names a whole file of tests.
             "estop" => on_the_image.contains("#[test]\nfn "),
             name => tests.contains(&format!("#[test]\nfn {name}()")),
         };

@@ -1,4 +1,4 @@
-//! Stops go to all machines at once, and what became of each is said.
+//! Stops go to all machines at once, and the result of each is reported.
 
 use std::net::TcpListener;
 use std::sync::{Condvar, Mutex};
@@ -15,8 +15,8 @@ use protocol::system::DeviceKind;
 use serde_json::Value;
 use simulated_machines::machine::{Script, link};
 
-/// Ports `dead...`, which never take a byte, and `live`. The dead ones open only when the live
-/// one was, so a stop that asks one after the other does not get to it.
+/// Ports `dead...`, which never take a byte, and `live`. The dead ones open only after the live one, so a stop that
+/// asks one after the other never reaches it.
 struct Hall {
     ports: Vec<&'static str>,
     live: Mutex<bool>,
@@ -91,7 +91,7 @@ impl Connector for Hall {
     }
 }
 
-/// Takes bytes and says nothing, in real time.
+/// Takes bytes and never answers, in real time.
 struct Mute(Instant);
 
 impl Link for Mute {
@@ -116,9 +116,9 @@ fn a_live_machine_does_not_wait_for_dead_ones() {
     for args in [&["stop"][..], &["estop"]] {
         let hall = Hall::with(&["dead and gone", "dead", "live"]);
         let (code, out, err) = hall.run(args);
-        // The worst of the three decides.
+        // The worst of the three results gives the exit code.
         assert_eq!(code, 8, "{err}");
-        // A slow computer is told meanwhile who has not confirmed yet.
+        // On a slow computer there are also lines about those that have not confirmed yet.
         let lines = out.lines().filter(|line| !line.contains("NOT YET"));
         let lines: Vec<_> = lines.collect();
         assert_eq!(lines.len(), 3, "{out}");
@@ -193,7 +193,7 @@ fn what_was_not_delivered_is_not_told_to_start_a_server() {
 
 #[test]
 fn a_machine_that_is_silent_on_tcp_has_not_confirmed() {
-    // The system accepts the connections, and nobody reads.
+    // The system accepts the connections, but no program reads.
     let mute = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a free port"));
     let [rig, capsule] = mute
         .each_ref()

@@ -1,4 +1,4 @@
-//! What `watch` shows, on screens of two sizes.
+//! The screen of `watch` in two sizes.
 
 use std::time::{Duration, Instant};
 
@@ -70,7 +70,7 @@ fn capsule_status() -> CapsuleStatus {
     }
 }
 
-/// A rig in a run of another process, with samples every 50 ms up to now.
+/// A rig in another process's run, with samples every 50 ms up to now.
 fn running(now: Instant) -> Panel {
     let mut rig = Panel::new(DeviceKind::Rig, "tcp:127.0.0.1:7001".to_owned());
     let owner =
@@ -255,7 +255,7 @@ fn every_fault_is_shown_whole_with_its_remedy() {
     }
 }
 
-/// Without what breaks a text into lines.
+/// The text without line breaks and frames.
 fn squeezed(text: &str) -> String {
     text.chars()
         .filter(|c| !c.is_whitespace() && *c != '│')

@@ -1,4 +1,4 @@
-//! Campaigns in processes of their own, at a machine on TCP: killed at random instants and resumed, and left at a prompt.
+//! Campaigns in separate processes at a machine on TCP: killed at random instants and resumed, and left at a prompt.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,10 +15,10 @@ use campaign::verify::verify;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::VIRTUAL_UID;
 
-/// The machine's clock runs so many times as fast as the world's.
+/// Speed of the machine's clock relative to real time.
 const SPEED: u32 = 12;
 
-/// Ten short trials in one block, with these changes.
+/// A plan of ten short trials in one block, with these changes.
 fn plan(changes: &[(&str, &str)]) -> String {
     let short = [
         ("duration_s = 40", "duration_s = 1"),
@@ -28,7 +28,7 @@ fn plan(changes: &[(&str, &str)]) -> String {
     changed(&changed(PAPER, &ONE_CONDITION), &[&short, changes].concat())
 }
 
-/// The displacements that count, and the attempts that they are of.
+/// The displacements that count, with the attempts that they belong to.
 fn done(campaign: &Campaign) -> BTreeMap<u32, (u32, i64)> {
     let of = |trial: &campaign::ledger::TrialState| {
         let mm = trial.counted()?;
@@ -37,7 +37,7 @@ fn done(campaign: &Campaign) -> BTreeMap<u32, (u32, i64)> {
     campaign.state.trials.iter().filter_map(of).collect()
 }
 
-/// How many kills: all of them where RETROGRADE_CAMPAIGN is set, else the first.
+/// Number of kills: all if RETROGRADE_CAMPAIGN is set, else only the first.
 fn kills() -> u32 {
     match std::env::var_os("RETROGRADE_CAMPAIGN") {
         Some(_) => 50,
@@ -45,7 +45,7 @@ fn kills() -> u32 {
     }
 }
 
-/// A run whose strokes are asked for, and two passes each way.
+/// A plan of a run that asks for strokes, and two passes each way.
 fn plan_of_passes() -> String {
     let changes = [
         ("duration_s = 40", "duration_s = 6"),
@@ -82,7 +82,8 @@ fn passes_and_strokes_survive_being_killed_at_any_instant() {
     );
 }
 
-/// No trial that was done is lost, none counts twice. Every second kill comes within what begins with this request.
+/// Kills and resumes a campaign. No finished trial is lost, and none counts twice. Every second kill hits the action
+/// that begins with this request.
 fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
     let mut script = ready(DeviceKind::Rig);
     script.uid = VIRTUAL_UID;
@@ -100,7 +101,7 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
         };
         let mut child = bench.command(args).spawn().expect("starts");
         if killed < kills {
-            // From before the first byte to within some trial; every second one within a run.
+            // Kill anywhere from before the first byte to within a trial; every second time within a run.
             let (runs, mut over) = (bench.count(motion), killed % 2 == 0);
             while !over && bench.count(motion) == runs {
                 over = child.try_wait().expect("a child").is_some();
@@ -108,7 +109,7 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
             }
             let at_most_ms = if killed % 2 == 0 { 500 } else { 60 };
             thread::sleep(Duration::from_millis(chance.below(at_most_ms) as u64));
-            // That is SIGKILL; it may have ended by itself.
+            // Sends SIGKILL; fails if the process has already ended by itself.
             let _ = child.kill();
             killed += 1;
         }
@@ -144,7 +145,7 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
         let standing = state.attempts.iter().filter(|attempt| attempt.stands());
         assert_eq!(standing.count(), 1, "trial {trial}");
     }
-    // Not every kill came between two trials.
+    // Some kills must have hit a trial.
     let attempts = |campaign: &Campaign| -> usize {
         campaign
             .state
@@ -160,7 +161,7 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
     campaign
 }
 
-/// While a question waits the rig hears the tool, others look through its door, and Ctrl-C leaves.
+/// While a question waits, the tool keeps the link alive, others look through its door, and Ctrl-C leaves.
 #[test]
 fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
@@ -209,8 +210,8 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     assert_eq!(standing(), Standing::Done);
 }
 
-/// A stop within a pass leaves no half trial, an emergency stop before one begins nothing, and each time the rollers are homed anew
-/// before the body is laid in.
+/// A stop during a pass leaves no half trial. An emergency stop before a pass begins nothing. After each, the rollers
+/// are homed again before the body is laid in.
 #[test]
 fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
@@ -245,7 +246,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
             ("Reading 1 of 1: i", "14.3\n"),
             ("Trial 1, unfolded: the rollers go home", "\n"),
             ("Trial 1 of 5", "skip\n"),
-            // The clamping of a trial that was skipped serves the next block at the same place.
+            // The clamping of a skipped trial serves the next block at the same place.
             ("pass: the rollers go", "\n"),
             ("Trial 2 of 5", "\n"),
             ("Move: ", "\x03"),
@@ -255,7 +256,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     assert_eq!(outcomes(), [Some(Outcome::Stopped)]);
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
 
-    // The rollers stand above the body: nothing moves before it is out.
+    // The rollers stand above the body, so nothing moves before the body is out.
     let homings = bench.count("Home");
     let session = converse(
         &["campaign", "resume", "c"],

@@ -1,4 +1,4 @@
-//! A disk that is full in the middle of a run: told at once, and what the rig says of the run is not lost.
+//! A disk that fills up in the middle of a run: reported at once, and the rig's record of the run is not lost.
 
 use crate::support::bench::{Bench, read, with_little_space};
 use protocol::system::DeviceKind;
@@ -31,7 +31,7 @@ fn a_disk_that_fills_in_mid_run_is_told_at_once_and_the_verdict_is_not_lost() {
         err.contains("the run ended as Complete after 2 strokes and 32000 steps; but"),
         "{err}"
     );
-    // The sidecar was small enough, and says both.
+    // The sidecar is small enough to be written, and reports both.
     let trial = bench.trial();
     assert_eq!(trial["status"], "complete");
     let error = trial["error"].as_str().expect("a reason");
@@ -39,6 +39,6 @@ fn a_disk_that_fills_in_mid_run_is_told_at_once_and_the_verdict_is_not_lost() {
         error.contains("the telemetry was not recorded whole"),
         "{error}"
     );
-    // The rig was not stopped for it.
+    // A full disk must not stop the rig.
     assert!(bench.urgent().is_empty());
 }

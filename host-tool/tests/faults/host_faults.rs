@@ -1,5 +1,5 @@
-//! What happens to the computer, the cable or the disk at a random instant of a campaign: the rig comes to rest in time, the
-//! reason is told at once and kept, the folder is whole, and the campaign goes on.
+//! Faults of the computer, the cable or the disk at a random instant of a campaign. The rig comes to rest in time,
+//! the reason is reported at once and recorded, the folder stays intact, and the campaign can go on.
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -26,7 +26,7 @@ use protocol::system::DeviceKind;
 use simulated_machines::link::{Memory, Peer};
 use simulated_machines::machine::{Machine, Script, Shared, VIRTUAL_UID};
 
-/// All instants where RETROGRADE_CAMPAIGN is set, else the first.
+/// Number of instants: all if RETROGRADE_CAMPAIGN is set, else only the first.
 fn count(all: usize, first: usize) -> usize {
     match std::env::var_os("RETROGRADE_CAMPAIGN") {
         Some(_) => all,
@@ -34,7 +34,7 @@ fn count(all: usize, first: usize) -> usize {
     }
 }
 
-/// Two short trials of one run, so many seconds each.
+/// A plan of two short trials, with one run of this duration each.
 fn plan(duration_s: u32) -> String {
     let duration = format!("duration_s = {duration_s}");
     let short = [
@@ -45,8 +45,8 @@ fn plan(duration_s: u32) -> String {
     changed(&changed(PAPER, &ONE_CONDITION), &short)
 }
 
-/// How the attempt ended that did not end as planned, in a folder in which the campaign went on after it: the outcome and
-/// the reason in the ledger. None if there was no such attempt.
+/// Outcome and reason, from the ledger, of the attempt that did not end as planned; none if there was none. Asserts
+/// that the campaign went on after it.
 fn went_on(folder: &Path) -> Option<(Outcome, String)> {
     let verified = verify(folder).expect("a folder");
     assert_eq!(verified.findings, vec![], "{}", folder.display());
@@ -65,7 +65,7 @@ fn went_on(folder: &Path) -> Option<(Outcome, String)> {
     Some((row.outcome?, row.text.clone().unwrap_or_default()))
 }
 
-/// When the telemetry of the run of the latest attempt ends, us of the rig's clock.
+/// Device time of the last sample in the run of the latest attempt, us.
 fn last_sample_us(folder: &Path) -> Option<u64> {
     let campaign = Campaign::read(folder).expect("a campaign");
     let mut rows = campaign.rows.iter().rev();
@@ -77,18 +77,18 @@ fn last_sample_us(folder: &Path) -> Option<u64> {
         (name.starts_with("run-") && name.ends_with(".csv")).then_some(path)
     })?;
     let text = fs::read_to_string(csv).expect("text");
-    // What a crash cut off does not count.
+    // Skip a row that a crash has cut off.
     let whole = &text[..text.rfind('\n')?];
     whole.lines().last()?.split(',').next()?.parse().ok()
 }
 
-// In a process of its own.
+// Faults of the tool in a process of its own.
 
-/// The machine's clock runs so many times as fast as the world's.
+/// Speed of the machine's clock relative to real time.
 const SPEED: u32 = 12;
-/// Three quarters of a second of the world's: three keep-alives of a busy computer.
+/// Link time-out: three quarters of a second of real time, which are three keep-alives of a busy computer.
 const TIMEOUT_MS: u32 = 9_000;
-/// From the fastest of these runs to rest.
+/// Time to brake from the fastest of these runs.
 const BRAKING_US: u64 = 1_000_000;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,7 +110,7 @@ const BLOWS: [Blow; 6] = [
 
 #[test]
 fn what_happens_to_the_process_is_told_kept_and_survived() {
-    // Switched on with the line, so that both clocks are the same.
+    // The rig is switched on with the line, so that both clocks are equal.
     let mut script = Script::new(DeviceKind::Rig);
     script.uid = VIRTUAL_UID;
     script.settings = vec![(SettingKey::LinkTimeoutMs, TIMEOUT_MS)];
@@ -142,11 +142,11 @@ fn what_happens_to_the_process_is_told_kept_and_survived() {
     }
 }
 
-/// Begins a campaign and lets this happen in its first run.
+/// Begins a campaign and applies the blow during its first run.
 fn suffer(bench: &Bench, name: &str, blow: Blow, chance: &mut Chance) {
     let plain = bench.command(&["campaign", "run", "plan.toml", "--out", name, "--yes"]);
     let mut command = match blow {
-        // The locks, the ledger and the like are smaller; the telemetry is not.
+        // Locks and ledger stay below the limit; the telemetry does not.
         Blow::DiskFull => little_space(&plain, chance),
         _ => plain,
     };
@@ -160,7 +160,7 @@ fn suffer(bench: &Bench, name: &str, blow: Blow, chance: &mut Chance) {
         }
         thread::sleep(Duration::from_millis(1));
     }
-    // By the machine's clock, which a busy computer makes slow: the run takes 12 s of it.
+    // Wait by the machine's clock, which a busy computer slows down: the run takes 12 s of it.
     let now_us = || bench.log.lock().expect("log").now_us;
     let at_us = now_us() + 1_000 * chance.below(10_800) as u64;
     while now_us() < at_us {
@@ -188,7 +188,7 @@ fn suffer(bench: &Bench, name: &str, blow: Blow, chance: &mut Chance) {
     for word in words {
         assert!(said.contains(word), "{blow:?}: {word}: {said}");
     }
-    // It stands, at the latest when the rig has missed the tool for so long.
+    // The rig must stand once it has missed the tool for the time-out and braked.
     let deadline_us = ended_us + u64::from(TIMEOUT_MS) * 1_000 + BRAKING_US;
     while bench.log.lock().expect("log").now_us < deadline_us {
         thread::sleep(Duration::from_millis(2));
@@ -205,17 +205,17 @@ fn little_space(command: &Command, chance: &mut Chance) -> Command {
     with_little_space(command, 512 * (24 + chance.below(60) as u32))
 }
 
-// In this process, in virtual time: at every instant of a session, to the microsecond.
+// Faults in this process, in virtual time: at every instant of a session, to the microsecond.
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
-    /// The tool has a defect.
+    /// The tool panics.
     Panics,
-    /// The cable is pulled, and the system says so.
+    /// The cable is pulled, and the system reports it.
     Pulled,
-    /// The cable breaks, and nothing is heard any more.
+    /// The cable breaks silently.
     Silent,
-    /// The clock of the computer goes back by a day.
+    /// The computer's clock goes back by a day.
     ClockSetBack,
 }
 
@@ -226,7 +226,7 @@ const FAULTS: [Fault; 4] = [
     Fault::ClockSetBack,
 ];
 
-/// A computer to which this happens at this instant of the link's clock.
+/// A computer with this fault at this instant of the link's clock.
 struct Computer {
     fault: Option<(Fault, u64)>,
     folder: PathBuf,
@@ -241,19 +241,20 @@ struct Faulty {
     machine: Arc<Mutex<Machine>>,
     clock_us: Arc<Mutex<u64>>,
     folder: PathBuf,
-    /// Since when a run goes on, us.
+    /// When the present run began, us.
     run_since_us: Option<u64>,
-    /// Instants within runs, us.
+    /// Instants at which a killed process must have kept samples, us.
     within: Arc<Mutex<Vec<u64>>>,
 }
 
-/// A quarter of a second, in which the tool collects samples, and what is under way.
+/// Largest age of samples not yet handed to the disk, us: the quarter of a second in which the tool collects them,
+/// plus transit.
 const COLLECTED_US: u64 = 300_000;
-/// However slow the disk is, it has taken them by then.
+/// Time by which even a slow disk has taken the samples.
 const WRITTEN: Duration = Duration::from_secs(60);
 
 impl Faulty {
-    /// Whether a run goes on, and since when.
+    /// Notes whether a run is in progress, and since when.
     fn watch(&mut self) {
         let runs = self.machine.lock().expect("free").is_in_a_run();
         self.run_since_us = match self.run_since_us {
@@ -267,13 +268,13 @@ impl Faulty {
         }
     }
 
-    /// Up to when the samples are to be kept, if a run goes on, us.
+    /// Time up to which samples must be kept, if a run is in progress, us.
     fn oldest_kept_us(&self) -> Option<u64> {
         let oldest_us = self.link.now_us().checked_sub(COLLECTED_US)?;
         (self.run_since_us? <= oldest_us).then_some(oldest_us)
     }
 
-    /// What a process leaves that is killed at this instant: it has handed all but the last samples to the disk.
+    /// Asserts that a process killed at this instant leaves all but the last samples on the disk.
     fn has_kept_the_samples(&self) {
         let Some(oldest_us) = self.oldest_kept_us() else {
             return;
@@ -332,7 +333,7 @@ impl Link for Faulty {
                 Ok(0)
             }
             Some(Fault::ClockSetBack) | None => {
-                // Not past the instant.
+                // Do not idle past the instant of the fault.
                 let at_us = self.fault.map_or(u64::MAX, |(_, at_us)| at_us);
                 let until_us = match self.due() {
                     None => deadline_us.min(at_us),
@@ -385,19 +386,20 @@ impl Connector for Computer {
     }
 }
 
-/// How a session ended.
+/// Result of a session.
 struct Session {
-    /// Exit code, if it did not panic.
+    /// Exit code; none after a panic.
     code: Option<u8>,
     said: String,
-    /// How long it was, us.
+    /// Duration, us.
     us: u64,
     machine: Arc<Mutex<Machine>>,
-    /// Instants within its runs, us.
+    /// Instants during its runs, us.
     within: Vec<u64>,
 }
 
-/// A process that ends takes its threads with it. Here the thread that writes ends by itself, once it has written.
+/// Waits until the writing thread has finished. A killed process would take the thread with it, but here it ends by
+/// itself.
 fn until_nothing_is_written(place: &Path) {
     let is_open = || {
         let files = fs::read_dir("/proc/self/fd").into_iter().flatten();
@@ -411,7 +413,7 @@ fn until_nothing_is_written(place: &Path) {
     }
 }
 
-/// Carries the campaign on in a new session at a new rig.
+/// Continues the campaign in a new session at a new rig.
 fn session(place: &Path, fault: Option<(Fault, u64)>) -> Session {
     let mut script = Script::new(DeviceKind::Rig);
     script.uid = VIRTUAL_UID;
@@ -467,7 +469,7 @@ fn what_happens_to_tool_cable_and_clock_is_told_kept_and_survived() {
     let mut in_runs = 0;
     for index in 0..count(66, 24) {
         let fault = FAULTS[index % FAULTS.len()];
-        // At any instant; every second defect within a run, where samples may be lost.
+        // Any instant; for every second panic one within a run, where samples could be lost.
         let at_us = match fault {
             Fault::Panics if index % 8 == 0 => whole.within[chance.below(whole.within.len())],
             _ => chance.below(whole.us as usize) as u64,
@@ -493,7 +495,7 @@ fn what_happens_to_tool_cable_and_clock_is_told_kept_and_survived() {
                 continue;
             }
         }
-        // The rig stands as soon as it has missed the tool for the time of its setting.
+        // The rig must stand once it has missed the tool for the time-out.
         let mut machine = machine.lock().expect("it has not panicked");
         machine.give(at_us + timeout_us + BRAKING_US);
         let rested_us = machine.driven_us();
@@ -514,7 +516,7 @@ fn what_happens_to_tool_cable_and_clock_is_told_kept_and_survived() {
         assert!(!reason.is_empty(), "{what}");
         if let Some(sampled_us) = sampled_us {
             in_runs += 1;
-            // The rig was switched on with the link here, so the clocks are the same.
+            // The rig was switched on with the link, so the clocks are equal.
             assert!(
                 at_us < sampled_us + 1_000_000,
                 "the last sample is of {sampled_us} us: {what}"

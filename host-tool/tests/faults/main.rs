@@ -1,4 +1,4 @@
-//! What kills, full disks and faults of cable and clock leave.
+//! Consequences of kills, full disks and faults of cable and clock.
 #![cfg(unix)]
 
 #[path = "../support/mod.rs"]

@@ -1,4 +1,4 @@
-//! What people type wrong, and what they give for a file or a machine: each is refused with its reason, a way on, and its
+//! Wrong input on the command line, in files and from machines. Each is refused with its reason, a remedy and its
 //! exit code, and nothing moves.
 
 use std::fmt::Write as _;
@@ -13,12 +13,12 @@ use protocol::rig::{GetRigHealth, RigHealth, RigStatus, RunRecord};
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
-/// Nobody listens there.
+/// An address without a listener.
 const NOBODY: &str = "tcp:127.0.0.1:1";
 
-/// Command line, exit code, what the message says, what it says to do. `RIG` is a homed rig at rest.
+/// Command line, exit code, part of the message, part of the remedy. `RIG` stands for a homed rig at rest.
 const INPUTS: &[(&str, u8, &str, &str)] = &[
-    // The line itself.
+    // The command line itself.
     ("nonsense", 2, "unrecognized subcommand", "--help"),
     (
         "home extra",
@@ -638,7 +638,7 @@ fn retrograde(args: &[&str]) -> (u8, String, String) {
     (code, text(out), text(err))
 }
 
-/// What the rig itself has counted.
+/// The rig's own counters.
 fn counters(rig: &str) -> (RigStatus, RunRecord, RigHealth) {
     let address: Address = rig.parse().expect("an address");
     let link = Ports
@@ -669,7 +669,7 @@ fn each_is_refused_with_its_reason_and_a_way_on_and_nothing_moves() {
             args.extend(["--out", out]);
         }
         let (got, out, err) = retrograde(&args);
-        // One says what it found, the other what it worked out.
+        // These print a result even so: `ack` what it found, `plan` what it calculated.
         let silent = out.is_empty() || line.starts_with("ack") || line.starts_with("plan");
         if got != *code || !err.contains(says) || !err.contains(remedy) || !silent {
             let _ = writeln!(wrong, "{line}: {got} {out:?}\n  {err}");
@@ -686,7 +686,7 @@ fn each_is_refused_with_its_reason_and_a_way_on_and_nothing_moves() {
     );
     assert_eq!(after.0.position_steps, 0);
     for request in ["SetSetting", "SetName", "FactoryReset"] {
-        // Two that only the rig can judge were refused by it.
+        // Only the rig can judge two of the settings, so it has received and refused these.
         let asked = if request == "SetSetting" { 2 } else { 0 };
         assert_eq!(bench.count(request), asked, "{request}");
     }
@@ -714,7 +714,7 @@ fn with_json_a_wrong_command_line_is_an_object_as_well() {
             "{out}"
         );
     }
-    // Help is no error.
+    // Help is not an error.
     let (code, out, _) = retrograde(&["--json", "home", "--help"]);
     assert!(code == 0 && out.contains("Usage: "), "{out}");
 }
@@ -739,7 +739,7 @@ fn a_result_that_cannot_be_written_is_a_failure() {
         assert_eq!(code, Some(1), "{args:?}: {err}");
         assert!(err.contains("standard output"), "{args:?}: {err}");
     }
-    // Whoever closes a pipe has read enough.
+    // A closed pipe is no error: its reader has read enough.
     let (reader, writer) = std::io::pipe().expect("a pipe");
     drop(reader);
     let output = bench.command(&["plan"]).stdout(writer).output();
@@ -781,7 +781,7 @@ fn one_machine_without_a_fault_does_not_keep_the_other_from_its_acknowledgement(
     );
     let (code, _, err) = retrograde(&[&both[..], &["ack"]].concat());
     assert_eq!(code, 3, "{err}");
-    // One that is not there is named, and the other one is still asked.
+    // A missing machine is named, and the other one is still asked.
     retrograde(&["--capsule", &capsule.address, "estop"]);
     let gone = ["--rig", NOBODY, "--capsule", &capsule.address, "ack"];
     let (code, out, _) = retrograde(&gone);

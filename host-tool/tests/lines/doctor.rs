@@ -13,7 +13,7 @@ use protocol::system::DeviceKind;
 use serde_json::Value;
 use simulated_machines::machine::Script;
 
-/// Exit code and findings of a command line.
+/// The findings in the JSON output: finding, text and remedy.
 fn findings(out: &str) -> Vec<(String, String, String)> {
     let result: Value = serde_json::from_str(out).expect("JSON");
     let findings = result["findings"].as_array().expect("a list").iter();
@@ -76,7 +76,7 @@ fn a_place_that_does_not_open_is_named_with_its_remedy() {
     }
 }
 
-/// Asks again as long as the owner of the line is called silent: on a busy computer it may be, for a moment.
+/// Repeats the command while the owner of the line is reported silent, which a busy computer may cause for a moment.
 fn answered(bench: &Bench, args: &[&str]) -> (Option<i32>, String, String) {
     let begin = Instant::now();
     loop {
@@ -94,7 +94,7 @@ fn a_machine_that_is_well_is_fine_and_one_with_a_fault_says_so() {
     let (code, out, err) = bench.retrograde(&["doctor"]);
     assert_eq!(code, Some(0), "{out}{err}");
     assert!(out.contains(": fine: rig, UID ab"), "{out}");
-    // One line that both machines should have: one of them owns it for a moment.
+    // One line named for both machines. While one of them owns it, ask again.
     for _ in 0..5 {
         let (code, out, err) = answered(&bench, &["doctor", "--json", "--capsule", &bench.address]);
         assert_eq!(code, Some(4), "{out}{err}");
@@ -112,7 +112,7 @@ fn a_machine_that_is_well_is_fine_and_one_with_a_fault_says_so() {
     );
     assert!(found[1].1.contains("emergency stop"), "{found:?}");
     assert!(found[1].2.contains("retrograde ack"), "{found:?}");
-    // Looked at, and not touched.
+    // The doctor has not acknowledged anything.
     assert_eq!(bench.count("Acknowledge"), 0);
 }
 

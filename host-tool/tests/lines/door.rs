@@ -1,5 +1,5 @@
-//! One owner of a line, many windows: two and more real processes at one machine on TCP, in real time. The server takes
-//! the first connection and no other, so whoever gets through has gone through the door.
+//! One owner of a line and many windows: several real processes at one machine on TCP, in real time. The server takes
+//! only the first connection, so any process that gets through has used the door.
 
 use std::fs::Permissions;
 use std::io::Write;
@@ -22,7 +22,7 @@ fn end(child: Child) -> (Option<i32>, String, String) {
     read(child.wait_with_output().expect("ends"))
 }
 
-/// Long enough for some commands of a slow computer.
+/// Long enough for several commands of a slow computer.
 const SHORT: [&str; 6] = ["--cycles", "1", "--stroke-mm", "40", "--duration-s", "12"];
 
 #[test]
@@ -31,7 +31,7 @@ fn others_look_while_a_run_goes_on_and_it_is_not_disturbed() {
     let run = bench.run(&SHORT);
     let begin = Instant::now();
     let mut looks = 0;
-    // Well before its end: a look that meets it is told to try again.
+    // Stop well before the end of the run: a look that meets the end is told to try again.
     while begin.elapsed() < Duration::from_millis(1_200) {
         for (args, says) in [
             (&["info"][..], "Running, homed"),
@@ -52,17 +52,17 @@ fn others_look_while_a_run_goes_on_and_it_is_not_disturbed() {
     let trial = bench.trial();
     let record = &trial["action"]["executed"];
     assert_eq!(trial["status"], "complete");
-    // 40 mm there and back at 800 steps per millimetre.
+    // 40 mm away and back at 800 steps per millimetre.
     assert_eq!(record["counted_edges"], 64_000, "{trial:#}");
     let (rows, missed) = bench.telemetry();
     assert_eq!(missed, 0);
     assert!(rows >= 1_180, "{rows}");
-    // The door went with its owner: this one opens the line itself.
+    // The door closes with its owner, so this command opens the line itself.
     assert_eq!(bench.retrograde(&["info"]).0, Some(0));
     assert_eq!(bench.connections(), 2);
 }
 
-/// What a subscriber gets.
+/// News that a subscriber receives.
 #[derive(Debug, Default)]
 struct Seen {
     samples: u32,
@@ -109,10 +109,10 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
         };
         assert!(matches!(gone, ClientError::Link(_)), "{gone:?}");
         over.store(true, Ordering::Relaxed);
-        // 100 a second, but for the time until the window was open and after the last look.
+        // 100 a second, less the time before the window opened and after the last look.
         assert!(seen.samples > 300, "{seen:?}");
         assert_eq!(seen.missed, 0);
-        // The ends of strokes.
+        // These are the ends of strokes.
         let events = &seen.events;
         assert!(events.len() >= 2, "{events:?}");
         assert!(events.is_sorted_by(|a, b| a + 1 == *b), "{events:?}");
@@ -129,7 +129,7 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
     assert!(rows >= 1_180, "{rows}");
 }
 
-/// Its door has answered, so it lives: its computer may have something else to do.
+/// An owner whose door answers is alive. Its computer may just be busy, so the question waits.
 #[test]
 fn a_question_waits_for_an_owner_that_is_held_up() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -144,7 +144,7 @@ fn a_question_waits_for_an_owner_that_is_held_up() {
         });
         window.rig_status().expect("an answer");
     });
-    // One that has to answer at once is told that this one does not.
+    // A client in a hurry is told that the owner does not answer.
     kill(Signal::STOP, run.id());
     window.expect_haste();
     let error = window.rig_status().expect_err("no answer");
@@ -162,7 +162,7 @@ fn a_serial_port_is_shared_as_well() {
     assert_eq!(code, Some(0), "{err}");
     assert!(out.contains("Running, homed"), "{out}");
     assert_eq!(bench.retrograde(&["home"]).0, Some(3));
-    // Another name of the same port.
+    // A second name for the same port.
     let link = bench.folder.path().join("port");
     std::os::unix::fs::symlink(&bench.address, &link).expect("a link");
     let name = link.to_str().expect("UTF-8");
@@ -180,7 +180,7 @@ fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
     let mut run = bench.run(&["--on-link-loss", "finish"]);
     kill(Signal::STOP, run.id());
     let (code, out, err) = bench.retrograde(&["estop"]);
-    // The port is exclusive, and only the owner could pass it on.
+    // The port is exclusive, so only the owner could have passed the stop on.
     assert_eq!(code, Some(8), "{out}{err}");
     assert!(err.contains("NOT DELIVERED"), "{err}");
     assert!(err.contains(&format!("process {}", run.id())), "{err}");
@@ -224,7 +224,7 @@ fn a_guest_learns_at_once_that_the_owner_was_killed() {
     let error = rig
         .idle(60_000_000, &mut Unobserved)
         .expect_err("the owner is gone");
-    // It did not wait to the end, however slow the computer is.
+    // It must not wait for the end of the run, even on a slow computer.
     assert!(begin.elapsed() < Duration::from_secs(30), "{error}");
     let text = error.to_string();
     assert!(
@@ -246,7 +246,7 @@ fn whoever_does_not_keep_the_rules_harms_nobody() {
         .expect("a door");
     let knock = b"{\"retrograde_window\":1}\n";
     let mut visitors = vec![];
-    // Silence, other protocols, endless lines, a visitor that never reads, and more of them than are let in.
+    // Visitors: silent ones, other protocols, endless lines, one that never reads, and more of them than are let in.
     for words in [
         &b""[..],
         b"GET / HTTP/1.1\r\n\r\n",
@@ -303,7 +303,7 @@ fn what_moves_is_refused_and_names_the_owner() {
         assert_eq!(bench.count(request), 0, "{request}");
     }
     assert_eq!((bench.count("Run"), bench.connections()), (1, 1));
-    // The refused run has left no record.
+    // Only one record: the refused run has left none.
     bench.trial();
 }
 
@@ -345,7 +345,8 @@ fn hold_and_resume_go_through_the_owner() {
     assert_eq!(bench.connections(), 1);
 }
 
-/// This stop has come, and no other. It is sent again until it is confirmed, which a busy computer may delay.
+/// Asserts that this stop has arrived and no other. It is sent again until it is confirmed, which a busy computer may
+/// delay.
 fn only(bench: &Bench, stop: Urgent) {
     let came = bench.urgent();
     assert!(
@@ -375,7 +376,7 @@ fn a_stop_gets_past_an_owner_that_is_frozen() {
     let (code, out, err) = bench.retrograde(&["estop"]);
     assert_eq!(code, Some(0), "{out}{err}");
     only(&bench, Urgent::EStop);
-    // Reading does not steal the line, and says who has it.
+    // Reading does not take the line over, and names its owner.
     let (code, _, err) = bench.retrograde(&["info"]);
     assert_eq!(code, Some(4), "{err}");
     assert!(err.contains("does not answer"), "{err}");
@@ -395,7 +396,7 @@ fn a_stop_does_not_wait_for_an_owner_whose_output_is_stuck() {
             .expect("mkfifo")
             .success()
     );
-    // Somebody holds the pipe open and does not read: its 64 KiB are full before the owner starts.
+    // The pipe is open but not read. Fill its 64 KiB before the owner starts.
     let mut keep = std::fs::OpenOptions::new()
         .read(true)
         .write(true)

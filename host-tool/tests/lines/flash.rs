@@ -1,5 +1,5 @@
-//! `flash` looks at the image first, and asks the board afterwards. A program in the place of `probe-rs` keeps what it was
-//! told.
+//! `flash` examines the image first and asks the board afterwards. A program in place of `probe-rs` records its
+//! arguments.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -9,7 +9,7 @@ use crate::support::bench::Bench;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
-/// An ELF file of 32 bits: two parts, and symbols.
+/// A 32-bit ELF file with two segments and symbols.
 struct Elf {
     machine: u16,
     kind: u16,
@@ -18,14 +18,14 @@ struct Elf {
     stack: u32,
     reset: u32,
     crate_name: &'static str,
-    /// Of its code.
+    /// Fingerprint of the code.
     fingerprint: u32,
 }
 
-/// Words of code whose fingerprint is this: the last one makes it so.
+/// Words of code with this fingerprint. The last word is chosen to give it.
 fn code(fingerprint: u32) -> [u32; 8] {
     const PRIME: u32 = 0x0100_0193;
-    // Newton's iteration doubles the number of right bits each time; an odd number is its own inverse modulo 8.
+    // Newton's iteration doubles the number of correct bits each time; an odd number is its own inverse modulo 8.
     let inverse = (0..4).fold(PRIME, |inverse, _| {
         inverse.wrapping_mul(2_u32.wrapping_sub(PRIME.wrapping_mul(inverse)))
     });
@@ -115,7 +115,7 @@ impl Elf {
     }
 }
 
-/// A machine, a folder for images, and a program in the place of `probe-rs`.
+/// A machine, a folder for images, and the program in place of `probe-rs`.
 struct Bay {
     bench: Bench,
 }
@@ -149,7 +149,7 @@ impl Bay {
         crate::support::bench::read(command.output().expect("starts"))
     }
 
-    /// What `probe-rs` was told.
+    /// Arguments that `probe-rs` was given.
     fn told(&self) -> String {
         fs::read_to_string(self.bench.folder.path().join("told")).unwrap_or_default()
     }

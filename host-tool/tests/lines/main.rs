@@ -1,4 +1,4 @@
-//! The program itself at lines that several processes share.
+//! The program itself at lines shared by several processes.
 #![cfg(unix)]
 
 #[path = "../support/mod.rs"]

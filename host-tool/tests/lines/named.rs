@@ -1,4 +1,4 @@
-//! Machines that are called by name: the file says where they are, and the rig has to carry the name.
+//! Machines called by name: the file gives the address, and the rig must carry the name.
 
 use crate::support::bench::Bench;
 use protocol::system::{DeviceKind, Urgent};
@@ -49,16 +49,16 @@ fn a_rig_is_called_by_the_name_that_it_carries_and_by_no_other() {
     assert!(out.contains("other_name"), "{out}");
     let (_, out, _) = left(&["watch", "--for-s", "1"]);
     assert!(out.contains("`right-bench`, not `left-bench`"), "{out}");
-    // A stop asks for no name.
+    // A stop does not check the name.
     let (code, out, err) = left(&["stop"]);
     assert_eq!(code, Some(0), "{out}{err}");
     assert_eq!(bench.urgent().last(), Some(&Urgent::Stop));
     assert_eq!(left(&["settings", "name", "left-bench"]).0, Some(0));
     let (code, _, err) = left(&["home"]);
     assert_eq!(code, Some(0), "{err}");
-    // By its address it has any name.
+    // By its address, the machine may have any name.
     assert_eq!(bench.retrograde(&["info"]).0, Some(0));
-    // Also through the door of another process.
+    // The name is checked through another process's door, too.
     let run = bench.run(&["--cycles", "1", "--stroke-mm", "20", "--duration-s", "3"]);
     let (code, out, err) = left(&["info"]);
     assert_eq!(code, Some(0), "{err}");
@@ -87,7 +87,7 @@ fn devices_shows_every_configured_place() {
     let (_, out, _) = bench.retrograde(&["devices", "--json"]);
     let result: Value = serde_json::from_str(&out).expect("JSON");
     let configured = result["configured"].as_array().expect("a list");
-    // That of the environment is the first of them.
+    // The place from the environment comes first.
     assert_eq!(configured.len(), 3, "{out}");
     assert_eq!(configured[0]["name"], "left-bench");
     assert_eq!(configured[0]["carried_name"], "");
@@ -98,7 +98,7 @@ fn devices_shows_every_configured_place() {
             .map(|why| why.contains("no such port")),
         Some(true)
     );
-    // Without a name in the file.
+    // A file without names.
     write(&bench, "");
     let (_, out, _) = bench.retrograde(&["devices"]);
     let unnamed = format!("(no name): rig at {}: rig, UID abab", bench.address);
@@ -125,7 +125,7 @@ fn a_file_that_cannot_be_used_is_told_and_keeps_nobody_from_working_without_name
     assert_eq!(code, Some(0), "{out}");
     assert!(err.contains("warning: no names"), "{err}");
     assert_eq!(bench.retrograde(&["info"]).0, Some(0));
-    // A name that is not in it.
+    // A name that is not in the file.
     write(&bench, "");
     let (code, _, err) = bench.retrograde(&["--rig", "left-bench", "info"]);
     assert_eq!(code, Some(4), "{err}");

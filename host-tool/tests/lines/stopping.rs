@@ -1,5 +1,6 @@
-//! Stopping, by real processes: nobody is told that a machine stands which nobody reached, nothing that was ordered before a
-//! stop moves after it, a motion ends with whoever began it, and no crowd keeps a stop out.
+//! Stopping with real processes. No command reports a machine at rest that it has not reached. An order given before
+//! a stop does not begin after it. A motion ends with the process that began it. No crowd of clients keeps a stop
+//! out.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -22,17 +23,17 @@ use serde_json::Value;
 
 const SOON: Duration = Duration::from_secs(60);
 
-/// What becomes of the bytes of a machine.
+/// States of the line: passes everything, swallows everything, or is broken.
 const CARRIED: u8 = 0;
 const SWALLOWED: u8 = 1;
 const DEAD: u8 = 2;
-/// The next stop is the last that the machine hears, and its answer is held back.
+/// `LAST`: the line passes one more stop, then goes over to `HELD`, which holds the machine's answers back.
 const LAST: u8 = 3;
 const HELD: u8 = 4;
-/// The machine's bytes arrive, nothing that the tool sends does.
+/// Passes only the machine's bytes, nothing from the tool.
 const LATE: u8 = 5;
 
-/// A line between tool and machine that can fall silent or break.
+/// Puts a line between tool and machine that can fall silent or break.
 fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
     let state = Arc::new(AtomicU8::new(CARRIED));
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
@@ -61,7 +62,7 @@ fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
     state
 }
 
-/// One direction of that line, until it breaks.
+/// Carries one direction of that line until it breaks.
 fn carry(mut from: TcpStream, mut to: TcpStream, line: &AtomicU8, to_machine: bool) {
     from.set_read_timeout(Some(Duration::from_millis(5)))
         .expect("set");
@@ -98,7 +99,7 @@ fn carry(mut from: TcpStream, mut to: TcpStream, line: &AtomicU8, to_machine: bo
     let _ = (from.shutdown(Shutdown::Both), to.shutdown(Shutdown::Both));
 }
 
-/// Status and text of the answer.
+/// Status and text of an HTTP answer.
 fn answer(mut stream: TcpStream) -> (u16, String) {
     let mut text = String::new();
     stream.read_to_string(&mut text).expect("an answer");
@@ -112,7 +113,7 @@ fn stop_of(kind: &str) -> String {
     )
 }
 
-/// A server; it ends with this value.
+/// A server process, killed when this is dropped.
 struct Server {
     child: Child,
     at: String,
@@ -127,14 +128,14 @@ impl Drop for Server {
     }
 }
 
-/// An order that the server knows; it waits for the body.
+/// An order that the server has registered and whose body it waits for.
 struct Order {
     stream: TcpStream,
     body: String,
 }
 
 impl Order {
-    /// Sends the body; gives the answer. A server that is killed gives none.
+    /// Sends the body and returns the answer; an error if the server is killed.
     fn finish(mut self) -> std::io::Result<String> {
         self.stream.write_all(self.body.as_bytes())?;
         let mut text = String::new();
@@ -190,7 +191,7 @@ impl Server {
         self.send(&stop_of(kind))
     }
 
-    /// These requests at once: the server finds all of them when it goes on.
+    /// Sends these requests at once: the server is frozen, so it finds all of them when it continues.
     fn flood<'a>(&self, requests: impl Iterator<Item = &'a str>) -> Vec<TcpStream> {
         kill(Signal::STOP, self.child.id());
         let asked = requests.map(|request| self.ask(request)).collect();
@@ -198,8 +199,8 @@ impl Server {
         asked
     }
 
-    /// Orders a motion. The server asks for the body when it knows the order, and how many stops came before it: only what is
-    /// sent after that is a stop that came later.
+    /// Orders a motion without its body. The server asks for the body once it has registered the order and counted
+    /// the stops before it. So any stop sent afterwards is later than the order.
     fn order(&self, body: &str, key: u32) -> Order {
         let mut stream = self.connect();
         let head = format!(
@@ -239,7 +240,7 @@ impl Server {
     }
 }
 
-/// The first press at a dead machine once cleared what the next one took for a confirmation.
+/// Once, the first press at a dead machine cleared an entry, and the next press took that for a confirmation.
 #[test]
 fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
     for broken in [SWALLOWED, DEAD] {
@@ -271,7 +272,7 @@ fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
     }
 }
 
-/// An answer to an earlier stop says nothing about a later one, which the machine has not heard.
+/// An answer to an earlier stop does not confirm a later one that the machine has not heard.
 #[test]
 fn a_late_answer_confirms_no_later_press() {
     let mut bench = Bench::on_tcp(DeviceKind::Rig);
@@ -298,7 +299,7 @@ fn a_late_answer_confirms_no_later_press() {
     assert_eq!(bench.urgent(), [Urgent::Stop]);
 }
 
-/// A move that waited in the server's queue ran after the stop had been confirmed.
+/// Once, a move waiting in the server's queue ran after the stop had been confirmed.
 #[test]
 fn what_was_ordered_before_a_stop_does_not_begin_after_it() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -308,7 +309,7 @@ fn what_was_ordered_before_a_stop_does_not_begin_after_it() {
         let body = format!("{{\"position_mm\": {to}, \"speed_mm_s\": 5}}");
         let order = server.order(&body, round);
         thread::scope(|scope| {
-            // Its end comes at any distance from the stop, before it and after it.
+            // The other motion ends at any distance from the stop, before it or after it.
             let ending = scope.spawn(move || {
                 thread::sleep(Duration::from_millis(u64::from(round / 10)));
                 order.finish()
@@ -319,14 +320,14 @@ fn what_was_ordered_before_a_stop_does_not_begin_after_it() {
             let begun = bench.count("MoveTo");
             thread::sleep(Duration::from_millis(60));
             let answer = ending.join().expect("ended").expect("an answer");
-            // All that had not begun by then never does.
+            // An order that had not begun by then must never begin.
             assert_eq!(bench.count("MoveTo"), begun, "round {round}: {answer}");
         });
         server.until("rest", |rig| rig["state"] == "Ready");
     }
 }
 
-/// The command waits for a `watch` that is frozen; the stop goes past both.
+/// The command waits for a frozen `watch`. The stop goes past both.
 #[test]
 fn a_command_that_waits_for_the_line_is_older_than_a_stop_that_comes_meanwhile() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -346,12 +347,12 @@ fn a_command_that_waits_for_the_line_is_older_than_a_stop_that_comes_meanwhile()
     assert_eq!(bench.count("MoveTo"), 0, "{out}{err}");
     watch.kill().expect("killed");
     watch.wait().expect("ended");
-    // A new one is newer than the stop.
+    // A new order is later than the stop.
     let (code, out, err) = bench.retrograde(&["move", "1", "--speed-mm-s", "20"]);
     assert_eq!(code, Some(0), "{out}{err}");
 }
 
-/// A rig that hears nobody stops after 1 s; a bystander must not count.
+/// A rig that stops after 1 s without its host. A bystander must not keep it alive.
 fn deadly(policy: &str, bystander: &[&str]) -> (Bench, Duration) {
     let mut script = ready(DeviceKind::Rig);
     script.settings = vec![(SettingKey::LinkTimeoutMs, 1_000)];
@@ -384,7 +385,7 @@ fn deadly(policy: &str, bystander: &[&str]) -> (Bench, Duration) {
         thread::sleep(Duration::from_millis(5));
     }
     let moved_on = Duration::from_micros(last_us().saturating_sub(killed_us));
-    // The survivor ends the record.
+    // The surviving process completes the record.
     if watcher.is_some() {
         let begin = Instant::now();
         while bench.trial()["status"] == "running" {
@@ -403,7 +404,7 @@ fn deadly(policy: &str, bystander: &[&str]) -> (Bench, Duration) {
 fn a_bystander_does_not_keep_the_run_of_a_dead_process_going() {
     for bystander in [&[][..], &["watch"], &["serve", "--listen", "127.0.0.1:0"]] {
         let (bench, moved_on) = deadly("stop", bystander);
-        // 1 s of silence, braking, and what this computer adds.
+        // 1 s of silence, braking, and this computer's delays.
         assert!(
             moved_on < Duration::from_millis(1_600),
             "{bystander:?}: {moved_on:?}"
@@ -431,14 +432,14 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
     let (code, out, err) = bench.retrograde(&["estop"]);
     assert_eq!(code, Some(0), "{out}{err}");
     assert!(bench.urgent().contains(&Urgent::EStop));
-    // Through the door: another connection would have broken the owner's.
+    // The stop used the door: another connection would have broken the owner's.
     assert_eq!(bench.connections(), 1);
     assert_eq!(run.wait().expect("ended").code(), Some(6));
     drop(guests);
 }
 
-/// Cleaners of `/tmp` take old files away: the owner's name, or the lock, of which a later command made a new one for
-/// itself and then took the door away. A port has no second way.
+/// Cleaners of `/tmp` delete old files: the file with the owner's name, or its lock. Without the lock, a later command
+/// once made a new one for itself and removed the door. A serial port has no second way in.
 #[test]
 fn a_stop_finds_the_door_without_its_plate() {
     for gone in ["owner", "lock"] {
@@ -486,7 +487,7 @@ fn a_refused_connection_is_closed() {
     let foreign = "GET /api/v1/state HTTP/1.1\r\nHost: evil.example\r\n\r\n";
     stream.write_all(foreign.as_bytes()).expect("sent");
     let mut text = String::new();
-    // To its end: the server closes.
+    // Read to the end: the server closes the connection.
     stream.read_to_string(&mut text).expect("an answer");
     assert!(text.starts_with("HTTP/1.1 403"), "{text}");
     assert!(text.to_lowercase().contains("connection: close"), "{text}");
@@ -505,12 +506,12 @@ fn a_stop_does_not_wait_for_its_body() {
         .read_line(&mut line)
         .expect("an answer");
     assert!(line.contains("200"), "{line}");
-    // A body may take 5 s.
+    // The server waits up to 5 s for a body. The stop must not.
     assert!(begin.elapsed() < Duration::from_millis(4_500));
     assert!(bench.urgent().contains(&Urgent::EStop));
 }
 
-/// Two hundred at once are one stop, or a few, and all are told the truth.
+/// Two hundred stops at once are sent as one or a few, and every sender gets a true answer.
 #[test]
 fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -524,8 +525,8 @@ fn a_flood_of_stops_is_answered_and_sent_a_few_times() {
     assert!((1..100).contains(&count), "{count} stops");
 }
 
-/// A hundred came before it and a hundred come after it. If they were made by the threads that answer, a hundred were
-/// made first.
+/// A hundred plans come before the stop and a hundred after it. If the answering threads calculated them, a hundred
+/// would have to finish first.
 #[test]
 fn a_stop_does_not_wait_for_plans() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -549,7 +550,7 @@ fn a_stop_does_not_wait_for_plans() {
     assert!(planned < 50, "after {planned} plans");
 }
 
-/// Deterministic choices.
+/// Deterministic random choices.
 struct Dice(u64);
 
 impl Dice {
@@ -577,7 +578,7 @@ impl Dice {
     }
 }
 
-/// The processes of a scenario; they end with this value.
+/// The processes of a scenario, killed when this is dropped.
 #[derive(Default)]
 struct Processes(Vec<Child>);
 
@@ -590,8 +591,8 @@ impl Drop for Processes {
     }
 }
 
-/// Waits until a command knows how old it is: it then goes to the line or its door. Elsewhere than on Linux it is
-/// given time.
+/// Waits until a command has noted its age, after which it connects to the line or its door. Systems other than Linux
+/// get a fixed time instead.
 fn has_begun(child: &mut Child) {
     let fds = format!("/proc/{}/fd", child.id());
     let is_connected = |fd: std::fs::DirEntry| {
@@ -610,7 +611,7 @@ fn has_begun(child: &mut Child) {
     }
 }
 
-/// Presses stop a few times, in any way that is left; gives the machine's time when the first of them was confirmed.
+/// Presses stop a few times in any way that is left. Returns the machine's time at the first confirmation.
 fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> Option<u64> {
     let now_us = || bench.log.lock().expect("log").now_us;
     let mut first_us = None;
@@ -633,7 +634,7 @@ fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> 
             .urgent
             .iter()
             .any(|(urgent, at_us)| {
-                // An emergency stop is a stop as well.
+                // An emergency stop counts as a stop, too.
                 (*urgent == wanted || *urgent == Urgent::EStop)
                     && (asked_us..=answered_us).contains(at_us)
             });
@@ -647,9 +648,9 @@ fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> 
     first_us
 }
 
-/// Orders, then stops at any distance from them, among processes that die, freeze and crowd. Nothing is ordered after
-/// the stops, so nothing may move once one of them is confirmed, even if all that was frozen goes on. Whether the
-/// machine had moved, and whether a stop was confirmed.
+/// Gives orders, then stops at any distance from them, among processes that die, freeze and crowd. No order follows
+/// the stops, so nothing may move once one of them is confirmed, even when everything frozen continues. Returns
+/// whether the machine had moved and whether a stop was confirmed.
 fn scenario(seed: u64) -> (bool, bool) {
     let mut dice = Dice::new(seed);
     let mut script = ready(DeviceKind::Rig);
@@ -657,7 +658,7 @@ fn scenario(seed: u64) -> (bool, bool) {
     let bench = Bench::on_tcp_as(&script, 1);
     let now_us = || bench.log.lock().expect("log").now_us;
     let spawn = |args: &[&str]| bench.command(args).spawn().expect("starts");
-    // Who has the line.
+    // Choose the owner of the line.
     let mut all = Processes::default();
     match dice.roll(4) {
         0 => all.0.push(bench.run(&["--duration-s", "40"])),
@@ -669,7 +670,7 @@ fn scenario(seed: u64) -> (bool, bool) {
     }
     let server = Server::start(&bench);
     if dice.one_in(3) {
-        // It gets the line of a watch or of the server, or finds that it cannot.
+        // It gets the line from the watch or the server, or fails to.
         let mut child = spawn(&["move", "90", "--speed-mm-s", "10"]);
         has_begun(&mut child);
         all.0.push(child);
@@ -680,7 +681,7 @@ fn scenario(seed: u64) -> (bool, bool) {
         watches.0.push(spawn(&["watch"]));
         let address = bench.address.parse().expect("an address");
         let doorway = Doorway::within(&bench.locks(), &address).expect("a line");
-        // Beyond the most that may look; one that comes while the line changes hands is out of luck.
+        // Exceed the limit of windows. One that arrives while the line changes hands may fail.
         let more = (0..dice.roll(40)).map(|_| Window::open(&doorway, Duration::from_secs(1)));
         windows.extend(more);
     }
@@ -700,7 +701,7 @@ fn scenario(seed: u64) -> (bool, bool) {
             }));
             dice.wait(30);
         }
-        // What happens to those who have begun something.
+        // Apply blows to the processes that have begun a motion.
         let mut frozen = vec![];
         let mut blow = |child: &Child, dice: &mut Dice| {
             let signal = [Signal::KILL, Signal::STOP][dice.roll(2) as usize];
@@ -745,7 +746,7 @@ fn scenario(seed: u64) -> (bool, bool) {
     })
 }
 
-/// A few of the seeds; all thousand where RETROGRADE_CAMPAIGN is set. RETROGRADE_SEED repeats a single one.
+/// Runs a few of the seeds; all thousand if RETROGRADE_CAMPAIGN is set. RETROGRADE_SEED repeats a single one.
 #[test]
 fn no_scenario_moves_after_a_confirmed_stop() {
     let one = std::env::var("RETROGRADE_SEED").ok();

@@ -1,5 +1,5 @@
-//! `simulate crescent` as a researcher runs it: its files hold the manual's numbers, name the beam model, and do not
-//! depend on threads; what would do nothing is refused.
+//! `simulate crescent` as a researcher runs it. Its files contain the manual's numbers, name the beam model, and do
+//! not depend on threads. Options without effect are refused.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -31,7 +31,7 @@ fn default_run() -> &'static (PathBuf, String) {
     })
 }
 
-/// A CSV file of the run without options: header and rows.
+/// Header and rows of a CSV file from the run without options.
 fn rows(name: &str) -> (Vec<String>, Vec<Vec<String>>) {
     let mut reader = csv::Reader::from_path(default_run().0.join(name)).expect(name);
     let texts = |record: &csv::StringRecord| record.iter().map(str::to_owned).collect();
@@ -47,7 +47,7 @@ fn number(text: &str) -> f64 {
     text.parse().unwrap_or_else(|_| panic!("{text}"))
 }
 
-/// The numbers after a label in a table of `docs/science.md`.
+/// Numbers after a label in a table of `docs/science.md`.
 fn manual(label: &str) -> Vec<f64> {
     let manual = include_str!("../../../docs/science.md");
     let (_, section) = manual
@@ -113,7 +113,7 @@ fn the_least_alpha_is_that_of_the_manual() {
     assert_eq!(rows.len(), 3);
 }
 
-/// Force without friction, easy and hard way: golden, and in the order that makes the wing a pawl.
+/// Golden forces without friction, the easy and the hard way. Their order makes the wing a pawl.
 #[test]
 fn the_forces_are_these() {
     let (header, rows) = rows("crescent-force.csv");
@@ -198,7 +198,7 @@ fn every_file_names_the_beam_and_how_far_it_was_validated() {
     }
 }
 
-/// What is assumed is called assumed; the drawn inputs come with their ranges and reasons.
+/// Assumed inputs are called assumed. Drawn inputs come with their ranges and reasons.
 #[test]
 fn inputs_and_parameters_carry_their_sources() {
     let (header, inputs) = rows("crescent-inputs.csv");

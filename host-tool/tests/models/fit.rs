@@ -1,4 +1,4 @@
-//! `fit` as a researcher runs it: a file of passes becomes a model with its uncertainty, which `simulate` shows.
+//! `fit` as a researcher runs it: turns a file of passes into a model with its uncertainty, which `simulate` shows.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -34,7 +34,7 @@ fn passes(path: &Path) {
     fs::write(path, text).expect("written");
 }
 
-/// Where the file and its fit lie, and what the command said; made once.
+/// Folder of the file and its fit, and the command's output; made once.
 fn fitted() -> (&'static Path, &'static str) {
     static FITTED: OnceLock<(PathBuf, String)> = OnceLock::new();
     let (folder, said) = FITTED.get_or_init(|| {
@@ -104,7 +104,7 @@ fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
     ] {
         assert!(svg.contains(says), "{says}");
     }
-    // The figure's and the file's numbers are those of `simulate` with the file.
+    // `simulate` with the file reproduces the numbers of the figure and the file.
     let out = folder.join("simulated");
     let out = out.to_str().expect("UTF-8");
     let model = model.to_str().expect("UTF-8");
@@ -136,7 +136,7 @@ fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
     );
     let svg = fs::read_to_string(Path::new(out).join("roller.svg")).expect("a figure");
     assert!(svg.contains("posterior band: 90 % of fitted bodies"));
-    // What it used can be used again.
+    // `simulate` writes the same model file again.
     let again = fs::read_to_string(Path::new(out).join("model.toml")).expect("a model");
     assert_eq!(again, text);
 }

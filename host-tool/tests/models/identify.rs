@@ -1,10 +1,10 @@
-//! What is found of capsules that are known, and what is said of recordings that show nothing.
+//! Identification of known capsules, and the refusals of recordings that show nothing.
 
 use capsule_plant::Parameters;
 use protocol::capsule::TracePoint;
 use trials::identify::{IdentifyError, identify};
 
-/// A slice of what `examples/identify.rs` tries.
+/// A part of the cases in `examples/identify.rs`.
 #[test]
 fn capsules_that_differ_in_everything_are_identified_within_the_stated_uncertainty() {
     for seed in 0..10 {
@@ -15,7 +15,7 @@ fn capsules_that_differ_in_everything_are_identified_within_the_stated_uncertain
             "seed {seed}: {found:?}"
         );
         for (name, truth, estimate) in &found {
-            // It also has to say something.
+            // The uncertainty must be small enough to be useful, too.
             let most = if *name == "slack_mm" { 0.65 } else { 0.35 };
             let share = estimate.uncertainty / truth;
             assert!(share < most, "seed {seed}, {name}: {estimate:?}");
@@ -23,7 +23,7 @@ fn capsules_that_differ_in_everything_are_identified_within_the_stated_uncertain
     }
 }
 
-/// Where the valley lies beyond what is looked at, its edge is no estimate.
+/// If the best fit lies outside the searched range, its edge must not be returned as an estimate.
 #[test]
 fn slack_beyond_what_a_calibration_allows_is_no_fit() {
     let recorded = simulated_machines::population::recordings(Parameters::nominal(), 0);
@@ -68,7 +68,7 @@ fn recordings_that_show_nothing_are_refused() {
             "{readings}"
         );
     }
-    // A motor that turns at one speed with one current tells neither resistance nor motor constant.
+    // A motor at one speed and one current reveals neither resistance nor motor constant.
     let turning = |sign: i16| -> Vec<TracePoint> {
         let points = rest(1_000).into_iter().zip(0..);
         let turned = points.map(|(point, ms)| TracePoint {

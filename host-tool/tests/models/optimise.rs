@@ -1,5 +1,5 @@
-//! `design --optimise` as a researcher runs it: every listed design keeps the limits, none beats another one listed, the
-//! compared design is there, and the seed decides.
+//! `design --optimise` as a researcher runs it. Every listed design keeps the limits, none beats another listed one,
+//! the compared design is included, and the seed determines the result.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -49,7 +49,7 @@ fn rows(folder: &Path) -> Vec<Row> {
         .collect()
 }
 
-/// The front, and the compared design behind it.
+/// The front, and the compared design after it.
 fn split(rows: &[Row]) -> (&[Row], &Row) {
     let (own, front) = rows.split_last().expect("rows");
     assert!(front.iter().all(|row| row.design == "front"));
@@ -57,7 +57,7 @@ fn split(rows: &[Row]) -> (&[Row], &Row) {
     (front, own)
 }
 
-/// A model file for a table that is quick to make and hardly less exact.
+/// A model file for a table that is quick to calculate and hardly less exact.
 fn quick(folder: &Path) -> String {
     fs::create_dir_all(folder).expect("made");
     let file = folder.join("quick.toml");
@@ -104,7 +104,7 @@ const DEFAULT: Limits = Limits {
     core_ratio: 0.2,
 };
 
-/// Works each property out again from the printed geometry, and holds it against the table and the limits.
+/// Recalculates each property from the printed geometry and checks it against the table and the limits.
 fn keeps(row: &Row, limits: &Limits) {
     let design = Design::new(
         24.4,
@@ -165,7 +165,7 @@ fn every_listed_design_keeps_the_limits() {
     for row in front {
         keeps(row, &DEFAULT);
     }
-    // Other limits, each of which the paper's design breaks.
+    // Set other limits, each of which the paper's design breaks.
     let folder = tempfile::tempdir().expect("folder");
     optimise(
         folder.path(),
@@ -227,7 +227,7 @@ fn no_listed_design_is_dominated_by_another() {
     assert_eq!(own.dominated_by, over_it);
 }
 
-/// With its own numbers, and how sure it is that another one goes farther.
+/// The paper's design stands beside the front with its own numbers and the probability that another one goes farther.
 #[test]
 fn the_papers_design_stands_beside_them() {
     let (folder, text) = default_run();
@@ -243,7 +243,7 @@ fn the_papers_design_stands_beside_them() {
     near(paper.thread_mm, 22.22);
     assert_eq!(format!("{:.1}", paper.displacement_mm), "11.7");
     assert_eq!((paper.crescents, paper.beats), (9, None));
-    // A share is one of bodies: from none to all, and more of them where the mean is much larger.
+    // A share of bodies lies between 0 and 1, and grows where the mean is much larger.
     for row in front {
         let share = row.beats.expect("compared");
         assert!((0.0..=1.0).contains(&share));
@@ -291,7 +291,7 @@ fn the_seed_decides_and_the_threads_do_not() {
     assert!(one == run("7", &["--threads", "7"]));
     let other = run("seed", &["--seed", "2"]);
     assert!(one.0 != other.0);
-    // Another seed, but no other answer: the same lengths go about as far.
+    // Another seed gives about the same answer: equal lengths go about as far.
     let (first, second) = (
         rows(&folder.path().join("1")),
         rows(&folder.path().join("seed")),
@@ -307,7 +307,7 @@ fn the_seed_decides_and_the_threads_do_not() {
     assert!((one - two).abs() < 0.1 * one, "{one} {two}");
 }
 
-/// Bodies of a posterior take the place of the prior's, and everything that is written says so.
+/// A posterior's bodies replace the prior's, and every output says so.
 #[test]
 fn a_posterior_judges_the_designs() {
     let folder = tempfile::tempdir().expect("folder");
@@ -359,7 +359,7 @@ fn a_posterior_judges_the_designs() {
             row.posterior_95_mm.expect("a band"),
         );
         assert!(low <= row.displacement_mm && row.displacement_mm <= high);
-        // How sure the ranking is, is a share of two bodies.
+        // With two bodies, the probability of the ranking is 0, a half or 1.
         let share = row.beats.unwrap_or(0.0);
         assert!([0.0, 0.5, 1.0].contains(&share), "{share}");
     }
@@ -395,7 +395,7 @@ fn a_posterior_judges_the_designs() {
     assert!(value["designs"][0]["posterior_5_mm"].is_number(), "{value}");
 }
 
-/// Per crescent other designs win, and the number is that of one crescent.
+/// Per crescent, other designs win, and the number is that of one crescent.
 #[test]
 fn per_crescent_is_another_question() {
     let folder = tempfile::tempdir().expect("folder");
@@ -508,7 +508,7 @@ fn what_cannot_be_asked_is_refused_with_what_to_do() {
         assert!(flat.contains(says), "{args:?}: {err}");
         assert!(text.is_empty() && !Path::new(out).exists(), "{args:?}");
     }
-    // What only the search reads is refused without it.
+    // Options that only the search reads are refused without it.
     let (code, _, err) = retrograde(&["design", "--most-thread-mm", "20"]);
     assert!(code == 2 && err.contains("--optimise"), "{err}");
 }

@@ -1,4 +1,4 @@
-//! `plan-experiment` as a researcher runs it: from the prior, from a posterior, and what is refused.
+//! `plan-experiment` as a researcher runs it: from the prior, from a posterior, and its refusals.
 
 use std::fmt::Write;
 use std::fs;
@@ -21,7 +21,7 @@ fn text(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
-/// A small plan into a folder.
+/// Writes a small plan into a folder.
 fn plan(out: &Path, more: &[&str]) -> String {
     let args = [
         "plan-experiment",
@@ -39,7 +39,7 @@ fn plan(out: &Path, more: &[&str]) -> String {
         text(out),
     ];
     let (code, said, err) = retrograde(&[&args, more].concat());
-    // With `--json` the words go to standard error.
+    // With `--json` the text goes to standard error.
     assert_eq!(
         (code, err.is_empty()),
         (0, !more.contains(&"--json")),
@@ -86,7 +86,7 @@ fn a_plan_from_the_prior_is_the_same_on_any_number_of_threads() {
     for row in csv.lines().skip(1) {
         assert!(row.contains("not validated against a rig"), "{row}");
     }
-    // The two tell of different things: neither is chosen twice.
+    // The two kinds tell different things, so neither is chosen twice.
     let kinds: Vec<&str> = (csv.lines())
         .filter(|row| row.starts_with("recommended"))
         .filter_map(|row| row.split(',').nth(2))
@@ -131,7 +131,7 @@ fn a_posterior_is_planned_from_and_tells_less_than_the_prior() {
     assert!(origin.contains("posterior of origin virtual"), "{origin}");
     let trials = said["trials"].as_array().expect("trials");
     let first = trials[0]["gain_nats"].as_f64().expect("a gain");
-    // The prior spans a hundred millimetres, this body a few.
+    // The prior spans a hundred millimetres, this body only a few.
     assert!(first > 0.3 && first < 2.5, "{first}");
     let width = said["widths"][0]["before"]["mean"]
         .as_f64()
@@ -139,8 +139,8 @@ fn a_posterior_is_planned_from_and_tells_less_than_the_prior() {
     assert!(width < 0.5, "{width}");
 }
 
-/// From a posterior as from the prior: what was chosen among the paper's own conditions tells no less than the paper's
-/// choice. With dry candidates only it told less, because the paper's second wall was not among them.
+/// From a posterior as from the prior, the choice among the paper's own conditions tells at least as much as the
+/// paper's procedure. It once told less with dry candidates only, because the paper's second wall was not among them.
 #[test]
 fn what_is_recommended_tells_no_less_than_the_papers_procedure() {
     let folder = folder("no-less");

@@ -70,7 +70,7 @@ fn numbers(file: &Path, name: &str) -> Vec<f64> {
         .collect()
 }
 
-/// All `points="x,y x,y"` of elements of a class, within a part of a drawing.
+/// The `points="x,y x,y"` of all elements of a class within a part of a drawing.
 fn shapes(svg: &str, class: &str) -> Vec<Vec<(f64, f64)>> {
     let opening = format!("class=\"{class}\" points=\"");
     svg.split(&opening)
@@ -88,7 +88,7 @@ fn shapes(svg: &str, class: &str) -> Vec<Vec<(f64, f64)>> {
         .collect()
 }
 
-/// The published model values, to the digits that they deserve.
+/// The published values of the model, to their significant digits.
 #[test]
 fn the_series_give_the_published_values() {
     let file = |name: &str| everything().join(name);
@@ -139,7 +139,7 @@ fn the_series_give_the_published_values() {
         frictions().collect::<Vec<_>>()
     );
     assert_eq!(rounded("friction.csv", "displacement_mm"), ["15.2"; 25]);
-    // One sentence of the paper is no 25 values.
+    // A single sentence of the paper does not give 25 values.
     let about = column(&file("friction.csv"), "paper_about_mm");
     assert!(about.iter().all(String::is_empty));
     assert_eq!(
@@ -159,7 +159,7 @@ fn the_series_give_the_published_values() {
     assert_eq!(format!("{:.1}", end("unfolded_mm")), "46.3");
 }
 
-/// Where the model did not change, the older body with its older steps gives the older values.
+/// Where the model did not change, the older body with its older steps reproduces the older values.
 #[test]
 fn the_older_bodies_give_their_older_values() {
     let folder = tempfile::tempdir().expect("folder");
@@ -179,7 +179,7 @@ fn the_older_bodies_give_their_older_values() {
         "46.560299",
     ];
     assert_eq!(roller, [published, published].concat());
-    // One place, at 0 mm, with undivided steps and a friction ratio of three decimals.
+    // One place, at 0 mm, with undivided steps and the friction ratio rounded to three decimals.
     simulate(
         folder.path(),
         &[
@@ -195,7 +195,7 @@ fn the_older_bodies_give_their_older_values() {
     assert_eq!(format!("{:.3} {:.3}", mm[0], mm[10]), "1.542 14.452");
 }
 
-/// A number without its band would look like knowledge: each run on the rig and in the tube has one, and it is wide.
+/// Each run on the rig and in the tube has a wide band: a number without it would look like knowledge.
 #[test]
 fn each_displacement_stands_beside_its_prior_band() {
     let file = |name: &str| everything().join(name);
@@ -276,7 +276,7 @@ fn every_file_names_its_model() {
     );
 }
 
-/// Each parameter has an option and a key; both lead to the same files, and the written model leads there again.
+/// Each parameter has an option and a key. Both give the same files, and so does the model file written.
 #[test]
 fn options_and_files_are_the_same_model() {
     let folder = tempfile::tempdir().expect("folder");
@@ -321,7 +321,7 @@ fn options_and_files_are_the_same_model() {
             "{name}"
         );
     }
-    // An option outweighs the file.
+    // An option overrides the file.
     simulate(
         &two,
         &[
@@ -433,7 +433,7 @@ fn a_model_that_cannot_be_is_refused_and_leaves_no_file() {
     }
 }
 
-/// `design` takes the design of a model file, where no option says otherwise.
+/// `design` uses the design of a model file, unless an option overrides it.
 #[test]
 fn a_design_can_come_from_a_model_file() {
     let folder = tempfile::tempdir().expect("folder");
@@ -459,7 +459,7 @@ fn a_design_can_come_from_a_model_file() {
     assert!(code != 0 && err.contains("/nowhere/model.toml"), "{err}");
 }
 
-/// Every number of a CSV file brings back the bits of the model.
+/// Every number of a CSV file parses back to the model's exact bits.
 #[test]
 fn the_numbers_round_trip() -> Result<(), OutOfRange> {
     let ends = numbers(&everything().join("pressure.csv"), "displacement_mm");
@@ -540,7 +540,7 @@ fn a_sweep_has_every_pair_in_order() {
     assert_eq!(mm[..3], mm[3..], "friction cancels");
 }
 
-/// Rows of an error come from the first case that has one, whatever thread is first.
+/// Reports the error of the first failing case in order, whichever thread fails first.
 #[test]
 fn the_first_error_in_order_is_reported() {
     let workers = series::Workers::new(Some(7)).expect("threads");
@@ -577,7 +577,7 @@ fn the_paper_design_has_the_reference_values() {
     close(&design["half_gap_mm"], 9.76);
     close(&design["largest_shortening_mm"], 23.4506439263519);
     let rows = design["squeezed"].as_array().expect("rows");
-    // a, psi, d0, d, L(a), dd0/da
+    // Columns: a, psi, d0, d, L(a), dd0/da.
     for [a, psi, d0, d, length, slope] in [
         [
             0.0,
@@ -657,7 +657,7 @@ fn the_paper_design_has_the_reference_values() {
     assert_eq!(rules.len(), 5);
     assert!(rules.iter().all(|rule| rule["objection"].is_null()));
     assert_eq!(design["best_alpha"]["alpha_deg"], 12.53);
-    // The repaired Eq. (6) is not zero anywhere near.
+    // The repaired Eq. (6) is far from zero everywhere.
     assert!(design["equation_6"]["repaired_residual"].as_f64() > Some(0.5));
 }
 
@@ -705,7 +705,7 @@ fn another_design_is_judged_by_the_papers_requirements() {
         .find(|row| row["indentation_mm"] == 2.5)
         .expect("the drawn one joins the table");
     assert!(d(&design["best_alpha"]) > d(here));
-    // No alpha that works is known below 10 deg.
+    // No working alpha is known below 10 deg.
     let narrow = json(&["design", "--alpha-deg", "5", "--beta-deg", "10"]);
     assert!(narrow["design"]["best_alpha"].is_null());
     // A gap smaller than the paper's indentation.
@@ -790,7 +790,7 @@ fn what_cannot_be_is_refused_with_the_admissible_range() {
     }
 }
 
-/// Numbers that only a model can refuse; nothing is written then.
+/// Only a model can refuse these numbers. Nothing may be written then.
 #[test]
 fn what_a_model_does_not_cover_is_refused_and_leaves_no_file() {
     let folder = tempfile::tempdir().expect("folder");
@@ -852,7 +852,7 @@ fn the_structure_is_drawn_to_scale() {
             let [short_root, tip, long_root] = crescent[..] else {
                 panic!("a triangle")
             };
-            // The sides keep their lengths however they are squeezed: Eqs. (1) and (2).
+            // The sides keep their lengths at any indentation: Eqs. (1) and (2).
             near(side(short_root, tip), number("short_side_mm"));
             near(side(long_root, tip), number("long_side_mm"));
             near(long_root.0 - short_root.0, spacing);
@@ -959,7 +959,8 @@ fn the_charts_have_their_axes_units_and_origins() {
     }
 }
 
-/// The last pictures end where the series end, and a body keeps its number of crescents and the length of its sides.
+/// The last snapshots match the ends of the series. A body keeps its number of crescents and the lengths of its
+/// sides.
 #[test]
 fn the_snapshots_show_the_runs() {
     let file = everything().join("snapshots.csv");
@@ -1022,7 +1023,7 @@ fn compare_prints_the_table_of_the_manual() {
     assert!(lines[1].ends_with("comparison.csv"), "{rest}");
 }
 
-/// What `simulate compare` prints as JSON and leaves as CSV, with few bodies.
+/// Output of `simulate compare` with few bodies: JSON and CSV.
 fn compared(folder: &Path, args: &[&str]) -> (Value, Vec<u8>) {
     let out = folder.to_str().expect("UTF-8");
     let line = ["simulate", "compare", "--bodies", "20", "--out", out];
@@ -1031,7 +1032,8 @@ fn compared(folder: &Path, args: &[&str]) -> (Value, Vec<u8>) {
     (value, csv)
 }
 
-/// Text, JSON and CSV say the same shares; the threads change no byte; a posterior is named, and decides its column.
+/// Text, JSON and CSV give the same shares, whatever the number of threads. A posterior is named and determines its
+/// column.
 #[test]
 fn compare_says_how_probable_each_sentence_is() {
     let folder = tempfile::tempdir().expect("folder");
@@ -1103,7 +1105,7 @@ fn compare_says_how_probable_each_sentence_is() {
     );
     let (found, before) = (of(&value, hardly), of(&plain, hardly));
     assert_eq!(found["prior_share"], before["prior_share"]);
-    // One of the four holds on.
+    // The sentence holds for one of the four bodies.
     assert_eq!(found["posterior_share"], 0.25);
     assert_ne!(found["prior_share"], 0.25);
 }

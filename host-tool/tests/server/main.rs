@@ -1,4 +1,4 @@
-//! `retrograde serve`, asked over TCP.
+//! `retrograde serve`, queried over TCP.
 #![cfg(unix)]
 
 #[path = "../support/mod.rs"]

@@ -1,5 +1,5 @@
-//! `retrograde serve` as a process, over simulated machines on TCP: what it lets in, that nothing happens twice, that a stop waits for
-//! nothing, that a jog lives on renewals alone, and that it shares the line.
+//! `retrograde serve` as a process, over simulated machines on TCP. It admits only its clients, does nothing twice,
+//! never delays a stop, lets a jog live on renewals alone, and shares the line.
 
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -17,7 +17,7 @@ use serve::http::{OPENAPI, ROUTES};
 
 const SOON: Duration = Duration::from_secs(30);
 
-/// A server; it ends with this value.
+/// A server process, killed when this is dropped.
 struct Server {
     child: Child,
     at: String,
@@ -53,7 +53,7 @@ impl Answer {
     }
 }
 
-/// Sends a request as it is, and reads the answer to its end.
+/// Sends a raw request and reads the whole answer.
 fn send(at: &str, request: &str) -> Answer {
     let mut stream = TcpStream::connect(at).expect("a server");
     stream.set_read_timeout(Some(SOON)).expect("set");
@@ -153,7 +153,7 @@ impl Server {
         self.post_as(&self.key(), path, body)
     }
 
-    /// An action from its acceptance to its end.
+    /// Starts an action and returns its final state.
     fn done(&self, path: &str, body: &Value) -> Value {
         let answer = self.post(path, body);
         assert!(answer.status < 300, "{}", answer.body);
@@ -166,7 +166,7 @@ impl Server {
         answer.json()["action"].clone()
     }
 
-    /// Ctrl-C, and the exit code.
+    /// Sends Ctrl-C and returns the exit code.
     fn interrupt(mut self) -> Option<i32> {
         let child = rustix::process::Pid::from_child(&self.child);
         rustix::process::kill_process(child, rustix::process::Signal::INT).expect("sent");
@@ -264,7 +264,7 @@ fn a_cross_site_page_a_rebound_name_and_a_missing_token_move_nothing() {
                 answer.body
             );
         }
-        // What a page elsewhere can send without being asked for leave first.
+        // A request that a foreign page can send without a preflight.
         let plain = format!(
             "POST {path} HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\nContent-Type: text/plain\r\nOrigin: https://evil.example\r\nContent-Length: 2\r\n\r\n{{}}"
         );
@@ -277,7 +277,7 @@ fn a_cross_site_page_a_rebound_name_and_a_missing_token_move_nothing() {
             answer.head
         );
     }
-    // Nor do they stop it, or look.
+    // Nor may such requests stop the machines or read anything.
     for headers in [&[cross][..], &[rebound], &[fetched]] {
         for (method, path) in [
             ("POST", "/api/v1/estop"),
@@ -295,13 +295,13 @@ fn a_cross_site_page_a_rebound_name_and_a_missing_token_move_nothing() {
         403
     );
     assert_eq!((moved(&bench), bench.urgent()), (0, vec![]));
-    // A stop from this computer needs no token, and no sense.
+    // A stop from this computer needs neither a token nor a sensible body.
     for body in ["", "{}", "no JSON", "{\"machine\":\"rig\"}"] {
         let answer = send(&server.at, &request("POST", "/api/v1/stop", &[], body));
         assert_eq!(answer.status, 200, "{}", answer.body);
     }
     assert!(bench.urgent().contains(&Urgent::Stop));
-    // One that was passed on from elsewhere does.
+    // A stop forwarded from another computer does need a token.
     let passed_on = [("X-Forwarded-For", "10.0.0.9")];
     assert_eq!(
         send(&server.at, &request("POST", "/api/v1/stop", &passed_on, "")).status,
@@ -339,7 +339,7 @@ fn the_page_is_one_file_that_loads_nothing_and_may_not_be_framed() {
     }
     let other = server.get("/");
     assert!(!other.body.contains(nonce), "each page has its own");
-    // Programs of the same user find it.
+    // Programs of the same user find the server by its plate.
     let plate = std::fs::read_to_string(bench.locks().join("serve.json")).expect("a plate");
     let plate: Value = serde_json::from_str(&plate).expect("JSON");
     assert_eq!(plate["token"], server.token.as_str());
@@ -419,7 +419,7 @@ fn a_request_that_is_repeated_is_executed_once() {
     let server = Server::start(&bench);
     let key = server.key();
     let body = json!({ "position_mm": 3 });
-    // All at once, as an impatient network does it.
+    // Send all at once, as an impatient network does.
     let answers: Vec<_> = thread::scope(|scope| {
         let all: Vec<_> = (0..8)
             .map(|_| scope.spawn(|| server.post_as(&key, "/api/v1/rig/move", &body)))
@@ -442,10 +442,10 @@ fn a_request_that_is_repeated_is_executed_once() {
         ),
         (Some("complete"), Some(3_000))
     );
-    // After its end, too.
+    // The same answer must come after the end of the move.
     let again = server.post_as(&key, "/api/v1/rig/move", &body);
     assert_eq!((again.status, &again.json()["action"]), (200, &ended));
-    // The key of one request is not that of another.
+    // A key belongs to one request and must not serve another.
     assert_eq!(
         server
             .post_as(&key, "/api/v1/rig/move", &json!({ "position_mm": 4 }))
@@ -456,7 +456,7 @@ fn a_request_that_is_repeated_is_executed_once() {
         server.post_as(&key, "/api/v1/rig/home", &json!({})).status,
         422
     );
-    // Without one, or with one from before a restart, nothing is executed.
+    // Without a key, or with one from before a restart, nothing is executed.
     for bad in [
         "",
         "x",
@@ -548,7 +548,7 @@ fn bad_input_is_refused_with_the_texts_of_the_command_line() {
     assert_eq!(plan["plan"]["achieved"]["edges"], 1_040_000);
 }
 
-/// The paper's run in a hundredth of its length.
+/// The paper's run, much shortened.
 fn short_run() -> Value {
     json!({ "cycles": 1, "stroke_mm": 20, "duration_s": 6, "note": "short" })
 }
@@ -562,7 +562,7 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     assert_eq!(begun.status, 202, "{}", begun.body);
     let action = begun.json()["action"].clone();
     assert_eq!(action["accepted"]["edges"], 32_000);
-    // Another one is refused, and says why.
+    // Another motion is refused with the reason.
     let busy = server.post("/api/v1/rig/home", &json!({}));
     assert_eq!(busy.status, 409);
     assert!(
@@ -579,14 +579,14 @@ fn a_run_is_held_resumed_recorded_and_followed() {
         "Held"
     );
     assert_eq!(server.post("/api/v1/rig/hold", &json!({})).status, 409);
-    // Other commands of the same user work beside it.
+    // Other commands of the same user work beside the server.
     let (code, out, err) = bench.retrograde(&["info", "rig"]);
     assert_eq!((code, out.contains("Held")), (Some(0), true), "{out}{err}");
     let (code, _, err) = bench.retrograde(&["home"]);
     assert_eq!(code, Some(3), "{err}");
     assert!(err.contains("serve"), "{err}");
     assert!(server.get("/api/v1/rig/health").json()["health"]["underruns"].is_u64());
-    // Those of the rig, and none that only a capsule has.
+    // Lists only the rig's settings.
     let settings = server.get("/api/v1/rig/settings").json();
     let names: Vec<_> = settings["settings"]
         .as_array()
@@ -616,7 +616,7 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     );
     let (rows, missed) = bench.telemetry();
     assert_eq!(missed, 0);
-    // The stream has told the same, each sample once and in order.
+    // The stream has reported the same, each sample once and in order.
     let told = stream.until(|event, data| {
         event == "action" && data["id"] == ended["id"] && data["state"] == "complete"
     });
@@ -668,7 +668,7 @@ fn a_browser_that_goes_away_stops_nothing_and_a_stop_ends_a_run() {
         state["machines"]["rig"]["position_um"].as_i64() > Some(2_000)
     });
     assert_eq!(bench.urgent(), []);
-    // The answer is there for whoever asks again.
+    // The answer stays available to a repeated request.
     let again = server.post_as(&key, "/api/v1/rig/run", &short_run());
     assert_eq!(again.status, 202, "{}", again.body);
     assert_eq!(bench.count("Run"), 1);
@@ -706,10 +706,10 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
             "complete"
         );
     };
-    // At rest.
+    // Emergency stop at rest.
     assert_eq!(estop().status, 200);
     acknowledge();
-    // While it homes, moves, jogs, runs and is held.
+    // Emergency stop while the rig homes, moves, jogs, runs and is held.
     for (path, body) in [
         ("rig/move", json!({ "position_mm": 100 })),
         ("rig/jog", json!({ "direction": "away" })),
@@ -747,7 +747,7 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
 #[test]
 fn a_jog_lives_on_renewals_alone() {
     let mut script = crate::support::bench::ready(DeviceKind::Rig);
-    // A busy computer may leave a browser, or a server, waiting for half a second.
+    // A busy computer may delay a browser or a server by half a second.
     script.settings.push((SettingKey::DeadManMs, 1_800));
     let bench = Bench::on_tcp_as(&script, 1);
     let server = Server::start(&bench);
@@ -774,13 +774,13 @@ fn a_jog_lives_on_renewals_alone() {
         thread::sleep(Duration::from_millis(40));
     }
     assert_eq!(rig_state(&server.state()), "Moving");
-    // Each renewal reaches the rig at most once, and nothing but renewals does.
+    // Each renewal reaches the rig at most once, and nothing else does.
     let passed_on = bench.count("Jog");
     assert!(
         passed_on > 5 && passed_on <= n as usize + 1,
         "{passed_on} of {n}"
     );
-    // One that comes again renews nothing.
+    // A repeated renewal renews nothing.
     let last = Instant::now();
     while server.state()["machines"]["rig"]["action"]["state"] == "under_way" {
         renew(n);
@@ -789,7 +789,7 @@ fn a_jog_lives_on_renewals_alone() {
     }
     let ended = server.end_of(&action);
     assert_eq!(ended["state"], "complete", "{ended}");
-    // None that comes later begins it again.
+    // A late renewal does not start the jog again.
     let jogs = bench.count("Jog");
     for late in 1..4 {
         assert_eq!(renew(n + late), 409);
@@ -802,7 +802,7 @@ fn a_jog_lives_on_renewals_alone() {
         .as_i64()
         .expect("a place");
     assert!((20_000..60_000).contains(&at_um), "{at_um}");
-    // A stop ends one at once, renewed or not.
+    // A stop ends a jog at once, renewed or not.
     let begun = server
         .post("/api/v1/rig/jog", &json!({ "direction": "home" }))
         .json();
@@ -827,7 +827,7 @@ fn a_jog_ends_when_the_server_is_killed() {
     assert_eq!(begun.status, 202, "{}", begun.body);
     server.child.kill().expect("mine");
     server.child.wait().expect("mine");
-    // Its own dead-man, 0.3 s, and the braking.
+    // Wait for the rig's own dead-man time, 0.3 s, and the braking.
     thread::sleep(Duration::from_secs(1));
     let log = bench.log.lock().expect("log");
     let on_us = log.driven_us.saturating_sub(log.heard_us);
@@ -855,7 +855,7 @@ fn it_gives_the_line_to_a_command_that_moves_and_shows_it() {
     server.until("the run", |state| {
         state["machines"]["rig"]["run"]["stroke"].is_u64()
     });
-    // What moves is for the owner; holding, resuming and stopping are not.
+    // Only the owner may start motions. Hold, resume and stop are open to others.
     let refused = server.post("/api/v1/rig/home", &json!({}));
     assert_eq!(refused.status, 409);
     assert!(
@@ -883,11 +883,11 @@ fn it_gives_the_line_to_a_command_that_moves_and_shows_it() {
         server.done("/api/v1/rig/home", &json!({}))["state"],
         "complete"
     );
-    // A stop of another process ends what this one moves.
+    // A stop from another process ends this server's motion.
     let begun = server.post("/api/v1/rig/run", &short_run()).json();
     assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
     assert_eq!(server.end_of(&begun["action"])["state"], "stopped");
-    // So does Ctrl-C, before the server ends.
+    // Ctrl-C ends it, too, before the server ends.
     assert_eq!(
         server.done("/api/v1/rig/home", &json!({}))["state"],
         "complete"
@@ -972,7 +972,7 @@ fn an_address_that_is_taken_and_a_bad_token_file_are_said() {
     assert_eq!(server.token, "0123456789abcdefghij");
 }
 
-/// A reader of the stream.
+/// A reader of the event stream.
 struct Events {
     from: BufReader<TcpStream>,
 }
@@ -989,7 +989,7 @@ impl Events {
         }
     }
 
-    /// All until this one.
+    /// Reads all events up to this one.
     fn until(&mut self, is: impl Fn(&str, &Value) -> bool) -> Vec<(String, Value)> {
         let (mut all, mut event) = (vec![], String::new());
         loop {

@@ -1,4 +1,4 @@
-//! The program on TCP in real time, and what the operator's keyboard does to it.
+//! The program on TCP in real time, and its reactions to the operator's keyboard.
 #![cfg(unix)]
 
 #[path = "../support/mod.rs"]
@@ -19,7 +19,7 @@ use simulated_machines::link::Peer;
 use simulated_machines::machine::pace::{MOST_LATE_US, Pace, TURN_US};
 use simulated_machines::machine::{Log, Machine, Script};
 
-/// Serves one connection at wall-clock pace.
+/// Serves one connection in real time.
 fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound"));
@@ -47,7 +47,7 @@ fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
     (address, log)
 }
 
-/// However slow the computer is, a machine that is asked is so far by then.
+/// Time after which even a slow computer has answered.
 const SOON: Duration = Duration::from_secs(60);
 
 fn wait_until(log: &Mutex<Log>, is_so: impl Fn(&Log) -> bool) {
@@ -58,8 +58,8 @@ fn wait_until(log: &Mutex<Log>, is_so: impl Fn(&Log) -> bool) {
     }
 }
 
-/// Starts a command, waits until the rig has executed `request` and 0.4 s more, sends `signals`; returns exit code,
-/// standard error, how long the end took by the machine's clock, what the machine was told.
+/// Starts a command, waits until the rig has executed `request` and 0.4 s more, then sends `signals`. Returns the
+/// exit code, standard error, the time to the end by the machine's clock, and the requests that the machine received.
 fn signalled(
     args: &[&str],
     request: &str,
@@ -109,7 +109,7 @@ fn each_of_the_three_signals_is_a_controlled_stop() {
             (Some(130), vec![Urgent::Stop]),
             "{signal:?}: {err}"
         );
-        // The run lasts 40 s.
+        // The run lasts 40 s, so it was cut short.
         assert!(took < Duration::from_secs(20), "{signal:?}: {took:?}");
     }
 }
@@ -124,12 +124,12 @@ fn a_jog_or_a_move_that_the_operator_stops_says_so() {
         assert_eq!(code, Some(130), "{args:?}: {err}");
         assert_eq!(urgent.first(), Some(&Urgent::Stop), "{args:?}");
         assert!(err.contains("stopped"), "{args:?}: {err}");
-        // Either motion lasts more than 25 s.
+        // Both motions last more than 25 s, so they were cut short.
         assert!(took < Duration::from_secs(20), "{args:?}: {took:?}");
     }
 }
 
-/// A line is typed as soon as the machine has executed this, and so long after it by the machine's clock, us.
+/// A line of input: typed once the machine has executed this request, after this many us of the machine's clock.
 type Typed = (&'static str, u64, &'static str);
 
 struct Keyboard {
@@ -193,7 +193,7 @@ fn a_key_holds_the_run_and_another_resumes_it() {
         String::from_utf8_lossy(&err).into_owned(),
     );
     assert_eq!(code, 0, "{out}{err}");
-    // The hint, and that the board was not commissioned.
+    // The hint, and the warning that the board was not commissioned.
     assert_eq!(err.lines().count(), 2, "{err}");
     assert!(err.contains("h and Enter"), "{err}");
     assert_eq!(out.matches("  held at ").count(), 1, "{out}");
@@ -201,11 +201,11 @@ fn a_key_holds_the_run_and_another_resumes_it() {
     let log = log.lock().expect("log");
     let count = |name| log.executed.iter().filter(|seen| **seen == name).count();
     assert_eq!((count("Hold"), count("Resume")), (1, 1));
-    // Two seconds of motion, and one and a half in which it was held.
+    // Two seconds of motion and one and a half on hold.
     assert!(log.now_us > 3_500_000, "{out}");
 }
 
-/// A computer that freezes makes the machine slow; it does not make the host silent.
+/// A computer that freezes slows the machine down. It must not look like a silent host.
 #[test]
 fn the_scripted_machines_clock_never_jumps() {
     let mut pace = Pace::new(12);

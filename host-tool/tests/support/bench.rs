@@ -24,15 +24,15 @@ use simulated_machines::machine::{Log, Machine, Script};
 /// Bytes kept for a reader at a port: some seconds of telemetry.
 const LONGEST_FREEZE: usize = 16 * 1024;
 
-/// The line of a machine: puts out bytes, and takes those that have arrived.
+/// The machine's end of a line: sends bytes and takes those that have arrived.
 type Carry = Box<dyn FnMut(&[u8], &mut [u8]) -> usize + Send>;
 
-/// A machine that another host has made ready.
+/// A machine that another host has already made ready.
 pub fn ready(kind: DeviceKind) -> Script {
     let mut script = Script::new(kind);
     script.ready = true;
     if kind == DeviceKind::Rig {
-        // A busy computer may stop the tool for a second, and the run is not to end for that.
+        // A busy computer may freeze the tool for a second, which must not end the run.
         script.settings = vec![(SettingKey::LinkTimeoutMs, 30_000)];
     }
     script
@@ -44,19 +44,19 @@ pub struct Bench {
     pub address: String,
     pub log: Arc<Mutex<Log>>,
     pub folder: tempfile::TempDir,
-    /// Number of connections so far, on TCP.
+    /// Number of connections on TCP so far.
     pub connections: Arc<Mutex<u32>>,
-    /// The machine is switched off with the last of these.
+    /// Dropping the last of these switches the machine off.
     power: Arc<()>,
 }
 
 impl Bench {
-    /// On TCP, for the latest connection.
+    /// On TCP; serves only the latest connection.
     pub fn on_tcp(kind: DeviceKind) -> Self {
         Self::on_tcp_as(&ready(kind), 1)
     }
 
-    /// On TCP, as this script says, so many times as fast as real time.
+    /// On TCP with this script, at `speed` times real time.
     pub fn on_tcp_as(script: &Script, speed: u32) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let address = format!("tcp:{}", listener.local_addr().expect("bound"));
@@ -198,7 +198,7 @@ impl Bench {
         read(self.command(args).output().expect("starts"))
     }
 
-    /// A run that goes on in another process.
+    /// Starts a run in another process.
     pub fn run(&self, more: &[&str]) -> Child {
         let child = self
             .command(&[&["run"], more].concat())
@@ -230,7 +230,7 @@ impl Bench {
         *self.connections.lock().expect("free")
     }
 
-    /// The sidecar of the one trial.
+    /// Sidecar of the only trial.
     pub fn trial(&self) -> Value {
         let folder = self.folder.path().join("retrograde-data");
         let files: Vec<_> = std::fs::read_dir(folder)
@@ -243,7 +243,7 @@ impl Bench {
         serde_json::from_slice(&text).expect("JSON")
     }
 
-    /// The rows of its telemetry, and how many samples are missing between them.
+    /// Number of rows in its telemetry, and of samples missing between them.
     pub fn telemetry(&self) -> (usize, u32) {
         let folder = self.folder.path().join("retrograde-data");
         let csv = std::fs::read_dir(folder)
@@ -271,9 +271,9 @@ pub fn read(output: Output) -> (Option<i32>, String, String) {
     )
 }
 
-/// The same command, with files of at most so many bytes: the system refuses to write more, as on a full disk.
+/// The same command with a limit on file sizes: the system refuses to write more, as on a full disk.
 pub fn with_little_space(command: &Command, bytes: u32) -> Command {
-    // Without the trap the system would end the process.
+    // Without the trap, the system would kill the process.
     let script = format!(
         "trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"",
         bytes / 512

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-/// Writes the file: these sections, and the bodies' coupling, friction ratio, preload and discrepancy.
+/// Writes the file: the given sections, and each body's coupling, friction ratio, preload and discrepancy.
 pub fn posterior(path: &Path, sections: &str, samples: &[[f64; 4]]) -> String {
     let text = |sample: &[f64; 4]| format!("{sample:?}");
     let samples: Vec<_> = samples.iter().map(text).collect();

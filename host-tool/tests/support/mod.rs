@@ -1,5 +1,5 @@
-//! What several tests of the program need.
-// Each group of tests uses a part of it.
+//! Shared by the groups of tests.
+// Each group uses only a part of it.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
 #[cfg(unix)]

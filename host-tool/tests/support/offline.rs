@@ -1,4 +1,4 @@
-//! The command line in this process, with nobody at the terminal.
+//! The command line in this process, without a person at the terminal.
 
 use host_tool::cli::run_on;
 use operations::connector::Ports;

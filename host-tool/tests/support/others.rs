@@ -1,4 +1,4 @@
-//! What is at the other end of a line and no machine.
+//! Things other than machines at the end of a line.
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::thread;
@@ -35,7 +35,7 @@ pub fn echo(mut stream: TcpStream) {
 }
 
 pub fn web(mut stream: TcpStream) {
-    // Answers what is no request, and ends.
+    // Answers anything that is not a request, and closes.
     let _ = stream.read(&mut [0; 256]);
     let _ = stream.write_all(b"HTTP/1.1 400 Bad Request\r\nConnection: close\r\n\r\n");
 }
@@ -60,7 +60,7 @@ pub fn other_baud(mut stream: TcpStream) {
     read_on(stream);
 }
 
-/// Sends what a machine sends, and hears nothing.
+/// Sends like a machine and hears nothing.
 pub fn deaf(mut stream: TcpStream) {
     use protocol::frame::{Header, Kind, encode};
     use protocol::system::Urgent;

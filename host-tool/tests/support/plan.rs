@@ -1,7 +1,7 @@
-//! The paper's plan with other words in some places, each of which has to be there.
+//! The paper's plan with replacements. Each replaced text must occur in it.
 pub const PAPER: &str = include_str!("../../../examples/paper.toml");
 
-/// Trials of one kind only, with these changes on top.
+/// Changes for trials of a single kind.
 pub const ONE_CONDITION: [(&str, &str); 4] = [
     ("cycles = 5", "cycles = 1"),
     (r#"["dry", "lubricated"]"#, r#"["dry"]"#),

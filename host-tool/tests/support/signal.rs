@@ -1,4 +1,4 @@
-//! Signals to other processes, without a program that a small machine may not have.
+//! Sends signals to other processes, without an external program that a small machine may lack.
 
 pub use rustix::process::Signal;
 use rustix::process::{Pid, kill_process};

@@ -1,4 +1,4 @@
-//! A pseudo-terminal with a program in it: what it shows, and whether the program leaves it as it was.
+//! A pseudo-terminal with a program in it. Shows its screen, and whether the program restores it.
 use std::fs::File;
 use std::io::{Read, Write};
 use std::os::fd::AsFd;
@@ -14,25 +14,25 @@ use rustix::termios::{Termios, Winsize, tcgetattr, tcsetwinsize};
 
 use crate::support::signal::{Signal, kill};
 
-/// However slow the computer is, it is there by then.
+/// Time after which even a slow computer has shown it.
 const SOON: Duration = Duration::from_secs(60);
 
-/// So long after the end of a program may its last words take to the screen.
+/// Time that a program's last output may take to the screen after its end.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
 
-/// What ends a program in a terminal.
+/// Ways to end a program in a terminal.
 #[derive(Clone, Copy, Debug)]
 pub enum End {
     Key(&'static str),
     Signal(Signal),
 }
 
-/// A terminal, and a program in it.
+/// A terminal with a program in it.
 pub struct Terminal {
     master: File,
     slave: File,
     pub screen: Arc<Mutex<vt100::Parser>>,
-    /// All that was written to it.
+    /// All bytes that the program has written.
     pub bytes: Arc<Mutex<Vec<u8>>>,
     before: Termios,
     pub child: Child,
@@ -65,16 +65,16 @@ impl Terminal {
         }
     }
 
-    /// Starts a program in a terminal that goes away, as a window that is closed.
+    /// Starts a program in a terminal that then disappears, like a closed window.
     pub fn lost(mut command: Command) -> Child {
         let (mut master, slave) = open();
         resize(master.as_fd(), 80, 24);
         let child = in_session(&mut command, &slave);
-        // What the command holds of the terminal goes with it.
+        // Close the command's handles of the terminal, too.
         drop((command, slave));
         let written = master.read(&mut [0; 100]).expect("something");
         assert!(written > 0);
-        // It is waiting for keys by then.
+        // By then the program waits for keys.
         thread::sleep(Duration::from_secs(1));
         child
     }
@@ -104,7 +104,7 @@ impl Terminal {
         }
     }
 
-    /// Waits until a row, from 0, has this text.
+    /// Waits until this row, counted from 0, contains this text.
     pub fn wait_for_row(&mut self, row: usize, text: &str) {
         let begin = Instant::now();
         loop {
@@ -140,7 +140,7 @@ impl Terminal {
         resize(self.master.as_fd(), columns, rows);
     }
 
-    /// Waits for the end; the terminal must be what it was.
+    /// Waits for the end and asserts that the terminal is restored.
     pub fn ends_restored(mut self) -> Option<i32> {
         let begin = Instant::now();
         let status = loop {
@@ -167,7 +167,7 @@ impl Terminal {
         status.code()
     }
 
-    /// Waits until all that the program wrote has been read: a terminal keeps the order, so a mark comes last.
+    /// Waits until all output of the program has been read: a terminal keeps the order, so a mark arrives last.
     fn read_to_the_end(&self) {
         const MARK: &[u8] = b"\x1b]2;end\x07";
         (&self.slave).write_all(MARK).expect("a terminal");
@@ -185,7 +185,7 @@ impl Terminal {
         }
     }
 
-    /// The normal screen, with its cursor and colours.
+    /// The normal screen is shown, with its cursor and colours.
     fn is_as_before(&self) -> bool {
         let screen = self.screen.lock().expect("free");
         let screen = screen.screen();
@@ -206,10 +206,10 @@ fn resize(terminal: std::os::fd::BorrowedFd<'_>, columns: u16, rows: u16) {
     tcsetwinsize(terminal, size).expect("set");
 }
 
-/// A new terminal: its two ends.
+/// Opens a new terminal and returns both ends.
 fn open() -> (File, File) {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
-    // A program that held both ends would never see the other one go.
+    // A program that held both ends would never see the other one close.
     fcntl_setfd(&master, FdFlags::CLOEXEC).expect("set");
     grantpt(&master).expect("mine");
     unlockpt(&master).expect("mine");
@@ -219,7 +219,7 @@ fn open() -> (File, File) {
     (File::from(master), slave.expect("a terminal"))
 }
 
-/// Starts the program with the terminal as its controlling one, in its foreground.
+/// Starts the program in the foreground, with this as its controlling terminal.
 fn in_session(command: &mut Command, slave: &File) -> Child {
     let end = || Stdio::from(slave.try_clone().expect("one more"));
     command

@@ -26,12 +26,12 @@ impl Memory {
         }
     }
 
-    /// Runs a command line without a keyboard; exit code, output, errors.
+    /// Runs a command line without a keyboard. Returns exit code, output and errors.
     pub fn run(&self, args: &[&str]) -> (u8, String, String) {
         self.run_with(args, None)
     }
 
-    /// Runs a command line at whose keyboard this is typed.
+    /// Runs a command line with this typed at its keyboard.
     pub fn run_typed(&self, args: &[&str], typed: &'static str) -> (u8, String, String) {
         self.run_with(args, Some(Box::new(typed.as_bytes())))
     }
@@ -96,7 +96,7 @@ impl Connector for Memory {
     }
 }
 
-/// Homed or referenced already.
+/// A machine that is already homed or referenced.
 pub fn ready(kind: DeviceKind) -> Script {
     Script {
         ready: true,

@@ -1,4 +1,4 @@
-//! Keys of `run` in a terminal, which is compared before and after.
+//! Keys of `run` in a terminal, whose state is compared before and after.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -29,14 +29,14 @@ fn single_keys_hold_resume_and_stop_a_run() {
     terminal.wait_for("held at");
     terminal.press("r");
     terminal.wait_for("resumed");
-    // Another key says which there are.
+    // An unknown key shows the list of keys.
     terminal.press("x");
     let begin = Instant::now();
     while terminal.text().matches("h holds the run").count() < 2 {
         assert!(begin.elapsed().as_secs() < 60, "{}", terminal.text());
     }
     assert_eq!((bench.count("Hold"), bench.count("Resume")), (1, 1));
-    // Pressed again while it brakes, it is no emergency stop.
+    // Pressing it again while the rig brakes must not become an emergency stop.
     terminal.press("sss");
     assert_eq!(terminal.ends_restored(), Some(130));
     let urgent = bench.urgent();
@@ -69,7 +69,7 @@ fn the_terminal_is_restored_however_the_run_ends() {
     ];
     let terminal = Terminal::start(bench.command(&short), 80, 24);
     assert_eq!(terminal.ends_restored(), Some(0));
-    // Refused by the rig.
+    // The rig refuses the run.
     assert_eq!(bench.retrograde(&["estop"]).0, Some(0));
     assert_eq!(bench.retrograde(&["ack"]).0, Some(0));
     let terminal = Terminal::start(bench.command(&RUN), 80, 24);
@@ -100,7 +100,7 @@ fn ctrl_c_after_the_key_is_the_emergency_stop() {
         let mut terminal = Terminal::start(bench.command(&SLOWLY), 80, 24);
         terminal.wait_for("stroke 1 of 2");
         std::thread::sleep(Duration::from_millis(1_500));
-        // A bar of two lines would wipe what is printed above it.
+        // A bar of two lines would wipe the text above it.
         let bar = |text: &str| text.lines().position(|line| line.contains("stroke 1 of 2"));
         let shown = terminal.text();
         assert_eq!(bar(&shown), Some(shown.lines().count() - 1), "{shown}");
@@ -112,7 +112,7 @@ fn ctrl_c_after_the_key_is_the_emergency_stop() {
         let code = terminal.ends_restored();
         let took = braking.elapsed();
         if code == Some(130) && attempt < 3 {
-            // The computer may have stood still for as long as the rig brakes: once, that shows nothing.
+            // Repeat if the computer stood still for as long as the rig brakes: that shows nothing.
             assert_eq!(bench.retrograde(&["home"]).0, Some(0));
             continue;
         }
@@ -125,8 +125,8 @@ fn ctrl_c_after_the_key_is_the_emergency_stop() {
     }
 }
 
-/// The rig may stand already when the emergency stop comes. Then the run was stopped, but the position is lost all the same, and
-/// what is printed last has to say so.
+/// An emergency stop when the rig already stands: the run was stopped, but the position is lost all the same. The
+/// last line must say so.
 #[test]
 fn an_emergency_stop_after_the_stop_is_told() {
     let bench = Bench::on_tcp(DeviceKind::Rig);

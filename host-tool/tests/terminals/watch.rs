@@ -1,4 +1,5 @@
-//! `watch` at a machine in real time: through a pseudo-terminal, which is compared before and after, and without one.
+//! `watch` at a machine in real time: in a pseudo-terminal, whose state is compared before and after, and without
+//! one.
 
 use std::io::{BufRead, BufReader};
 use std::process::Command;
@@ -41,7 +42,7 @@ fn a_run_of_another_process_is_seen_held_resumed_and_stopped_by_keys() {
     terminal.press("r");
     terminal.wait_for("rig: resumed");
     terminal.wait_for("RUNNING");
-    // What the rig refuses is told.
+    // A refusal of the rig is shown.
     terminal.press("r");
     terminal.wait_for("not resumed: no run is held");
     assert_eq!(bench.connections(), 1);
@@ -67,7 +68,7 @@ fn a_key_is_an_emergency_stop_and_the_fault_is_shown_with_its_remedy() {
     terminal.wait_for("FAULTED");
     terminal.wait_for("acknowledge with `retrograde ack`");
     terminal.wait_for("FAULT: emergency stop by command");
-    // The watch goes on and serves others, also after a stop.
+    // The watch continues and serves others, even after a stop.
     let (code, _, err) = bench.retrograde(&["ack"]);
     assert_eq!(code, Some(0), "{err}");
     terminal.wait_for("UNHOMED");
@@ -91,7 +92,7 @@ fn the_terminal_is_restored_however_it_ends() {
     assert_eq!(bench.urgent(), []);
 }
 
-/// A window is closed: nobody is left to press a key, and the line must not stay taken.
+/// After its window has been closed, no key can end the watch, and it must not keep the line.
 #[test]
 fn a_watch_whose_terminal_is_gone_ends() {
     let bench = Bench::at_a_port(DeviceKind::Rig);
@@ -107,7 +108,7 @@ fn a_watch_whose_terminal_is_gone_ends() {
     assert_eq!(bench.retrograde(&["info"]).0, Some(0));
 }
 
-/// The program of the next test.
+/// The program that the next test runs.
 #[test]
 #[ignore = "run by the next test in a terminal"]
 fn panics_in_a_terminal() {
@@ -130,7 +131,7 @@ fn the_terminal_is_restored_before_the_message_of_a_panic() {
     ]);
     let mut terminal = Terminal::start(program, 80, 24);
     let shown = terminal.wait_for("once more");
-    // On the usual screen, where it stays.
+    // The message is on the normal screen, where it stays.
     assert!(shown.contains("on purpose"), "{shown}");
     assert!(
         !terminal
@@ -216,9 +217,9 @@ fn a_watch_gives_the_line_up_for_a_command_that_moves_and_looks_on() {
     let owner = format!("through process {} (`retrograde run", run.id());
     terminal.wait_for(&owner);
     other.wait_for(&owner);
-    // How it ends is no matter here.
+    // Its result does not matter here.
     run.wait_with_output().expect("ends");
-    // One of the two owns it again.
+    // One of the two must own the line again.
     let begin = Instant::now();
     while [&terminal, &other]
         .iter()
@@ -252,7 +253,7 @@ fn without_a_terminal_it_prints_lines_until_nobody_reads() {
         }
         assert!(begin.elapsed() < Duration::from_secs(60), "{line}");
     }
-    // Whoever closes the pipe has seen enough.
+    // A closed pipe ends the watch without an error.
     drop(out);
     assert_eq!(child.wait().expect("ends").code(), Some(0));
     assert_eq!(bench.urgent(), []);
