@@ -248,6 +248,7 @@ fn is_for_the_rig(request: &Request) -> bool {
             | Request::GetSetting(_)
             | Request::SetSetting(_)
             | Request::GetRigHealth(_)
+            | Request::GetRigHardware(_)
     )
 }
 
@@ -290,6 +291,7 @@ fn every_row_of_the_table_is_answered_by_its_response_or_refused() {
             name: "capsule".try_into().unwrap(),
         }),
         Request::GetRigHealth(rig::GetRigHealth),
+        Request::GetRigHardware(rig::GetRigHardware),
         Request::GetChip(system::GetChip),
         Request::Calibrate(Calibrate),
         Request::CheckFolded(CheckFolded),

@@ -8,7 +8,7 @@
 //!
 //! * A stop is written to the line at once by the door's own thread, whatever the owner is doing.
 //! * Reading, holding, resuming and acknowledging are questions. The owner sends them between two requests of its own,
-//! in its own session, so that nothing is executed twice and the owner's requests keep their answers.
+//!   in its own session, so that nothing is executed twice and the owner's requests keep their answers.
 //! * Telemetry and events are passed on as they come.
 //! * Everything else is for the owner alone: motion, writing settings, the interval of telemetry.
 //!
