@@ -270,7 +270,7 @@ fn readers(rig: &Rig, server: &mut Server) -> Result<String, DoorError> {
         resident as f64 / 1_024.0,
         most as f64 / 1_024.0,
     );
-    // A reader's data and reported losses add up, but at the very end some readers may get one portion more.
+    // Samples received plus losses reported must be the same for each reader, but for one portion at the very end.
     let spread = all.iter().max().zip(all.iter().min());
     let told = spread.is_some_and(|(most, least)| most - least < 40);
     let exact = (driven, counted, missed) == (1_040_000, 1_040_000, 0);

@@ -101,7 +101,7 @@ impl CapsuleRun {
         assert_eq!(record.outcome, ActuationOutcome::Complete, "{}", self.log());
     }
 
-    /// So long with nothing to do but to keep the link.
+    /// Lets time pass while the host keeps the link alive.
     pub(crate) fn idle(&mut self, us: u64) {
         self.device
             .idle(us, &mut Unobserved)
@@ -316,9 +316,8 @@ fn a_jam_is_found_where_it_is_and_latched() {
     capsule.check_clean();
 }
 
-/// So many seeded capsules of each kind, one board after the other.
-/// That the folded thread did not pull was hidden by the current that starts a motor, or by the pauses after brakes, in which no
-/// reading counts. The late jam pulled hardest.
+/// Seeded cases that the image once missed. The current that starts a motor, or the pauses after brakes, in which no
+/// reading counts, hid that the folded thread did not pull. The late jam pulled hardest.
 #[test]
 fn what_the_image_once_missed_is_named() {
     let mut workbench = Workbench::new().expect("the image boots");
@@ -337,6 +336,7 @@ fn what_the_image_once_missed_is_named() {
     }
 }
 
+/// Tries seeded capsules of each of `kinds`, one after the other on the same board.
 fn are_named_rightly(kinds: &[Kind]) {
     let mut workbench = Workbench::new().expect("the image boots");
     for seed in 0..trials(1, population::CASES) {
