@@ -6,7 +6,7 @@
 //! | sequence of instructions, interrupts included | exact: the emulator's, one by one |
 //! | cycles of each instruction without waiting (ARM DDI 0439, section 3.3) | exact, but for those below |
 //! | refill of the pipeline after a branch | between 1 and 3 |
-//! | division | between 2 and 12; its operands are not looked at |
+//! | division | between 2 and 12; its operands are ignored |
 //! | a load behind a load or store | 1 to 2: their phases overlap or not |
 //! | entry into an interrupt and return | between 22 and 34, a wait for its vector included |
 //! | flash as FLASH_ACR sets it: lines, order, wait states (RM0383 section 3.4) | exact; two readings where it is silent |
@@ -15,8 +15,9 @@
 //! | registers on APB1, APB2, AHB, in the core | bounds: 2 to 8, 1 to 4, 0 to 2, 0 to 1 cycles more |
 //! | DMA's share of the bus | at most 2 cycles per transfer, six transfers per step: a slot and a captured instant |
 //! | the bytes of the serial line, the same way | ignored: 11,520 a second at most, 0.02 % |
-//! //! The share of the processor's time is that of its 100 MHz. A board has the last word: its cycle counter is read
-//! by the on-target tests.
+//!
+//! Shares of the processor's time refer to its 100 MHz. A board has the last word: the on-target tests read its cycle
+//! counter.
 
 mod core;
 mod replay;

@@ -43,7 +43,7 @@ pub enum CaseError {
         kind: Kind,
         /// The capsule.
         seed: u64,
-        /// What the image did wrong.
+        /// The image's mistake.
         what: String,
     },
 }

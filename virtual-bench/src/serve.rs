@@ -48,9 +48,9 @@ impl Server {
             .map_or(0, |address| address.port())
     }
 
-    /// Lets the machine called `name` live in real time forever, for one client at a time: the latest to connect. Connecting and
-    /// disconnecting have no effect on the machine. While `plug` is out there is no client, and what the machine sends is
-    /// lost.
+    /// Runs the machine called `name` in real time forever, for one client at a time: the latest to connect. Connecting
+    /// and disconnecting have no effect on the machine. While `plug` is out there is no client, and the machine's bytes
+    /// are lost.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the machine is gone.

@@ -131,7 +131,7 @@ impl Ring {
         mine.then_some(token % 2 == 1)
     }
 
-    /// Which of the stream's registers `register` is.
+    /// The register's position among those of the stream, if it is one of them.
     pub(super) fn row(&self, register: Register) -> Option<Row> {
         let nth = register
             .index()

@@ -18,7 +18,7 @@ pub enum Fault {
     Lose,
 }
 
-/// Which captured instants are kept from DMA.
+/// State of a fault that keeps a captured instant from DMA.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Keeping {
     /// Nothing.
