@@ -17,7 +17,8 @@ use rigless::time::VirtualNanos;
 
 use super::spare::{self, Program, Usable};
 
-/// Addresses that signal falling asleep and waking: EXTI_IMR and EXTI_EMR, which no instruction of the firmware reads.
+/// Addresses whose reads signal falling asleep and waking: EXTI_IMR and EXTI_EMR. The bell's reads have no program
+/// counter, unlike those of the firmware.
 const SLEEP_AT: u64 = 0x4001_3C00;
 const WAKE_AT: u64 = 0x4001_3C04;
 
