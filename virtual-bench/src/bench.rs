@@ -1,10 +1,11 @@
-//! One machine on the bench: the emulator on a thread of its own, in lock-step with whoever drives it.
+//! One machine on the bench: the emulator on its own thread, in lock-step with the client that drives it.
 //!
 //! Virtual time passes only on request: in the `receive` of [`crate::link::VirtualLink`] or in [`Bench::advance_us`].
 //! Between two such calls the machine is paused, and [`Bench::visit`] may inspect and change it. Nothing depends on the
 //! wall clock or on how the host schedules its threads.
 //!
-//! The exception is a machine that is served: it lives in real time, on its own thread, until its last handle is gone.
+//! The exception is a machine that is served: it runs in real time, on its own thread, until its last handle is
+//! dropped.
 
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -42,7 +43,7 @@ pub enum BenchError {
     BadImage {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Why it is unusable.
         why: String,
     },
     /// The emulator could not start or failed.
@@ -63,7 +64,7 @@ pub enum BenchError {
 pub struct BenchOptions {
     /// The chip.
     pub chip: ChipOptions,
-    /// Interval at which the machine may stop for its client, us. Bytes wait for the next such instant.
+    /// Interval at which the machine can stop for its client, us. Bytes wait for the next such instant.
     pub quantum_us: u64,
     /// The firmware image (ELF).
     pub image: PathBuf,
@@ -129,13 +130,13 @@ impl<W: Wiring> Visit<'_, W> {
         self.serial.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// What the firmware has logged so far.
+    /// The firmware's log so far.
     #[must_use]
     pub fn log(&self) -> Log {
         self.tap.log()
     }
 
-    /// What the firmware has accessed that the emulator or the chip does not have.
+    /// Accesses of the firmware to anything that the emulator or the chip lacks.
     #[must_use]
     pub fn bus(&self) -> BusReport {
         BusReport::of(self.session)
@@ -146,8 +147,8 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().flash_operations()
     }
 
-    /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up): from then on it does
-    /// not change. [`Bench::power_cycle`] cuts the supply of the rest.
+    /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up). The flash does not
+    /// change after that. [`Bench::power_cycle`] cuts the supply of the rest.
     pub fn cut_flash(&mut self, at: CutAt, operation: u64) {
         self.session.board_mut().cut_flash(at, operation);
     }
@@ -168,7 +169,7 @@ impl<W: Wiring> Visit<'_, W> {
         emulator.overwrite(address, code, self.host);
     }
 
-    /// From now on the step timer's bursts take so long. To be called while none is under way.
+    /// Sets the duration of the step timer's bursts. Call it while no burst is under way.
     ///
     /// # Panics
     /// On a machine that was started without [`ChipOptions::burst`].
@@ -181,13 +182,13 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().set_supply_mv(millivolts);
     }
 
-    /// The 8 MHz clock from the ST-LINK stops, and comes back after so long, or never.
+    /// Stops the 8 MHz clock of the ST-LINK; it returns after `back_after_ns`, or never.
     pub fn fail_hse(&mut self, back_after_ns: Option<u64>) {
         let at = self.stop.at;
         self.session.board_mut().fail_hse(at, back_after_ns);
     }
 
-    /// Keeps the processor from executing anything for a while. Timers and DMA go on.
+    /// Keeps the processor from executing anything for `duration_us`. Timers and DMA go on.
     pub fn hold_up(&mut self, duration_us: u64) {
         let at = self.stop.at;
         let emulator = self.session.board_mut();
@@ -200,7 +201,7 @@ impl<W: Wiring> Visit<'_, W> {
             .reset_by_pin(self.stop.at, self.stop.instruction_count, self.host);
     }
 
-    /// The peripheral register at `address`, read without side effects; `None` where there is none.
+    /// The peripheral register at `address`, read without side effects; `None` if there is no register.
     pub fn register(&mut self, address: u32) -> Option<u32> {
         let at = self.stop.at;
         let mcu = self.session.mcu();
@@ -208,7 +209,7 @@ impl<W: Wiring> Visit<'_, W> {
         value.ok().map(|value| value as u32)
     }
 
-    /// The word at `address` in memory; `None` where there is no memory.
+    /// The word at `address` in memory; `None` if there is no memory.
     pub fn word(&mut self, address: u32) -> Option<u32> {
         let word = self.host.read(u64::from(address), rigless::soc::Width::W32);
         word.ok().map(|word| word as u32)
@@ -217,16 +218,16 @@ impl<W: Wiring> Visit<'_, W> {
 
 type Visitor<W> = Box<dyn FnOnce(&mut Visit<'_, W>) + Send>;
 
-/// What a machine that lives in real time is connected to.
+/// The outside world of a machine that runs in real time.
 pub(crate) trait Outside<W>: Send {
-    /// The machine has run for a piece: it has sent `bytes`, and has lost so much time in all.
+    /// The machine has run for one turn and sent `bytes`. In all it has lost `lost_us` of real time.
     fn turn(&mut self, board: &W, bytes: &[u8], lost_us: u64);
 
     /// The computer was too slow for the machine.
     fn fell_behind(&mut self, slow: Slow);
 }
 
-/// A machine's life in real time.
+/// State of a machine that runs in real time.
 struct Life<W> {
     began: Instant,
     pace: Pace,
@@ -239,19 +240,19 @@ impl<W> Life<W> {
     }
 }
 
-/// Gives a machine that lives in real time what comes for it.
+/// Passes input to a machine that runs in real time.
 pub(crate) struct Ear<W: Wiring>(Sender<Job<W>>);
 
 impl<W: Wiring> Ear<W> {
-    /// Wakes the machine for these bytes. False if it is gone.
+    /// Wakes the machine with these bytes. Returns false if it is gone.
     pub(crate) fn hear(&self, bytes: Vec<u8>) -> bool {
         self.0.send(Job::Hear(bytes)).is_ok()
     }
 }
 
 enum Job<W: Wiring> {
-    /// Put `bytes` on the line and run to `until_ns`; with `eager`, only until the machine has sent a whole frame: there is
-    /// nothing that the host could do with part of one.
+    /// Put `bytes` on the line and run to `until_ns`. With `eager`, stop as soon as the machine has sent a whole frame;
+    /// the host has no use for part of one.
     Run {
         until_ns: u64,
         eager: bool,
@@ -262,9 +263,9 @@ enum Job<W: Wiring> {
     PowerCycle {
         off_ns: u64,
     },
-    /// Live in real time from now on.
+    /// Run in real time from now on.
     Live(Box<dyn Outside<W>>),
-    /// Put these bytes on the line of a machine that lives in real time.
+    /// Put these bytes on the line of a machine that runs in real time.
     Hear(Vec<u8>),
 }
 
@@ -283,20 +284,20 @@ struct Conductor<W: Wiring> {
     until_ns: u64,
     eager: bool,
     epoch_ns: u64,
-    /// Number of resets since power-up that were handled.
+    /// Resets since power-up that were handled.
     resets: usize,
-    /// The flash to start again from, and when, after a cut of the supply.
+    /// After a cut of the supply: the flash to restart from, and when.
     power_cycle: Option<(Vec<u8>, u64)>,
     life: Option<Life<W>>,
 }
 
-/// What comes after a job.
+/// The next action after a job.
 enum After {
-    /// The next job.
+    /// Wait for the next job.
     Wait,
-    /// The machine runs.
+    /// Run the machine.
     Run,
-    /// The emulator ends.
+    /// End the emulator.
     End,
 }
 
@@ -378,7 +379,7 @@ impl<W: Wiring> Conductor<W> {
                 bytes,
             } => {
                 self.line().put(&bytes);
-                // A machine that lives in real time lets nobody else push its clock.
+                // Only real time moves the clock of a machine that runs in real time.
                 if until_ns <= now_ns || self.life.is_some() {
                     let bytes = self.line().take();
                     let at_ns = now_ns;
@@ -433,8 +434,8 @@ impl<W: Wiring> Conductor<W> {
         }
     }
 
-    /// The end of a piece of a machine's life in real time: hands out what it has sent, and waits for its next piece or for
-    /// whatever comes first. Answers when the machine is to stop next.
+    /// Ends a turn of a machine that runs in real time: hands out the bytes sent, and waits for the next turn or for a
+    /// job. Returns when the machine must stop next.
     fn live(
         &mut self,
         session: &mut Session<Emulator<W>>,
@@ -454,7 +455,7 @@ impl<W: Wiring> Conductor<W> {
         life.outside.turn(board, &sent, lost_us);
         let mut waited = None;
         loop {
-            // All that has come by now, first.
+            // First handle every job that has arrived.
             while let Some(job) = waited.take().or_else(|| self.jobs.try_recv().ok()) {
                 match self.carry_out(job, session, stop, host, now_ns) {
                     After::Wait => {}
@@ -470,7 +471,7 @@ impl<W: Wiring> Conductor<W> {
             }
             match turn {
                 Turn::Run(until_us) => {
-                    // Pieces are as short as the line needs them: no stop in between.
+                    // Turns are short enough for the line, so no stop is needed in between.
                     self.until_ns = until_us * 1_000;
                     return Some(VirtualNanos(self.until_ns - self.epoch_ns));
                 }
@@ -484,7 +485,7 @@ impl<W: Wiring> Conductor<W> {
     }
 }
 
-/// Runs a machine until its client is gone. The error says why it ended otherwise.
+/// Runs a machine until its client is gone. The error tells why it ended otherwise.
 fn conduct<W: Wiring>(
     mut wiring: W,
     options: &BenchOptions,
@@ -671,7 +672,7 @@ impl<W: Wiring> Bench<W> {
         self.cable().now_ns
     }
 
-    /// Lets `us` of virtual time pass. What the machine sends during that time is kept for the link.
+    /// Lets `us` of virtual time pass. Bytes that the machine sends meanwhile are kept for the link.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
@@ -699,8 +700,8 @@ impl<W: Wiring> Bench<W> {
             .map_err(|_| BenchError::Ended("the visit did not answer".into()))
     }
 
-    /// Lets the machine live in real time from now on, connected to `outside`, which is dropped when the machine ends. Nothing but
-    /// visits and cuts of the supply goes to it any more except through the ear.
+    /// Runs the machine in real time from now on, connected to `outside`, which is dropped when the machine ends. After
+    /// this only visits, power cuts and bytes through the ear reach the machine.
     pub(crate) fn live(&self, outside: Box<dyn Outside<W>>) -> Result<Ear<W>, BenchError> {
         let mut cable = self.cable();
         cable.ask(Job::Live(outside))?;
@@ -725,7 +726,7 @@ impl<W: Wiring> Bench<W> {
         self.visit(|visit| visit.reset())
     }
 
-    /// What the firmware has logged so far.
+    /// The firmware's log so far.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.
@@ -733,7 +734,7 @@ impl<W: Wiring> Bench<W> {
         self.visit(|visit| visit.log())
     }
 
-    /// What the firmware has accessed that the emulator or the chip does not have.
+    /// Accesses of the firmware to anything that the emulator or the chip lacks.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the emulator has failed.

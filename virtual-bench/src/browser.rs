@@ -1,4 +1,4 @@
-//! A Chromium without a window, driven over two pipes by its own protocol: just what it takes to press a button of a page.
+//! A headless Chromium driven over two pipes by its own protocol: just enough to press a button on a page.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -9,9 +9,9 @@ use serde_json::{Value, json};
 
 use crate::processes::DoorError;
 
-/// A page that has not come by then does not come.
+/// Time limit for a page to load; far more than a busy computer needs.
 const SOON: Duration = Duration::from_secs(60);
-/// The browser speaks on its descriptors 3 and 4; a shell makes them of what every process has.
+/// The browser uses its descriptors 3 and 4, so a shell duplicates them from standard input and output.
 const ON_PIPES: &str = r#"exec "$0" "$@" 3<&0 4>&1 </dev/null >/dev/null 2>&1"#;
 
 /// A browser with one page.
@@ -28,7 +28,7 @@ fn wrong(why: impl std::fmt::Display) -> DoorError {
 }
 
 impl Browser {
-    /// Starts `program`, with what it keeps in `folder`, and opens `url`.
+    /// Starts `program` with its data in `folder`, and opens `url`.
     pub(crate) fn open(program: &Path, folder: &Path, url: &str) -> Result<Self, DoorError> {
         let mut child = Command::new("sh")
             .args(["-c", ON_PIPES])
@@ -36,7 +36,7 @@ impl Browser {
             .args([
                 "--headless=new",
                 "--remote-debugging-pipe",
-                // In a container there is no sandbox within the sandbox.
+                // The sandbox does not work inside a container.
                 "--no-sandbox",
                 "--disable-dev-shm-usage",
                 "--disable-gpu",
@@ -64,7 +64,7 @@ impl Browser {
         Ok(browser)
     }
 
-    /// Sends a command and waits for its result. Events are of no use here.
+    /// Sends a command and waits for its result. Events are ignored.
     fn call(&mut self, method: &str, params: Value) -> Result<Value, DoorError> {
         self.commands += 1;
         let id = self.commands;
@@ -104,7 +104,7 @@ impl Browser {
     pub(crate) fn wait(&mut self, expression: &str) -> Result<(), DoorError> {
         let begin = Instant::now();
         loop {
-            // A page that has just begun to load has nothing yet in which to evaluate.
+            // A page that has just begun to load cannot evaluate anything yet.
             let found = self.value(expression);
             if matches!(found, Ok(Value::Bool(true))) {
                 return Ok(());
@@ -116,7 +116,7 @@ impl Browser {
         }
     }
 
-    /// Where the middle of an element is.
+    /// Position of an element's middle.
     pub(crate) fn middle_of(&mut self, id: &str) -> Result<(f64, f64), DoorError> {
         let expression = format!(
             "(() => {{ const r = document.getElementById('{id}').getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
@@ -128,7 +128,7 @@ impl Browser {
         }
     }
 
-    /// Presses the left button of the mouse there and lets it go. Returns when it was pressed.
+    /// Presses and releases the left mouse button at this position. Returns when it was pressed.
     pub(crate) fn click(&mut self, (x, y): (f64, f64)) -> Result<Instant, DoorError> {
         let begin = Instant::now();
         for kind in ["mousePressed", "mouseReleased"] {
@@ -138,7 +138,7 @@ impl Browser {
         Ok(begin)
     }
 
-    /// Presses a letter's key and lets it go. Returns when it was pressed.
+    /// Presses and releases a letter's key. Returns when it was pressed.
     pub(crate) fn press(&mut self, letter: char) -> Result<Instant, DoorError> {
         let begin = Instant::now();
         for kind in ["keyDown", "keyUp"] {
@@ -158,7 +158,7 @@ impl Browser {
 
 impl Drop for Browser {
     fn drop(&mut self) {
-        // It is the shell that was started: `exec` has made the browser of it.
+        // The child was started as a shell, but `exec` has replaced it by the browser.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

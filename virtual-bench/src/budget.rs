@@ -1,4 +1,5 @@
-//! How long a 40 mAh cell lasts in a study: what the capsule's image does at rest, measured, and what that costs by data sheet.
+//! Battery budget of a study on a 40 mAh cell: the activity of the capsule's image, measured, times the consumption by
+//! data sheet.
 
 use client::{Device, Unobserved};
 use protocol::capsule::Calibrate;
@@ -10,26 +11,27 @@ use crate::link::VirtualLink;
 use crate::plants::capsule::Parameters;
 use crate::unmeasured::FigureError;
 
-/// A lithium cell, and how much of its charge is counted on [assumed].
+/// A lithium cell's charge, and the usable share of it [assumed].
 const CELL_MAH: f64 = 40.0;
 const USABLE: f64 = 0.8;
 /// Folds, each with its unfolding, of a study.
 const PAIRS: f64 = 500.0;
-/// The chip at 16 MHz (HSI), mA: typical and most at 25 degrees C, the latter with its peripherals (DS10314, run and sleep).
+/// The chip at 16 MHz (HSI), mA: typical and maximum at 25 degrees C, the maximum with its peripherals on (DS10314, run
+/// and sleep).
 const RUN_MA: [f64; 2] = [1.9, 3.0];
 const SLEEP_MA: [f64; 2] = [0.4, 1.3];
 /// Encoder and amplifier, mA [assumed; the parts decide].
 const SENSORS_MA: f64 = 8.3;
-/// What is always there, mA: the battery's divider of 200 kohm, the regulator, a bridge asleep [assumed].
+/// Constant load, mA: the battery's divider of 200 kohm, the regulator, a sleeping bridge [assumed].
 const ALWAYS_MA: f64 = 0.03;
-/// TIM3's compare register of the second input: the pauses of a motor that winds.
+/// TIM3's compare register of the second input: it sets the pauses while the motor winds.
 const WINDING_DUTY: u32 = 0x4000_0438;
-/// Readings of a fold whose orders are timed.
+/// Readings of a fold whose control latency is measured.
 const READINGS: u64 = 200;
-/// Interval at which the processor is looked at.
+/// Interval at which the processor is sampled.
 const LOOK_US: u64 = 20;
 
-/// What the image does.
+/// The measured activity of the image.
 struct Measured {
     /// Share of the time that the processor is awake at rest.
     awake: f64,
@@ -38,12 +40,12 @@ struct Measured {
     sensors: f64,
     /// Charge that the motor takes for a fold and an unfolding, mAh.
     pair_mah: f64,
-    /// How long sensors and processor are on for that, s.
+    /// Time for which sensors and processor are on for that, s.
     pair_s: f64,
     order: Order,
 }
 
-/// From a reading of a moving capsule to the duty that follows from it.
+/// Latency from a reading of a moving capsule to the duty that follows from it.
 #[derive(Clone, Copy, Debug)]
 pub struct Order {
     /// Mean.
@@ -152,7 +154,7 @@ fn measure() -> Result<Measured, FigureError> {
     let pair_mah = (charge_c(&resting)? - before_c) / 3.6;
     let pair_s = (resting.sensors_ns()? - powered_ns) as f64 * 1e-9;
     drop(device);
-    // The session's time-out and the last writes to the flash.
+    // Let the session time out and the last flash writes finish.
     resting.bench.advance_us(5_000_000)?;
     let (awake, sensors) = resting.shares()?;
     Ok(Measured {
@@ -165,7 +167,7 @@ fn measure() -> Result<Measured, FigureError> {
     })
 }
 
-/// Measures, and writes each line of the budget: what, how much, where it is from.
+/// Measures, and writes each line of the budget: the item, its value, its source.
 ///
 /// # Errors
 /// The emulator or the link failed.

@@ -1,5 +1,5 @@
-//! Reports accesses to what is not there. A register without a model returns what was stored in it, so firmware that
-//! relies on one would pass on the bench and fail on the chip.
+//! Reports accesses to anything that is missing. A register without a model returns the value last stored in it, so
+//! firmware that relies on one would pass on the bench and fail on the chip.
 
 use std::fmt;
 
@@ -7,14 +7,14 @@ use rigless::session::Session;
 
 use crate::emulator::{Emulator, Wiring};
 
-/// Addresses that the firmware may access although nothing is modelled there, each with the reason.
+/// Addresses without a model that the firmware may access, each with the reason.
 const ALLOWED: [(u64, u64, &str); 1] = [(
     0x0800_0000,
     0x0808_0000,
     "the flash array: stores are handled by the bench, not by the emulator's bus",
 )];
 
-/// The gaps that a firmware has found.
+/// The gaps that a firmware has run into.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusReport {
     /// One line per gap since the first power-up.
@@ -85,7 +85,7 @@ impl BusReport {
         }
     }
 
-    /// Fails if the firmware has accessed something that is missing, or if the number of resets is not the expected one.
+    /// Fails if the firmware has accessed something that is missing, or if the number of resets is wrong.
     ///
     /// # Errors
     /// The report as text.

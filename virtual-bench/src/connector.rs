@@ -16,12 +16,12 @@ use crate::link::VirtualLink;
 use crate::plants::capsule::Parameters;
 use crate::plants::rig::RigOptions;
 
-/// Powers a machine up when its link is opened, unless hands are at one; passes all other addresses to [`Ports`].
+/// Powers a machine up when its link is opened, unless hands hold one already; passes all other addresses to [`Ports`].
 #[derive(Default)]
 pub struct BenchPorts {
-    /// The last link opened does not lead to the bench.
+    /// The last link opened leads to something other than the bench.
     elsewhere: AtomicBool,
-    /// A machine that hands are at: it stays, and every link leads to it.
+    /// A machine with hands at it: it stays powered, and every link leads to it.
     handled: Mutex<Option<(Machine, Plug)>>,
 }
 
@@ -31,7 +31,7 @@ impl BenchPorts {
     }
 }
 
-/// Each session with a machine that goes on needs a nonce of its own.
+/// A nonce for a session with a machine that keeps running; each session needs its own.
 fn session_nonce(now_ns: u64) -> u32 {
     (now_ns / 1_000) as u32 + 2
 }
@@ -81,7 +81,7 @@ impl Connector for BenchPorts {
         Ports.candidates()
     }
 
-    /// Always the same for a machine on the bench, so that its behaviour does not depend on chance.
+    /// The nonce is fixed for a machine on the bench, so that its behaviour is reproducible.
     fn nonce(&self) -> u32 {
         if self.elsewhere.load(Ordering::Relaxed) {
             return Ports.nonce();
@@ -98,7 +98,7 @@ impl Connector for BenchPorts {
         if address != Some(&Address::Virtual) {
             return None;
         }
-        // Without an image there are no hands; opening the link says why.
+        // Without an image there are no hands; opening the link reports the reason.
         let machine = match kind {
             DeviceKind::Rig => Machine::Rig(rig::start(RigOptions::WITH_BOTH_JUMPERS).ok()?),
             DeviceKind::Capsule => Machine::Capsule(capsule::start(Parameters::nominal()).ok()?),

@@ -1,5 +1,5 @@
-//! Everybody else while a stop is timed: connections that idle at a server, clients that have it plan, and guests
-//! that stay at the door of whoever owns the line.
+//! Load on the server while a stop is timed: idle connections, clients that have runs planned, and guests at the door
+//! of the process that owns the line.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -13,13 +13,13 @@ use client::door::window::Window;
 
 use crate::processes::{DoorError, Rig};
 
-/// Connections that say nothing: four times as many as the server keeps.
+/// Connections that send nothing: four times as many as the server keeps.
 const IDLE: usize = 1_000;
 
-/// Clients of which each has the next run planned as soon as it has its answer.
+/// Clients that each request the next plan as soon as they have their answer.
 const PLANNING: usize = 64;
 
-/// How long an answer or a welcome may take: a limit for what hangs.
+/// Time limit for an answer or a welcome, so that a hang becomes an error.
 const ANSWER: Duration = Duration::from_secs(30);
 
 /// The crowd at one server. Clients plan until it is dropped; the others are there after [`Crowd::press`].
@@ -38,7 +38,7 @@ impl Drop for Crowd {
 }
 
 impl Crowd {
-    /// At the server at this address, whose token is this.
+    /// Gathers a crowd at the server at address `at` with this `token`.
     pub(crate) fn gather(at: &str, token: &str) -> Self {
         let (over, plans) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
         for client in 1..=PLANNING {
@@ -55,7 +55,7 @@ impl Crowd {
                         Ok(answer) if answer.starts_with("HTTP/1.1 200") => {
                             plans.fetch_add(1, Ordering::Relaxed);
                         }
-                        // There were too many.
+                        // No plan, because there were too many connections: try again.
                         _ => thread::sleep(Duration::from_millis(1)),
                     }
                 }
@@ -76,7 +76,7 @@ impl Crowd {
         for _ in 0..IDLE {
             self.idle.push(TcpStream::connect(&self.at)?);
         }
-        // All of them were let in before this one.
+        // The server accepts connections in order, so after this answer all of them are in.
         let state = "GET /api/v1/state HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
         asked(&self.at, state)?;
         let doorway = rig.doorway()?;
@@ -92,12 +92,12 @@ impl Crowd {
         )))
     }
 
-    /// The door that they were at is closed.
+    /// Drops the guests, because their door has closed.
     pub(crate) fn guests_left(&mut self) {
         self.guests.clear();
     }
 
-    /// Who was there, in words.
+    /// The size of the crowd, as text.
     pub(crate) fn described(&self) -> String {
         let plans = self.plans.load(Ordering::Relaxed);
         format!(

@@ -1,12 +1,12 @@
-//! Cycles of the rig's processor, by a model of its core and of its flash that follows the instructions
-//! which the emulator executes.
+//! Counts cycles of the rig's processor, with a model of its core and flash that follows the instructions executed by
+//! the emulator.
 //!
 //! | what | how |
 //! |---|---|
 //! | sequence of instructions, interrupts included | exact: the emulator's, one by one |
 //! | cycles of each instruction without waiting (ARM DDI 0439, section 3.3) | exact, but for those below |
 //! | refill of the pipeline after a branch | between 1 and 3 |
-//! | division | between 2 and 12; its operands are not looked at |
+//! | division | between 2 and 12; its operands are ignored |
 //! | a load behind a load or store | 1 to 2: their phases overlap or not |
 //! | entry into an interrupt and return | between 22 and 34, a wait for its vector included |
 //! | flash as FLASH_ACR sets it: lines, order, wait states (RM0383 section 3.4) | exact; two readings where it is silent |
@@ -15,8 +15,9 @@
 //! | registers on APB1, APB2, AHB, in the core | bounds: 2 to 8, 1 to 4, 0 to 2, 0 to 1 cycles more |
 //! | DMA's share of the bus | at most 2 cycles per transfer, six transfers per step: a slot and a captured instant |
 //! | the bytes of the serial line, the same way | ignored: 11,520 a second at most, 0.02 % |
-//! //! The share of the processor's time is that of its 100 MHz. A board has the last word: its cycle counter is read
-//! by the on-target tests.
+//!
+//! Shares of the processor's time refer to its 100 MHz. A board has the last word: the on-target tests read its cycle
+//! counter.
 
 mod core;
 mod replay;
@@ -42,49 +43,49 @@ pub const CORE_HZ: u64 = 100_000_000;
 const FLASH_ACR: u32 = 0x4002_3C00;
 /// Transfers of DMA per step: a slot of the step timer and a captured instant.
 const TRANSFERS_PER_STEP: u64 = 6;
-/// Cycles that one of them may hold the core up: in memory and at the timer's bus.
+/// Most cycles that one of them can hold the core up: in memory and at the timer's bus.
 const CYCLES_PER_TRANSFER: u64 = 2;
 
-/// What is looked at.
+/// The case to measure.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// Settings beside the defaults.
+    /// Settings that differ from the defaults.
     pub settings: Vec<Setting>,
     /// Steps per mm of the mechanics for these settings.
     pub steps_per_mm: i64,
-    /// The jumper for timing the steps is there.
+    /// Whether the jumper for timing the steps is fitted.
     pub timed: bool,
     /// Period of the telemetry, ms; 0 for none.
     pub telemetry_ms: u16,
-    /// The run; none for a machine at rest.
+    /// The run; `None` for a machine at rest.
     pub run: Option<Run>,
-    /// When the look begins, after the run was accepted, us.
+    /// Start of the measurement, us after the run was accepted.
     pub after_us: u64,
-    /// How long it lasts, us.
+    /// Duration of the measurement, us.
     pub lasts_us: u64,
 }
 
-/// What it took.
+/// The measured cost.
 #[derive(Clone, Copy, Debug)]
 pub struct Cost {
     /// Instructions executed.
     pub instructions: u64,
-    /// Cycles, at least and at most, with the accelerator as the image sets it.
+    /// Least and most cycles, with the accelerator as the image sets it.
     pub cycles: [u64; 2],
-    /// The same with wait states only.
+    /// The same with wait states only, the accelerator off.
     pub without_accelerator: [u64; 2],
     /// Interrupts and other exceptions.
     pub exceptions: u64,
     /// Steps that left the pin.
     pub steps: u64,
-    /// How long it lasted, ns.
+    /// Duration, ns.
     pub lasted_ns: u64,
-    /// How the image has set the accelerator.
+    /// The accelerator as the image has set it.
     pub accelerator: Accelerator,
 }
 
 impl Cost {
-    /// Shares of the processor's time, at least and at most.
+    /// Least and greatest share of the processor's time.
     #[must_use]
     pub fn shares(&self) -> [f64; 2] {
         self.cycles.map(|cycles| self.share(cycles))

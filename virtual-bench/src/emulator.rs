@@ -71,7 +71,7 @@ const AF_SERIAL: u8 = 7;
 const HSE_HZ: u64 = 8_000_000;
 /// Duration of a store into the flash (DS10314 table 47, typical), ns.
 const STORE_NS: u64 = 16_000;
-/// Supply, mV, unless the board gives another.
+/// Supply, mV, unless the board sets another.
 const SUPPLY_MV: u32 = 3300;
 
 /// A pin of ports A to C.
@@ -115,21 +115,22 @@ impl fmt::Display for Pin {
 
 /// A board around the chip: what is connected to its pins.
 pub trait Wiring: fmt::Debug + Send + 'static {
-    /// A look does nothing unless a pin has changed since the last one, the instant given to [`Pads::wake_at`] has come, or
-    /// the board was changed from outside. All other looks are left out.
+    /// A look has no effect unless a pin has changed since the last one, the instant given to [`Pads::wake_at`] has
+    /// come, or the board was changed from outside. If true, all other looks are skipped.
     const LOOKS_AT_CHANGES_ONLY: bool = false;
 
     /// Reads the pins and drives them. Called after every timer event and every register access that can change a pin,
     /// and again until no pin changes any more.
     fn look(&mut self, pads: &mut Pads<'_>);
 
-    /// What the step timer's next edges may do without a look, none if each of them wants one. Asked while the processor sleeps.
+    /// Tells which of the step timer's next edges need no look; `None` if each of them does. Called while the processor
+    /// sleeps.
     fn unnoticed(&self, pads: &mut Pads<'_>) -> Option<Unnoticed> {
         let _ = pads;
         None
     }
 
-    /// An edge of TIM1 that [`Wiring::unnoticed`] allowed. It is told without a look, later than it was, in its order.
+    /// Reports an edge of TIM1 that [`Wiring::unnoticed`] allowed: without a look, in order, but after its instant.
     fn unseen_edge(&mut self, edge: OutputEdge, leads: &Unnoticed) {
         let _ = (edge, leads);
     }
@@ -179,7 +180,7 @@ impl Pads<'_> {
         Gpio::function(pin.on_port(), registers)
     }
 
-    /// What the firmware drives on `pin` as a plain output, or `None` in any other mode.
+    /// The level that the firmware drives on `pin` as a plain output, or `None` in any other mode.
     #[must_use]
     pub fn output(&mut self, pin: Pin) -> Option<bool> {
         let (_, registers) = self.part.port(pin.nth().0);
@@ -187,7 +188,7 @@ impl Pads<'_> {
         (mode == 1).then(|| (registers.get(gpioa::Register::Odr) >> pin.index) & 1 == 1)
     }
 
-    /// Whether `pin` converts: analog mode.
+    /// Whether `pin` is in analog mode.
     #[must_use]
     pub fn is_analog(&mut self, pin: Pin) -> bool {
         let (_, registers) = self.part.port(pin.nth().0);
@@ -295,8 +296,8 @@ impl Pads<'_> {
         drive_input(self.tim2, channel, high, registers, &mut context);
     }
 
-    /// Sets the level at TIM5's input `channel`, at this instant of the bench's clock: that of a timer's event just now, or some
-    /// nanoseconds ahead.
+    /// Sets the level at TIM5's input `channel` at this instant of the bench's clock: that of the timer event being
+    /// handled, or a few nanoseconds ahead.
     pub fn drive_tim5_input(&mut self, channel: u8, high: bool, at_ns: u64) {
         self.touched = true;
         let at = VirtualNanos(at_ns - self.epoch_ns);
@@ -305,8 +306,8 @@ impl Pads<'_> {
         drive_input(self.tim5, channel, high, registers, &mut context);
     }
 
-    /// Keeps DMA from the instants that TIM5 captures, as a bus that is not granted does, or lets it come again. What
-    /// was captured meanwhile has overwritten what was captured before.
+    /// Withholds DMA from TIM5's captures, as a bus that is not granted does, or allows it again. A capture meanwhile
+    /// overwrites the one before it.
     pub fn keep_tim5_from_dma(&mut self, kept: bool) {
         self.touched = true;
         let bus = self.part.bus_mut();
@@ -365,7 +366,8 @@ struct Slots {
     syscfg: usize,
     flash: usize,
     usart2: usize,
-    /// Those whose state [`Pads`] shows to the board, without the timers, which say themselves that an output has changed.
+    /// Devices whose state [`Pads`] shows to the board. Timers are not among them, because they report changes of their
+    /// outputs.
     seen: [usize; 4],
 }
 
@@ -388,18 +390,18 @@ struct Chip<W> {
     epoch_ns: u64,
     /// When the next look is scheduled, on the emulator's clock.
     wake: Option<VirtualNanos>,
-    /// Something that the board sees may have changed since its last look.
+    /// Something that the board can see may have changed since its last look.
     unseen: bool,
-    /// The processor sleeps, and the step timer's course is followed without it.
+    /// Present while the processor sleeps and the step timer's course is followed without it.
     asleep: Option<Asleep>,
     bell: Bell,
-    /// A bus on which nobody listens, for TIM1.
+    /// A bus without listeners, for TIM1.
     nowhere: Bus,
-    /// Room for edges.
+    /// Buffer for edges, kept to avoid allocations.
     followed: Vec<OutputEdge>,
-    /// Captured instants that are not in memory yet, and where they go.
+    /// Captured instants that are not in memory yet: address and instant.
     captured: Vec<(u64, u64)>,
-    /// In a box: it is taken out for each look.
+    /// Boxed because it is taken out for each look.
     wiring: Option<Box<W>>,
 }
 
@@ -513,7 +515,7 @@ impl<W: Wiring> Chip<W> {
         serial.hears = hears;
     }
 
-    /// Lends the board its pins, unless it is looking at them already.
+    /// Lends the board its pins, unless it is already looking at them.
     fn with_pads<T>(
         &mut self,
         at: VirtualNanos,
@@ -539,7 +541,7 @@ impl<W: Wiring> Chip<W> {
         Some(seen)
     }
 
-    /// Shows the pins to the board until none changes any more: an input that the board drives may cut a pulse.
+    /// Shows the pins to the board until none changes any more: an input that the board drives may cut a pulse short.
     fn look(&mut self, at: VirtualNanos) -> bool {
         let mut touched = false;
         self.wake.take_if(|wake| *wake <= at);
@@ -569,7 +571,7 @@ impl<W: Wiring> Chip<W> {
         touched
     }
 
-    /// A look, unless it would show the board nothing new.
+    /// Looks, unless the board would see nothing new.
     fn look_if_changed(&mut self, at: VirtualNanos) -> bool {
         let due = self.wake.is_some_and(|wake| wake <= at);
         let edges = !self.tim1.edges.is_empty() || !self.tim3.edges.is_empty();
@@ -599,7 +601,7 @@ fn hollow_advanced() -> Tim<Advanced> {
     Tim::with_clock(0, ADVANCED_TIMERS[TIM1].counter)
 }
 
-/// What stands in the part for the clock tree: after a reset the part makes the next one from it.
+/// Placeholder in the part for the clock tree. After a reset the part makes the next clock tree from it.
 fn hollow_clocks() -> Rcc {
     let mut rcc = Rcc::new();
     rcc.attach_crystals(HSE_HZ, 0);
@@ -627,7 +629,7 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 
     fn poll(&mut self, now: VirtualNanos) {
-        // Of all models only the serial ones look outside, and only this one has something there.
+        // Of all models only the serial ones use the outside world, and only this one has something connected.
         let (bus, serial) = self.part.split(self.slots.usart2);
         if let Some(serial) = serial {
             let (registers, mut context) = bus.drive(now, self.slots.usart2);
@@ -637,8 +639,8 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        // Every access to a device and every event of one comes through here. While the processor sleeps none of them changes what
-        // the board sees.
+        // Every access to a device and every event of one comes through here. While the processor sleeps none of them
+        // changes what the board sees.
         self.unseen |= self.asleep.is_none() && self.slots.seen.contains(&slot);
         let Slots {
             tim1,
@@ -669,7 +671,7 @@ impl<W: Wiring> Mcu for Chip<W> {
     }
 }
 
-/// What the core is built from: the STM32F411's memories and the part's peripherals. It is never accessed.
+/// Describes the core: the STM32F411's memories and the part's peripherals. It is never accessed.
 #[derive(Debug)]
 struct Shell {
     bus: Bus,
@@ -704,11 +706,11 @@ pub struct ChipOptions {
     pub uid: [u8; 12],
     /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
     pub burst: Option<Beats>,
-    /// How long after power-up the 8 MHz clock from the ST-LINK comes, ns; never without.
+    /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never comes.
     pub hse_after_ns: Option<u64>,
     /// How long an erase takes, ns; not less than the emulator's 250 ms.
     pub erase_ns: u64,
-    /// The emulator stops for every event of every timer, whether anybody may notice it or not. Only slower.
+    /// Stop for every event of every timer, even those that nobody can notice. The result is the same, but slower.
     pub every_event: bool,
 }
 
@@ -784,7 +786,7 @@ impl<W: Wiring> Emulator<W> {
         self.chip.wiring.as_mut().expect("between two looks")
     }
 
-    /// The board, to be looked at only.
+    /// The board, for reading only.
     ///
     /// # Panics
     /// As [`Emulator::wiring`].
@@ -831,8 +833,8 @@ impl<W: Wiring> Emulator<W> {
         self.array.operations()
     }
 
-    /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up): from then on it does
-    /// not change.
+    /// Cuts the supply of the flash at flash operation number `operation` (from 0, since power-up). The flash does not
+    /// change after that.
     pub(crate) fn cut_flash(&mut self, at: CutAt, operation: u64) {
         self.array.fail(at, operation);
     }
@@ -846,7 +848,7 @@ impl<W: Wiring> Emulator<W> {
         supply(&mut self.chip.part, millivolts);
     }
 
-    /// The 8 MHz clock stops, and comes back after so long, or never.
+    /// Stops the 8 MHz clock; it returns after `back_after_ns`, or never.
     pub(crate) fn fail_hse(&mut self, at: VirtualNanos, back_after_ns: Option<u64>) {
         let chip = &mut self.chip;
         chip.options.hse_after_ns = back_after_ns.map(|ns| at.0 + ns);
@@ -856,7 +858,7 @@ impl<W: Wiring> Emulator<W> {
         chip.rcc.rcc.fail_hse(registers, &mut context);
     }
 
-    /// From now on the step timer's bursts take so long. Between two of them.
+    /// Sets the duration of the step timer's bursts. Call it between two of them.
     pub(crate) fn set_burst(&mut self, beats: Beats) {
         self.chip.dma2.set_beats(beats);
     }
@@ -892,7 +894,7 @@ impl<W: Wiring> Emulator<W> {
         self.wiring().flash_began();
     }
 
-    /// The flash is busy until then: a stop is scheduled there.
+    /// Marks the flash as busy until `until`, and schedules a stop there.
     fn busy_until(&mut self, until: VirtualNanos, now: VirtualNanos) {
         self.storing_until = until;
         let exti = self.chip.slots.exti;
@@ -900,7 +902,7 @@ impl<W: Wiring> Emulator<W> {
         bus.drive(now, exti).1.schedule(until);
     }
 
-    /// Keeps the core from executing for a while, as a busy bus or a debugger may.
+    /// Keeps the core from executing for a while, as a busy bus or a debugger can.
     pub(crate) fn hold_up(&mut self, at: VirtualNanos, duration_ns: u64, host: &mut dyn Host) {
         self.busy_until(VirtualNanos(at.0 + duration_ns), at);
         self.stalled = true;
@@ -917,7 +919,7 @@ impl<W: Wiring> Emulator<W> {
         }
     }
 
-    /// Brings everything to where it is now, before somebody looks or changes something.
+    /// Brings everything up to date, before somebody looks or changes something.
     pub(crate) fn catch_up(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         self.wakes(at, host);
         let Chip {
@@ -968,7 +970,8 @@ impl<W: Wiring> Emulator<W> {
             self.chip.serial_pins();
             self.chip.look_between(access.virtual_time);
         }
-        // The converter samples what is at the pin now, not what was there at the last edge of the bridge.
+        // Look first: the converter must sample the present voltage at the pin, not that at the last edge of the
+        // bridge.
         if access.kind == AccessKind::Write && access.address == ADC1_SQR3 {
             self.chip.look_between(access.virtual_time);
         }

@@ -51,7 +51,7 @@ fn homed(ips: u64) -> Result<Homed, FigureError> {
     homed_on(RigOptions::REFERENCE, ips)
 }
 
-/// A rig that times its steps, at the speed of processor that loads are stated for.
+/// A rig that times its steps, at the processor speed for which loads are stated.
 fn timed() -> Result<Homed, FigureError> {
     homed_on(RigOptions::WITH_BOTH_JUMPERS, 65_000_000)
 }
@@ -98,7 +98,7 @@ impl Homed {
     /// The longest time without sleep within `us`, to 10 us. No task takes longer, interrupts included.
     fn longest_awake_us(&mut self, us: u64) -> Result<u64, FigureError> {
         const STEP_US: u64 = 10;
-        // Single instructions may fall on the other side of a step's end.
+        // Allow for single instructions that fall beyond the end of a step.
         let awake = self.ips * STEP_US / 1_000_000 * 49 / 50;
         let (mut longest, mut present) = (0, 0);
         let mut before = self.bench.visit(|visit| visit.instructions())?;
@@ -121,7 +121,7 @@ impl Homed {
         let header = Header {
             kind: Kind::Request,
             session: self.device.identity().map_or(0, |it| it.session),
-            // Ahead of the client's own numbers, but not so far that it would count as behind.
+            // Ahead of the client's own numbers, but not so far that it would wrap to behind them.
             seq: 20_000,
         };
         let frame = encode(header, request).expect("every message fits");
@@ -378,7 +378,7 @@ const FINEST: RunRequest = RunRequest {
     ..PAPER_RUN
 };
 
-/// Name, settings, steps per millimetre, run, begin of the window in the run, us, and goal.
+/// Name, settings, steps per millimetre, run, start of the window in the run in us, and goal.
 type CycleCase<'a> = (
     &'a str,
     &'a [(SettingKey, u32)],

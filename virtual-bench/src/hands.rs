@@ -55,7 +55,7 @@ pub enum Machine {
 pub struct BenchHands {
     machine: Machine,
     plug: Plug,
-    /// A server lets time pass by itself.
+    /// A server runs the machine in real time, so the hands need not advance its clock.
     served: bool,
 }
 
@@ -149,7 +149,7 @@ impl BenchHands {
         } else {
             bench.advance_us(PULLED_US)?;
             let mut cable = bench.cable();
-            // What the machine sent meanwhile went nowhere.
+            // The cable was out, so drop the bytes that the machine sent meanwhile.
             let mut lost = [0; 256];
             while cable.take_received(&mut lost) > 0 {}
         }
@@ -225,7 +225,7 @@ impl HandsServer {
     /// Answers one client after the other, forever.
     pub fn serve(&self, hands: &BenchHands) {
         for stream in self.listener.incoming().flatten() {
-            // A client that is gone ends its conversation, not the server.
+            // An error of one client ends its conversation, not the server.
             let _ = converse(&stream, hands);
         }
     }

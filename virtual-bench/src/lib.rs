@@ -6,7 +6,7 @@
 //!                        the ELF that is flashed
 //! ```
 //!
-//! The bench never uses the firmware's arithmetic: it calculates by itself what it expects of a run.
+//! The bench never uses the firmware's arithmetic: it computes the expected run by itself.
 
 pub mod bench;
 pub mod boards;

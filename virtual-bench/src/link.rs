@@ -24,13 +24,13 @@ impl<W: Wiring> VirtualLink<W> {
         }
     }
 
-    /// The same with a plug that a hand can pull.
+    /// The same with a plug that hands can pull.
     #[must_use]
     pub fn with_plug(self, plug: Plug) -> Self {
         Self { plug, ..self }
     }
 
-    /// As a port whose board is gone.
+    /// Fails while the plug is out, as a port does when its board is gone.
     fn unless_pulled(&self) -> Result<(), LinkError> {
         if self.plug.is_in() {
             return Ok(());

@@ -15,7 +15,7 @@ const SIZE: u64 = CHANNEL + 8;
 const WRITTEN: u64 = CHANNEL + 12;
 const READ: u64 = CHANNEL + 16;
 
-/// A part of the log as it was read, or a start of the firmware.
+/// A piece of the log as read, or a start of the firmware.
 #[derive(Clone, Debug)]
 enum Chunk {
     Bytes(u64, Vec<u8>),
@@ -50,7 +50,7 @@ impl Tap {
         }
     }
 
-    /// Reads the rest of the log before the firmware starts again and overwrites it.
+    /// Reads the rest of the log before the firmware restarts and overwrites it.
     pub(crate) fn restarted(&mut self, host: &mut dyn Host, now_ns: u64) {
         self.drain(host, now_ns);
         self.chunks.push(Chunk::Restart(now_ns));

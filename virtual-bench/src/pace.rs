@@ -1,32 +1,33 @@
-//! Real time for a machine whose time is virtual: how far it may run now. A computer that is too slow makes the machine slow, not
-//! later and later.
+//! Paces a machine whose time is virtual by real time: how far it may run now. On a computer that is too slow the
+//! machine slows down; its delay does not grow.
 //!
-//! Nothing here reads a clock: whoever keeps the pace says how much of the computer's time has passed.
+//! Nothing here reads a clock: the caller passes the real time that has elapsed.
 
 use std::fmt;
 
-/// Piece in one go: between two of them the line is looked at, and the thread sleeps.
+/// Longest piece to run in one go. Between two of them the line is checked, and the thread sleeps.
 const TURN_US: u64 = 1_000;
-/// So far may the machine's time be behind before that is given up: nobody waits for an answer that long.
+/// Longest delay that the machine still catches up, us; beyond it the time counts as lost. No client waits for an
+/// answer that long.
 const MOST_LATE_US: u64 = 100_000;
 /// Interval between two reports of lost time.
 const REPORT_US: u64 = 5_000_000;
 
-/// What a machine does next.
+/// The next action of a machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Turn {
-    /// Run until its clock shows this, us.
+    /// Run until its clock shows this time, us.
     Run(u64),
-    /// Nothing for so long, us, unless something comes for it.
+    /// Sleep this long, us, unless input arrives.
     Rest(u64),
 }
 
 /// Time that a machine has lost because the computer was too slow for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Slow {
-    /// How much, us.
+    /// Time lost, us.
     pub(crate) lost_us: u64,
-    /// In how long, us.
+    /// Interval in which it was lost, us.
     pub(crate) of_us: u64,
 }
 
@@ -47,14 +48,14 @@ impl fmt::Display for Slow {
 pub(crate) struct Pace {
     epoch_us: u64,
     lost_us: u64,
-    /// Something has come for the machine: it gets it before a whole piece is due.
+    /// Input has arrived: hand it over before a whole piece is due.
     hurried: bool,
-    /// When and with how much lost time the last report ended.
+    /// Real time and total loss at the last report.
     reported: (u64, u64),
 }
 
 impl Pace {
-    /// From the computer's time 0 on, when the machine's clock shows `now_us`.
+    /// Starts at real time 0, when the machine's clock shows `now_us`.
     pub(crate) fn new(now_us: u64) -> Self {
         Self {
             epoch_us: now_us,
@@ -64,7 +65,7 @@ impl Pace {
         }
     }
 
-    /// What the machine, whose clock shows `now_us`, does next; `elapsed_us` of the computer's time have passed.
+    /// The next action of a machine whose clock shows `now_us`, after `elapsed_us` of real time.
     pub(crate) fn turn(&mut self, elapsed_us: u64, now_us: u64) -> Turn {
         let due_us = self.epoch_us + elapsed_us.saturating_sub(self.lost_us);
         let late_us = due_us.saturating_sub(now_us);
@@ -77,17 +78,17 @@ impl Pace {
         Turn::Rest(early_us + TURN_US - late_us)
     }
 
-    /// Something has come for the machine: it runs as far as it may at once.
+    /// Input has arrived for the machine: it runs at once, as far as it may.
     pub(crate) fn hurry(&mut self) {
         self.hurried = true;
     }
 
-    /// By how much the machine has fallen behind for good, us.
+    /// Total time that the machine has lost, us.
     pub(crate) fn lost_us(&self) -> u64 {
         self.lost_us
     }
 
-    /// What was lost since the last report, if one is due and there is something to tell.
+    /// The loss since the last report, if a report is due and there is a loss.
     pub(crate) fn report(&mut self, elapsed_us: u64) -> Option<Slow> {
         let (since_us, lost_us) = self.reported;
         if elapsed_us.saturating_sub(since_us) < REPORT_US {
@@ -108,9 +109,9 @@ mod tests {
 
     const BEGAN_US: u64 = 5_000;
 
-    /// Ten seconds of the computer's time.
+    /// Ten seconds of real time.
     struct Lived {
-        /// The machine's own.
+        /// The machine's own time.
         us: u64,
         pace: Pace,
         pieces: u64,
@@ -118,7 +119,7 @@ mod tests {
         reports: Vec<Slow>,
     }
 
-    /// Lets a machine run; each ms of its own takes `cost_us`, and a rest lasts `overslept_us` too long.
+    /// Runs a machine for which each ms costs `cost_us` of real time and each rest lasts `overslept_us` too long.
     fn lived(cost_us: u64, overslept_us: u64) -> Lived {
         let (mut elapsed_us, mut now_us) = (0, BEGAN_US);
         let mut lived = Lived {
@@ -171,7 +172,7 @@ mod tests {
         let lost_us = lived.pace.lost_us();
         assert!((lived.us + lost_us).abs_diff(10_000_000) <= 2 * MOST_LATE_US);
         assert_eq!(lived.rests, 1);
-        // Half of the time is lost, and each report says so.
+        // Half of the time is lost, and each report must say so.
         assert_eq!(lived.reports.len(), 2);
         for Slow { lost_us, of_us } in lived.reports {
             assert!(lost_us.abs_diff(of_us / 2) <= 2 * MOST_LATE_US, "{lost_us}");
@@ -185,7 +186,7 @@ mod tests {
         pace.hurry();
         assert_eq!(pace.turn(401, BEGAN_US), Turn::Run(BEGAN_US + 401));
         assert_eq!(pace.turn(402, BEGAN_US + 401), Turn::Rest(999));
-        // One that is early cannot run, and is not in a hurry afterwards.
+        // A machine that is early cannot run, and the hurry is over.
         pace.hurry();
         assert_eq!(pace.turn(500, BEGAN_US + 700), Turn::Rest(1_200));
         assert_eq!(pace.turn(900, BEGAN_US + 700), Turn::Rest(800));

@@ -15,16 +15,16 @@ use crate::boards::capsule::{self, CapsuleBoard};
 use crate::link::VirtualLink;
 use crate::plants::capsule::{Capsule, Parameters};
 
-/// Cases of each kind unless told.
+/// Default number of cases of each kind.
 pub const CASES: u64 = 20;
-/// From the request to the first drive of the motor: the frame, the answer, a period of control, ms.
+/// Time from the request to the motor's first drive: the frame, the answer, a control period, ms.
 const START_MS: f64 = 5.0;
-/// From a reset to the first look at the link, us.
+/// Time from a reset to the first use of the link, us.
 const START_US: u64 = 20_000;
-/// How long a capsule is left alone before it is looked at: the motor has run out, the bridge sleeps.
+/// Rest before a capsule is checked, so that the motor has run down and the bridge sleeps.
 const REST_US: u64 = 300_000;
 
-/// Why a case could not be tried, or what the image did that no verdict covers.
+/// Why a case could not be tried, or a failure of the image that no verdict covers.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum CaseError {
     /// The bench.
@@ -35,7 +35,7 @@ pub enum CaseError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
-    /// The image did something that is wrong for every capsule.
+    /// The image did something that no capsule may do.
     #[error("{kind:?}, seed {seed}: {what}")]
     #[diagnostic(code(bench::capsule))]
     Wrong {
@@ -43,12 +43,12 @@ pub enum CaseError {
         kind: Kind,
         /// The capsule.
         seed: u64,
-        /// What it did.
+        /// The image's mistake.
         what: String,
     },
 }
 
-/// One board, on which one capsule after the other is put.
+/// A board on which capsules are tried one after the other.
 pub struct Workbench {
     bench: Bench<CapsuleBoard>,
     device: Device,
@@ -71,7 +71,7 @@ impl Workbench {
         })
     }
 
-    /// Tries one capsule with one defect, from a reset of the board: what the image called it.
+    /// Tries one capsule with one defect, after a reset of the board. Returns the verdict of the image.
     ///
     /// # Errors
     /// The bench fails, or the image does what is wrong for every capsule: drives at rest, forgets a fault, moves with
@@ -164,7 +164,7 @@ impl Workbench {
             }
             capsule.plant_mut().forget_extremes();
         })?;
-        // A defect may be noticed at rest, by the next samples.
+        // Give the next samples at rest a chance to notice the defect.
         let rests_ms = course.rests_ms.max(u32::from(planned_before.is_some()));
         self.device
             .idle(u64::from(rests_ms) * 1_000, &mut Unobserved)?;
@@ -205,7 +205,7 @@ impl Workbench {
         })
     }
 
-    /// What no capsule may do, whatever is wrong with it.
+    /// Checks the rules that hold for every capsule, whatever its defect.
     fn check(&mut self, verdict: &Verdict) -> Result<Result<(), String>, CaseError> {
         let (awake, moving, before_mm) =
             self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()))?;

@@ -19,16 +19,16 @@ use crate::boards::rig::{self, RigBoard};
 use crate::pace::Slow;
 use crate::plants::rig::RigOptions;
 
-/// From the start of the process that stops to the pin.
+/// Time limit from the start of the stopping process to the pin.
 const LIMIT: Duration = Duration::from_millis(50);
-/// How long the rig goes on without its host.
+/// Time for which the rig goes on without its host.
 const LINK_TIMEOUT_MS: &str = "10000";
-/// Between an edge and the turn of the emulator after which it is seen.
+/// Delay from an edge to the emulator's turn that shows it.
 const TURN: Duration = Duration::from_millis(5);
-/// Everything that is waited for has happened by then.
+/// Time limit for everything that is waited for.
 pub(crate) const SOON: Duration = Duration::from_secs(120);
 
-/// Why it could not be measured, or what is not as it has to be.
+/// Why the measurement failed, or which result is wrong.
 #[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum DoorError {
     /// The bench.
@@ -43,24 +43,24 @@ pub enum DoorError {
     #[error(transparent)]
     #[diagnostic(code(bench::system))]
     Terminal(#[from] rustix::io::Errno),
-    /// Not as it has to be.
+    /// A result is wrong.
     #[error("{0}")]
     #[diagnostic(code(bench::door))]
     Wrong(String),
 }
 
-/// What is seen of the rig.
+/// Observations of the rig.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Seen {
     /// STEP edges so far.
     pub(crate) edges: usize,
     /// When the last of them was seen.
     pub(crate) last: Option<Instant>,
-    /// By how much the machine's time has fallen behind for good.
+    /// Total time that the machine has lost, us.
     pub(crate) lost_us: u64,
 }
 
-/// A process that does not outlive this value, and what it says.
+/// A process and its output. Dropping this value ends the process.
 pub(crate) struct Process {
     pub(crate) child: Child,
     said: File,
@@ -97,7 +97,7 @@ impl Rig {
             line,
             seen: Arc::clone(&seen),
         }))?;
-        // It ends with the process, and so does the rig, whose handle it keeps.
+        // This thread ends with the process. Until then its handle keeps the rig alive.
         thread::spawn(move || {
             hear(typed, &ear);
             drop(bench);
@@ -112,7 +112,7 @@ impl Rig {
         })
     }
 
-    /// The emulator translates the image as it goes: at first it is slower than real time.
+    /// Warms the emulator up: it translates the image as it runs, so it is slower than real time at first.
     pub(crate) fn warm_up(&self) -> Result<(), DoorError> {
         let begin = Instant::now();
         while let Err(why) = self.retrograde(&["info", "rig"], 0) {
@@ -123,12 +123,13 @@ impl Rig {
         Ok(())
     }
 
-    /// A busy computer may leave a process without time for a second; what is measured is not to end for that.
+    /// Raises the link's time-out: a busy computer may starve a process for a second, and that must not end the
+    /// measurement.
     pub(crate) fn be_patient(&self) -> Result<(), DoorError> {
         self.retrograde(&["settings", "set", "link_timeout_ms", LINK_TIMEOUT_MS], 0)
     }
 
-    /// The door beside the line.
+    /// The location of the door for this line.
     pub(crate) fn doorway(&self) -> Result<Doorway, DoorError> {
         let line = self.port.parse().ok();
         let doorway = line.and_then(|line| Doorway::within(self.folder.path(), &line));
@@ -158,7 +159,7 @@ impl Rig {
         Ok(Process { child, said })
     }
 
-    /// Its exit code must be `wanted`.
+    /// Runs the tool; its exit code must be `wanted`.
     pub(crate) fn retrograde(&self, args: &[&str], wanted: i32) -> Result<(), DoorError> {
         ends(self.spawn(args)?, args, wanted)
     }
@@ -196,7 +197,7 @@ pub(crate) fn ends(mut process: Process, args: &[&str], wanted: i32) -> Result<(
     )))
 }
 
-/// The other end of the rig's line.
+/// The rig's end of the terminal.
 struct Terminal {
     line: File,
     seen: Arc<Mutex<Seen>>,
@@ -205,7 +206,7 @@ struct Terminal {
 impl Outside<RigBoard> for Terminal {
     fn turn(&mut self, board: &RigBoard, bytes: &[u8], lost_us: u64) {
         if !bytes.is_empty() {
-            // What nobody reads is lost, as at a port.
+            // As at a serial port, bytes without a reader are lost.
             let _ = self.line.write(bytes);
         }
         let edges = board.rig.edges().len();
@@ -217,11 +218,11 @@ impl Outside<RigBoard> for Terminal {
         seen.lost_us = lost_us;
     }
 
-    /// The figures say so.
+    /// Ignored here: `lost_us` in the figures covers it.
     fn fell_behind(&mut self, _: Slow) {}
 }
 
-/// Passes on what comes over the line, for ever.
+/// Passes bytes from the line to the rig, forever.
 fn hear(mut line: File, ear: &Ear<RigBoard>) {
     let mut bytes = [0; 4_096];
     loop {
@@ -231,7 +232,7 @@ fn hear(mut line: File, ear: &Ear<RigBoard>) {
                     return;
                 }
             }
-            // Nobody has it open now, or nothing has come.
+            // The terminal is not open, or has no data.
             _ => thread::sleep(Duration::from_micros(200)),
         }
     }
@@ -242,7 +243,7 @@ pub(crate) fn wrong(why: impl std::fmt::Display) -> DoorError {
     DoorError::Wrong(why.to_string())
 }
 
-/// Whoever was told that the machine stands was told the truth.
+/// Checks that no edge followed the confirmation of a stop.
 pub(crate) fn stood(told: Instant, last: Instant) -> Result<(), DoorError> {
     if last > told + TURN {
         let late_ms = (last - told).as_millis();
@@ -253,8 +254,8 @@ pub(crate) fn stood(told: Instant, last: Instant) -> Result<(), DoorError> {
     Ok(())
 }
 
-/// Says how long stops have taken, of which each knows by how many microseconds the emulator fell behind meanwhile;
-/// one that came too late is an error.
+/// Prints how long stops have taken, each with the time in us that the emulator lost meanwhile. A stop that came too
+/// late is an error.
 pub(crate) fn judge(
     what: &str,
     mut took: Vec<(Duration, u64)>,

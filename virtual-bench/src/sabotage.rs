@@ -9,7 +9,7 @@ use object::{Object, ObjectSymbol};
 use crate::bench::{BenchError, Visit};
 use crate::emulator::Wiring;
 
-/// What the chosen client does when it checks in.
+/// Behaviour of the chosen client when it checks in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Misbehaviour {
     /// Loops forever, at its own priority.
@@ -24,7 +24,7 @@ pub enum Misbehaviour {
     Overflow,
     /// Takes all of the stack but 16 bytes, and waits for an interrupt, whose frame has no room there.
     OverflowByInterrupt,
-    /// Sets all catch bits of a debugger, once, and goes on.
+    /// Sets all vector-catch bits of a debugger, once, and continues.
     SetCatches,
 }
 
@@ -45,7 +45,7 @@ pub struct Sabotage {
 }
 
 impl Sabotage {
-    /// Lets the client that checks in with `client` misbehave; addresses are those of the image at `image`.
+    /// Makes the client that checks in with `client` misbehave; addresses come from the image at `image`.
     ///
     /// # Errors
     /// An image without the symbols `check_in` and `CHECK_INS`.
@@ -75,7 +75,7 @@ impl Sabotage {
                 ))),
             }
         };
-        // One that the linker script defines has no size.
+        // A symbol that the linker script defines has no size.
         let symbol_at = |name: &str| {
             let mut found = file.symbols().filter(|symbol| symbol.name() == Ok(name));
             let symbol = found

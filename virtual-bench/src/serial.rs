@@ -27,7 +27,7 @@ pub struct Serial {
     /// Whether the machine's pins carry its serial output and input.
     pub(crate) sends: bool,
     pub(crate) hears: bool,
-    /// TX and RX touch: the machine hears what it sends.
+    /// TX and RX are shorted: the machine receives the bytes it sends.
     pub echo: bool,
     sent: u64,
     taken: u64,
@@ -36,7 +36,7 @@ pub struct Serial {
     /// Faults by the byte's number in its direction, from 0.
     faults_to_machine: Vec<(u64, ByteFault)>,
     faults_from_machine: Vec<(u64, ByteFault)>,
-    /// End of the machine's last byte and the shortest time between two, ns, which shows the true bit rate.
+    /// End of the machine's last byte, and the shortest time between two bytes, ns: it shows the true bit rate.
     last_sent_ns: Option<u64>,
     shortest_ns: Option<u64>,
 }
@@ -52,7 +52,7 @@ impl Serial {
         std::mem::take(&mut self.from_machine)
     }
 
-    /// Whether the end of a frame is among the bytes that the machine has sent and that were not taken.
+    /// Whether the bytes sent by the machine and not yet taken include the end of a frame.
     pub(crate) fn has_sent_frame(&self) -> bool {
         self.from_machine.iter().any(|(_, byte)| *byte == 0)
     }

@@ -1,7 +1,7 @@
 //! Serves a machine on TCP in real time, like a serial port.
 //!
-//! The machine lives on its own thread and writes to its client from there; a second thread sleeps until a client comes, and a
-//! third one until that sends something.
+//! The machine runs on its own thread and writes to its client from there. A second thread waits for clients, and a
+//! third one for bytes from the client.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -15,7 +15,7 @@ use crate::emulator::Wiring;
 use crate::hands::Plug;
 use crate::pace::Slow;
 
-/// So long may a client leave its line full: the machine does not wait for it.
+/// How long a client may leave its line full before it is disconnected: the machine must not wait for it.
 const PATIENCE: Duration = Duration::from_millis(1);
 
 /// A machine behind a port of the loopback interface.
@@ -48,9 +48,9 @@ impl Server {
             .map_or(0, |address| address.port())
     }
 
-    /// Lets the machine called `name` live in real time forever, for one client at a time: the latest to connect. Connecting and
-    /// disconnecting have no effect on the machine. While `plug` is out there is no client, and what the machine sends is
-    /// lost.
+    /// Runs the machine called `name` in real time forever, for one client at a time: the latest to connect. Connecting
+    /// and disconnecting have no effect on the machine. While `plug` is out there is no client, and the machine's bytes
+    /// are lost.
     ///
     /// # Errors
     /// [`BenchError::Ended`] when the machine is gone.
@@ -70,7 +70,7 @@ impl Server {
         }))?;
         let plug = plug.clone();
         thread::spawn(move || accept(&self.listener, &client, &Arc::new(ear), &plug));
-        // Nobody ever sends anything: this returns when the machine drops its end.
+        // Nothing is ever sent: this returns when the machine drops its end.
         let _ = end.recv();
         bench.visit(|_| ())
     }
@@ -90,7 +90,7 @@ fn hang_up(client: &mut Option<TcpStream>) {
 fn accept<W: Wiring>(listener: &TcpListener, client: &Client, ear: &Arc<Ear<W>>, plug: &Plug) {
     for stream in listener.incoming() {
         let Ok(stream) = stream else {
-            // Out of descriptors, say: without a rest this would be a loop that does nothing else.
+            // Accepting failed, for example because no descriptors are left. Pause, so that this loop does not spin.
             thread::sleep(PATIENCE);
             continue;
         };
@@ -109,7 +109,7 @@ fn accept<W: Wiring>(listener: &TcpListener, client: &Client, ear: &Arc<Ear<W>>,
     }
 }
 
-/// Passes on what a client sends, until it is gone. Its successor does not wait for that.
+/// Passes bytes from a client to the machine until the client is gone. A newer client does not wait for that.
 fn hear<W: Wiring>(mut client: TcpStream, ear: &Ear<W>, plug: &Plug) {
     let mut buffer = [0; 4_096];
     while let Ok(count @ 1..) = client.read(&mut buffer) {
@@ -117,7 +117,7 @@ fn hear<W: Wiring>(mut client: TcpStream, ear: &Ear<W>, plug: &Plug) {
             return;
         }
     }
-    // The machine's end of the line finds out when it writes.
+    // The machine's end notices at its next write.
     let _ = client.shutdown(Shutdown::Both);
 }
 

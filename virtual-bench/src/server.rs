@@ -1,4 +1,4 @@
-//! `retrograde serve` at the image, and a client of it.
+//! `retrograde serve` with the image, and a client of it.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::crowd::Crowd;
 use crate::processes::{DoorError, Process, Rig, SOON, wrong};
 
-/// A server that a program has found as programs do.
+/// A running server that was found as programs find it.
 pub(crate) struct Server {
     pub(crate) process: Process,
     pub(crate) at: String,
@@ -78,7 +78,7 @@ impl Server {
         self.request(&format!("GET {path}"), "")
     }
 
-    /// A command from its acceptance on.
+    /// Begins a command; returns once it is accepted.
     pub(crate) fn begin(&mut self, path: &str, body: &Value) -> Result<Value, DoorError> {
         self.commands += 1;
         let answer = self.request(&format!("POST /api/v1/rig/{path}"), &body.to_string())?;
@@ -88,7 +88,7 @@ impl Server {
         }
     }
 
-    /// Its end, which must be as wanted.
+    /// Waits for the end of a command, which must be `wanted`.
     pub(crate) fn end(&self, action: &Value, wanted: &str) -> Result<(), DoorError> {
         let id = action["id"].as_str().unwrap_or_default();
         let begin = Instant::now();
@@ -102,7 +102,7 @@ impl Server {
         }
     }
 
-    /// Memory of the process that is in use, KiB.
+    /// Resident memory of the server process, KiB.
     pub(crate) fn resident_kib(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.process.child.id()));
         let status = status.unwrap_or_default();

@@ -1,4 +1,5 @@
-//! The side door at the image, in real time: a run in one process, stops and windows from others, over a pseudo-terminal.
+//! Tests the side door with the image in real time: a run in one process, stops and windows from others, over a
+//! pseudo-terminal.
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -6,13 +7,13 @@ use std::time::{Duration, Instant};
 use crate::processes::{DoorError, Rig, ends, judge, record, stood};
 use crate::server::Server;
 
-/// Emergency stops unless told.
+/// Default number of emergency stops.
 pub const STOPS: u32 = 50;
-/// A process that has given its line up ends by then.
+/// Time limit for the exit of a process that has given up its line.
 const LEAVING: Duration = Duration::from_secs(2);
 
-/// Emergency stops by a second process while a run is at work and a crowd is there, then a run with windows; prints
-/// what was measured.
+/// Times emergency stops by a second process during a run with a crowd connected, then makes a run with windows. Prints
+/// the measurements.
 ///
 /// # Errors
 /// [`DoorError`]; a stop that came too late is one.
@@ -23,7 +24,7 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     let server = Server::start(&rig)?;
     let mut crowd = server.crowd();
     let mut took = vec![];
-    // The first one is not counted: the emulator translates what a stop executes.
+    // Do not count the first one: the emulator is still translating the code of a stop.
     for number in 0..=stops {
         rig.retrograde(&["home"], 0)?;
         let args = [
@@ -37,7 +38,7 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
         ];
         let edges = rig.seen().edges;
         let run = rig.spawn(&args)?;
-        // Somewhere in the first half second.
+        // Stop somewhere in the first half second.
         let at = edges + 200 + (number as usize * 37) % 1_500;
         rig.wait("motion", |seen| seen.edges > at)?;
         crowd.press(&rig)?;
@@ -65,7 +66,7 @@ pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     late
 }
 
-/// The paper's run with five watches, and one look after the other.
+/// The paper's run with five watches, and commands that query the rig one after the other.
 fn windows(rig: &Rig) -> Result<String, DoorError> {
     rig.retrograde(&["home"], 0)?;
     let before = rig.seen();

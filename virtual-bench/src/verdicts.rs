@@ -112,7 +112,8 @@ impl Run {
         }
     }
 
-    /// Every edge: exact instant in thousandths of a tick from the first stroke's start, and whether away from home.
+    /// Every edge: its exact instant in thousandths of a tick from the first stroke's start, and whether it is away
+    /// from home.
     pub fn edges(&self) -> impl Iterator<Item = (u128, bool)> + '_ {
         let mut start = 0;
         (0..2 * self.cycles).flat_map(move |stroke| {
@@ -128,7 +129,7 @@ impl Run {
         })
     }
 
-    /// From the first stroke's start to the last edge, ticks.
+    /// Time from the first stroke's start to the last edge, ticks.
     #[must_use]
     pub fn ticks(&self) -> u64 {
         let cycle = self.forward.duration_ticks + self.far_dwell_ticks + self.back.duration_ticks;
@@ -148,7 +149,7 @@ pub struct Verdict {
     /// Largest deviation of an edge from the exact profile, ns, and the number of that edge. The only origin of time is
     /// the first edge's nearest tick.
     pub worst: (f64, u64),
-    /// From the first stroke's start to the last edge, ns, measured on the pin.
+    /// Time from the first stroke's start to the last edge, ns, measured on the pin.
     pub duration_ns: u64,
     /// The same for the exact run.
     pub exact_ns: u64,

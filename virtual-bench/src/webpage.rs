@@ -1,5 +1,5 @@
-//! `retrograde serve` at the image, in real time: emergency stops over HTTP, timed to the pin, and the paper's run with 50
-//! readers of which some are slow and some do not read at all.
+//! Tests `retrograde serve` with the image in real time: emergency stops over HTTP, timed to the pin, and the paper's
+//! run with 50 readers, some slow and some stuck.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
@@ -16,33 +16,33 @@ use crate::browser::Browser;
 use crate::processes::{DoorError, Rig, judge, record, stood, wrong};
 use crate::server::Server;
 
-/// Readers of the stream during a run: those that read, those that read slowly, those that do not.
+/// Readers of the stream during a run: fast, slow, stuck.
 const READERS: [usize; 3] = [40, 5, 5];
-/// A slow reader reads so much at a time, with pauses of so long: less than what comes.
+/// Bytes that a slow reader takes at a time, and its pause between: slower than the stream.
 const SLOW: (usize, Duration) = (1_024, Duration::from_millis(500));
-/// By how much the server may grow while it is read, KiB: what 50 connections may have waiting, and some more.
+/// Allowed growth of the server's memory during the run, KiB: the write buffers of 50 connections, and a margin.
 const GROWTH_KIB: u64 = 16 * 1_024;
 
-/// By what a stop is given.
+/// How a stop is given.
 #[derive(Clone, Debug)]
 pub enum By {
-    /// A program.
+    /// By a program over HTTP.
     Http,
-    /// The page in this Chromium.
+    /// By the page in this Chromium.
     Page(PathBuf),
-    /// The package for Python, in this interpreter.
+    /// By the Python package in this interpreter.
     Python(PathBuf),
 }
 
-/// A hand at one of them.
+/// An open connection of that kind.
 enum Hand {
     Http,
-    /// The page in a browser, and where its button is: by mouse and by key in turn.
+    /// The page in a browser, and the position of its button: pressed by mouse and by key in turn.
     Page(Box<Browser>, (f64, f64)),
     Python(Python),
 }
 
-/// When a stop began, and when whoever gave it was told that the machine stands, if that is seen.
+/// When a stop began, and when its sender was told that the machine has stopped, if that is observed.
 type Given = (Instant, Option<Instant>);
 
 impl Hand {
@@ -55,7 +55,7 @@ impl Hand {
         let url = format!("http://{}/#token={}", server.at, server.token);
         let folder = rig.folder.path().join("browser");
         let mut browser = Browser::open(program, &folder, &url)?;
-        // It shows the rig, so it hears the server.
+        // The page shows the rig's state, so it is connected.
         browser.wait(
             "document.readyState === 'complete' && /Ready|Unhomed/.test(document.body.innerText)",
         )?;
@@ -98,7 +98,7 @@ impl Hand {
     }
 }
 
-/// An interpreter that has found the server and does what it is told, line by line.
+/// An interpreter connected to the server, which executes commands line by line.
 struct Python {
     child: Child,
     hears: ChildStdin,
@@ -140,14 +140,14 @@ impl Python {
         self.says.read_line(&mut said)?;
         match said.trim() {
             "done" => Ok(()),
-            // It has said on its error output why it ended.
+            // Python has printed the reason on its error output.
             said => Err(wrong(format!("Python has not done `{line}`: {said}"))),
         }
     }
 }
 
-/// Emergency stops while a run is at work and a crowd is there; then, over HTTP, a run with readers. Prints what was
-/// measured.
+/// Times emergency stops during a run with a crowd connected; then, over HTTP, makes a run with readers. Prints the
+/// measurements.
 ///
 /// # Errors
 /// [`DoorError`]; a stop that came too late is one, and so is a server that grows.
@@ -159,14 +159,14 @@ pub fn run(stops: u32, by: &By, say: &mut dyn FnMut(String)) -> Result<(), DoorE
     let mut hand = Hand::new(by, &rig, &server)?;
     let mut crowd = server.crowd();
     let mut took = vec![];
-    // The first one is not counted: the emulator translates what a stop executes.
+    // Do not count the first one: the emulator is still translating the code of a stop.
     for number in 0..=stops {
         let homing = server.begin("home", &json!({}))?;
         server.end(&homing, "complete")?;
         let edges = rig.seen().edges;
         let body = json!({ "cycles": 1, "stroke_mm": 40, "duration_s": 8 });
         let running = server.begin("run", &body)?;
-        // Somewhere in the first half second.
+        // Stop somewhere in the first half second.
         let at = edges + 200 + (number as usize * 37) % 1_500;
         rig.wait("motion", |seen| seen.edges > at)?;
         crowd.press(&rig)?;
@@ -194,7 +194,7 @@ pub fn run(stops: u32, by: &By, say: &mut dyn FnMut(String)) -> Result<(), DoorE
     late
 }
 
-/// What a reader has got.
+/// Data that a reader received.
 #[derive(Default)]
 struct Got {
     samples: u64,
@@ -206,7 +206,7 @@ fn readers(rig: &Rig, server: &mut Server) -> Result<String, DoorError> {
     let homing = server.begin("home", &json!({}))?;
     server.end(&homing, "complete")?;
     let data = rig.folder.path().join("retrograde-data");
-    // Those of the stops.
+    // Delete the data of the stops.
     std::fs::remove_dir_all(&data)?;
     let resident = server.resident_kib();
     let before = rig.seen();
@@ -244,9 +244,9 @@ fn readers(rig: &Rig, server: &mut Server) -> Result<String, DoorError> {
     let driven = after.edges - before.edges;
     let lost_ms = (after.lost_us - before.lost_us) / 1_000;
     over.store(true, Ordering::Relaxed);
-    // Slow ones hear what is left for them, and what they have lost.
+    // Give slow readers time to get the rest, and the report of their losses.
     thread::sleep(Duration::from_secs(3));
-    // The ends of the streams are those of the server.
+    // The streams end when the server does.
     let _ = server.process.child.kill();
     drop(stuck);
     let mut got = [(u64::MAX, 0), (u64::MAX, 0)];
@@ -270,7 +270,7 @@ fn readers(rig: &Rig, server: &mut Server) -> Result<String, DoorError> {
         resident as f64 / 1_024.0,
         most as f64 / 1_024.0,
     );
-    // Whoever was told of losses was told of all of them; at the very end some may have heard a portion more.
+    // Samples received plus losses reported must be the same for each reader, but for one portion at the very end.
     let spread = all.iter().max().zip(all.iter().min());
     let told = spread.is_some_and(|(most, least)| most - least < 40);
     let exact = (driven, counted, missed) == (1_040_000, 1_040_000, 0);
@@ -281,7 +281,7 @@ fn readers(rig: &Rig, server: &mut Server) -> Result<String, DoorError> {
     }
 }
 
-/// Edges and missed samples of the one run; its record is closed shortly after its end.
+/// Edges and missed samples of the only run; its record is closed shortly after the run's end.
 fn counts(folder: &Path) -> Result<(u64, u64), DoorError> {
     let begin = Instant::now();
     loop {
@@ -293,7 +293,7 @@ fn counts(folder: &Path) -> Result<(u64, u64), DoorError> {
     }
 }
 
-/// Reads less than what comes, until the run is over.
+/// A slow reader: reads slower than the stream until the run is over.
 struct Slow(TcpStream, Arc<AtomicBool>);
 
 impl Read for Slow {

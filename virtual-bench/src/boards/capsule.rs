@@ -25,7 +25,7 @@ const FAULT: Pin = Pin::new('A', 8);
 const ENCODER: [Pin; 2] = [Pin::new('A', 0), Pin::new('A', 1)];
 const CURRENT: (Pin, u8) = (Pin::new('A', 4), 4);
 const BATTERY: (Pin, u8) = (Pin::new('B', 0), 8);
-/// From their supply to the first valid levels of encoder and amplifier, ns [assumed].
+/// Delay from supply to valid outputs of encoder and amplifier, ns [assumed].
 const SENSORS_START_NS: u64 = 500_000;
 /// The alternate functions for TIM3 and TIM2 (DS10314 table 9).
 const AF_BRIDGE: Option<u8> = Some(2);
@@ -44,7 +44,7 @@ pub struct CapsuleBoard {
     sensors: Sensors,
 }
 
-/// What encoder and amplifier do with their supply.
+/// Encoder and amplifier, which are powered by a pin.
 #[derive(Clone, Copy, Debug, Default)]
 struct Sensors {
     since_ns: Option<u64>,
@@ -63,7 +63,7 @@ impl Sensors {
         }
     }
 
-    /// When they show what they measure.
+    /// When their outputs become valid.
     fn valid_from_ns(&self) -> Option<u64> {
         self.since_ns.map(|since_ns| since_ns + SENSORS_START_NS)
     }
@@ -88,7 +88,7 @@ impl CapsuleBoard {
         }
     }
 
-    /// How long encoder and amplifier have been powered until `now_ns`, ns.
+    /// Total time until `now_ns` for which encoder and amplifier were powered, ns.
     #[must_use]
     pub fn sensors_powered_ns(&self, now_ns: u64) -> u64 {
         let present = self
@@ -158,7 +158,7 @@ impl Wiring for CapsuleBoard {
         self.sensors
             .power(now_ns, pads.output(SENSORS).unwrap_or(false));
         let valid = self.sensors.are_valid(now_ns);
-        // Open outputs: the chip's pull-ups.
+        // Outputs that are not valid float, and the chip's pull-ups hold them high.
         let (a, b) = if valid {
             self.capsule.encoder()
         } else {
@@ -197,7 +197,7 @@ impl Wiring for CapsuleBoard {
         self.capsule.flash_began();
     }
 
-    /// The bridge pulls its inputs low: the motor runs out.
+    /// The bridge pulls its inputs low, so the motor coasts.
     fn powered_off(&mut self) {
         self.inputs = [false; 2];
         self.drive_bridge(false);
@@ -210,7 +210,7 @@ pub fn image() -> PathBuf {
     images().join("firmware-capsule")
 }
 
-/// Of 16 MHz, the share that a 100 MHz chip gets through its wait states.
+/// The share of 16 MHz that a 100 MHz chip gets through its wait states.
 pub const INSTRUCTIONS_PER_SECOND: u64 = 10_400_000;
 
 /// Starts a capsule on the bench with the image that would be flashed.

@@ -30,11 +30,11 @@ const BUTTON: Pin = Pin::new('C', 13);
 const LED: Pin = Pin::new('A', 5);
 /// The alternate function for TIM1 and TIM2 (DS10314 table 9).
 const AF_TIMER: Option<u8> = Some(1);
-/// The one for TIM5.
+/// The alternate function for TIM5 (DS10314 table 9).
 const AF_CAPTURE: Option<u8> = Some(2);
-/// TIM5's channel.
+/// TIM5's capture channel.
 const CAPTURE_CHANNEL: u8 = 2;
-/// TIM1's channels.
+/// TIM1's channels for STEP and sync.
 const STEP_CHANNEL: u8 = 3;
 const SYNC_CHANNEL: u8 = 1;
 
@@ -53,7 +53,7 @@ pub struct RigBoard {
     step_high: bool,
     sync_high: bool,
     led_high: bool,
-    /// Levels last driven by the board, `None` after a reset.
+    /// Levels that the board drove last; `None` after a reset.
     contacts: [Option<bool>; 3],
     button: Option<bool>,
     broken: Option<bool>,
@@ -86,8 +86,8 @@ impl RigBoard {
         }
     }
 
-    /// Whether EN was driven high, DIR at all and STEP low when the firmware last switched the high-speed clock on, which
-    /// may take long to come; `None` before that.
+    /// Whether EN was driven high, DIR driven and STEP low when the firmware last switched on the high-speed clock,
+    /// whose start may take long; `None` before that.
     #[must_use]
     pub fn was_safe_before_clock(&self) -> Option<bool> {
         self.safe_before_clock
@@ -124,7 +124,7 @@ impl RigBoard {
         self.sync_high = high;
     }
 
-    /// Drives the capture input at this instant, which may be that of a timer's event just now.
+    /// Drives the capture input at `at_ns`, which may be that of the timer event being handled.
     fn capture(&mut self, at_ns: u64, pads: &mut Pads<'_>) {
         let high = self.rig.capture() && pads.function(CAPTURE) == AF_CAPTURE;
         if self.captured.replace(high) != Some(high) {
@@ -199,7 +199,8 @@ impl Wiring for RigBoard {
         };
         self.sync(sync, now_ns);
         self.rig.turn(pads.output(DIR).unwrap_or(false), now_ns);
-        // While nothing drives EN a pull-up keeps the driver off; without one the driver's own resistor switches it on.
+        // While nothing drives EN, a pull-up keeps the driver off. Without a pull-up the driver's own resistor switches
+        // it on.
         let enable_high = pads.output(ENABLE).unwrap_or(self.rig.pulls_enable_up());
         self.rig.set_enabled(!enable_high);
         if !pads.hse_is_on() {
@@ -251,7 +252,7 @@ impl Wiring for RigBoard {
         self.rig.flash_began();
     }
 
-    /// The carriage keeps what it has; the next step needs an edge.
+    /// The carriage keeps its position; the next step needs an edge.
     fn powered_off(&mut self) {}
 }
 

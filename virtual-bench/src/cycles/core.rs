@@ -1,15 +1,15 @@
-//! The core with its flash: cycles of a sequence of instructions, at least and at most.
+//! The core with its flash: least and most cycles of a sequence of instructions.
 
 use super::thumb::{Instruction, Timing, decode};
 
 /// Refill of the pipeline after a branch that is taken: 1 to 3 cycles (ARM DDI 0439, section 3.3).
 const REFILL: [u64; 2] = [1, 3];
-/// Entry into an exception and return from it, stacking included (ARM DDI 0439, section 3.9): 12 cycles each; a
-/// return that finds the stack's words fetched takes 10. At most the vector's read waits for the flash and the stack
-/// for DMA, too.
+/// Entry into an exception and return from it, stacking included (ARM DDI 0439, section 3.9): 12 cycles each. A return
+/// takes 10 if the stack's words are already fetched. In the worst case the vector's read also waits for the flash, and
+/// the stack for DMA.
 const EXCEPTION: [u64; 2] = [22, 34];
-/// What an access of the core to a register takes beyond one to memory, by bus: at most two cycles of a bus that runs
-/// at half the core's clock, to begin with one, and to come back.
+/// Extra cycles of a register access over a memory access, by bus. The most: two cycles of a bus at half the core's
+/// clock, plus one to synchronise and one to return.
 const REGISTERS: [(std::ops::Range<u64>, [u64; 2]); 4] = [
     (0x4000_0000..0x4001_0000, [2, 8]),
     (0x4001_0000..0x4002_0000, [1, 4]),
@@ -21,21 +21,21 @@ const INSTRUCTION_LINES: usize = 64;
 const DATA_LINES: usize = 8;
 const LINE_BYTES: u32 = 16;
 
-/// FLASH_ACR: wait states and what of the accelerator is on.
+/// FLASH_ACR: wait states, and the enabled parts of the accelerator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Accelerator {
-    /// Cycles that a read takes beyond the first one.
+    /// Extra cycles of a read after the first.
     pub wait_states: u64,
-    /// The next line is read ahead.
+    /// Prefetch: the next line is read ahead.
     pub prefetch: bool,
-    /// 64 lines of instructions are kept.
+    /// Instruction cache: 64 lines.
     pub instructions: bool,
-    /// 8 lines of constants are kept.
+    /// Data cache: 8 lines.
     pub data: bool,
 }
 
 impl Accelerator {
-    /// As the register has it (RM0383 section 3.8.1).
+    /// Decodes the register (RM0383 section 3.8.1).
     #[must_use]
     pub fn of_register(acr: u32) -> Self {
         let bit = |nth: u32| (acr >> nth) & 1 == 1;
@@ -47,7 +47,7 @@ impl Accelerator {
         }
     }
 
-    /// Only the wait states.
+    /// The same wait states, without the accelerator.
     #[must_use]
     pub fn off(self) -> Self {
         Self {
@@ -59,7 +59,7 @@ impl Accelerator {
     }
 }
 
-/// Lines that are kept, the last used one in front.
+/// Cached lines, the last used one in front.
 #[derive(Clone, Debug)]
 struct Lines {
     kept: Vec<u32>,
@@ -90,14 +90,14 @@ impl Lines {
 #[derive(Clone, Debug)]
 struct Flash {
     set: Accelerator,
-    /// At least: a line that was read ahead is kept like any other, a kept line reads the next one ahead, and reads
-    /// never wait for those before them. At most: none of these.
+    /// True for the lower bound: a line read ahead is cached like any other, a hit reads the next line ahead, and a
+    /// read never waits for earlier ones. False for the upper bound: none of these.
     at_least: bool,
     instructions: Lines,
     data: Lines,
-    /// The line that the core takes its instructions from.
+    /// The line that the core fetches its instructions from.
     present: Option<u32>,
-    /// The line that is read ahead, and when it is there.
+    /// The line being read ahead, and when it arrives.
     ahead: Option<(u32, u64)>,
     busy_until: u64,
 }
@@ -156,7 +156,7 @@ impl Flash {
         self.read(now) - now
     }
 
-    /// When a line is read that is asked for now.
+    /// When a line requested now arrives.
     fn read(&mut self, now: u64) -> u64 {
         let begun = if self.at_least {
             now
@@ -189,7 +189,7 @@ struct Bound {
 #[derive(Clone, Debug)]
 pub(super) struct Core {
     bounds: [Bound; 2],
-    /// The instruction before, and where it stood.
+    /// The previous instruction and its address.
     before: Option<(u32, Instruction)>,
     pub(super) exceptions: u64,
     pub(super) instructions: u64,
@@ -202,7 +202,7 @@ pub(super) struct Code {
 }
 
 impl Code {
-    /// Where an instruction may begin.
+    /// Addresses at which an instruction may begin.
     pub(super) fn addresses(&self) -> impl Iterator<Item = u32> {
         (self.base..self.base + self.bytes.len() as u32).step_by(2)
     }
@@ -233,12 +233,12 @@ impl Core {
         }
     }
 
-    /// Cycles so far, at least and at most.
+    /// Least and most cycles so far.
     pub(super) fn cycles(&self) -> [u64; 2] {
         self.bounds.each_ref().map(|bound| bound.cycles)
     }
 
-    /// The core comes to an instruction.
+    /// The core executes the instruction at `address`.
     pub(super) fn execute(&mut self, address: u32, code: &Code) {
         let instruction = code.instruction(address);
         let (mut taken, mut entered) = (false, false);
@@ -246,7 +246,7 @@ impl Core {
         if let Some((at, before)) = self.before {
             let straight = at + before.size == address;
             taken = !straight && before.branches;
-            // Nothing else leads elsewhere.
+            // Only an exception leads elsewhere without a branch.
             entered = !straight && !before.branches;
             overlaps = straight
                 && matches!(
@@ -351,7 +351,7 @@ mod tests {
         let code = [NOP; 64];
         let addresses: Vec<u32> = (0..64).map(|nth| 2 * nth).collect();
         assert_eq!(run(SET, &code, &addresses), [64 + 3, 64 + 3]);
-        // Without anything, for each of its eight lines.
+        // Without the accelerator, the wait is due for each of the eight lines.
         assert_eq!(run(SET.off(), &code, &addresses), [64 + 24, 64 + 24]);
     }
 
@@ -379,7 +379,7 @@ mod tests {
         );
     }
 
-    /// Loads one behind the other overlap, if they do.
+    /// Loads one behind the other overlap in the lower bound only.
     #[test]
     fn loads_overlap_at_least() {
         // ldr r0, [r1]
@@ -407,7 +407,7 @@ mod tests {
         assert_eq!(run(kept, &code, &[0, 2]), [3 + 7, 3 + 7]);
     }
 
-    /// No branch, and still it goes on elsewhere: an exception.
+    /// Execution continues elsewhere without a branch: an exception.
     #[test]
     fn an_exception_costs_its_stacking() {
         let code = [NOP; 8];

@@ -1,5 +1,5 @@
-//! A run of the bench once more, instruction by instruction: what the host sent is put on the line at the same
-//! instants, and nothing else reaches the machine, so that it does the same.
+//! Replays a run of the bench instruction by instruction. It puts the bytes of the host on the line at the same
+//! instants, and nothing else reaches the machine, so the machine does the same again.
 
 use std::collections::VecDeque;
 use std::ops::Range;
@@ -18,10 +18,10 @@ use crate::emulator::{ChipOptions, Emulator, Program};
 use crate::link::VirtualLink;
 use crate::serial::Serial;
 
-/// What the host has sent, and when, ns.
+/// The bytes that the host sent, each chunk with its instant, ns.
 pub(super) type Script = Arc<Mutex<VecDeque<(u64, Vec<u8>)>>>;
 
-/// A link that remembers what goes through it.
+/// A link that records what the host sends.
 pub(super) struct Recorder {
     bench: Bench<RigBoard>,
     link: VirtualLink<RigBoard>,
@@ -61,23 +61,23 @@ impl Link for Recorder {
     }
 }
 
-/// What is replayed, and which part of it is looked at.
+/// A run to replay, and the part of it to measure.
 pub(super) struct Replay<'a> {
     pub(super) options: &'a BenchOptions,
     pub(super) board: RigBoard,
     pub(super) script: VecDeque<(u64, Vec<u8>)>,
-    /// From when to when instructions are followed, ns.
+    /// Window in which instructions are followed, ns.
     pub(super) window_ns: Range<u64>,
     /// The image's code.
     pub(super) code: Code,
-    /// Cores that follow it.
+    /// Cores that follow the instructions, one per variant.
     pub(super) cores: Vec<Core>,
 }
 
-/// What was seen.
+/// The result of a replay.
 pub(super) struct Seen {
     pub(super) cores: Vec<Core>,
-    /// Instructions at the beginning and at the end of the window, by the emulator's own count.
+    /// Instruction counts at the start and the end of the window, by the emulator.
     pub(super) counts: Range<u64>,
     /// Steps within the window.
     pub(super) steps: usize,
@@ -160,7 +160,7 @@ impl Driver<Emulator<RigBoard>> for Follower {
     }
 }
 
-/// Replays.
+/// Replays a run.
 ///
 /// # Errors
 /// The emulator failed.
@@ -175,7 +175,7 @@ pub(super) fn replay(replay: Replay<'_>) -> Result<Seen, BenchError> {
     let serial = Arc::<Mutex<Serial>>::default();
     let images = [image];
     let program = Program::of(&images, replay.options.chip.core_hz);
-    // Every instruction is watched, so nothing may be left to a course.
+    // Every instruction is followed, so disable the shortcuts that skip events.
     let chip = ChipOptions {
         every_event: true,
         ..replay.options.chip

@@ -1,42 +1,41 @@
 //! How many cycles an instruction of a Cortex-M4 takes by itself: the table of its technical reference manual (ARM
 //! DDI 0439, section 3.3), from the two half-words that it is encoded in.
 
-/// An instruction, as far as its time depends on it.
+/// An instruction, with the properties that determine its cycles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Instruction {
-    /// Bytes.
+    /// Size in bytes.
     pub(super) size: u32,
     pub(super) timing: Timing,
-    /// It may go on elsewhere than behind itself.
+    /// It may change the program counter.
     pub(super) branches: bool,
 }
 
-/// What an instruction takes without waiting for anything, and without the refill of the pipeline after a branch.
+/// Cycles of an instruction, without waits and without the pipeline refill after a branch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Timing {
-    /// Cycles, at least and at most.
+    /// Least and most cycles.
     Cycles(u32, u32),
-    /// Loads of so many words: 1 + n. The address phase of a single one overlaps with the load or store before.
+    /// Loads this many words: 1 + n. The address phase of a single load overlaps with the load or store before it.
     Load(u32),
-    /// A load of so many words from its own surroundings, which lie in flash: the distance from the word of the
-    /// program counter.
+    /// Loads `words` words from flash, relative to the word-aligned program counter.
     Literal { words: u32, offset: i32 },
-    /// Stores of so many words: 1 + n.
+    /// Stores this many words: 1 + n.
     Store(u32),
-    /// A single store at a constant offset: the write buffer takes it in the next instruction's time.
+    /// A single store at a constant offset: the write buffer completes it during the next instruction.
     BufferedStore,
 }
 
-/// A division ends early by the lengths of its operands.
+/// A division ends early, depending on its operands.
 const DIVIDE: Timing = Timing::Cycles(2, 12);
-/// The manual gives 2 for a 32-bit multiply with accumulation, its later edition 1.
+/// A 32-bit multiply-accumulate: 2 by the manual, 1 by its later edition.
 const MULTIPLY_ACCUMULATE: Timing = Timing::Cycles(1, 2);
-/// The longest of the floating-point unit: division and square root.
+/// The longest floating-point instructions: division and square root.
 const FLOAT: Timing = Timing::Cycles(1, 14);
-/// A barrier waits for the stores before it, and ISB for a refill of the pipeline.
+/// A barrier waits for earlier stores, and ISB for a pipeline refill.
 const BARRIER: Timing = Timing::Cycles(1, 4);
 
-/// The instruction that begins with `first`; `second` counts only if it is one of 32 bits.
+/// Decodes the instruction that begins with `first`; `second` is used only if it is a 32-bit one.
 pub(super) fn decode(first: u16, second: u16) -> Instruction {
     let (first, second) = (u32::from(first), u32::from(second));
     match first >> 11 {

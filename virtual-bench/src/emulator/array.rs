@@ -6,9 +6,9 @@ use rigless::soc::Width;
 
 use super::map::{FLASH_BASE, FLASH_BYTES, SECTOR_BYTES};
 
-/// The flash that an image may change: sectors 1 to 3. The others hold the image itself.
+/// The sectors that an image may change: 1 to 3. The others hold the image itself.
 const SETTINGS: std::ops::Range<u64> = FLASH_BASE + (16 << 10)..FLASH_BASE + (64 << 10);
-/// Number of changes elsewhere whose places are kept.
+/// Most foreign changes whose addresses are kept.
 const FOREIGN: usize = 16;
 
 /// The interface's control register (RM0383 section 3.8.5).
@@ -20,23 +20,23 @@ const STRT: u64 = 1 << 16;
 const LOCK: u64 = 1 << 31;
 pub(super) const BUSY: u64 = 1 << 16;
 
-/// How much of an operation is done.
+/// How much of an operation is completed.
 enum Share {
     None,
     Part,
     All,
 }
 
-/// What a write access did to the flash.
+/// Effect of a write access on the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Touched {
-    /// It was not for the flash.
+    /// It did not address the flash.
     Nothing,
-    /// A store has begun, or would have but for the cut.
+    /// A store has begun, or would have begun without the power cut.
     Stored,
     /// An erase has begun.
     EraseBegan,
-    /// It was a store that the chip would refuse: locked, not in programming mode, or with the wrong width.
+    /// The chip would refuse this store: locked, not in programming mode, or of the wrong width.
     Refused,
 }
 
@@ -53,15 +53,15 @@ pub enum CutAt {
 
 #[derive(Debug, Default)]
 pub(super) struct Array {
-    /// First byte and length of what is being erased.
+    /// First byte and length of the sector being erased.
     erasing: Option<(u64, u64)>,
     /// Stores and erases since power-up.
     operations: u64,
-    /// The supply fails at this operation.
+    /// The supply fails at the operation with this number.
     failing: Option<(u64, CutAt)>,
-    /// It has failed: the array no longer changes.
+    /// The supply has failed: the array no longer changes.
     failed: bool,
-    /// Where the image changed flash outside the settings' sectors.
+    /// Addresses outside the settings' sectors that the image changed.
     foreign: Vec<u64>,
 }
 
@@ -74,7 +74,7 @@ impl Array {
         self.failed
     }
 
-    /// The first places where the image changed flash outside the settings' sectors.
+    /// The first addresses outside the settings' sectors that the image changed.
     pub(super) fn foreign(&self) -> &[u64] {
         &self.foreign
     }
@@ -83,7 +83,7 @@ impl Array {
         self.failing = Some((operation, at));
     }
 
-    /// Counts an operation and says how much of it is done.
+    /// Counts an operation and returns how much of it is completed.
     fn begin(&mut self) -> Share {
         if self.failed {
             return Share::None;
@@ -168,7 +168,7 @@ impl Array {
         let old = host.read(access.address, access.width).unwrap_or(0);
         let stored = match self.begin() {
             Share::None => old,
-            // Which bits have changed by then differs from store to store.
+            // Vary the bits that change before the cut from store to store.
             Share::Part => {
                 old & (access.value | self.operations.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 16)
             }

@@ -1,4 +1,4 @@
-//! What the chip leaves out while the processor sleeps and the step timer runs: see [`super::course`].
+//! Skips events of the chip while the processor sleeps and the step timer runs, see [`super::course`].
 
 use std::collections::VecDeque;
 
@@ -14,36 +14,36 @@ use super::map::TIM5_CCR2;
 use super::ring::Rest;
 use super::{Chip, OutputEdge, TIM5_CHANNEL, Wiring};
 
-/// What the board says about the step timer's edges, as long as the firmware changes nothing.
+/// The board's answer on the step timer's edges, valid while the firmware changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unnoticed {
-    /// Pulses at the step output that change nothing by which the chip or anybody else could notice them.
+    /// Pulses at the step output that have no effect anyone can notice.
     pub pulses: u64,
-    /// The sync output leads to its pin.
+    /// The sync output is routed to its pin.
     pub syncs: bool,
-    /// The step output leads to the external trigger of TIM2.
+    /// The step output is wired to the external trigger of TIM2.
     pub counted: bool,
-    /// The step output leads to channel 2 of TIM5.
+    /// The step output is wired to channel 2 of TIM5.
     pub captured: bool,
 }
 
-/// At most so long without a stop, ns, for what the board has to say.
+/// Longest time without a stop, ns, so that the board is asked again.
 const LONGEST_NS: u64 = 5_000_000;
 const STEP_CHANNEL: u8 = 3;
 
-/// A course, and what the inputs that it leads to have not been told yet.
+/// A course, and the edges that it has not passed to the inputs yet.
 #[derive(Debug)]
 pub(super) struct Asleep {
     course: Course,
     leads: Unnoticed,
-    /// The end of a pulse that had begun before.
+    /// When a pulse ended that had begun before the course.
     fell_ns: Option<u64>,
     pulses: u64,
     /// The last two pulses: when each began and ended.
     last: [(u64, Option<u64>); 2],
-    /// How much later than an edge its capture comes, ns, and where it goes.
+    /// Delay from an edge to its capture, ns, and the ring that the capture goes to.
     capture: Option<(u64, Rest)>,
-    /// Edges whose capture is to come.
+    /// Edges not captured yet.
     to_capture: VecDeque<u64>,
     /// Captures so far.
     captures: u64,
@@ -67,9 +67,8 @@ impl Asleep {
         }
     }
 
-    /// Pulses of which only the number matters, and those that the inputs get one by one: the last, and the one before
-    /// it as long as
-    /// the last one's capture is to come.
+    /// Splits the pulses: the number of those that are only counted, and those that the inputs get one by one. The
+    /// latter are the last pulse, and the one before it while the last one's capture is pending.
     fn split(&self) -> (u64, &[(u64, Option<u64>)]) {
         let enough = if self.to_capture.is_empty() { 1 } else { 2 };
         let shown = self.pulses.min(enough);
@@ -78,7 +77,7 @@ impl Asleep {
 }
 
 impl<W: Wiring> Chip<W> {
-    /// The processor sleeps from now on.
+    /// Begins a course, if possible, when the processor falls asleep.
     pub(super) fn falls_asleep(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         if self.options.every_event || self.asleep.is_some() {
             return;
@@ -144,7 +143,7 @@ impl<W: Wiring> Chip<W> {
         self.go_on(at, host);
     }
 
-    /// The processor still sleeps.
+    /// Extends the course while the processor sleeps.
     pub(super) fn go_on(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         self.follow(at);
         self.write_captures(host);
@@ -176,13 +175,13 @@ impl<W: Wiring> Chip<W> {
         self.asleep = Some(asleep);
     }
 
-    /// Whether the course comes to its end now.
+    /// Whether the course ends now.
     pub(super) fn course_ends(&self, at: VirtualNanos) -> bool {
         let end_ns = self.asleep.as_ref().and_then(|asleep| asleep.course.end_ns);
         end_ns.is_some_and(|end_ns| end_ns <= at.0)
     }
 
-    /// Tells the board all edges up to now.
+    /// Passes all edges up to now to the board.
     fn follow(&mut self, at: VirtualNanos) {
         if self.asleep.is_none() {
             return;
@@ -217,18 +216,18 @@ impl<W: Wiring> Chip<W> {
         self.asleep = Some(asleep);
     }
 
-    /// Writes what was captured meanwhile to memory.
+    /// Writes the instants captured meanwhile to memory.
     pub(super) fn write_captures(&mut self, memory: &mut dyn Host) {
         for (address, instant) in self.captured.drain(..) {
-            // The stream wrote there before.
+            // The stream has written there before, so the address is valid.
             let _ = Memory::write(memory, address, Width::W32, instant);
         }
     }
 
-    /// Brings the timers and streams to where they would be now: somebody looks, or the processor wakes.
+    /// Brings the timers and streams up to date, before somebody looks at them or the processor wakes.
     pub(super) fn catch_up(&mut self, at: VirtualNanos) {
         let end_ns = self.asleep.as_ref().and_then(|asleep| asleep.course.end_ns);
-        // What ends the course happens to the timer itself.
+        // Leave the event that ends the course to the timer itself.
         let to = end_ns.map_or(at, |end_ns| at.min(VirtualNanos(end_ns - 1)));
         self.follow(to);
         let Some(asleep) = self.asleep.take() else {
@@ -264,7 +263,7 @@ impl<W: Wiring> Chip<W> {
         }
     }
 
-    /// Shows TIM2 the edges that were kept from it.
+    /// Passes the withheld edges to TIM2.
     fn count(&mut self, asleep: &Asleep) {
         let slot = self.slots.tim2;
         let (skipped, shown) = asleep.split();
@@ -287,7 +286,7 @@ impl<W: Wiring> Chip<W> {
         }
     }
 
-    /// Shows TIM5 the edges that were kept from it. Those captured by `to` have been written to memory.
+    /// Passes the withheld edges to TIM5. Those captured by `to` have been written to memory.
     fn capture(&mut self, asleep: &Asleep, after_ns: u64, to: VirtualNanos) {
         let slot = self.slots.tim5;
         let bus = self.part.bus_mut();

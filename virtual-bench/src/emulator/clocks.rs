@@ -7,14 +7,15 @@ use rigless::time::VirtualNanos;
 
 use super::forward::forward;
 
-/// The clock tree. It takes its place on the bus, and keeps from it that the firmware has switched a clock on that is not there
-/// yet. Whoever waits for the clock asks for it: its coming is noticed at the next look at the register.
+/// The clock tree. It takes its place on the bus and hides from it that the firmware has switched on an external clock
+/// that is not running yet. Firmware that waits for the clock polls: it sees the clock at its next read of the
+/// register.
 #[derive(Debug)]
 pub(super) struct Clocked {
     pub(super) rcc: Rcc,
-    /// From when on the clock is there; never without.
+    /// When the external clock starts; `None` if it never does.
     from: Option<VirtualNanos>,
-    /// The firmware has switched it on, and it is not there yet.
+    /// The firmware has switched it on, but it is not running yet.
     awaited: bool,
 }
 
@@ -27,12 +28,12 @@ impl Clocked {
         }
     }
 
-    /// Sets from when on the clock is there.
+    /// Sets when the external clock starts.
     pub(super) fn set_from(&mut self, from: Option<VirtualNanos>) {
         self.from = from;
     }
 
-    /// The firmware has switched the clock on.
+    /// Whether the firmware has switched the clock on.
     pub(super) fn is_switched_on(&self, registers: &RegisterFile) -> bool {
         self.awaited || cr::HSEON.is_set(registers.get(Register::Cr))
     }

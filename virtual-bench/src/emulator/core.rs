@@ -1,11 +1,10 @@
-//! The processor, with a bell: it says when it falls asleep and when it wakes, before it does anything.
+//! The processor with a bell: it reports when it falls asleep, and when it wakes, before it executes anything.
 //!
-//! Between the two nobody but models and the board changes anything: neither memory nor registers. The emulator itself
-//! does not
-//! tell. So this stands between it and its processor, and makes an access that no program makes when one of the two
-//! happens.
+//! While the processor sleeps only models and the board change memory or registers. The emulator does not report sleep.
+//! So this wrapper stands between the emulator and its processor and signals each change by an access that no program
+//! makes.
 //!
-//! It also hands the processor on when its machine is gone, see [`super::spare`].
+//! It also hands the processor to the next machine when its own is dropped, see [`super::spare`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -18,11 +17,12 @@ use rigless::time::VirtualNanos;
 
 use super::spare::{self, Program, Usable};
 
-/// The addresses that stand for falling asleep and for waking: EXTI_IMR and EXTI_EMR, read by no instruction.
+/// Addresses whose reads signal falling asleep and waking: EXTI_IMR and EXTI_EMR. The bell's reads have no program
+/// counter, unlike those of the firmware.
 const SLEEP_AT: u64 = 0x4001_3C00;
 const WAKE_AT: u64 = 0x4001_3C04;
 
-/// What the bell says.
+/// A signal of the bell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Ring {
     /// The processor waits for an interrupt or an event.
@@ -31,7 +31,7 @@ pub(super) enum Ring {
     Wakes,
 }
 
-/// What `access` says, if it comes from the bell.
+/// The signal that `access` carries, if it comes from the bell.
 pub(super) fn heard(access: &Access) -> Option<Ring> {
     match (access.program_counter, access.address) {
         (None, SLEEP_AT) => Some(Ring::Sleeps),
@@ -40,7 +40,7 @@ pub(super) fn heard(access: &Access) -> Option<Ring> {
     }
 }
 
-/// Who listens to the bell: each stroke costs time.
+/// The signals that are listened to. Each one costs time, so only those asked for are sent.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Bell(Arc<Asked>);
 
@@ -95,14 +95,14 @@ pub(super) fn with_bell(spec: &mut CoreSpec, bell: &Bell, program: Program) {
 
 #[derive(Debug)]
 struct Belled {
-    /// There until it is handed on.
+    /// Present until it is handed on.
     core: Option<Usable>,
     bell: Bell,
-    /// It has translated the program before.
+    /// It has translated this program for an earlier machine.
     knows_program: bool,
     /// The program is being loaded.
     loading: bool,
-    /// It was told to do what another machine must not inherit.
+    /// It was changed in a way that another machine must not inherit.
     altered: bool,
 }
 
@@ -136,13 +136,13 @@ impl Belled {
 impl Processor for Belled {
     fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
         if self.inner().waiting() && self.bell.0.wakes.load(Ordering::Relaxed) {
-            // Without a budget it takes its exception, if there is one, and executes nothing.
+            // With a budget of 0 it enters a pending exception, but executes nothing.
             let slept = self.inner_mut().run(0, bus);
             if self.inner().waiting() {
                 return slept;
             }
             self.strike(WAKE_AT, bus);
-            // What happens next may be nearer now.
+            // Return, because the next event may be due sooner now.
             return (Exit::Returned, slept.1);
         }
         let ran = self.inner_mut().run(budget, bus);
@@ -153,8 +153,7 @@ impl Processor for Belled {
         ran
     }
 
-    // SAFETY: the caller's promises are those that the processor behind this one asks for, and it is dropped with this
-    // one.
+    // SAFETY: the caller keeps the promises that the inner processor requires; the inner one is dropped with this one.
     #[allow(unsafe_code)]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
         // SAFETY: as above.
@@ -201,7 +200,7 @@ impl Processor for Belled {
     }
 
     fn take_reset_request(&mut self) -> bool {
-        // The first question of a run comes when its program has been loaded.
+        // The first call in a run comes after its program has been loaded.
         self.loading = false;
         self.inner_mut().take_reset_request()
     }

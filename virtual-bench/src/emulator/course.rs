@@ -1,14 +1,11 @@
-//! The step timer's course while the processor sleeps: nothing but the ring in memory decides it, and nobody can
-//! change that.
+//! The step timer's course while the processor sleeps: only the ring in memory decides it, and nothing can change that.
 //!
-//! So the timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow
-//! from the ring,
-//! each at its exact instant, and the board gets them in order. Whoever wakes, or looks, finds all of them as if they
-//! had gone on:
-//! [`Course::advance`] says how far they have come, and the timers' own models are set to that.
+//! So the timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow from
+//! the ring, each at its exact instant, and the board gets them in order. When the processor wakes, or somebody looks,
+//! they are set to where they would be now: [`Course::advance`] computes how far they have come.
 //!
-//! The course ends before anything that somebody might notice at once: the ring's interrupts, its end, and what the
-//! board says.
+//! The course ends before anything that could be noticed at once: the ring's interrupts, its end, and the events that
+//! the board names.
 
 use std::collections::VecDeque;
 
@@ -20,12 +17,12 @@ use super::ring::Rest;
 
 /// Words of a burst {ARR, RCR, CCR1, CCR2, CCR3}.
 pub(super) const WORDS: usize = 5;
-/// Of one burst.
+/// The words of one burst.
 pub(super) type Words = [u64; WORDS];
 
 /// Shortest level of an output, ns: longer than the filters of the inputs that it leads to.
 const SHORTEST_NS: u64 = 500;
-/// Channels of the sync and of the step output.
+/// Channels of the sync output and of the step output.
 const OUTPUTS: [u8; 2] = [1, 3];
 
 /// One slot of the ring.
@@ -42,12 +39,12 @@ impl Slot {
         self.0[1] & 0xFF
     }
 
-    /// Ticks that an output is high at the beginning of a round.
+    /// Ticks for which an output is high at the beginning of a round.
     fn high(self, channel: u8) -> u64 {
         self.0[usize::from(channel) + 1]
     }
 
-    /// Whether its levels are as long as the inputs need them, and it moves the counter at all.
+    /// Whether its levels are long enough for the inputs, and it moves the counter at all.
     fn is_plain(self, tick_ns: u64) -> bool {
         let shortest = SHORTEST_NS / tick_ns;
         let is_long = |channel| {
@@ -58,14 +55,14 @@ impl Slot {
     }
 }
 
-/// Where the timer stands.
+/// The timer's position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Standing {
     pub(super) playing: Slot,
     pub(super) preloaded: Slot,
     /// When the present round began, on the emulator's clock.
     pub(super) begun_ns: u64,
-    /// Rounds after it.
+    /// Rounds left after it.
     pub(super) left: u64,
 }
 
@@ -80,7 +77,7 @@ impl Standing {
 pub(super) struct Course {
     pub(super) tick_ns: u64,
     pub(super) from_ns: u64,
-    /// All edges until then have been told.
+    /// All edges up to this instant have been reported.
     told_ns: u64,
     pub(super) at: Standing,
     /// The round in which the processor fell asleep.
@@ -92,11 +89,11 @@ pub(super) struct Course {
     ring: Rest,
     /// Slots read since.
     read: u64,
-    /// Where it ends at the latest: it does not come to what happens then.
+    /// Latest end. The course stops before the event at this instant.
     pub(super) end_ns: Option<u64>,
     /// Nothing happens before this instant.
     pub(super) clear_ns: u64,
-    /// Pulses that the board does not want to see one by one, from now on.
+    /// Pulses from now on that the board need not see one by one.
     pub(super) unnoticed: u64,
 }
 
@@ -118,7 +115,7 @@ impl Course {
         }
     }
 
-    /// Whether both slots that the timer knows already are plain.
+    /// Whether both slots already in the timer are plain.
     pub(super) fn begins_plainly(&self) -> bool {
         self.at.playing.is_plain(self.tick_ns) && self.at.preloaded.is_plain(self.tick_ns)
     }
@@ -131,7 +128,7 @@ impl Course {
         }
     }
 
-    /// Tells every edge up to `to_ns`.
+    /// Reports every edge up to `to_ns`.
     pub(super) fn advance(&mut self, to_ns: u64, tell: &mut dyn FnMut(OutputEdge)) {
         loop {
             let Standing {
@@ -184,15 +181,15 @@ impl Course {
         self.fetched += 1;
     }
 
-    /// Looks how far the course goes on undisturbed, at most until `until_ns`: after it, nothing happens before
-    /// [`Course::clear_ns`], and if it ends there, [`Course::end_ns`] says so.
+    /// Computes how far the course goes on undisturbed, at most until `until_ns`. Sets [`Course::clear_ns`], before
+    /// which nothing happens, and [`Course::end_ns`] if the course ends there.
     pub(super) fn look_ahead(&mut self, until_ns: u64, memory: &mut dyn Memory) {
         let mut at = self.at;
         let mut pulses = self.unnoticed;
         let mut next = 0;
         let end_ns = loop {
             let round_ns = at.round_ns(self.tick_ns);
-            // The pulse of the present round is out.
+            // The pulse of the present round has been played.
             let rounds = if at.playing.high(3) > 0 {
                 pulses.min(at.left)
             } else {
@@ -215,7 +212,7 @@ impl Course {
                 .ring
                 .to_interrupt
                 .is_some_and(|items| fetches * WORDS as u64 >= items);
-            // One more than is fetched: the stream reads an item ahead.
+            // One slot more than is fetched: the stream reads an item ahead.
             let known = self.known(next + 1, memory);
             let Some(fetched) = self.ahead.get(next).copied().filter(|_| known) else {
                 break end_ns;
@@ -237,7 +234,7 @@ impl Course {
         self.end_ns = Some(end_ns);
     }
 
-    /// Reads slots until number `nth` of those that are not fetched yet is known.
+    /// Reads slots until the `nth` of those not fetched yet is known.
     fn known(&mut self, nth: usize, memory: &mut dyn Memory) -> bool {
         while self.ahead.len() <= nth {
             let Some(slot) = self.read_slot(memory) else {
@@ -354,7 +351,7 @@ mod tests {
         assert_eq!(course.end_ns, Some(50_000));
     }
 
-    /// An end further away than the look is not one: nobody would stop there.
+    /// An end beyond the horizon does not count: nothing would stop there.
     #[test]
     fn it_ends_before_the_pulse_that_is_noticed_but_not_beyond_the_look() {
         let (mut course, mut ram) = course(None);

@@ -1,7 +1,5 @@
-//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come
-//! one after
-//! the other, and whoever stops in between has stopped within a burst. The emulator's own transfers all happen in one
-//! instant.
+//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time. Then the words of TIM1's burst
+//! come one after the other, so a stop can fall within a burst. The emulator's own transfers take no time.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::st::tim::UPDATE_REQUEST;
@@ -12,7 +10,7 @@ use rigless::time::{EventId, VirtualNanos};
 use super::forward::forward;
 use super::ring::{Place, Ring};
 
-/// How long a burst takes. The manuals give no figures.
+/// Duration of a burst. The manuals give no figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Beats {
     /// From the timer's update to the first word, ns.
@@ -21,21 +19,21 @@ pub struct Beats {
     pub apart_ns: u64,
 }
 
-/// The access of stream 5 to its peripheral, in the emulator's numbering.
+/// Token of stream 5's access to its peripheral, in the emulator's numbering.
 const STORE_OF_STREAM_5: u64 = 11;
 const TIMER: &str = "TIM1";
 
-/// The controller. It takes its place on the bus and shows it the timer's request for one word at a time.
+/// The controller. It takes its place on the bus and passes the timer's request on for one word at a time.
 #[derive(Debug)]
 pub(super) struct Paced {
     dma: Dma,
     beats: Option<Beats>,
-    /// The timer asks for words.
+    /// The timer requests words.
     requested: bool,
-    /// The controller sees that it does.
+    /// The request is passed on to the controller.
     shown: bool,
     next_word: Option<EventId>,
-    /// The stream that is the bench's own, where there is one.
+    /// The bench's own stream, if there is one.
     pub(super) ring: Option<Ring>,
 }
 
@@ -52,7 +50,7 @@ impl Paced {
         }
     }
 
-    /// How long bursts take from now on, where they take time at all: a ring's take none.
+    /// Sets the duration of bursts from now on, unless they take none, as with a ring.
     pub(super) fn set_beats(&mut self, beats: Beats) {
         let paced = self.beats.replace(beats);
         assert!(paced.is_some(), "bursts have to take time from the start");
@@ -64,7 +62,8 @@ impl Paced {
         Self { ring, ..self }
     }
 
-    /// The emulator's controller keeps the interrupts of all streams. A write that clears no flag has it look at them.
+    /// Makes the emulator's controller, which drives all interrupts, check its flags again: by a write that clears
+    /// none.
     pub(super) fn refresh(
         &mut self,
         registers: &mut RegisterFile,
@@ -114,7 +113,7 @@ impl Device for Paced {
             && ring.write(row, registers, context)
         {
             if !ring.is_running() {
-                // The emulator's stream knows no request that came meanwhile.
+                // The emulator's stream missed requests that came meanwhile.
                 let change = ring.standing();
                 Device::on_request(&mut self.dma, change, registers, context);
             }

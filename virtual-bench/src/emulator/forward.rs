@@ -1,6 +1,6 @@
-//! What a device that stands in front of another one only passes on.
+//! Forwards unchanged methods of a device that wraps another one.
 
-/// Methods of [`rigless::device::Device`] that do what the device in the named field does.
+/// Methods of [`rigless::device::Device`] that call the same method of the device in the named field.
 macro_rules! forward {
     ($inner:ident: $($method:ident),+ $(,)?) => {
         $($crate::emulator::forward::forward!(@ $inner $method);)+

@@ -1,6 +1,5 @@
-//! Where an STM32F411RE differs from the emulated STM32F427: memory sizes, peripherals, DMA requests, unique number.
-//! Use
-//! of anything that it does not have is recorded and fails a run.
+//! Where an STM32F411RE differs from the emulated STM32F427: memory sizes, peripherals, DMA requests, unique number. An
+//! access to something that the STM32F411 lacks is recorded and fails a run.
 
 use std::num::{NonZeroU32, NonZeroU64};
 use std::path::Path;
@@ -107,7 +106,7 @@ static DMA2_REQUESTS: [Wire; 2] = [
     wire("TIM1", UPDATE_REQUEST, 6, &[5]),
 ];
 
-/// The ring of the step timer's periods and that of the captured instants, which the tables above have as well.
+/// The rings of the step timer's periods and of the captured instants. The tables above list them, too.
 pub(super) const PERIODS: Place = Place {
     stream: 5,
     channel: 6,
@@ -131,7 +130,7 @@ pub(super) fn controllers() -> [Dma; 2] {
     ]
 }
 
-/// What stands in the part for a controller of the bench's own.
+/// Placeholder in the part while the bench uses its own controller.
 pub(super) fn hollow_controller() -> Dma {
     Dma::new(&[], &[], true)
 }

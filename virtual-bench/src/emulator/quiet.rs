@@ -1,10 +1,9 @@
-//! A timer whose inputs change often, and whose own events hardly anybody waits for.
+//! A timer whose inputs change often, but whose own events rarely matter.
 //!
-//! Its digital filters make an event of each edge of an input. The emulator stops for every event, although most
-//! change nothing
-//! that anybody notices before the timer is looked at: and then it brings itself up to date first. So the edges are
-//! put in with a
-//! context whose events lead nowhere, and only those that raise a request or an interrupt are waited for.
+//! Its digital filters raise an event for each edge of an input, and the emulator stops for every event. Most of these
+//! change nothing that anybody notices before the timer is next read, and a read brings it up to date anyway. So edges
+//! are applied in a context whose events lead nowhere. The emulator stops only for those that raise a request or an
+//! interrupt.
 
 use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
 use rigless::soc::stm32f427::generated::tim2::Register;
@@ -14,17 +13,17 @@ use rigless::time::{EventId, VirtualNanos};
 
 use super::forward::forward;
 
-/// DIER with nothing but the DMA request of channel 2, CCER with nothing but its rising edges (RM0383 sections 13.4.4,
-/// 13.4.9).
+/// Only the DMA request of channel 2 in DIER, and only its rising edges in CCER (RM0383 sections 13.4.4, 13.4.9).
 const CAPTURE_REQUEST: u64 = 1 << 10;
 const RISING_EDGES: u64 = 1 << 4;
 
-/// CR1: it counts, down; SMCR: on the external trigger, with any filter (RM0383 sections 13.4.1 and 13.4.3).
+/// CR1: counter enabled, counting down; SMCR: clocked by the external trigger, with any filter (RM0383 sections 13.4.1
+/// and 13.4.3).
 const COUNTS: u64 = 1 << 0;
 const DOWN: u64 = 1 << 4;
 const BY_TRIGGER: u64 = 1 << 14;
 const FILTER: u64 = 0xF << 8;
-/// Registers that stay as they were after the reset in the uses known here.
+/// Registers that keep their reset values in every use handled here.
 const NOT_USED: [Register; 7] = [
     Register::Cr2,
     Register::Psc,
@@ -39,15 +38,15 @@ const NOT_USED: [Register; 7] = [
 #[derive(Debug)]
 pub(super) struct Quiet {
     tim: Tim<General>,
-    /// A bus of its own, on which nobody listens.
+    /// A bus without listeners.
     nowhere: Bus,
-    /// Every event of the timer stops the emulator, as it does without this.
+    /// Stop the emulator for every event of the timer, as without this wrapper.
     every_event: bool,
-    /// The event that is waited for, and when it comes.
+    /// The event waited for, and when it comes.
     awaited: Option<(EventId, VirtualNanos)>,
-    /// When the timer wanted to be woken last.
+    /// When the timer last asked to be woken.
     unheard: VirtualNanos,
-    /// When an input rose last, and how much later that had passed its filter, ns.
+    /// When an input last rose, and its delay through the filter, ns.
     filtered: Option<(u64, u64)>,
 }
 
@@ -68,7 +67,7 @@ impl Quiet {
         })
     }
 
-    /// Puts another timer in, as after a reset.
+    /// Replaces the timer, as a reset does.
     pub(super) fn replace(&mut self, tim: Tim<General>) {
         self.tim = tim;
         self.awaited = None;
@@ -76,12 +75,12 @@ impl Quiet {
         self.filtered = None;
     }
 
-    /// Brings it up to date, as a look at a register without side effects does.
+    /// Brings it up to date, as reading a register without side effects does.
     pub(super) fn settle(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         Device::read(&mut self.tim, Register::Cr1, registers, context);
     }
 
-    /// Something outside the chip changes at one of the inputs. To high, or to low.
+    /// Applies a change of an input from outside the chip: to high or to low.
     pub(super) fn edge(
         &mut self,
         high: bool,
@@ -89,7 +88,7 @@ impl Quiet {
         context: &mut DeviceContext<'_>,
         change: impl FnOnce(&mut Tim<General>, &mut RegisterFile, &mut DeviceContext<'_>),
     ) {
-        // While an event is awaited, the change itself may bring it about: then it must not lead nowhere.
+        // While an event is awaited, this change may cause it. Then its events must reach the emulator.
         if self.every_event || self.awaited.is_some() {
             return change(&mut self.tim, registers, context);
         }
@@ -109,7 +108,7 @@ impl Quiet {
         }
     }
 
-    /// Takes its DMA requests away, or gives them back.
+    /// Withholds its DMA requests, or passes them on again.
     pub(super) fn keep_from_dma(
         &mut self,
         kept: bool,
@@ -126,7 +125,7 @@ impl Quiet {
         Device::write(self, Register::Dier, value, registers, context);
     }
 
-    /// Whether it does nothing but count rising edges of its external trigger, in the 32 bits it has.
+    /// Whether it only counts rising edges of its external trigger, in all 32 bits.
     pub(super) fn counts_edges(&self, registers: &RegisterFile) -> bool {
         registers.get(Register::Cr1) & !DOWN == COUNTS
             && registers.get(Register::Smcr) & !FILTER == BY_TRIGGER
@@ -140,14 +139,14 @@ impl Quiet {
             && self.awaited.is_none()
     }
 
-    /// Edges before its count comes near the end of its range, or to 0.
+    /// Edges left before the count comes near 0 or the end of its range.
     pub(super) fn edges_left(&self, registers: &RegisterFile, now: VirtualNanos) -> u64 {
         let count = self.count(registers, now);
         let room = match registers.get(Register::Cr1) & DOWN {
             0 => u64::from(u32::MAX) - count,
             _ => count,
         };
-        // Near 0 the next edge may be the one that makes it 0; edges may be on their way through the filter.
+        // The next edge may bring the count to 0, and edges may still be in the filter.
         let margin = 8;
         let is_near_zero = count < margin || count > u64::from(u32::MAX) - margin;
         if is_near_zero {
@@ -157,9 +156,8 @@ impl Quiet {
         }
     }
 
-    /// Whether it does nothing but capture rising edges at channel 2, for DMA. How much later than an edge, ns, if
-    /// that is known
-    /// for edges in step with the last one.
+    /// Whether it only captures rising edges at channel 2, for DMA. Returns the delay from edge to capture, ns, if it
+    /// is known for edges in step with the last one.
     pub(super) fn captures_edges(
         &self,
         registers: &RegisterFile,
@@ -182,12 +180,12 @@ impl Quiet {
         captures.then_some(after_ns)
     }
 
-    /// The count, also in time to come.
+    /// The count at `at`, which may lie in the future.
     pub(super) fn count(&self, registers: &RegisterFile, at: VirtualNanos) -> u64 {
         Device::peek(&self.tim, Register::Cnt, registers, at).unwrap_or(0)
     }
 
-    /// Counts edges that were kept from it, which all have passed the filter before `at`.
+    /// Counts withheld edges. All of them must have passed the filter before `at`.
     pub(super) fn skip(&mut self, edges: u64, at: VirtualNanos, registers: &mut RegisterFile) {
         let (_, mut unheard) = self.nowhere.drive(at, 0);
         Device::read(&mut self.tim, Register::Cr1, registers, &mut unheard);
@@ -202,8 +200,7 @@ impl Quiet {
         self.nowhere.reset();
     }
 
-    /// Captures a rising edge that was kept from it, at `edge` and through the filter at `at`. Its instant has been
-    /// moved to memory.
+    /// Captures a withheld rising edge at `edge` that passes the filter at `at`. Its instant is in memory already.
     pub(super) fn capture(
         &mut self,
         edge: VirtualNanos,
@@ -224,7 +221,7 @@ impl Quiet {
     }
 }
 
-/// Whether anybody but the timer itself may notice what follows from a change of an input.
+/// Whether anything but the timer may notice the effect of a change at an input.
 fn is_noticed(high: bool, registers: &RegisterFile) -> bool {
     let asks_for = registers.get(Register::Dier);
     let at_rising_edges =
@@ -237,8 +234,8 @@ impl Device for Quiet {
 
     forward!(tim: layout, peek, on_refused, poll);
 
-    /// The status is looked at without bringing the timer up to date: an edge of this very instruction may be put in
-    /// behind it, with its own instant.
+    /// Reads the status without bringing the timer up to date: an edge of this very instruction may still be applied
+    /// after it, with its own instant.
     fn read(
         &mut self,
         register: Register,
@@ -260,7 +257,7 @@ impl Device for Quiet {
         context: &mut DeviceContext<'_>,
     ) {
         Device::write(&mut self.tim, register, value, registers, context);
-        // What was of no interest may be noticed from now on.
+        // This write may make a pending event matter.
         let pending = self.awaited.is_none() && self.unheard > context.now();
         if pending && is_noticed(true, registers) {
             self.await_at(self.unheard, context);
@@ -277,7 +274,7 @@ impl Device for Quiet {
             return Device::on_event(&mut self.tim, event, registers, context);
         }
         self.awaited = None;
-        // The timer does not know this event.
+        // The timer does not know this event, so bring it up to date instead.
         self.settle(registers, context);
     }
 

@@ -1,7 +1,5 @@
-//! A stream of a DMA controller that goes round a ring in memory, one item a request: the step timer's periods, the
-//! captured
-//! instants. The emulator's own streams cannot be moved on by many items at once; this one can, and moves item by item
-//! exactly as they do.
+//! A DMA stream over a ring in memory, one item per request: the step timer's periods, the captured instants. The
+//! emulator's own streams cannot skip many items at once. This one can, and moves single items exactly as they do.
 
 use rigless::device::{DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::stm32f427::generated::dma2::Register;
@@ -9,29 +7,29 @@ use rigless::soc::{Layout, Width};
 
 /// Bits of SxCR, SxNDTR and SxFCR (RM0383 sections 9.5.5 to 9.5.10).
 const EN: u64 = 1 << 0;
-/// What may be written while the stream is enabled: EN and the enables of interrupts.
+/// Bits that may be written while the stream is enabled: EN and the interrupt enables.
 const OPEN: u64 = 0x1F;
 const DMEIE: u64 = 1 << 1;
 const HTIE: u64 = 1 << 3;
 const TCIE: u64 = 1 << 4;
 const CIRC: u64 = 1 << 8;
 const MINC: u64 = 1 << 10;
-/// What must not be set: the peripheral as flow controller, its address counting, two buffers.
+/// Modes that are not supported: peripheral flow control, peripheral increment, double buffer.
 const OTHER_MODES: u64 = 1 << 5 | 1 << 9 | 1 << 18;
-/// What direct mode takes back: PINCOS, PBURST, MBURST.
+/// Bits that direct mode clears: PINCOS, PBURST, MBURST.
 const NOT_DIRECT: u64 = 1 << 15 | 3 << 21 | 3 << 23;
 const NDT: u64 = 0xFFFF;
 const DMDIS: u64 = 1 << 2;
 const FS: u64 = 7 << 3;
 const FS_EMPTY: u64 = 4;
 const FEIE: u64 = 1 << 7;
-/// Flags of a stream in HISR, before they are shifted to its place.
+/// Flags of a stream in HISR, before the shift to its position.
 const TEIF: u64 = 1 << 3;
 const HTIF: u64 = 1 << 4;
 const TCIF: u64 = 1 << 5;
-/// Places of the flags of streams 4 to 7.
+/// Bit positions of the flags of streams 4 to 7.
 const PLACES: [u32; 4] = [0, 6, 16, 22];
-/// Registers before those of the streams, and of each stream.
+/// Registers before the first stream's, and registers per stream.
 const FIRST: usize = 4;
 const ROWS: usize = 6;
 
@@ -55,10 +53,10 @@ const ALL: [Row; ROWS] = [
     Row::Fifo,
 ];
 
-/// Where a ring is and who asks for its items.
+/// Position of a ring in the controller, and the request that drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Place {
-    /// 4 to 7.
+    /// Stream number, 4 to 7.
     pub(super) stream: usize,
     pub(super) channel: u64,
     pub(super) instance: &'static str,
@@ -70,28 +68,28 @@ pub(super) struct Place {
 pub(super) struct Ring {
     place: Place,
     requested: bool,
-    /// NDTR as it was last written: each round begins with it.
+    /// NDTR as last written: each round restarts from it.
     programmed: u64,
-    /// It was enabled after the last write to its registers.
+    /// Enabled since the last write to its registers.
     enabled: bool,
-    /// Its registers as they stood then.
+    /// Its registers at that time.
     kept: [u64; ROWS],
     running: Option<Running>,
-    /// Flags have changed, and with them perhaps the interrupt.
+    /// Flags have changed, so the interrupt may have changed, too.
     pub(super) flagged: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Running {
     from_memory: bool,
-    /// Bytes of an item.
+    /// Bytes per item.
     bytes: u64,
     total: u64,
     to_load: u64,
     to_store: u64,
     memory_at: u64,
     held: Option<u64>,
-    /// An access has been asked for and not been answered.
+    /// A bus access is pending.
     outstanding: bool,
     halved: bool,
 }
@@ -113,7 +111,7 @@ impl Ring {
         self.running.is_some()
     }
 
-    /// The request as it stands, for the emulator's stream.
+    /// The present state of the request, for the emulator's stream.
     pub(super) fn standing(&self) -> RequestChange {
         RequestChange {
             instance: self.place.instance,
@@ -122,18 +120,18 @@ impl Ring {
         }
     }
 
-    /// Whether this request is for it.
+    /// Whether this request is for this ring.
     pub(super) fn hears(&self, instance: &str, request: usize) -> bool {
         self.place.instance == instance && self.place.request == request
     }
 
-    /// Whether this answer is for it, and to a store.
+    /// Whether this answer is for this ring, and if so, whether it answers a store.
     pub(super) fn answers(&self, token: u64) -> Option<bool> {
         let mine = self.running.is_some() && token / 2 == self.place.stream as u64;
         mine.then_some(token % 2 == 1)
     }
 
-    /// Which of its registers this is.
+    /// The register's position among those of the stream, if it is one of them.
     pub(super) fn row(&self, register: Register) -> Option<Row> {
         let nth = register
             .index()
@@ -169,7 +167,7 @@ impl Ring {
         self.enabled = self.kept[Row::Control as usize] & EN != 0;
     }
 
-    /// A register of it was written; false leaves that to the emulator's stream.
+    /// Handles a write to one of its registers; returns false to leave it to the emulator's stream.
     pub(super) fn write(
         &mut self,
         row: Row,
@@ -200,7 +198,7 @@ impl Ring {
         true
     }
 
-    /// Starts, unless it is set up for something else than a ring.
+    /// Starts, unless the stream is set up for something other than a ring.
     fn start(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) -> bool {
         let control = self.held(registers, Row::Control);
         let fifo = self.held(registers, Row::Fifo);
@@ -242,7 +240,7 @@ impl Ring {
         self.set(registers, Row::Fifo, FS, FS_EMPTY << 3);
     }
 
-    /// NDTR follows the peripheral's port.
+    /// Updates NDTR, which follows the peripheral port.
     fn count(&self, registers: &mut RegisterFile) {
         let Some(run) = self.running else { return };
         let left = if run.from_memory {
@@ -295,7 +293,7 @@ impl Ring {
         self.report(registers);
     }
 
-    /// The peripheral asks for an item, or does no longer.
+    /// The peripheral raises or withdraws its request.
     pub(super) fn request(
         &mut self,
         requested: bool,
@@ -308,7 +306,7 @@ impl Ring {
         }
     }
 
-    /// An access was made: a store, or a load of `value`.
+    /// An access has completed: a store, or a load of `value`.
     pub(super) fn answered(
         &mut self,
         stored: bool,
@@ -320,7 +318,7 @@ impl Ring {
             return;
         };
         run.outstanding = false;
-        // The peripheral's address stays.
+        // Only the memory address increments.
         if stored != run.from_memory {
             run.memory_at += run.bytes;
         }
@@ -349,7 +347,7 @@ impl Ring {
         self.pump(registers, context);
     }
 
-    /// The bus refused an access.
+    /// The bus has refused an access.
     pub(super) fn refused(&mut self, registers: &mut RegisterFile) {
         self.stop(registers, TEIF);
         self.remember(registers);
@@ -362,26 +360,26 @@ impl Ring {
     }
 }
 
-/// A ring at rest, and what becomes of it when many items are moved in one go.
+/// A ring at rest, and the changes when many items are moved at once.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rest {
     pub(super) from_memory: bool,
     pub(super) bytes: u64,
-    /// Where it begins in memory, and its items.
+    /// Its start in memory, and its number of items.
     pub(super) base: u64,
     pub(super) items: u64,
-    /// The item that is moved next.
+    /// The item to be moved next.
     pub(super) next: u64,
-    /// The item that was read from memory ahead of its request.
+    /// The item read from memory ahead of its request.
     pub(super) held: Option<u64>,
-    /// Items until the next interrupt: the request for the last of them raises it.
+    /// Items until the next interrupt: the last one's request raises it.
     pub(super) to_interrupt: Option<u64>,
     /// Address of the peripheral's register.
     pub(super) peripheral_at: u64,
 }
 
 impl Ring {
-    /// The state of a ring that is running and waits for its next request.
+    /// The state of a ring that is running and waits for its next request, else none.
     pub(super) fn rest(&self, registers: &RegisterFile) -> Option<Rest> {
         let run = self
             .running
@@ -392,7 +390,7 @@ impl Ring {
         let left = run.to_store / run.bytes;
         let items = run.total / run.bytes;
         let control = self.held(registers, Row::Control);
-        // As the flags are set: half is reached when twice the stored bytes are no less than all.
+        // Half is reached, as for the flag, when twice the stored bytes are at least all bytes.
         let half = items.div_ceil(2);
         let next = items - left;
         let to_half = (control & HTIE != 0).then_some(if next < half {
@@ -413,7 +411,7 @@ impl Ring {
         })
     }
 
-    /// Moves on by so many items, which somebody else has moved; `held` is the one that was then read ahead.
+    /// Advances by `items` that were moved elsewhere; `held` is the item read ahead then.
     pub(super) fn skip(&mut self, items: u64, held: Option<u64>, registers: &mut RegisterFile) {
         let Some(mut run) = self.running.filter(|_| items > 0) else {
             return;

@@ -1,11 +1,9 @@
-//! Processors whose machine is gone, with all that they have translated: the next machine with the same program takes
-//! one
-//! instead of translating everything again.
+//! Processors whose machine was dropped, kept with their translated code. The next machine with the same program takes
+//! one instead of translating everything again.
 //!
-//! A processor is put back to the state in which it was made, and what it knows of memory that may have changed is
-//! dropped. Its
-//! translations of the program stay: the program is the same to the byte. What it executes is the same with them and
-//! without.
+//! A processor is reset to the state in which it was made, and its translations of memory that may have changed are
+//! dropped. Translations of the program stay, because the program is identical to the byte. It executes the same with
+//! and without them.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -15,16 +13,16 @@ use sha2::{Digest, Sha256};
 
 use super::map::{FLASH_BASE, FLASH_BYTES, SECTOR_BYTES};
 
-/// Spares in all: as many machines as tests run at once, and some more.
+/// Most spares kept: as many machines as tests run at once, and a few more.
 const MOST: usize = 12;
-/// What the firmware programs itself: sectors 1 to 3.
+/// Flash that the firmware programs itself: sectors 1 to 3.
 const SETTINGS: std::ops::Range<u64> = FLASH_BASE + SECTOR_BYTES[0]
     ..FLASH_BASE + SECTOR_BYTES[0] + SECTOR_BYTES[1] + SECTOR_BYTES[2] + SECTOR_BYTES[3];
 const FLASH: std::ops::Range<u64> = FLASH_BASE..FLASH_BASE + FLASH_BYTES;
-/// No host page is larger than what memory is aligned to here.
+/// Alignment of mapped memory: no host page is larger.
 const PAGE: usize = 4_096;
 
-/// A program, by the contents of the flash without the settings, and the clock of the processor that runs it.
+/// A program, identified by the flash without the settings and by the clock of the processor that runs it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Program {
     flash: [u8; 32],
@@ -51,7 +49,7 @@ impl Program {
     }
 }
 
-/// A processor, and what has to be known to use it again.
+/// A processor, and the data needed to use it again.
 #[derive(Debug)]
 pub(super) struct Usable {
     pub(super) inner: Box<dyn Processor>,
@@ -62,13 +60,13 @@ pub(super) struct Usable {
     pub(super) mapped: Vec<(u64, u64, bool)>,
     /// Flash outside the settings that was changed while it ran.
     pub(super) changed: Vec<(u64, u64)>,
-    /// What it is mapped to while it has no machine; dropped after it.
+    /// Memory that it is mapped to while it has no machine. Must be dropped after the processor.
     pub(super) idle: Vec<Vec<u8>>,
 }
 
 static SPARES: Mutex<Vec<Usable>> = Mutex::new(Vec::new());
 
-/// A spare for `program`, in the state in which it was made.
+/// Takes a spare for `program`, in the state in which it was made.
 pub(super) fn take(program: &Program) -> Option<Usable> {
     let mut spares = SPARES.lock().unwrap_or_else(PoisonError::into_inner);
     let nth = spares.iter().rposition(|spare| spare.program == *program)?;
@@ -90,23 +88,22 @@ pub(super) fn take(program: &Program) -> Option<Usable> {
     Some(usable)
 }
 
-/// Whether a change of these bytes may change the program.
+/// Whether a change of these bytes may alter the program.
 pub(super) fn is_program(start: u64, end: u64) -> bool {
     let outside = |range: &std::ops::Range<u64>| end <= range.start || range.end <= start;
     let within_settings = SETTINGS.start <= start && end <= SETTINGS.end;
     !(outside(&FLASH) || within_settings)
 }
 
-/// Keeps a processor whose machine is about to go, and with it the memory that it is mapped to.
+/// Keeps a processor whose machine is about to be dropped together with the memory that it is mapped to.
 pub(super) fn keep(mut usable: Usable) {
     let mut idle = Vec::new();
     for &(start, length, writable) in &usable.mapped {
         let mut bytes = vec![0_u8; length as usize + PAGE];
         let host = bytes.as_mut_ptr();
         let host = host.wrapping_add(host.align_offset(PAGE));
-        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`, which nobody touches and which is
-        // dropped after the
-        // processor, or when other memory is mapped in its place.
+        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`. Nobody touches them, and they are
+        // dropped after the processor, or when other memory is mapped in their place.
         #[allow(unsafe_code)]
         unsafe {
             usable.inner.map(start, length, host, writable);

@@ -29,17 +29,17 @@ pub(super) struct Watched<F: Family> {
     watched: &'static [u8],
     high: [bool; 4],
     pub(super) edges: Vec<OutputEdge>,
-    /// Before this instant MOE reads as 0 although it is set.
+    /// Until this instant MOE reads as 0 although it is set.
     moe_reads_from_ns: u64,
-    /// By the last write.
+    /// Whether the last write set MOE.
     moe_was_set: bool,
-    /// The shortcut for bursts; none without it.
+    /// The shortcut for bursts; `None` disables it.
     burst: Option<Burst<F::Register>>,
     /// It stands still while its course is followed elsewhere, see [`super::course`].
     pub(super) parked: bool,
-    /// The event that the timer waits for without knowing it.
+    /// An event scheduled for the timer without its knowledge.
     awaited: Option<EventId>,
-    /// When an event came while it stood still.
+    /// Instant of an event that came while it stood still.
     missed: Option<VirtualNanos>,
 }
 
@@ -51,19 +51,17 @@ const ARR: u32 = 0x2C;
 const DCR: u32 = 0x48;
 const DMAR: u32 = 0x4C;
 const BURST: u64 = ((WORDS as u64 - 1) << 8) | (ARR as u64 / 4);
-/// The word for CCR2: its channel is not used, and the word is always the same.
+/// Index of the word for CCR2: its channel is unused, and the word is always the same.
 const NOT_PRELOADED: usize = 3;
-/// In CR1 and in CCMRx, and what else in CCMRx makes a channel an input.
+/// CR1.ARPE and CEN, the preload bit in CCMRx, and the bits of CCMRx that make a channel an input.
 const PRELOADED_PERIOD: u64 = 1 << 7;
 const COUNTS: u64 = 1 << 0;
 const PRELOADED_ODD_CHANNEL: u64 = 1 << 3;
 const INPUTS: u64 = 0x0303;
 
-/// The bursts that bring the next period. Each of their words has the timer calculate its course anew, four times,
-/// although
-/// preloaded registers change nothing before the next update. So where all of them are preloaded, the words go past
-/// the timer into
-/// its registers, and it hears of the last one only.
+/// The bursts that load the next period. Each of their words makes the timer compute its course again, four times,
+/// although preloaded registers change nothing before the next update. So if all of them are preloaded, the words
+/// bypass the timer and go straight to its registers. The timer gets the last word only.
 #[derive(Debug)]
 struct Burst<R> {
     cr1: R,
@@ -71,17 +69,16 @@ struct Burst<R> {
     ccmr2: R,
     dcr: R,
     targets: [R; WORDS],
-    /// The word that comes next, whoever writes it.
+    /// Index of the next word, whether DMA or the processor writes it.
     next: u64,
-    /// The burst in progress goes past the timer.
+    /// The burst in progress bypasses the timer.
     past: bool,
-    /// What went past the timer last.
+    /// The last words that bypassed the timer.
     words: Option<Words>,
-    /// What went past it before that, and when the update came that makes it the period that is played; none while the
-    /// processor
-    /// has a hand in it.
+    /// The words before those, and the instant of the update that made them the current period. None if the processor
+    /// has intervened.
     playing: Option<(Words, u64)>,
-    /// Bursts that went past it since the processor wrote one of their registers.
+    /// Bursts that bypassed it since the processor last wrote one of these registers.
     undisturbed: u64,
 }
 
@@ -107,7 +104,7 @@ impl<R: Layout> Burst<R> {
         })
     }
 
-    /// Whether a burst that begins now may go past the timer.
+    /// Whether a burst that begins now may bypass the timer.
     fn may_pass(&self, registers: &RegisterFile) -> bool {
         let is_preloaded =
             |control: u64| control & (PRELOADED_ODD_CHANNEL | INPUTS) == PRELOADED_ODD_CHANNEL;
@@ -117,7 +114,7 @@ impl<R: Layout> Burst<R> {
             && is_preloaded(registers.get(self.ccmr2))
     }
 
-    /// The next word's number, and whether it goes past the timer.
+    /// The next word's index, and whether it bypasses the timer.
     fn next(&mut self, registers: &RegisterFile) -> (usize, bool) {
         let length = (registers.get(self.dcr) >> 8 & 0x1F) + 1;
         let index = self.next;
@@ -128,7 +125,7 @@ impl<R: Layout> Burst<R> {
         (index as usize, self.past)
     }
 
-    /// Which word of a burst goes into `register`.
+    /// Index of the word in a burst that goes into `register`.
     fn word_of(&self, register: R) -> Option<usize> {
         let nth = register.spec().offset.checked_sub(ARR)? / 4;
         (nth < WORDS as u32).then_some(nth as usize)
@@ -143,7 +140,7 @@ impl<R: Layout> Burst<R> {
 /// Offset of BDTR, and its bit MOE.
 const BDTR: u32 = 0x44;
 const MOE: u64 = 1 << 15;
-/// How long MOE takes to read back: four clocks of the timer, longer than an instruction. The manual names no figure.
+/// Delay until MOE reads back: four clocks of the timer, longer than an instruction. The manual gives no figure.
 const MOE_DELAY_NS: u64 = 40;
 
 fn is_bdtr<R: Layout>(register: R) -> bool {
@@ -170,7 +167,7 @@ impl<F: Family> Watched<F> {
         self.high[usize::from(channel) - 1]
     }
 
-    /// Writes a word of a burst, if it goes past the timer.
+    /// Writes a word of a burst to its register, if it bypasses the timer.
     fn pass(
         &mut self,
         value: u64,
@@ -200,7 +197,7 @@ impl<F: Family> Watched<F> {
                 .filter(|_| is_known)
                 .map(|words| (words, context.now().0));
             burst.undisturbed += 1;
-            // The timer takes an acknowledgement of its request only where a burst has one word.
+            // Clear DCR for a moment: the timer takes an acknowledgement of its request only in a burst of one word.
             let dcr = registers.get(burst.dcr);
             registers.set(burst.dcr, 0);
             self.tim.acknowledge(UPDATE_REQUEST, registers, context);
@@ -209,9 +206,8 @@ impl<F: Family> Watched<F> {
         true
     }
 
-    /// The processor writes to a register that bursts write to, too. The timer brings itself up to date with what was
-    /// in it before,
-    /// but knows that only of what it was shown.
+    /// Prepares a write of the processor to a register that bursts write to, too. The timer brings itself up to date
+    /// from the old register contents, but knows only those that it was shown.
     fn before_write(
         &mut self,
         register: F::Register,
@@ -249,9 +245,8 @@ impl<F: Family> Watched<F> {
     }
 }
 
-/// Registers of the step timer as a course needs them: it counts up, on its own clock, each of its outputs is high at
-/// the beginning
-/// of a period, and nobody but DMA hears of an update (RM0383 section 12.4).
+/// Registers of the step timer as a course requires them: it counts up on its internal clock, each output is high at
+/// the beginning of a period, and only DMA is notified of an update (RM0383 section 12.4).
 const AS_STEP_TIMER: [(tim1::Register, u64); 7] = [
     (tim1::Register::Cr1, PRELOADED_PERIOD | COUNTS),
     (tim1::Register::Cr2, 0),
@@ -261,15 +256,15 @@ const AS_STEP_TIMER: [(tim1::Register, u64); 7] = [
     (tim1::Register::Ccmr2Output, 0x68),
     (tim1::Register::Ccer, 0x101),
 ];
-/// DIER with the update's DMA request, and with the break's interrupt beside it.
+/// DIER: the DMA request on update, and the break interrupt that may be enabled beside it.
 const REQUESTS: u64 = 1 << 8;
 const BREAK_INTERRUPT: u64 = 1 << 7;
-/// SR after a whole period: the update's flag and those of all channels; and the break's.
+/// SR after a whole period: the flags of the update and of all channels; and the break's.
 const ALL_FLAGS: u64 = 0x1F;
 const BROKEN: u64 = 1 << 7;
-/// BDTR: an update does not set MOE.
+/// BDTR.AOE: clear, an update does not set MOE.
 const AOE: u64 = 1 << 14;
-/// EGR: begins a period at once.
+/// EGR.UG: begins a period at once.
 const UPDATE: u64 = 1 << 0;
 /// Registers of a burst.
 const OF_BURST: [tim1::Register; WORDS] = [
@@ -281,7 +276,7 @@ const OF_BURST: [tim1::Register; WORDS] = [
 ];
 
 impl Watched<Advanced> {
-    /// Where the timer stands and how long its ticks are, ns, if its course follows from the ring.
+    /// The timer's position and the length of its ticks, ns, if its course follows from the ring.
     pub(super) fn standing(
         &self,
         registers: &RegisterFile,
@@ -304,7 +299,7 @@ impl Watched<Advanced> {
             let at = VirtualNanos(at_ns);
             Device::peek(&self.tim, tim1::Register::Cnt, registers, at)
         };
-        // Ticks of whole nanoseconds only.
+        // Only ticks of whole nanoseconds are supported.
         let in_us = count(now.0 + 1_000)?.checked_sub(count(now.0)?)?;
         let tick_ns = 1_000_u64
             .checked_div(in_us)
@@ -322,7 +317,7 @@ impl Watched<Advanced> {
         (count(now.0) == Some(counted)).then_some((standing, tick_ns))
     }
 
-    /// Puts the timer where its course has come to at `to`; `nowhere` is a bus on which nobody listens.
+    /// Moves the timer to where its course is at `to`; `nowhere` is a bus without listeners.
     pub(super) fn resume(
         &mut self,
         course: &Course,
@@ -341,7 +336,7 @@ impl Watched<Advanced> {
             let kept = [tim1::Register::Dier, tim1::Register::Sr]
                 .map(|register| (register, registers.get(register)));
             registers.set(tim1::Register::Dier, 0);
-            // A period of nothing blocks the counter, until the present round begins.
+            // A period of 0 blocks the counter until the present round begins.
             let present = [playing.0[0], left, playing.0[2], playing.0[3], playing.0[4]];
             for (words, at_ns) in [([0; WORDS], course.from_ns), (present, begun_ns)] {
                 for (register, word) in OF_BURST.into_iter().zip(words) {
@@ -374,7 +369,7 @@ impl Watched<Advanced> {
         nowhere.reset();
         let (_, mut unheard) = nowhere.drive(to, 0);
         Device::read(&mut self.tim, tim1::Register::Cr1, registers, &mut unheard);
-        // Without a new plan the timer waits for what it asked for before, which may have come and been missed.
+        // Without a new plan the timer waits for its earlier event, which may have come and been missed.
         let missed = self.missed.take();
         let next = nowhere.next_event().or(planned).or(missed);
         nowhere.reset();
@@ -401,7 +396,7 @@ impl<F: Family> Device for Watched<F> {
     ) -> Option<u64> {
         assert!(!self.parked, "a timer that stands still is read");
         if register.spec().offset == DMAR {
-            // Nobody does that. It steps the burst, so that the two would no longer agree.
+            // The firmware never reads DMAR. A read advances the burst, so the shortcut would lose step: drop it.
             self.burst = None;
         }
         let value = Device::read(&mut self.tim, register, registers, context);

@@ -5,15 +5,15 @@ pub use capsule_plant::{Bridge, Defect, Parameters};
 
 use crate::faults::{Faults, When};
 
-/// What the linear regulator of the chip gives, mV, as long as the battery has more.
+/// Output of the chip's linear regulator, mV, while the battery is above it.
 const REGULATED_MV: f64 = 3_300.0;
-/// What it drops of an empty battery, mV: the resistance of its pass transistor, 5 ohm, at the chip's 10 mA [assumed].
+/// Dropout of the regulator on an empty battery, mV: its pass transistor's 5 ohm at the chip's 10 mA [assumed].
 const DROPOUT_MV: f64 = 50.0;
-/// The same resistance with 10 uF behind it, s [assumed].
+/// Time constant of the same resistance with 10 uF behind it, s [assumed].
 const SUPPLY_FILTER: f64 = 50e-6;
 /// Longest step of the integration, ns.
 const STEP_NS: u64 = 20_000;
-/// Interval at which a moving motor is looked at, ns.
+/// Interval at which a moving motor is sampled, ns.
 const LOOK_NS: u64 = 50_000;
 
 /// The capsule.
@@ -47,7 +47,7 @@ impl Capsule {
         }
     }
 
-    /// Puts another capsule in its place, at rest, now.
+    /// Replaces it by another capsule, at rest, now.
     pub fn exchange(&mut self, parameters: Parameters) {
         *self = Self {
             now_ns: self.now_ns,
@@ -61,7 +61,7 @@ impl Capsule {
         &self.plant
     }
 
-    /// Its mechanics, to be changed at this instant.
+    /// Its mechanics, mutable, at the present instant.
     pub fn plant_mut(&mut self) -> &mut Plant {
         &mut self.plant
     }
@@ -120,7 +120,7 @@ impl Capsule {
         self.driven_ns
     }
 
-    /// The next drive is the first one again.
+    /// Forgets the first drive: the next one counts as the first.
     pub fn forget_drive(&mut self) {
         self.driven_ns = None;
     }
@@ -180,7 +180,7 @@ impl Capsule {
         self.faults.plan(When::At(at_ns), defect);
     }
 
-    /// Makes something go wrong now.
+    /// Applies a defect now.
     pub fn suffer(&mut self, defect: Defect) {
         self.plant.suffer(defect);
     }
@@ -199,10 +199,10 @@ impl Capsule {
         });
     }
 
-    /// Lets time pass to `until_ns`; calls `edge` with the encoder's outputs after each of its edges.
+    /// Advances to `until_ns`; calls `edge` with the encoder's outputs after each edge.
     pub fn advance(&mut self, until_ns: u64, mut edge: impl FnMut((bool, bool))) {
         loop {
-            // Including those at the very end, because the next look only asks for later ones.
+            // Include defects due at the very end, because the next call only asks for later ones.
             for defect in self.faults.due_by(self.now_ns) {
                 self.plant.suffer(defect);
             }
@@ -232,7 +232,7 @@ impl Capsule {
         }
     }
 
-    /// When the capsule has to be looked at again even if no pin changes, ns.
+    /// When the capsule must be advanced even if no pin changes, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         let moving = (!self.plant.is_quiet()).then_some(self.now_ns + LOOK_NS);

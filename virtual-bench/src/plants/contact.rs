@@ -3,14 +3,14 @@
 /// How a contact bounces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bounce {
-    /// Number of times that the contact falls back after each change.
+    /// How often the contact falls back after each change.
     pub times: u32,
     /// Time between two changes, ns.
     pub apart_ns: u64,
 }
 
-/// From a change of a contact to the change at the chip's pin, ns [assumed, the least]: the carriage follows its step, and
-/// the pull-up charges the wire. An RC on the wire takes longer.
+/// Delay from a contact's change to the chip's pin, ns [assumed, the least]: the carriage follows its step, and the
+/// pull-up charges the wire. An RC on the wire takes longer.
 pub const TO_PIN_NS: u64 = 1_000;
 
 /// A contact to ground, at the chip's end of its wire.
@@ -19,10 +19,10 @@ pub struct Contact {
     actuated: bool,
     open: bool,
     stuck: Option<bool>,
-    /// From when on it is stuck, or no longer.
+    /// Pending fault: its instant in ns, and whether it sticks open; `None` ends sticking.
     sticking: Option<(u64, Option<bool>)>,
     bounce: Option<Bounce>,
-    /// Changes to come: instant in ns, and whether it opens.
+    /// Pending changes: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
     noise: Option<Noise>,
 }
@@ -57,7 +57,7 @@ impl Contact {
         self.stuck.unwrap_or(level)
     }
 
-    /// Puts noise on its wire that toggles at this interval, or takes it off.
+    /// Adds noise on its wire that toggles at this interval, or removes it.
     pub fn set_noise(&mut self, half_period_ns: Option<u64>, at_ns: u64) {
         self.noise = half_period_ns.map(|half_period_ns| Noise {
             half_period_ns,
@@ -91,7 +91,7 @@ impl Contact {
         self.coming.push((at_ns + width_ns, self.actuated));
     }
 
-    /// Makes it stay open (a cut wire) or closed (welded) although it is actuated or released, or work again.
+    /// Sticks it open (a cut wire) or closed (welded), whatever actuates it, or lets it work again.
     pub fn stick(&mut self, open: Option<bool>, at_ns: u64) {
         self.sticking = Some((at_ns + TO_PIN_NS, open));
     }
@@ -101,7 +101,7 @@ impl Contact {
         self.bounce = bounce;
     }
 
-    /// Makes the changes that are due by `now_ns`.
+    /// Applies the changes that are due by `now_ns`.
     pub fn advance(&mut self, now_ns: u64) {
         while let Some(noise) = self.noise.as_mut().filter(|noise| noise.next_ns <= now_ns) {
             noise.next_ns += noise.half_period_ns;

@@ -27,7 +27,7 @@ impl DriverTiming {
     };
 }
 
-/// Steps closer together than this belong to the same movement, ns.
+/// Steps closer together than this count as one movement, ns.
 const MOVING_NS: u64 = 10_000_000;
 
 /// Parameters of the rig.
@@ -47,14 +47,14 @@ pub struct RigOptions {
     pub driver: DriverTiming,
     /// Indentation of the intestine by the rollers (the paper's a_n), mm.
     pub indentation_mm: f64,
-    /// A coil of the motor is the wrong way round: it turns against DIR.
+    /// One coil of the motor is reversed: it turns against DIR.
     pub reversed: bool,
-    /// Home flag and far limit are plugged into each other's input.
+    /// Home flag and far limit are plugged into each other's inputs.
     pub swapped_switches: bool,
-    /// The second jumper leads from STEP to the capture input.
+    /// The second jumper connects STEP to the capture input.
     pub capture_jumper: bool,
-    /// What EN is pulled up to, mV: 3,300 by the board, 5,000 by a shield at 5 V; without a pull-up the driver's own
-    /// resistor switches it on.
+    /// Voltage that EN is pulled up to, mV: 3,300 by the board, 5,000 by a shield at 5 V; `None` without a pull-up,
+    /// when the driver's own resistor switches it on.
     pub enable_pull_up_mv: Option<u32>,
 }
 
@@ -80,13 +80,13 @@ impl RigOptions {
         enable_pull_up_mv: Some(3_300),
     };
 
-    /// The same as the manual wires it, with the jumper by which it times its steps. Edges take the bench longer then.
+    /// The rig as the manual wires it, with the jumper that times its steps. It emulates edges more slowly.
     pub const WITH_BOTH_JUMPERS: Self = Self {
         capture_jumper: true,
         ..Self::REFERENCE
     };
 
-    /// The same rig with a driver or a screw that takes so many steps per millimetre.
+    /// The same rig with a driver or screw of `steps_per_mm` steps per millimetre.
     #[must_use]
     pub fn with_steps_per_mm(self, steps_per_mm: i64) -> Self {
         let scaled = |steps: i64| steps * steps_per_mm / self.steps_per_mm;
@@ -112,7 +112,7 @@ pub enum Switch {
     EStop,
 }
 
-/// What opens the E-stop loop: its contacts are in series.
+/// A contact of the E-stop loop. Opening any of them opens the loop, because they are in series.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LoopContact {
     /// The E-stop button.
@@ -130,15 +130,15 @@ pub enum Action {
     EStop(bool),
     /// Press (or release) the start button.
     Button(bool),
-    /// Something happens to the jumper from STEP to the read-back input.
+    /// Apply a fault to the jumper from STEP to the read-back input.
     ReadBack(wire::Fault),
-    /// Something happens to the jumper from STEP to the capture input.
+    /// Apply a fault to the jumper from STEP to the capture input.
     Capture(wire::Fault),
     /// Make a contact stay open or closed, or work again.
     Stick(Switch, Option<bool>),
     /// Make a contact bounce from now on, or stop that.
     Bounce(Switch, Option<Bounce>),
-    /// Inject a pulse of this width in ns on a contact's wire.
+    /// Inject a pulse of this width, ns, on a contact's wire.
     Disturb(Switch, u64),
     /// Put noise on a contact's wire that toggles at this interval in ns, or take it off.
     Noise(Switch, Option<u64>),
@@ -150,14 +150,14 @@ pub enum Action {
     Actuate(Switch, bool),
     /// Switch the motor supply.
     Supply(bool),
-    /// Move the carriage by hand to this position in steps, which needs a motor without supply.
+    /// Move the carriage by hand to this position, steps. Works only while the motor has no supply.
     Place(i64),
 }
 
-/// Violations of what the driver and the mechanics require. All zero in a correct run.
+/// Violations of the requirements of driver and mechanics. All zero in a correct run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Violations {
-    /// STEP pulses too short, other than those cut because STEP was no longer driven.
+    /// STEP pulses too short, except those cut because STEP was no longer driven.
     pub short_high: u64,
     /// Gaps between STEP pulses too short.
     pub short_low: u64,
@@ -185,7 +185,7 @@ pub struct Rig {
     rose_ns: Option<u64>,
     fell_ns: Option<u64>,
     turned_ns: Option<u64>,
-    /// A flash operation has begun since the last step.
+    /// Whether a flash operation has begun since the last step.
     flash_began: bool,
     lose: u64,
     lost: u64,
@@ -205,7 +205,7 @@ pub struct Rig {
     button: bool,
     read_back: Wire,
     capture: Wire,
-    /// When the last change of STEP comes to the capture input.
+    /// When the last change of STEP reaches the capture input.
     captured_ns: Option<u64>,
     faults: Faults<Action>,
     tissue: Option<roller::UnfoldedBody>,
@@ -374,13 +374,13 @@ impl Rig {
         self.capture.is_high()
     }
 
-    /// When the last change of STEP comes to the capture input, ns; none if it does not.
+    /// When the last change of STEP reaches the capture input, ns; `None` if it does not.
     #[must_use]
     pub fn captured_ns(&self) -> Option<u64> {
         self.captured_ns
     }
 
-    /// DMA does not come for the captured instants now.
+    /// Whether DMA is kept from the captured instants now.
     #[must_use]
     pub fn keeps_captures_from_dma(&self) -> bool {
         self.capture.keeps_from_dma()
@@ -392,8 +392,8 @@ impl Rig {
         [&self.read_back, &self.capture]
     }
 
-    /// Steps from now on, in this direction, that only move the carriage: no switch changes with them, no fault is due with them, and
-    /// none is lost.
+    /// Steps from now on, in this direction, that only move the carriage: no switch changes, no fault is due, and no
+    /// step is lost.
     #[must_use]
     pub fn unnoticed_steps(&self) -> u64 {
         if !self.enabled || !self.supplied || self.lose > 0 {
@@ -443,7 +443,7 @@ impl Rig {
                 self.carriage = steps.clamp(low, high);
                 self.actuate_switches(at_ns);
             }
-            // A motor that holds cannot be turned by hand.
+            // A motor with current holds its position against a hand.
             Action::Place(_) => {}
             Action::Button(pressed) => self.button = pressed,
             Action::ReadBack(fault) => self.read_back.act(fault, at_ns),
@@ -463,7 +463,7 @@ impl Rig {
         self.estop.actuate(self.loop_open.contains(&true), at_ns);
     }
 
-    /// Home flag and far limit follow carriage and hand.
+    /// Actuates home flag and far limit by the carriage and by hand.
     fn actuate_switches(&mut self, at_ns: u64) {
         let [flag, limit] = self.by_hand;
         let flag = flag || self.carriage <= self.options.flag;
@@ -480,7 +480,7 @@ impl Rig {
         }
     }
 
-    /// Advances to `now_ns`: faults and contacts change when they are due.
+    /// Advances to `now_ns`, and applies the faults and contact changes due by then.
     pub fn advance(&mut self, now_ns: u64) {
         for action in self.faults.due_by(now_ns) {
             self.act(action, now_ns);
@@ -580,7 +580,7 @@ impl Rig {
         if !self.enabled {
             self.violations.disabled += 1;
         } else if !self.supplied {
-            // The driver takes the step, the motor has no current.
+            // The driver accepts the step, but the motor has no current.
         } else if self.lose > 0 {
             self.lose -= 1;
         } else if next < low || next > high {

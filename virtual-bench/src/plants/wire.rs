@@ -1,4 +1,4 @@
-//! A jumper from STEP to an input of the chip, with what can go wrong on its way.
+//! A jumper from STEP to an input of the chip, and its faults.
 
 /// Faults of a jumper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -7,28 +7,28 @@ pub enum Fault {
     Whole(bool),
     /// Inject a high pulse of this width, ns.
     Spike(u64),
-    /// Let the next pulse come this much later, ns; less than the pulse is long.
+    /// Delay the next pulse by this much, ns; must be less than the pulse's length.
     Delay(u64),
-    /// Keep the next pulse away.
+    /// Drop the next pulse.
     Skip,
-    /// From now on let each pulse come by nothing or by this much later, ns, as if by chance: what a slow edge and a
-    /// sampled input make of equal intervals. 0 ends it.
+    /// Delay each pulse from now on by 0 or by this much, ns, at random: the effect of a slow edge and a sampled input
+    /// on equal intervals. 0 ends it.
     Jitter(u64),
-    /// DMA fetches the next pulse's instant only after the one behind it has come, and so loses it.
+    /// Lose the next pulse's captured instant: DMA fetches it only after the following one has overwritten it.
     Lose,
 }
 
-/// What keeps DMA from an instant.
+/// State of a fault that keeps a captured instant from DMA.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum Keeping {
     /// Nothing.
     #[default]
     Nothing,
-    /// The next pulse's instant will be kept from it.
+    /// The next pulse's instant will be.
     Next,
-    /// That instant is, until the pulse behind it.
+    /// That instant is, until the following pulse.
     First,
-    /// The pulse behind it has come.
+    /// The following pulse has come.
     Second,
 }
 
@@ -37,19 +37,19 @@ enum Keeping {
 pub struct Wire {
     whole: bool,
     spike_until_ns: Option<u64>,
-    /// Of the next pulse.
+    /// Fault of the next pulse.
     fault: Option<Fault>,
-    /// Of the pulse in progress.
+    /// Delay of the pulse in progress.
     delay_ns: u64,
     jitter_ns: u64,
     dice: u64,
     keeping: Keeping,
-    /// The level of STEP as it comes through.
+    /// The level of STEP as it arrives.
     high: bool,
 }
 
 impl Wire {
-    /// A jumper that is in its place, or missing.
+    /// A jumper that is fitted (`whole`) or missing.
     #[must_use]
     pub fn new(whole: bool) -> Self {
         Self {
@@ -64,13 +64,13 @@ impl Wire {
         }
     }
 
-    /// The instants that come now are kept from DMA.
+    /// Whether DMA is kept from the instants captured now.
     #[must_use]
     pub fn keeps_from_dma(&self) -> bool {
         matches!(self.keeping, Keeping::First | Keeping::Second)
     }
 
-    /// Nothing, or all of the jitter.
+    /// Returns either 0 or the full jitter, at random.
     fn jitter_ns(&mut self) -> u64 {
         self.dice ^= self.dice << 13;
         self.dice ^= self.dice >> 7;
@@ -78,7 +78,7 @@ impl Wire {
         self.jitter_ns * (self.dice & 1)
     }
 
-    /// `fault` happens now.
+    /// Applies `fault` now.
     pub fn act(&mut self, fault: Fault, at_ns: u64) {
         match fault {
             Fault::Whole(whole) => {
@@ -92,7 +92,7 @@ impl Wire {
         }
     }
 
-    /// STEP changed. When that comes through, if it does, ns.
+    /// Handles a change of STEP. Returns when it arrives, ns, if it does.
     pub fn step(&mut self, high: bool, at_ns: u64) -> Option<u64> {
         let comes = if high {
             let fault = self.fault.take();
@@ -116,7 +116,7 @@ impl Wire {
         (comes && self.spike_until_ns.is_none()).then_some(at_ns + self.delay_ns)
     }
 
-    /// Whether it leads, if nothing but STEP changes what comes through.
+    /// Whether it conducts; `None` if something other than STEP may change its output.
     #[must_use]
     pub fn leads(&self) -> Option<bool> {
         let plain = self.fault.is_none()
@@ -127,18 +127,18 @@ impl Wire {
         plain.then_some(self.whole)
     }
 
-    /// Time has come to `now_ns`.
+    /// Advances to `now_ns`.
     pub fn advance(&mut self, now_ns: u64) {
         self.spike_until_ns = self.spike_until_ns.filter(|&until_ns| now_ns < until_ns);
     }
 
-    /// When it changes next without STEP, ns.
+    /// When its output next changes without STEP, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         self.spike_until_ns
     }
 
-    /// The level at its end.
+    /// The level at its output.
     #[must_use]
     pub fn is_high(&self) -> bool {
         self.high || self.spike_until_ns.is_some()
@@ -160,7 +160,7 @@ mod tests {
         assert_eq!(pulse(&mut wire, 10_000), (Some(10_000), Some(12_000)));
         wire.act(Fault::Delay(20), 13_000);
         assert_eq!(pulse(&mut wire, 20_000), (Some(20_020), Some(22_020)));
-        // Within a pulse it is the next one's.
+        // During a pulse, a fault applies to the next one.
         wire.step(true, 23_000);
         wire.act(Fault::Delay(20), 23_000);
         assert_eq!(wire.step(false, 25_000), Some(25_000));
@@ -218,7 +218,7 @@ mod tests {
             wire.act(fault, 0);
             assert_eq!(wire.leads(), None, "{fault:?}");
         }
-        // Until the pulse after the lost one is over.
+        // DMA is blocked until the pulse after the lost one is over.
         let mut wire = Wire::new(true);
         wire.act(Fault::Lose, 0);
         for (high, leads) in [

@@ -1,7 +1,7 @@
-//! Accepted runs end whole, each step timed, at the slowest processor that is claimed: 65 M instructions/s, telemetry
+//! Accepted runs complete with each step timed, at the slowest supported processor: 65 M instructions/s, with telemetry
 //! at 200 Hz.
 //!
-//! `RETROGRADE_CAMPAIGN=full` tries all of the recorded seed; `RETROGRADE_SEED=N` repeats run N of it.
+//! `RETROGRADE_CAMPAIGN=full` tries all runs of the recorded seed; `RETROGRADE_SEED=N` repeats run N of it.
 
 use crate::common::{Dice, LIMIT_NS, home_quickly, quick, rig_as_quick_as, trials};
 use protocol::{
@@ -34,7 +34,7 @@ impl Trial {
         FULL_STEPS * u64::from(self.microsteps) * 1_000 / u64::from(self.lead_um)
     }
 
-    /// Makes the run, which has to be accepted: every edge is right, and each is timed.
+    /// Makes the run, which must be accepted: every edge must be right and timed.
     fn check(&self, what: &str) {
         let options = if self.capture {
             RigOptions::WITH_BOTH_JUMPERS
@@ -103,21 +103,21 @@ fn fine(speed_um_s: u32, capture: bool) -> Trial {
     }
 }
 
-/// 400.497 ticks a step: hardly two periods are alike.
+/// 400.497 ticks per step: almost no two neighbouring periods are equal.
 #[test]
 fn unlike_periods_at_249_7_khz_are_carried() {
     fine(39_014, false).check("without the jumper");
     fine(39_014, true).check("each step timed");
 }
 
-/// 400.231 ticks a step: every fourth period is longer.
+/// 400.231 ticks per step: every fourth period is longer.
 #[test]
 fn a_quarter_of_unlike_periods_at_249_9_khz_is_carried() {
     fine(39_040, false).check("without the jumper");
     fine(39_040, true).check("each step timed");
 }
 
-/// Run `number` of the seed: one of two is above 150 kHz and takes near half a tick more than whole ones a step.
+/// Run `number` of the seed. Every second one is above 150 kHz, with nearly half a tick per step beyond whole ticks.
 fn trial(number: u64) -> Trial {
     let mut dice = Dice((SEED + number).wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
     for _ in 0..8 {

@@ -1,4 +1,4 @@
-//! A campaign on both images: the paper's plan with few and short runs, left and resumed, nobody asked.
+//! A campaign on both images: the paper's plan with few and short runs, interrupted and resumed, without questions.
 
 use std::ffi::OsString;
 use std::fs;
@@ -53,7 +53,7 @@ fn a_short_campaign_is_left_and_resumed_and_reported() {
     retrograde(&[
         "campaign", "run", &plan, "--out", &folder, "--yes", "--trials", "1",
     ]);
-    // Other machines: those of the first command are gone, as after a crash.
+    // Use new machines: those of the first command are gone, as after a crash.
     retrograde(&["campaign", "resume", &folder, "--yes"]);
     retrograde(&["verify", &folder]);
     let verified = verify(Path::new(&folder)).expect("a folder");
@@ -68,7 +68,7 @@ fn a_short_campaign_is_left_and_resumed_and_reported() {
     assert_eq!(sources, [Source::Model; 4]);
     let page = fs::read_to_string(path("short/report/report.html")).expect("a report");
     assert!(page.contains("not a measurement"));
-    // One that contradicts itself is left out of the report with its trial.
+    // A record that contradicts itself is left out of the report together with its trial.
     let evaluation = evaluate(Path::new(&folder)).expect("a campaign");
     let folding = evaluation
         .trials

@@ -1,4 +1,4 @@
-//! The capsule's image, judged from its motor, thread and spring.
+//! Tests of the capsule's image at its motor, thread and spring.
 
 use client::error::ClientError;
 use client::{Device, Observer, Unobserved};
@@ -101,19 +101,19 @@ impl CapsuleRun {
         assert_eq!(record.outcome, ActuationOutcome::Complete, "{}", self.log());
     }
 
-    /// So long with nothing to do but to keep the link.
+    /// Lets time pass while the host keeps the link alive.
     pub(crate) fn idle(&mut self, us: u64) {
         self.device
             .idle(us, &mut Unobserved)
             .expect("the link stays");
     }
 
-    /// Long enough for what is kept to be written.
+    /// Waits until the persistent data is written.
     pub(crate) fn rest(&mut self) {
         self.idle(1_500_000);
     }
 
-    /// Off for a second; a new session.
+    /// Switches off for a second, then opens a new session.
     pub(crate) fn power_cycle(&mut self, nonce: u32) {
         self.bench.power_cycle(1_000_000).expect("the bench runs");
         self.device.hello(nonce).expect("it answers again");
@@ -124,7 +124,7 @@ impl CapsuleRun {
         (status.state, status.fault, status.referenced)
     }
 
-    /// How long encoder and amplifier have been powered.
+    /// Total time for which encoder and amplifier were powered.
     fn sensors_ns(&self) -> u64 {
         let powered = self.bench.visit(|visit| {
             let now_ns = visit.now_ns();
@@ -133,14 +133,14 @@ impl CapsuleRun {
         powered.expect("the bench runs")
     }
 
-    /// At rest the motor is off and the bridge asleep, whatever the state: the worm holds.
+    /// Checks that at rest the motor is off and the bridge asleep, in any state: the worm gear holds.
     fn check_at_rest(&mut self) {
         self.idle(200_000);
         let before =
             self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()));
         let powered_ns = self.sensors_ns();
         self.idle(1_000_000);
-        // Encoder and amplifier are switched on for a reading now and then.
+        // Encoder and amplifier are switched on for an occasional reading.
         let powered_ms = (self.sensors_ns() - powered_ns) / 1_000_000;
         assert!((1..20).contains(&powered_ms), "{powered_ms} ms of a second");
         let after = self.look(|capsule| capsule.wound_mm());
@@ -228,7 +228,7 @@ fn what_it_says_is_what_the_plant_did() {
     assert!(mean_mj <= 250.0, "a fold takes {drawn_mj:.1?} mJ");
 }
 
-/// Current times voltage is the energy, so an offset that stayed in the current would show there.
+/// Energy is current times voltage, so an offset left in the current would show there.
 #[test]
 fn an_offset_of_the_current_amplifier_changes_nothing() {
     says_what_the_plant_did(Parameters {
@@ -237,12 +237,12 @@ fn an_offset_of_the_current_amplifier_changes_nothing() {
     });
 }
 
-/// The energies that folds drew, mJ.
+/// Checks the capsule's reports against the plant. Returns the energies of the folds, mJ.
 fn says_what_the_plant_did(options: Parameters) -> Vec<f64> {
     let mut drawn = vec![];
     let mut capsule = referenced_with(options);
     let zero = capsule.look(|capsule| capsule.wound_mm());
-    // The pauses are those of a person: no reading of the idle bridge may leak into the next actuation.
+    // Pause as a person does: no reading of the idle bridge may leak into the next actuation.
     for pause_us in [0, 30_000, 77_000, 101_000] {
         for folds in [true, false] {
             capsule.idle(pause_us);
@@ -316,9 +316,8 @@ fn a_jam_is_found_where_it_is_and_latched() {
     capsule.check_clean();
 }
 
-/// So many seeded capsules of each kind, one board after the other.
-/// That the folded thread did not pull was hidden by the current that starts a motor, or by the pauses after brakes, in which no
-/// reading counts. The late jam pulled hardest.
+/// Seeded cases that the image once missed. The current that starts a motor, or the pauses after brakes, in which no
+/// reading counts, hid that the folded thread did not pull. The late jam pulled hardest.
 #[test]
 fn what_the_image_once_missed_is_named() {
     let mut workbench = Workbench::new().expect("the image boots");
@@ -337,6 +336,7 @@ fn what_the_image_once_missed_is_named() {
     }
 }
 
+/// Tries seeded capsules of each of `kinds`, one after the other on the same board.
 fn are_named_rightly(kinds: &[Kind]) {
     let mut workbench = Workbench::new().expect("the image boots");
     for seed in 0..trials(1, population::CASES) {
@@ -393,7 +393,7 @@ fn what_happens_to_wires_and_bridge_is_named() {
     ]);
 }
 
-/// Calibration, totals and "was folded" outlive the power; a check confirms the fold and pays nothing out.
+/// Calibration, totals and the folded state survive a power cut. A check confirms the fold and pays no thread out.
 #[test]
 fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     let mut capsule = referenced();
@@ -434,7 +434,7 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
     let unfolded_mm = capsule.look(|capsule| capsule.wound_mm());
     assert!((0.0..0.3).contains(&unfolded_mm), "{unfolded_mm} mm");
-    // A cut in the unfolding leaves no "folded" behind.
+    // After a cut during unfolding the state is not "folded".
     assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
     capsule.rest();
     capsule.device.unfold().expect("it is accepted");
@@ -444,7 +444,7 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     capsule.check_clean();
 }
 
-/// The worst is a cut while the thread is paid out at full speed: nothing brakes the motor then.
+/// The worst case is a cut while the thread is paid out at full speed: nothing brakes the motor then.
 #[test]
 fn a_cut_of_the_power_never_pays_out_past_zero() {
     for after_us in [400_000, 800_000, 1_000_000, 1_150_000, 1_300_000] {
@@ -461,7 +461,7 @@ fn a_cut_of_the_power_never_pays_out_past_zero() {
     }
 }
 
-/// The recording tells what the plant did, reading by reading.
+/// The recording matches the plant, reading by reading.
 #[test]
 fn a_fold_is_recorded_on_the_capsule() {
     let mut capsule = referenced();
@@ -473,7 +473,7 @@ fn a_fold_is_recorded_on_the_capsule() {
         points.len(),
         record.duration_ms
     );
-    // While the motor is braked the amplifier shows its current, which is none of the cell's.
+    // While the motor is braked the amplifier shows the motor's current, which does not come from the cell.
     let driven = points.windows(2).filter(|pair| pair[0].drive_mv != 0);
     let peak_ma = driven.map(|pair| pair[1].current_ma).max();
     assert!((140..260).contains(&peak_ma.expect("some")), "{peak_ma:?}");
@@ -522,7 +522,7 @@ fn the_battery_is_read_right_down_to_an_empty_cell() {
     capsule.check_clean();
 }
 
-/// A tired cell has enough at rest and not under load.
+/// A tired cell has enough voltage at rest, but not under load.
 #[test]
 fn a_cell_that_sags_under_load_ends_the_fold_and_is_refused_from_then_on() {
     let mut capsule = referenced();
@@ -540,7 +540,7 @@ fn a_cell_that_sags_under_load_ends_the_fold_and_is_refused_from_then_on() {
     capsule.check_clean();
 }
 
-/// A bidirectional amplifier, with its zero at half of its supply, is not what the firmware is made for.
+/// The firmware does not support a bidirectional amplifier, whose zero is at half of its supply.
 #[test]
 fn a_current_at_rest_keeps_the_motor_off() {
     let over = |fault| {
@@ -553,7 +553,7 @@ fn a_current_at_rest_keeps_the_motor_off() {
     };
     is_refused_for(-500.0, over);
     is_refused_for(500.0, over);
-    // At the end of its range the amplifier is none.
+    // An amplifier at the end of its range counts as missing.
     is_refused_for(-1_650.0, |fault| fault == CapsuleFault::SenseLost);
 }
 
@@ -653,7 +653,7 @@ fn nothing_moves_before_the_reference() {
     capsule.check_clean();
 }
 
-/// An E-stop that nobody has acknowledged is still latched after a reset; acknowledged, or without power, it is not.
+/// An unacknowledged E-stop is still latched after a reset. It is cleared by an acknowledgement or a power cut.
 #[test]
 fn a_latched_estop_survives_a_reset() {
     let mut capsule = referenced();
@@ -686,8 +686,8 @@ fn a_latched_estop_survives_a_reset() {
     capsule.check_clean();
 }
 
-/// Lets `client` misbehave while the capsule folds, until the device has restarted: motor off, bridge asleep, latched.
-/// Returns how long that took, and the last words.
+/// Makes `client` misbehave while the capsule folds, until the device has restarted: motor off, bridge asleep, fault
+/// latched. Returns how long that took, and the last words.
 fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String) {
     let mut capsule = referenced();
     capsule.device.fold().expect("folding is accepted");
@@ -764,15 +764,15 @@ impl Observer for Samples {
     }
 }
 
-/// The totals are written half a second after a motion. In an empty log a sector comes into use with that: it is looked through,
-/// and erased unless it is blank.
+/// The totals are written half a second after a motion. In an empty log that takes a new sector into use, which is
+/// checked and, unless blank, erased.
 #[test]
 fn telemetry_counts_the_samples_that_it_leaves_out_while_flash_is_written() {
     const INTERVAL_US: u64 = 10_000;
     for (is_blank, silent_us) in [(true, 0..20_000), (false, 250_000..300_000)] {
         let mut capsule = referenced();
         if !is_blank {
-            // In the middle of the first sector, as an erasure that was cut off may leave it.
+            // Dirt in the middle of the first sector, as an interrupted erase may leave it.
             let dirt = capsule
                 .bench
                 .visit(|visit| visit.overwrite(0x0800_6000, &[0; 2]));

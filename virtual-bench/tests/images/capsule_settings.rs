@@ -73,7 +73,8 @@ fn settings_count_at_once_and_after_the_next_start() {
     };
     capsule.device.call(called).expect("a name");
 
-    // The calibration is of the old end force: a weaker one ends before its end, and that would be a jam.
+    // The calibration belongs to the old end force: a weaker one would end before the calibrated end, which counts as a
+    // jam.
     let accepted = capsule.device.reference().expect("it is accepted");
     capsule
         .device
@@ -136,7 +137,7 @@ fn settings_count_at_once_and_after_the_next_start() {
     capsule.check_clean();
 }
 
-/// On the host each operation is tried (`firmware-capsule/tests/kept.rs`).
+/// A host test tries every operation (`firmware-capsule/tests/kept.rs`).
 #[test]
 fn a_cut_within_a_change_leaves_the_old_setting_or_the_new_one() {
     let mut capsule = referenced();
@@ -152,7 +153,7 @@ fn a_cut_within_a_change_leaves_the_old_setting_or_the_new_one() {
                 visit.cut_flash(at, done);
             })
             .expect("the bench runs");
-        // Whatever it answers: from the cut on, nothing reaches the flash.
+        // Ignore the answer: after the cut nothing reaches the flash.
         let _ = capsule.device.call(Setting { key, value: wanted });
         let cut = capsule.bench.visit(|visit| visit.flash_is_cut());
         assert!(cut.expect("the bench runs"), "{at:?}: never reached");
@@ -212,8 +213,8 @@ fn a_partial_fold_stops_where_it_was_told() {
     capsule.check_clean();
 }
 
-/// A thread that slips by a little with each cycle looks like a friction that falls, or like creep, and is followed until it
-/// pulls too little, or until there is more thread than there can be.
+/// A thread that slips a little in each cycle looks like falling friction or creep. The capsule follows it until it
+/// pulls too little, or until there is more thread than possible.
 #[test]
 fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     let mut capsule = referenced();
@@ -244,7 +245,8 @@ fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     capsule.check_clean();
 }
 
-/// The library is tried with this latency (`simulated-machines/src/plant.rs`): with more, a jam near the end pulls harder.
+/// The library is tested with this latency (`simulated-machines/src/plant.rs`). With more, a jam near the end pulls
+/// harder.
 #[test]
 fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
     let mut capsule = referenced();
@@ -252,6 +254,6 @@ fn a_duty_follows_its_reading_as_soon_as_the_library_is_tried_with() {
     capsule.idle(400_000);
     let order = budget::order(&capsule.bench).expect("the bench runs");
     assert!((300.0..600.0).contains(&order.mean_us), "{order:?}");
-    // The processor may have been awake for something else just before a reading.
+    // The processor may have been awake for another reason just before a reading.
     assert!(order.latest_us < 800.0, "{order:?}");
 }

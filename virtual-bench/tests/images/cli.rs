@@ -1,5 +1,5 @@
-//! The command line against the rig's image: what cannot be done is refused with a text that helps, and no edge leaves
-//! the pin.
+//! The command line with the rig's image: an impossible request is refused with a helpful text, and no edge leaves the
+//! pin.
 
 use client::address::Address;
 use client::link::{Link, OpenError};
@@ -94,7 +94,7 @@ fn a_refused_command_line_says_why_and_moves_nothing() {
         );
         assert_eq!(rig.edge_count(), edges, "{arguments:?} moved the carriage");
     }
-    // The rig is none the worse for it.
+    // The rig still works.
     let (code, text) = run(
         &rig,
         &["--cycles", "1", "--stroke-mm", "5", "--duration-s", "2"],

@@ -1,4 +1,5 @@
-//! The 8 MHz from the ST-LINK come late, never, or stop: what a rig on an outer supply meets with every power-on.
+//! The 8 MHz clock from the ST-LINK comes late, never, or stops: a rig on an external supply meets this at every
+//! power-on.
 
 use crate::common::{LIMIT_NS, RigRun, exact, execute, paper, quickly_homed, start};
 use client::{Device, error::ClientError};
@@ -49,8 +50,8 @@ fn press(bench: &Bench<RigBoard>) {
     }
 }
 
-/// Switched on without a host; whenever the clock comes, the start button homes the rig and a run is exact. Nothing moves before
-/// that, the watchdog is fed all the time, and the start is told as the power-on that it is.
+/// Powered on without a host: whenever the clock comes, the start button homes the rig and a run is exact. Before that
+/// nothing moves, the watchdog is fed, and the reset cause is reported as power-on.
 #[test]
 fn a_rig_whose_clock_comes_late_homes() {
     for after_ms in [0, 500, 2_000, 10_000] {
@@ -81,12 +82,12 @@ fn a_rig_whose_clock_comes_late_homes() {
         Verdict::of(&exact(1), &rig.edges(first))
             .check(LIMIT_NS)
             .unwrap_or_else(|why| panic!("{what}: {why}"));
-        // It starts again once, with the clock.
+        // It restarts once, when the clock comes.
         rig.check_clean(usize::from(after_ms > 300));
     }
 }
 
-/// Without the clock the rig says so, for as long as it takes, and recovers by itself when the clock appears.
+/// Without the clock the rig reports its absence all the time, and recovers by itself when the clock appears.
 #[test]
 fn a_rig_without_its_clock_says_so_and_looks_for_it() {
     let mut rig = start(RigOptions::default(), options(Some(30 * S_NS)));
@@ -104,7 +105,7 @@ fn a_rig_without_its_clock_says_so_and_looks_for_it() {
             other => panic!("{other:?}"),
         }
         assert!(rig.device.acknowledge().is_err());
-        // It is pressed in vain, and not remembered.
+        // A press is ignored and not remembered.
         press(&rig.bench);
         rig.idle(7_000_000);
     }
@@ -127,8 +128,8 @@ fn a_rig_without_its_clock_says_so_and_looks_for_it() {
     rig.check_clean(1);
 }
 
-/// A clock that stops in a run and comes back later: what ended the run is told then, and not before it is acknowledged does
-/// anything move.
+/// A clock stops during a run and comes back later. The rig then reports the cause, and nothing moves until it is
+/// acknowledged.
 #[test]
 fn a_clock_that_comes_back_later_is_still_told_as_stopped() {
     let mut rig = quickly_homed();

@@ -1,4 +1,4 @@
-//! Commissioning against the images: it passes in one go, goes on where it was left, and names what is wrong with a
+//! Commissioning with the images: it passes in one go, resumes where it was interrupted, and names the defect of a
 //! machine.
 
 use std::ffi::OsString;
@@ -204,7 +204,7 @@ fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
         workshop.now_ns() / 1_000_000_000
     );
 
-    // Nothing that holds is repeated.
+    // Steps that passed are not repeated.
     let (code, text) = commission(&workshop, "rig", &record, &[]);
     assert_eq!(code, 0, "{text}");
     assert!(begun(&text).is_empty(), "{text}");
@@ -265,7 +265,7 @@ fn a_good_capsule_passes_in_one_go() {
     assert_eq!((code, begun(&text).len()), (0, 0), "{text}");
 }
 
-/// Hands that leave at the first thing they are asked for, once they are told to.
+/// Hands that, once told to, leave at the first request.
 struct Leaving {
     hands: BenchHands,
     leave: Arc<AtomicBool>,
@@ -293,8 +293,8 @@ impl Hands for Leaving {
     }
 }
 
-/// One session that is left in step `leave`, by Ctrl-C as the step begins or at its first request for a hand. Returns
-/// how it ended and the steps that were begun.
+/// One session that is interrupted in step `leave`: by Ctrl-C as the step begins, or at its first request for a hand.
+/// Returns how it ended and the steps that were begun.
 fn session(
     workshop: &Workshop,
     record: &Path,
@@ -351,7 +351,7 @@ fn left_at_every_step_and_resumed_it_repeats_nothing() {
     let all = steps::of(DeviceKind::Rig);
     let mut done: Vec<&str> = vec![];
     for step in all {
-        // Both ways of leaving, where a hand is asked for.
+        // Interrupt in both ways if the step asks for a hand.
         let ways: &[bool] = if step.needs_hands {
             &[true, false]
         } else {
@@ -406,7 +406,7 @@ fn short() -> RigOptions {
     }
 }
 
-/// The settings of a short rig that homes in a fraction of the time.
+/// Settings of a short rig that homes quickly.
 fn set_short(workshop: &Workshop) {
     for (key, value) in [
         ("stroke_um", "30000"),
@@ -420,7 +420,7 @@ fn set_short(workshop: &Workshop) {
     }
 }
 
-/// A defective rig stops at `step`, and the text says why.
+/// Checks that commissioning of a defective rig stops at `step`, and that the text says why.
 fn defect(options: RigOptions, actions: &[Action], more: &[&str], step: &str, says: &str) {
     let bench = rig_bench(options);
     for action in actions {
@@ -463,7 +463,7 @@ fn swapped_switches_are_named() {
 
 #[test]
 fn wrong_microsteps_are_named() {
-    // The driver is strapped for 1/32, and for 1/8.
+    // The driver is strapped for 1/32, or for 1/8.
     for (steps_per_mm, says) in [(1_600, "strapped for 32"), (400, "strapped for 8")] {
         let options = short().with_steps_per_mm(steps_per_mm);
         defect(options, &[], &[], "travel", says);
@@ -534,7 +534,8 @@ fn an_enable_without_pull_up_is_named() {
     defect(options, &[], &[], "enable", "EN has no pull-up");
 }
 
-/// A shield at 5 V is no fault of EN; two pull-ups to different supplies are, and so is what the pin does not stand.
+/// A shield at 5 V is no fault of EN. Two pull-ups to different supplies are one, and so is a voltage that the pin
+/// cannot stand.
 #[test]
 fn a_shield_at_5_v_is_told_from_a_fault() {
     let shield = |mv| RigOptions {
@@ -564,8 +565,7 @@ fn a_shield_at_5_v_is_told_from_a_fault() {
     }
 }
 
-/// Of what the wire of the captures may bring: 10 ns of jitter are none, 20 ns are named, and a lost capture as what it
-/// is.
+/// Faults on the capture wire: 10 ns of jitter are accepted, 20 ns are reported, and so is a lost capture.
 #[test]
 fn jitter_and_a_lost_capture_are_named() {
     let options = RigOptions {
@@ -589,7 +589,7 @@ fn jitter_and_a_lost_capture_are_named() {
     let all = count("intervals_exact") + count("intervals_1_tick");
     assert_eq!(all, count("edges_timed") - 1, "{text}");
     defect(options, &[jitter(20)], &[], "edge-timing", "by 20 ns");
-    // Again and again, so that one falls into the step, wherever it begins: no other step looks at captures.
+    // Repeat the fault, so that one falls into the step wherever it begins. No other step looks at captures.
     let bench = rig_bench(options);
     bench
         .visit(|visit| {
@@ -617,7 +617,7 @@ fn a_stale_image_is_named() {
     defect(short(), &[], &["--image", other], "image", "stale image");
 }
 
-/// The file's fingerprint is the one that the image calculates over its flash.
+/// The file's fingerprint equals the one that the image computes over its flash.
 #[test]
 fn a_file_and_its_image_have_the_same_fingerprint() {
     let mut rig = crate::common::rig();

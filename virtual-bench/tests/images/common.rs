@@ -1,4 +1,4 @@
-//! What the tests on the images share.
+//! Helpers shared by the tests on the images.
 #![allow(missing_docs, dead_code, unreachable_pub)]
 
 use client::{Device, Observer, Unobserved};
@@ -23,7 +23,7 @@ use virtual_bench::{
 /// One timer tick and one instruction slot of the emulator at 65 M instructions/s.
 pub const LIMIT_NS: f64 = 10.0 + 1e9 / 65e6;
 
-/// Deterministic choice of the instants of faults; the seed is in every failure's text.
+/// Deterministic random numbers for the instants of faults. The text of every failure includes the seed.
 pub struct Dice(pub u64);
 impl Dice {
     pub fn roll(&mut self, range: std::ops::Range<u64>) -> u64 {
@@ -34,8 +34,8 @@ impl Dice {
     }
 }
 
-/// How many trials of a campaign are made: all of them where RETROGRADE_CAMPAIGN is set, else a slice. Trials are the same
-/// ones either way: the first of a recorded seed.
+/// Number of trials in a campaign: `all` if RETROGRADE_CAMPAIGN is set, else `slice`. The trials are the same either
+/// way: the first ones of a recorded seed.
 pub fn trials<N>(slice: N, all: N) -> N {
     match std::env::var_os("RETROGRADE_CAMPAIGN") {
         Some(_) => all,
@@ -43,7 +43,7 @@ pub fn trials<N>(slice: N, all: N) -> N {
     }
 }
 
-/// Whether a trial of a campaign is made: each where RETROGRADE_CAMPAIGN is set, else every nth.
+/// Whether to make this trial of a campaign: each if RETROGRADE_CAMPAIGN is set, else every nth.
 pub fn is_made(trial: usize, nth: usize) -> bool {
     trial.is_multiple_of(trials(nth, 1))
 }
@@ -119,19 +119,19 @@ impl RigRun {
             .expect("the bench runs")
     }
 
-    /// Does something to the machine, at once.
+    /// Applies `action` to the machine at once.
     pub fn act(&self, action: Action) {
         let now_ns = self.bench.now_ns();
         self.look(move |rig| rig.act(action, now_ns));
     }
 
-    /// Lets time pass with a host that stays in touch.
+    /// Lets time pass while the host keeps the link alive.
     pub fn idle(&mut self, us: u64) {
         let idled = self.device.idle(us, &mut Unobserved);
         idled.expect("the link stays");
     }
 
-    /// The reported position is the true one to the step, and the rig wants to be homed all the same.
+    /// Checks that the reported position is right to the step, but the rig still requires homing.
     pub fn position_is_right_but_not_trusted(&mut self, what: &str) {
         let status = self.device.rig_status().expect(what);
         assert_eq!(
@@ -165,13 +165,13 @@ impl RigRun {
             .collect()
     }
 
-    /// Nothing was touched that does not exist, no driver rule was broken; a reset may have cut the pulse that was just
-    /// going out.
+    /// Checks that nothing absent was accessed and that no driver rule was broken. A reset may have cut the pulse in
+    /// progress.
     pub fn check_clean(&self, resets: usize) {
         self.check_clean_after(resets, resets);
     }
 
-    /// The same where the pulses were cut so often, by stops or resets.
+    /// The same if `cuts` pulses were cut by stops or resets.
     pub fn check_clean_after(&self, resets: usize, cuts: usize) {
         self.bench
             .bus()
@@ -200,7 +200,7 @@ pub fn paper(cycles: u16) -> Run {
     }
 }
 
-/// The same, as the bench computes it.
+/// The same run as the bench computes it.
 pub fn exact(cycles: u16) -> verdicts::Run {
     verdicts::Run {
         cycles: u32::from(cycles),
@@ -208,7 +208,7 @@ pub fn exact(cycles: u16) -> verdicts::Run {
     }
 }
 
-/// Keeps the telemetry as it came.
+/// Keeps the telemetry as received.
 #[derive(Default)]
 pub struct Recorder {
     pub samples: Vec<Telemetry>,
@@ -222,7 +222,7 @@ impl Observer for Recorder {
     }
 }
 
-/// Starts a run and lets it execute, answering what was accepted and the record.
+/// Starts a run and waits for its end. Returns the acceptance and the record.
 pub fn execute(rig: &mut RigRun, run: Run) -> (RunAccepted, RunRecord) {
     let accepted = rig.device.run(run).expect("the run is accepted");
     let record = rig.device.wait_run(&accepted, &mut Unobserved);

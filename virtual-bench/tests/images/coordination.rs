@@ -1,4 +1,4 @@
-//! Both images at once: a fold at a place of a run, from the rig's STEP pin to the capsule's bridge.
+//! Both images together: a fold at a place in a run, from the rig's STEP pin to the capsule's bridge.
 
 use analysis::report::check;
 use client::{Clock, Device, Observer, Unobserved};
@@ -28,10 +28,11 @@ const RUN: Run = Run {
     ..PAPER_RUN
 };
 const STEPS: usize = 16_000;
-/// From the carriage to the motor.
+/// Longest delay from the carriage to the motor.
 const MOST_MS: f64 = 20.0;
 
-/// Sees by how much the capsule's clock is ahead while both are looked after. The capsule's may lag behind that, never lead.
+/// Measures the capsule's clock relative to the rig's while both links are served. The capsule's may lag, but
+/// never lead.
 struct Clocks {
     rig: Bench<RigBoard>,
     capsule: Bench<CapsuleBoard>,
@@ -75,7 +76,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
     .enumerate()
     {
         let what = format!("cycle {cycle}, {at_um:?} um");
-        // Another phase of the telemetry, and of the capsule's own round.
+        // Start at another phase of the telemetry and of the capsule's control period.
         capsule.idle(wait_us, &mut Unobserved).expect("there");
         let before = rig.look(|rig| rig.edges().len());
         let forget = bench.visit(|visit| visit.board().capsule.forget_drive());
@@ -112,7 +113,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         assert_eq!(edges.len(), 6 * STEPS, "{what}");
         let cycles = 2 * STEPS * (usize::from(cycle) - 1);
         let place = cycles + at_um.map_or(0, |at_um| at_um as usize * 8 / 10);
-        // The first stroke begins with its first step, all else is over with its last one.
+        // The first stroke begins with its first step; everything else ends with its last one.
         let there_ns = edges
             .iter()
             .nth(place.saturating_sub(1))
@@ -128,7 +129,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         }
         assert!((0.0..MOST_MS).contains(&took_ms), "{what}: {took_ms:.1} ms");
         let (least, most) = coordination.latency_us.expect("both clocks are known");
-        // The event is the start of the actuation, the bridge follows; a place is told to a step.
+        // The event marks the start of the actuation, and the bridge follows. A place is reported to the nearest step.
         let told = (least - 1_000) as f64 * 1e-3..(most + 2_000) as f64 * 1e-3;
         assert!(
             told.contains(&took_ms),

@@ -1,4 +1,4 @@
-//! The rig times its own steps through the second jumper, and finds each that is not where the plan has it.
+//! The rig times its own steps through the second jumper, and finds each step that is not where it was planned.
 
 use client::Unobserved;
 
@@ -76,7 +76,7 @@ fn steep(speed_um_s: u32) -> Run {
     }
 }
 
-/// Telemetry at 200 Hz meanwhile.
+/// With telemetry at 200 Hz.
 #[test]
 fn every_step_up_to_125_khz_is_timed() {
     let mut rig = quick_rig_on(
@@ -106,7 +106,7 @@ fn every_step_at_the_highest_rate_is_timed() {
     rig.check_clean(0);
 }
 
-/// A processor that is hardly quick enough changes nothing.
+/// A barely fast enough processor gives the same result.
 #[test]
 fn a_slow_processor_times_every_step() {
     let mut rig = rig_as_quick_as(RigOptions::WITH_BOTH_JUMPERS, 30_000_000);
@@ -135,7 +135,7 @@ fn a_held_run_is_timed_as_a_whole() {
     assert_eq!(found(&record), (208_000, 0), "{record:?}");
 }
 
-/// The steps that left are timed, and those that did not are no error.
+/// Steps that left the pin are timed; those that did not are no error.
 #[test]
 fn a_run_that_is_cut_is_timed_up_to_the_cut() {
     let mut rig = timed_rig();
@@ -149,7 +149,7 @@ fn a_run_that_is_cut_is_timed_up_to_the_cut() {
         assert_eq!(record.outcome, fault, "{record:?}");
         let (timed, worst) = found(&record);
         assert_eq!(worst, 0, "{record:?}");
-        // The pulse that was cut is perhaps too short for one of the two filters.
+        // The cut pulse may be too short for one of the two filters.
         assert!(timed.abs_diff(record.counted_edges) <= 1, "{record:?}");
         assert!(timed > 100, "{record:?}");
         rig.device.acknowledge().expect("acknowledged");
@@ -157,11 +157,11 @@ fn a_run_that_is_cut_is_timed_up_to_the_cut() {
     }
 }
 
-/// What happens to the pulse of the 5,000th step of a run: on the wire, so that the steps themselves stay right.
+/// A run in which `fault` hits the pulse of its 5,000th step on the wire; the steps themselves stay right.
 fn with(fault: Fault) -> RunRecord {
     let mut rig = timed_rig();
     let at = rig.edge_count() as u64 + 5_000;
-    // It strikes with the step before.
+    // Trigger it at the step before.
     rig.look(move |rig| rig.plan(When::Edge(at - 1), Action::Capture(fault)));
     let (_, record) = execute(&mut rig, short());
     assert_eq!(record.outcome, RunOutcome::Complete);
@@ -182,7 +182,7 @@ fn hardware(rig: &mut RigRun) -> RigHardware {
     rig.device.call(GetRigHardware).expect("counters")
 }
 
-/// A sampled edge of a real pad comes 10 ns earlier or later: no fault, and the histogram has it. 20 ns are one.
+/// On a real pad sampling moves an edge by up to 10 ns: no fault, but the histogram counts it. 20 ns are a fault.
 #[test]
 fn jitter_is_counted_by_ticks() {
     let mut rig = timed_rig();
@@ -207,7 +207,7 @@ fn jitter_is_counted_by_ticks() {
             .map(|(now, was)| now - was)
             .collect();
         assert_eq!(counts.iter().sum::<u32>(), 15_999, "{ns} ns: {counts:?}");
-        // Each edge by chance: half of the intervals keep their length.
+        // Jitter hits each edge at random, so half of the intervals keep their length.
         assert!((7_000..9_000).contains(&counts[0]), "{ns} ns: {counts:?}");
         assert_eq!(
             counts[worst as usize],
@@ -218,8 +218,8 @@ fn jitter_is_counted_by_ticks() {
     rig.check_clean(0);
 }
 
-/// An instant that is overwritten before DMA fetches it ends the comparison, and is told as that and not as a wrong
-/// step.
+/// If an instant is overwritten before DMA fetches it, the comparison ends. The record reports a lost capture, not a
+/// wrong step.
 #[test]
 fn a_lost_capture_is_told_as_one() {
     let mut rig = timed_rig();
@@ -233,7 +233,7 @@ fn a_lost_capture_is_told_as_one() {
     assert!((4_000..5_000).contains(&timed), "{record:?}");
     let after = hardware(&mut rig);
     assert_eq!(after.lost_captures - before.lost_captures, 1, "{after:?}");
-    // The next run is timed as a whole.
+    // The next run is timed completely.
     let (_, record) = execute(&mut rig, short());
     assert_eq!(found(&record), (16_000, 0), "{record:?}");
     rig.check_clean(0);
@@ -243,11 +243,11 @@ fn a_lost_capture_is_told_as_one() {
 fn a_step_that_is_left_out_is_found() {
     let (timed, worst) = found(&with(Fault::Skip));
     assert_eq!(timed, 15_999);
-    // From there on each interval is compared with the one before it, and those of the turn differ most.
+    // From there on each interval is compared with its predecessor, and those at the turn differ most.
     assert!(worst >= INTERVAL, "{worst}");
 }
 
-/// A run with a spike of this width on the wire, in the middle between two pulses of the cruise.
+/// A run with a spike of this width on the wire, midway between two pulses at cruise.
 fn with_a_spike(width_ns: u64) -> RunRecord {
     let mut rig = timed_rig();
     let accepted = rig.device.run(short()).expect("accepted");
@@ -275,7 +275,7 @@ fn a_step_that_is_added_is_found() {
     assert_eq!(found(&record), (16_001, u32::MAX), "{record:?}");
 }
 
-/// The input's filter takes it for none.
+/// The input's filter removes it.
 #[test]
 fn a_spike_of_less_than_80_ns_is_no_step() {
     let record = with_a_spike(60);
@@ -295,6 +295,6 @@ fn without_the_jumper_the_record_says_not_timed() {
 fn a_jumper_that_falls_off_leaves_the_rest_untimed() {
     let record = with(Fault::Whole(false));
     let (timed, worst) = found(&record);
-    // It falls off with the rising edge of the 4,999th.
+    // The jumper falls off at the rising edge of step 4,999.
     assert_eq!((timed, worst), (4_998, 0), "{record:?}");
 }

@@ -69,7 +69,7 @@ fn runs_of_five_cycles_lose_no_step() {
         );
     }
     assert_eq!((residuals.strokes, residuals.worst), (10 * runs, 0));
-    // The flag is where it was before, with all trials two and a half million steps ago.
+    // The flag must still be where it was before, with all trials two and a half million steps ago.
     let accepted = rig.device.home().expect("homing is accepted");
     let homed = rig
         .device

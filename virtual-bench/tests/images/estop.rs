@@ -1,4 +1,4 @@
-//! The E-stop at many edges of short runs: what the read-back says afterwards is where the carriage is.
+//! The E-stop at many edges of short runs: afterwards the read-back must match the carriage.
 
 use crate::common::{Dice, faulted, home_quickly, quick, rig};
 use protocol::rig::{RigFault, RigState, RunOutcome};
@@ -20,7 +20,7 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
         let accel_um_s2 = dice.roll(300_000..2_000_000) as u32;
         let run = quick(1, stroke_um, speed_um_s, accel_um_s2);
         let steps = u64::from(stroke_um) * 4 / 5;
-        // Every tenth at an end of a stroke, where the direction turns.
+        // Put every tenth trial at an end of a stroke, where the direction turns.
         let within = match trial % 10 {
             0 => steps,
             5 => steps + 1,
@@ -39,7 +39,7 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
             (within, number),
             "{what}"
         );
-        // What was prepared beyond the cut is told apart.
+        // Steps prepared beyond the cut are reported separately.
         assert_eq!(record.commanded_edges, within, "{what}");
         assert!(record.prepared_edges >= within, "{what}");
         places.insert(carriage);
@@ -54,7 +54,7 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
     rig.check_clean_after(0, TRIALS as usize);
 }
 
-/// An E-stop that nobody has acknowledged is still one after a reset, released or not.
+/// An unacknowledged E-stop stays latched over a reset, whether the button is released or not.
 #[test]
 fn an_estop_outlives_a_reset() {
     let mut rig = rig();

@@ -1,4 +1,4 @@
-//! What goes wrong around the rig: resets, cut supplies, lost steps, bad switches, a noisy line.
+//! Faults around the rig: resets, power cuts, lost steps, bad switches, a noisy line.
 
 use client::Unobserved;
 use client::error::ClientError;
@@ -31,7 +31,8 @@ fn short(cycles: u16) -> Run {
     }
 }
 
-/// Interrupts a run with `interrupt`; afterwards the rig stands, knows that it does not know where, and can be homed.
+/// Interrupts a run with `interrupt`. Afterwards the rig has stopped, reports that its position is lost, and can be
+/// homed.
 fn restarted(cause: ResetCause, resets: usize, interrupt: impl FnOnce(&crate::common::RigRun)) {
     let mut rig = homed();
     rig.device.run(short(1)).expect("the run is accepted");
@@ -39,7 +40,7 @@ fn restarted(cause: ResetCause, resets: usize, interrupt: impl FnOnce(&crate::co
         .idle(500_000, &mut Unobserved)
         .expect("the link stays");
     assert!(rig.carriage() > 1_000, "it is on its way");
-    // A reset releases DIR at once, which a pulse in progress would not take.
+    // A reset releases DIR at once, so wait until no pulse is in progress.
     while rig.bench.now_ns() < rig.last_edge_ns() + 5_000 {
         rig.bench.advance_us(1).expect("the bench runs");
     }
@@ -71,8 +72,8 @@ fn a_power_cut_moves_nothing_and_forgets_the_position() {
     });
 }
 
-/// Steps lost away from home and towards it: up to the limit the run goes on and tells how many, beyond it the run
-/// ends at the flag.
+/// Steps lost away from home and towards it. Up to the limit the run goes on and reports their number; beyond it the
+/// run ends at the flag.
 #[test]
 fn lost_steps_are_counted_and_beyond_the_limit_end_the_run() {
     let limit = u64::from(SettingKey::LedgerLimitSteps.range().default);
@@ -91,7 +92,8 @@ fn lost_steps_are_counted_and_beyond_the_limit_end_the_run() {
 /// One run of two cycles with `lost` steps missing from its first one; the rig is homed before and after.
 fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: bool) {
     const STROKE: u64 = 3_200;
-    // At 20 mm/s: control's period of 10 ms, and the way of the stop at 1 m/s2.
+    // Stop distance at 20 mm/s: two times 160 steps, for control's period of 10 ms and for braking at 1 m/s2, and a
+    // margin.
     const STOP: i64 = 160 + 160 + 5;
     let what = format!("{lost} lost, homewards: {homewards}");
     let place = 1_000 + if homewards { STROKE } else { 0 };
@@ -100,7 +102,7 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
         rig.plan(When::Edge(edge), Action::LoseSteps(lost));
         rig.lost()
     });
-    // Short of its count on the way out, the carriage meets the flag early; on the way back, late.
+    // After a loss on the way out the carriage meets the flag early; after one on the way back, late.
     let residual = lost as i32 * if homewards { -1 } else { 1 };
     let (_, record) = execute(rig, quick(2, 4_000, 20_000, 500_000));
     let status = rig.device.rig_status().expect(&what);
@@ -142,19 +144,19 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
         (4 * STROKE, i64::from(-residual)),
         "{what}"
     );
-    // Homing finds the reference displaced by as much, and corrects it.
+    // Homing finds the reference displaced by the same number of steps, and corrects it.
     let accepted = rig.device.home().expect(&what);
     let homed = rig.device.wait_homing(&accepted, &mut Unobserved);
     let homed = homed.expect(&what);
     assert_eq!((homed.shift_steps, rig.carriage()), (residual, 0), "{what}");
 }
 
-/// The jumper is cut at rest or with an edge, on the way out and on the way back: long before the stroke ends the
-/// carriage is stopped, and the fault names both counts.
+/// Cuts the jumper at rest or at an edge, on the way out and on the way back. The carriage must stop long before the
+/// stroke ends, and the fault must name both counts.
 #[test]
 fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
-    // At 14 kHz 8 ms of prepared steps, and what the last entry of the ring repeats, go out before one is missed; as
-    // many before the stop takes effect; the rest is braking.
+    // Steps until the stop at 14 kHz: 8 ms of prepared steps, with the repeats of the ring's last entry, before the
+    // first miss shows; as many before the stop takes effect; then braking.
     const NOTICED: u64 = 128 + 128 + 80;
     for (cut, counted) in [(0, 0), (5_000, 4_999), (11_000, 5_001)] {
         let mut rig = homed();
@@ -186,8 +188,8 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
     }
 }
 
-/// At the speed of the paper's cruise the prepared steps, a round of the task and the prepared steps again, 20 ms in all,
-/// may pass before the brakes come on.
+/// At the paper's cruise speed 20 ms may pass before braking starts: the prepared steps, one round of the task, and the
+/// prepared steps again.
 #[test]
 fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
     const CUT: usize = 50_000;
@@ -211,7 +213,7 @@ fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
         .expect("it stops before the end");
     let waited_ns = braking[0] - after[0];
     assert!(waited_ns <= 20_000_000, "{waited_ns} ns");
-    // Then 0.64 mm from 35.7 mm/s: 510 steps and what is rounded up.
+    // Braking from 35.7 mm/s takes 0.64 mm: 510 steps, rounded up.
     let braked = edges.len() - edges.partition_point(|&at| at <= braking[0]);
     assert!(braked <= 511, "{braked} steps");
     rig.check_clean(0);
@@ -245,8 +247,8 @@ fn a_bouncing_flag_is_homed_on_and_a_dead_one_is_not() {
         .expect("nothing odd was touched");
 }
 
-/// Settings that are no settings: the rig starts with the defaults. By the first change there is an erased sector, with
-/// the core standing still while it was erased; or, where nothing of it looks like a log, by the reset to the defaults.
+/// With noise instead of settings the rig starts with the defaults. A sector is erased by the first change at the
+/// latest, and the core stands still meanwhile; if nothing looks like a log, the reset to the defaults erases it.
 #[test]
 fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
     const SETTINGS: std::ops::Range<usize> = 0x4000..0x1_0000;
@@ -284,7 +286,7 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
             ns >= ERASE_NS,
             "changed within {ns} ns, and nothing was erased"
         );
-        // A core that polled would execute 65 in a microsecond.
+        // A polling core would execute 65 instructions per microsecond.
         assert!(
             instructions < ns / 1_000 * 65 / 2,
             "{instructions} instructions in {ns} ns"
@@ -297,7 +299,7 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
         rig.home();
         rig.check_clean(0);
     }
-    // All others accept the change as they are.
+    // In all other cases the change is accepted directly.
     assert_eq!(resets, [1]);
 }
 

@@ -1,4 +1,4 @@
-//! The switches of the rig: a true one stops, a disturbance does not.
+//! The rig's limit switches: a real opening stops the rig, a disturbance does not.
 
 use client::Unobserved;
 
@@ -13,7 +13,7 @@ use virtual_bench::{
     verdicts::Verdict,
 };
 
-/// 50 us from the contact, and the step that is under way (at most 35 us at the paper's speed).
+/// 50 us from the contact, plus the step in progress (at most 35 us at the paper's speed).
 const STOP_LIMIT_NS: u64 = 50_000 + 35_100;
 
 #[test]
@@ -42,8 +42,8 @@ fn the_far_limit_ends_the_pulses_within_50_us() {
     rig.check_clean(0);
 }
 
-/// Disturbances of 19 us on both switches, a thousand a second each, for the paper's whole run. Their phase to the
-/// firmware's own milliseconds drifts, so that other interrupts fall into each part of them.
+/// Disturbances of 19 us on both switches, a thousand per second each, for the paper's whole run. Their phase to the
+/// firmware's millisecond drifts, so other interrupts fall into every part of them.
 #[test]
 fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
     let cycles: u16 = trials(2, 5);

@@ -18,7 +18,7 @@ use protocol::{
 };
 use virtual_bench::{link::VirtualLink, serial::ByteFault, verdicts::Verdict};
 
-/// One byte in a thousand is changed, half of those lost, in both directions and for a whole run with telemetry.
+/// Changes one byte in a thousand and drops half of those, in both directions, for a whole run with telemetry.
 #[test]
 fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
     let seed = 0x5EED_6A2B;
@@ -74,7 +74,7 @@ fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
     rig.check_clean(0);
 }
 
-/// Where the silence begins.
+/// The state in which the silence begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Before {
     Unhomed,
@@ -90,7 +90,7 @@ enum Before {
 }
 
 impl Before {
-    /// Each state, and what three seconds of silence leave: state and fault.
+    /// Each state, with the state and fault after three seconds of silence.
     const ALL: [(Self, RigState, Option<RigFault>); 10] = [
         (Self::Unhomed, RigState::Unhomed, None),
         (Self::Homing, RigState::Unhomed, None),
@@ -104,14 +104,14 @@ impl Before {
         (Self::Faulted, RigState::Faulted, Some(RigFault::EStopFrame)),
     ];
 
-    /// Brings a rig there, and says nothing more.
+    /// Brings a rig into this state, then falls silent.
     fn reach(self) -> RigRun {
         let mut rig = rig();
         if self == Self::Unhomed {
             return rig;
         }
         if self == Self::Homing {
-            // Slow enough to be still on its way when the silence is noticed.
+            // Slow enough to be still moving when the silence is noticed.
             rig.device
                 .call(protocol::settings::Setting {
                     key: protocol::settings::SettingKey::SeekUmS,
@@ -190,7 +190,7 @@ impl Before {
     }
 }
 
-/// The silence ends as documented; opening the port again and saying Hello moves nothing.
+/// Silence ends as documented. Opening the port again and sending Hello moves nothing.
 #[test]
 fn silence_in_every_state_ends_as_documented_and_reconnecting_moves_nothing() {
     for (before, state, fault) in Before::ALL {
@@ -235,7 +235,7 @@ fn silence_in_every_state_ends_as_documented_and_reconnecting_moves_nothing() {
             assert_eq!(record.outcome, expected, "{before:?}");
         }
         if before == Before::Jogging {
-            // 300 ms of dead-man time and the braking.
+            // 300 ms of dead-man time, and braking.
             assert!(
                 (1..=8_000).contains(&rig.carriage()),
                 "{} steps",
@@ -245,7 +245,7 @@ fn silence_in_every_state_ends_as_documented_and_reconnecting_moves_nothing() {
         if before == Before::Held {
             resumed(&mut rig);
         }
-        // A stop by frame is at once, now and then in mid-pulse.
+        // A stop by frame is immediate, so it sometimes cuts a pulse.
         let cuts = usize::from(fault == Some(RigFault::EStopFrame));
         rig.check_clean_after(0, cuts);
     }
@@ -269,14 +269,14 @@ fn resumed(rig: &mut RigRun) {
     );
 }
 
-/// What reaches a rig whose host is gone.
+/// Bytes that reach a rig whose host is gone.
 #[derive(Clone, Copy, Debug)]
 enum Heard {
-    /// Its own telemetry, on a line whose TX and RX touch.
+    /// Its own telemetry, on a line with TX and RX shorted.
     Echo,
-    /// A host that was left behind by a newer session.
+    /// A host whose session was replaced by a newer one.
     OldSession,
-    /// Frames with a good checksum around something that is no request.
+    /// Frames with a valid checksum whose content is no request.
     Nonsense,
     /// Replies, as another device would send them.
     Replies,
@@ -344,10 +344,10 @@ fn what_is_no_host_does_not_keep_a_run_going() {
     }
 }
 
-/// How whoever takes the line over looks at the rig: `watch`, `serve`, and a `watch` with five windows at its door.
+/// Intervals at which the next client polls the rig: `watch`, `serve`, and a `watch` with five windows at its door.
 const LOOKS_US: [u64; 3] = [250_000, 100_000, 20_000];
 
-/// A run whose host is gone after `for_us`, and the rig's next client, which looks at it.
+/// A run whose host disappears after `for_us`, and the rig's next client, which only polls it.
 fn orphaned(run: Run, for_us: u64) -> (RigRun, Device, u64) {
     let mut rig = quickly_homed();
     rig.device.run(run).expect("accepted");
@@ -359,7 +359,7 @@ fn orphaned(run: Run, for_us: u64) -> (RigRun, Device, u64) {
     (rig, other, gone_us)
 }
 
-/// Looks every so often for so long; gives the time after the beginning of the last edge.
+/// Polls every `look_us` for `for_us` after `gone_us`. Returns the time from `gone_us` to the last edge.
 fn look_on(rig: &RigRun, other: &mut Device, gone_us: u64, look_us: u64, for_us: u64) -> u64 {
     let (mut last_us, mut edges) = (gone_us, rig.edge_count());
     let mut look = gone_us;
@@ -377,7 +377,7 @@ fn look_on(rig: &RigRun, other: &mut Device, gone_us: u64, look_us: u64, for_us:
     last_us - gone_us
 }
 
-/// The life of a run is that of whoever began it: questions of somebody else do not keep it going.
+/// A run depends on the host that began it: requests of another client do not keep it going.
 #[test]
 fn a_bystander_does_not_keep_a_run_going_whose_host_is_gone() {
     for look_us in LOOKS_US {

@@ -1,9 +1,9 @@
-//! Random requests, mishaps and waits, judged from the pins all the time.
+//! Random requests, mishaps and waits, checked at the pins all the time.
 //!
-//! The rules know nothing of the firmware: a step needs a reason, which is a request that was accepted, or a press of
-//! the start button while no fault is latched; a step outside 0..stroke needs a homing.
+//! The rules are independent of the firmware. A step needs a reason: an accepted request, or a press of the start
+//! button while no fault is latched. A step outside 0..stroke needs a homing.
 //!
-//! `RETROGRADE_SEQUENCES` is how many sequences are tried, `RETROGRADE_SEED` repeats a single one.
+//! `RETROGRADE_SEQUENCES` sets the number of sequences, `RETROGRADE_SEED` repeats a single one.
 
 use std::time::{Duration, Instant};
 
@@ -30,10 +30,10 @@ use virtual_bench::{
 const STROKE: i64 = 104_000;
 const SEED: u64 = 0x5EED_7A2D;
 
-/// What a step of a sequence may cause.
+/// Motion that an action of a sequence may cause.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Leave {
-    /// No step that has not been on its way before.
+    /// No new motion; motion under way may end.
     None,
     /// Steps within the stroke.
     Move,
@@ -45,7 +45,7 @@ struct Sequence {
     rig: RigRun,
     dice: Dice,
     loop_open: bool,
-    /// A homing, or the braking after one, may be going on.
+    /// A homing, or the braking after one, may be in progress.
     homing: bool,
     story: Vec<String>,
 }
@@ -124,7 +124,7 @@ impl Sequence {
         run
     }
 
-    /// A run of numbers without sense.
+    /// A run with random, mostly senseless numbers.
     fn wild_run(&mut self) -> Run {
         let mut any = || {
             let bits = self.dice.roll(0..32);
@@ -152,7 +152,7 @@ impl Sequence {
         }
     }
 
-    /// Does something; answers what it may cause, and whether the host talks afterwards.
+    /// Performs a random action. Returns the motion that it may cause, and whether the host keeps talking afterwards.
     fn does(&mut self, before: RigState) -> (Leave, bool) {
         let leave = |accepted, leave| if accepted { leave } else { Leave::None };
         let done = match self.dice.roll(0..20) {
@@ -245,7 +245,7 @@ impl Sequence {
         (done, true)
     }
 
-    /// Answers the state at its beginning.
+    /// Performs one step of the sequence. Returns the state at its beginning.
     fn step(&mut self) -> RigState {
         let status = self.status();
         let before = status.state;
@@ -304,7 +304,7 @@ impl Sequence {
         before
     }
 
-    /// Whatever has happened: the rig can be brought to rest, homed, and used.
+    /// Checks that the rig can always be brought to rest, homed, and used.
     fn end(mut self) {
         if self.loop_open {
             self.acts(Action::EStop(false));
@@ -334,7 +334,7 @@ impl Sequence {
     }
 }
 
-/// Tries one sequence; answers the states it came through.
+/// Tries one sequence. Returns the states that it visited.
 fn sequence(seed: u64) -> Vec<RigState> {
     let mut sequence = Sequence::new(seed);
     let states = (0..40).map(|_| sequence.step()).collect();
@@ -361,7 +361,7 @@ fn random_sequences_break_no_rule() {
     let seen: Vec<RigState> = (0..count)
         .flat_map(|number| sequence(SEED + number))
         .collect();
-    // A test that never gets anywhere finds nothing.
+    // Require that every state is visited: a test that reaches nothing finds nothing.
     for state in [
         RigState::Unhomed,
         RigState::Homing,
@@ -375,7 +375,7 @@ fn random_sequences_break_no_rule() {
     }
 }
 
-/// As many as fit into five minutes, other ones than above.
+/// As many sequences as fit into five minutes, different from those above.
 #[test]
 #[ignore = "takes five minutes"]
 #[expect(clippy::print_stdout, reason = "how many fitted is worth knowing")]

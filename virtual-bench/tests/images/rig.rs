@@ -1,4 +1,4 @@
-//! The rig's image, judged from its pins.
+//! Tests of the rig's image at its pins.
 
 use client::Unobserved;
 use client::error::ClientError;
@@ -35,7 +35,7 @@ fn every_edge_of_the_papers_run_is_where_it_belongs() {
         verdict.duration_ns.abs_diff(40_000_000_000) <= 1_000,
         "{verdict}"
     );
-    // What the firmware says of it.
+    // The firmware's own report.
     assert_eq!(
         (accepted.total_ticks, accepted.edges),
         (4_000_000_000, 1_040_000)
@@ -100,7 +100,7 @@ fn dwells_delay_and_separate_speeds_are_exact() {
         duration_ticks: stroke.duration_ticks,
         ramp_ticks: stroke.ramp_ticks,
     };
-    // Speed and acceleration are as requested, to the last tick that integers allow.
+    // Speed and acceleration must be as requested, within the resolution of a tick.
     for (stroke, um_s) in [(accepted.forward, 10_000), (accepted.back, 30_000)] {
         assert!(
             stroke.peak_um_s <= um_s && stroke.peak_um_s >= um_s - 1,
@@ -126,7 +126,7 @@ fn dwells_delay_and_separate_speeds_are_exact() {
     rig.check_clean(0);
 }
 
-/// A step is 1.25 um: 2 um hold one, 1 um holds none.
+/// A step is 1.25 um: 2 um contain one, 1 um contains none.
 #[test]
 fn a_stroke_and_a_move_of_one_step_are_made_and_less_is_refused() {
     let mut rig = quickly_homed();
@@ -161,7 +161,7 @@ fn a_stroke_and_a_move_of_one_step_are_made_and_less_is_refused() {
     rig.check_clean(0);
 }
 
-/// The total counts the delay in: what the host asks for is when the run is over.
+/// The total includes the delay: the host asks for the time at which the run is over.
 #[test]
 fn a_start_delay_is_part_of_the_total() {
     let mut rig = homed();
@@ -187,7 +187,7 @@ fn a_start_delay_is_part_of_the_total() {
         edges.iter().next().expect("edges").at_ns,
         edges.iter().next_back().expect("edges").at_ns,
     );
-    // The first step of a stroke comes some milliseconds into it; the request takes some to arrive.
+    // The first step comes some milliseconds into a stroke, and the request takes a few to arrive.
     assert!(
         (1_000_000_000..1_030_000_000).contains(&(start - asked_ns)),
         "{start} after {asked_ns}"
@@ -216,7 +216,7 @@ fn after_the_estop_no_edge_follows() {
             rig.log()
         );
         rig.position_is_right_but_not_trusted(&what);
-        // It latches; while it is pressed it cannot be acknowledged; its release moves nothing.
+        // The E-stop latches. It cannot be acknowledged while pressed, and its release moves nothing.
         refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
         rig.act(Action::EStop(false));
         rig.idle(50_000);
@@ -233,7 +233,8 @@ fn after_the_estop_no_edge_follows() {
     rig.check_clean_after(0, trials);
 }
 
-/// The fault's event is still on its way when the run's end is known; the next homing must not take it for its own.
+/// The fault's event is still on its way when the run's end is known. The next homing must not take that event as its
+/// own.
 #[test]
 fn homing_right_after_a_fault_is_not_ended_by_its_late_event() {
     let mut rig = homed();
@@ -257,7 +258,7 @@ fn an_estop_frame_ends_the_pulses_within_2_ms() {
         rig.device.urgent(Urgent::EStop).expect("an answer");
         rig.idle(50_000);
         let last = rig.look(|rig| rig.edges().iter().next_back().map_or(0, |edge| edge.at_ns));
-        // From the first bit at the pin: 11 bytes take 0.95 ms of it.
+        // Counted from the first bit at the pin: the 11 bytes alone take 0.95 ms.
         assert!(
             last.saturating_sub(sent_ns) <= 2_000_000,
             "trial {trial}: {} ns",
@@ -266,7 +267,7 @@ fn an_estop_frame_ends_the_pulses_within_2_ms() {
         rig.device.acknowledge().expect("the cause is gone");
         rig.home();
     }
-    // At once is in mid-pulse now and then.
+    // An immediate stop sometimes cuts a pulse.
     rig.check_clean_after(0, trials);
 }
 
@@ -309,7 +310,7 @@ fn a_stop_decelerates_and_keeps_the_position() {
                 "trial {trial}: {after_ns} ns, {way} steps"
             );
         }
-        // It slows down: at cruise no interval after the stop takes effect is shorter than the one before.
+        // It slows down: once the stop takes effect at cruise, no interval is shorter than the one before.
         let gaps: Vec<u64> = edges
             .windows(2)
             .map(|pair| pair[1].at_ns - pair[0].at_ns)
@@ -410,9 +411,9 @@ fn what_cannot_be_done_is_refused_and_nothing_moves() {
                 },
             ..
         }) => {
-            // Strokes of 130 mm in 1 s each are above 49 mm/s at any acceleration.
+            // 130 mm in 1 s is above 49 mm/s at any acceleration.
             assert_eq!((requested_us, min_accel_um_s2), (10_000_000, u64::MAX));
-            // At that acceleration and 49 mm/s at most: 10 * (130 / 49 + 49 / 100) s.
+            // At the set acceleration and at most 49 mm/s: 10 * (130 / 49 + 49 / 100) s.
             assert!((31_430_600..=31_430_640).contains(&min_us), "{min_us}");
         }
         other => panic!("{other:?}"),
@@ -447,7 +448,7 @@ fn what_cannot_be_done_is_refused_and_nothing_moves() {
     }
     rig.idle(100_000);
     assert_eq!(rig.edge_count(), edges, "a refused run moved the carriage");
-    // And the machine is none the worse for it.
+    // The machine still works.
     let (_, record) = execute(
         &mut rig,
         Run {

@@ -1,4 +1,5 @@
-//! docs/protocol.md at the images: a program in another language that was written from that page, and the page's figures.
+//! Tests docs/protocol.md against the images: with a program in another language written from that page, and the page's
+//! figures.
 #![cfg(unix)]
 
 use client::{Device, Unobserved};
@@ -30,7 +31,7 @@ use virtual_bench::plants::{capsule::Parameters, rig::RigOptions};
 use virtual_bench::serve::Server;
 use virtual_bench::verdicts::{self, TICK_HZ, Verdict};
 
-/// A machine in real time behind a port of the loopback interface, until the test's process ends.
+/// Serves a machine in real time at a port of the loopback interface, until the test process ends.
 fn serve<W: Wiring>(bench: &Bench<W>, name: &'static str) -> u16 {
     let server = Server::listen(0).expect("a free port");
     let (port, bench) = (server.port(), bench.clone());
@@ -38,8 +39,8 @@ fn serve<W: Wiring>(bench: &Bench<W>, name: &'static str) -> u16 {
     port
 }
 
-/// A terminal that passes its bytes to and from a TCP server: a serial port, for all that a program sees. With its other
-/// end, which has to stay open: reading fails while nobody has it.
+/// A terminal connected to a TCP server, which programs see as a serial port. Also returns its other end, which must
+/// stay open, because reading fails while it is closed.
 fn serial_port(port: u16) -> (String, OwnedFd) {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
     grantpt(&master).expect("a terminal");
@@ -57,7 +58,7 @@ fn serial_port(port: u16) -> (String, OwnedFd) {
     (name, other_end.expect("the terminal"))
 }
 
-/// Passes bytes on as they come, until one of the ends is gone.
+/// Copies bytes as they come, until one of the ends closes.
 fn pass(from: &mut impl Read, to: &mut impl Write) {
     let mut bytes = [0; 512];
     while let Ok(count @ 1..) = from.read(&mut bytes) {
@@ -67,7 +68,7 @@ fn pass(from: &mut impl Read, to: &mut impl Write) {
     }
 }
 
-/// The client at work. It does not outlive this value.
+/// A running client. Dropping this value ends it.
 struct Client(Child);
 
 impl Client {
@@ -78,7 +79,7 @@ impl Client {
             .env("PYTHONDONTWRITEBYTECODE", "1")
             .arg(script)
             .args(arguments)
-            // What else this computer does makes the bench slow.
+            // Allow many attempts, because other load on this computer slows the bench.
             .args(["--attempts", "100"])
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
@@ -92,14 +93,14 @@ impl Client {
         }
     }
 
-    /// Its exit code and what it says, both streams in one.
+    /// Waits for its end. Returns its exit code and both output streams together.
     fn ends(mut self) -> (Option<i32>, String) {
         let mut said = String::new();
         let (out, err) = (self.0.stdout.take(), self.0.stderr.take());
         let read = |pipe: &mut dyn Read, said: &mut String| {
             pipe.read_to_string(said).expect("text");
         };
-        // Little is said on the second one: it cannot fill its pipe.
+        // The second stream is short, so it cannot fill its pipe meanwhile.
         out.into_iter()
             .for_each(|mut pipe| read(&mut pipe, &mut said));
         err.into_iter()
@@ -131,8 +132,8 @@ fn client_run() -> verdicts::Run {
 fn a_client_written_from_the_document_homes_runs_stops_and_folds() {
     let rig = rig::start(RigOptions::WITH_BOTH_JUMPERS).expect("the image boots");
     let capsule = capsule::start(Parameters::nominal()).expect("the image boots");
-    // In virtual time: the emulator translates the image as it goes, at first slower than real time; and a reference run
-    // takes 5 s, which nobody has to wait for.
+    // Use virtual time here: the emulator translates the image as it runs, so it is slower than real time at first, and
+    // a reference run takes 5 s.
     let link = Box::new(VirtualLink::new(&rig, "rig"));
     Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
     let link = Box::new(VirtualLink::new(&capsule, "capsule"));
@@ -150,8 +151,8 @@ fn a_client_written_from_the_document_homes_runs_stops_and_folds() {
         edges.expect("the bench runs")
     };
 
-    // At a serial port, the wrong machine: it says so and moves nothing. No more than that over a terminal: on a busy computer
-    // the system passes its bytes on a second late, and a machine that moves would stop.
+    // The wrong machine at a serial port: the client says so and moves nothing. Test no more than that over a terminal,
+    // because a busy computer may delay its bytes by a second, and a moving machine would stop.
     let (terminal_at, _terminal) = serial_port(capsule_port);
     let (code, said) = Client::start(&["--rig", &terminal_at]).ends();
     assert_eq!(code, Some(1), "{said}");
@@ -166,7 +167,7 @@ fn a_client_written_from_the_document_homes_runs_stops_and_folds() {
     let counted = |run: &str| result[run]["counted_edges"].as_u64().expect("a number") as usize;
     assert_eq!(result["fold"]["outcome"], "Complete", "{said}");
 
-    // What it says that it has done, by the pins.
+    // Check the client's report against the pins.
     let (whole, stopped, all) = (counted("run"), counted("stopped"), edges());
     let homing = all.len() - whole - stopped;
     let part = |first: usize, count: usize| all.iter().skip(first).take(count).collect::<EdgeLog>();
@@ -187,7 +188,7 @@ fn a_client_written_from_the_document_homes_runs_stops_and_folds() {
     let carriage = rig.visit(|visit| visit.board().rig.carriage());
     assert_eq!(carriage.expect("the bench runs"), stopped as i64);
 
-    // Ctrl-C within a run stops the rig, and no edge comes after the client has ended.
+    // Ctrl-C during a run stops the rig, and no edge comes after the client has ended.
     let mut client = Client::start(&["--rig", &rig_at, "--duration-s", "30"]);
     let mut lines = BufReader::new(client.0.stdout.take().expect("a pipe")).lines();
     let began = lines.find(|line| line.as_ref().is_ok_and(|line| line.contains("Running")));
@@ -210,7 +211,7 @@ fn a_client_written_from_the_document_homes_runs_stops_and_folds() {
     assert!(before < all.len() + 16_000, "{before}");
 }
 
-/// The instants that docs/protocol.md gives in numbers.
+/// Times that docs/protocol.md states.
 #[test]
 fn the_document_says_when_time_and_runs_begin() {
     let mut rig = crate::common::homed();
@@ -232,7 +233,7 @@ fn the_document_says_when_time_and_runs_begin() {
         .iter()
         .find(|event| matches!(event.what, What::Rig(RigEvent::RunStarted { .. })));
     let started_us = started.expect("the event").time_us;
-    // The firmware logs an event when it happens, and the bench knows when that is.
+    // The firmware logs an event when it happens, and the bench knows the time of the log entry.
     let log = rig.bench.log().expect("the bench runs");
     let mut lines = log.lines().into_iter();
     let line = lines.find(|line| line.text.contains("RunStarted"));

@@ -1,4 +1,4 @@
-//! The rig's settings on the image: kept, checked, and safe against a cut of the supply at every flash operation.
+//! The rig's settings on the image: persistent, checked, and safe against a power cut at every flash operation.
 
 use client::error::ClientError;
 use client::link::Link;
@@ -24,12 +24,12 @@ fn set(rig: &mut RigRun, key: SettingKey, value: u32) -> Result<Setting, ClientE
     rig.device.call(Setting { key, value })
 }
 
-/// Sends the request and lets it be carried out, to its end or to the cut.
+/// Sends the request and lets it be executed, to its end or to the cut.
 fn begin(rig: &RigRun, request: Request) {
     let header = Header {
         kind: Kind::Request,
         session: rig.device.identity().expect("a session").session,
-        // Ahead of the client's own numbers, and not so far that it would count as behind.
+        // Ahead of the client's own numbers, but not so far that it would wrap to behind them.
         seq: 20_000,
     };
     let frame = encode(header, &request).expect("it fits");
@@ -124,7 +124,7 @@ fn what_cannot_be_is_refused_and_nothing_is_written() {
     assert_eq!((before, operations(&rig)), (0, 0), "nothing was written");
 }
 
-/// Other microsteps are other positions: the rig has to be homed again, and then moves by the new ones.
+/// New microsteps mean new positions: the rig must be homed again, and then moves in the new ones.
 #[test]
 fn a_change_of_the_axis_takes_the_position_away() {
     let mut rig = crate::common::homed();
@@ -143,7 +143,7 @@ fn a_change_of_the_axis_takes_the_position_away() {
     }
 }
 
-/// One change of a setting, its supply cut before, within and after each of its stores.
+/// Changes a setting and cuts the supply before, within and after each of its stores.
 #[test]
 fn a_cut_at_every_store_leaves_the_old_value_or_the_new_one() {
     let mut rig = rig();
@@ -196,7 +196,7 @@ fn cut_within_a_change(
     *value = wanted + 1;
 }
 
-/// A name that takes as much flash as any record can.
+/// A name that takes as much flash as the longest record.
 fn long_name(number: u32) -> Name {
     let name = format!("{number:024}").as_str().try_into();
     Name {
@@ -220,8 +220,8 @@ const KEPT: [(SettingKey, u32); 2] = [
     (SettingKey::LocateUmS, 1_500),
 ];
 
-/// Names a rig until that erases a sector for the `erasures`th time: the flash before the last naming, its number
-/// and how many operations it took.
+/// Names a rig until that erases a sector for the `erasures`th time. Returns the flash before the last naming, its
+/// number and its number of operations.
 fn until_a_sector_is_erased(erasures: u32) -> (Vec<u8>, u32, u64) {
     let mut rig = rig();
     for (key, value) in KEPT {
@@ -234,7 +234,7 @@ fn until_a_sector_is_erased(erasures: u32) -> (Vec<u8>, u32, u64) {
         let given = rig.device.call(long_name(number));
         given.unwrap_or_else(|error| panic!("name {number}: {error}\n{}", rig.log()));
         let after = flash(&rig);
-        // A store only clears bits; only an erasure sets them.
+        // A store only clears bits, so a bit that was set shows an erase.
         if before.iter().zip(&after).any(|(old, new)| new & !old != 0) {
             found += 1;
             if found == erasures {
@@ -246,8 +246,8 @@ fn until_a_sector_is_erased(erasures: u32) -> (Vec<u8>, u32, u64) {
     panic!("no sector was erased");
 }
 
-/// The naming that erases a sector, its supply cut within each of its operations. What was set once, long ago, is
-/// still there: by the second erasure, its first record is gone for good.
+/// Cuts the supply within each operation of the naming that erases a sector. Settings made once at the start must
+/// survive: by the second erase, their first records are gone for good.
 #[test]
 fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
     let (flash, number, count) = until_a_sector_is_erased(2);
@@ -256,7 +256,7 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
     let cuts = (0..count).flat_map(|operation| {
         [CutAt::Before, CutAt::Within, CutAt::After].map(|at| (operation, at))
     });
-    // On the host each of them is tried, in memory (`device/tests/store.rs`).
+    // A host test tries every operation, in memory (`device/tests/store.rs`).
     for (trial, (operation, at)) in cuts.enumerate() {
         if !is_made(trial, 5) {
             continue;
@@ -285,11 +285,11 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
     assert!(olds > 0 && news > 0, "{olds} old, {news} new");
 }
 
-/// An erasure that was cut off can leave a sector's first and last words blank and not what lies between.
+/// An interrupted erase can leave a sector's first and last words blank, but not the words between.
 #[test]
 fn a_sector_that_only_looks_blank_is_erased_before_it_is_used() {
     const SECTOR: usize = 16 * 1024;
-    // All three are full; the first is the one to be erased.
+    // All three sectors are full; the first is the next to be erased.
     let (mut flash, number, _) = until_a_sector_is_erased(1);
     let words = &mut flash[SECTOR..2 * SECTOR];
     words[..4].fill(0xFF);

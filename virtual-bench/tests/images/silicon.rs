@@ -1,4 +1,4 @@
-//! Where the chip is less kind than a plain model of it: the items of `docs/silicon.md` that the bench shows.
+//! Where the chip is less kind than a plain model of it: the items of `docs/silicon.md` that the bench can show.
 
 use client::Unobserved;
 use client::error::ClientError;
@@ -40,7 +40,8 @@ fn state(rig: &mut RigRun) -> RigState {
     rig.device.rig_status().expect("a status").state
 }
 
-/// Item 1: MOE reads back some clocks after it was set. A start that reads it at once takes the E-stop loop for open.
+/// Item 1: MOE reads back some clocks after it is set. A start that reads it at once would take the E-stop loop for
+/// open.
 #[test]
 fn a_start_waits_until_moe_reads_back() {
     let mut rig = homed();
@@ -53,7 +54,7 @@ fn a_start_waits_until_moe_reads_back() {
     rig.check_clean(0);
 }
 
-/// A fault is latched, by the loop, and nothing moves until it is acknowledged.
+/// Checks that a loop fault is latched and that nothing moves until it is acknowledged.
 fn loop_is_latched(rig: &mut RigRun, what: &str) {
     rig.idle(20_000);
     let status = rig.device.rig_status().expect(what);
@@ -67,12 +68,13 @@ fn loop_is_latched(rig: &mut RigRun, what: &str) {
 
 const OPENINGS_NS: [u64; 6] = [1_000, 10_000, 200_000, 1_000_000, 5_000_000, 10_000_000];
 
-/// The loop's opening is latched however short it is and whatever the rig does. Its level is only asked every 10 ms.
+/// Every opening of the loop is latched, however short, in every state of the rig. Its level is polled only every 10
+/// ms.
 #[test]
 fn every_opening_of_the_loop_is_latched() {
     let mut rig = rig();
     home_quickly(&mut rig);
-    // Not homed, at many phases of control's round.
+    // Not homed, at many phases of the control period.
     for width_ns in OPENINGS_NS {
         for phase_us in (500..10_500).step_by(1_700) {
             rig.idle(phase_us);
@@ -85,7 +87,7 @@ fn every_opening_of_the_loop_is_latched() {
         rig.idle(3_300);
         rig.act(Action::Disturb(Switch::EStop, width_ns));
         loop_is_latched(&mut rig, &format!("ready, {width_ns} ns"));
-        // Held.
+        // In a run on feed hold.
         rig.home();
         let run = quick(2, 20_000, 20_000, 500_000);
         let accepted = rig.device.run(run).expect("accepted");
@@ -110,7 +112,7 @@ fn every_opening_of_the_loop_is_latched() {
     rig.check_clean_after(0, 0);
 }
 
-/// A press of 1 ms that ends before the first step, at 40 instants from the order on.
+/// Presses for 1 ms and releases before the first step, at 40 instants after the request.
 #[test]
 fn a_press_before_the_first_step_lets_nothing_start() {
     let mut rig = quickly_homed();
@@ -120,7 +122,8 @@ fn a_press_before_the_first_step_lets_nothing_start() {
             start_delay_us: 12_000,
             ..quick(1, 2_000, 20_000, 500_000)
         };
-        // The request takes some 3 ms on the line; the outputs are armed soon after it, the first step comes 12 ms later.
+        // The request takes some 3 ms on the line. The outputs are armed soon after it, and the first step comes 12 ms
+        // later.
         let at_ns = rig.bench.now_ns() + trial * 150_000;
         rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
         let what = format!("trial {trial}");
@@ -138,11 +141,12 @@ fn a_press_before_the_first_step_lets_nothing_start() {
     }
 }
 
-/// What is only prepared has not left the pin. The record of a cut run has the steps that did, and when.
+/// Prepared steps have not left the pin yet. The record of a cut run must count only the steps that did, and give their
+/// time.
 #[test]
 fn the_record_of_a_cut_run_shows_what_left_the_pin() {
     let mut rig = quickly_homed();
-    // From the start to the first step, by a run that nothing ends.
+    // Measure the time from the start to the first step with a run that is not cut.
     let ran = |rig: &mut RigRun, cut: Option<(u64, Action)>| {
         let edges = rig.edge_count();
         if let Some((within, action)) = cut {
@@ -187,7 +191,7 @@ fn the_record_of_a_cut_run_shows_what_left_the_pin() {
     rig.check_clean_after(0, 5);
 }
 
-/// A stroke is complete with its last step, not after the dwell that follows.
+/// A stroke is complete after its last step, not after the dwell that follows.
 #[test]
 fn a_stroke_is_done_with_its_last_step() {
     let dwelling = Run {
@@ -224,8 +228,8 @@ fn a_stroke_is_done_with_its_last_step() {
     }
 }
 
-/// Item 8: noise of 1 MHz on a switch's line, in a run and on either line. The rig answers all the time, every step up to the
-/// end is where it belongs, and the end has a name.
+/// Item 8: noise of 1 MHz on either switch's line, during a run. The rig keeps answering, every step is right up to the
+/// end of the run, and the record names the reason of the end.
 #[test]
 fn noise_of_1_mhz_on_a_switch_starves_nothing() {
     for switch in [Switch::Home, Switch::Far] {
@@ -237,7 +241,7 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
         while rig.edge_count() - edges < 20_000 {
             rig.idle(2_000);
         }
-        // While it lasts, a status takes no longer than 100 ms.
+        // While the noise lasts, a status request takes at most 100 ms.
         for _ in 0..4 {
             let asked_us = rig.device.now_us();
             rig.device.rig_status().expect("a status");
@@ -276,8 +280,8 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
     }
 }
 
-/// Item 5: on a chip the five words of a burst come one after the other, and a stop may come between any two. Whatever it
-/// leaves behind, the next path's words go where they belong.
+/// Item 5: on a chip the five words of a burst come one after the other, and a stop may fall between any two. The next
+/// path's words must still go to the right registers.
 #[test]
 fn a_halt_within_a_burst_shifts_no_word() {
     let seed = 0x5EED_0B57;
@@ -308,8 +312,8 @@ fn a_halt_within_a_burst_shifts_no_word() {
     rig.check_clean_after(0, 30);
 }
 
-/// Item 20: a burst that does not end makes a stop reset the timer, and `health` says how often. Whatever was cut, the
-/// next path is right.
+/// Item 20: if a burst does not end, a stop resets the timer, and `health` counts these resets. The next path must be
+/// right wherever the burst was cut.
 #[test]
 fn a_timer_that_is_reset_is_counted() {
     let mut dice = Dice(0x5EED_0C77);
@@ -333,7 +337,7 @@ fn a_timer_that_is_reset_is_counted() {
     while resets(&mut rig) == 0 {
         assert!(cut < 60, "none in {cut} stops");
         cut += 1;
-        // A step every 417 us, and bursts of 320 us: a stop does not wait so long.
+        // A step every 417 us, and bursts of 320 us: longer than a stop waits.
         let run = quick(1, 4_000, 3_000, 500_000);
         let accepted = rig.device.run(run).expect("accepted");
         rig.bench.advance_us(100_000).expect("the bench runs");
@@ -361,7 +365,7 @@ fn a_timer_that_is_reset_is_counted() {
     rig.check_clean_after(0, cut);
 }
 
-/// Item 7: what pulls EN before the firmware drives it is known afterwards.
+/// Item 7: the rig reports after its start whether EN is pulled up before the firmware drives it.
 #[test]
 fn a_pull_up_at_en_is_seen_at_the_start() {
     for mv in [None, Some(3_300), Some(5_000)] {
@@ -388,8 +392,8 @@ fn started_capsule() -> crate::common::Capsule {
     bench
 }
 
-/// Item 12: three wait states with prefetch and instruction cache, without the data cache that nobody flushes. The
-/// capsule needs none of them.
+/// Item 12: three wait states with prefetch and instruction cache, but without the data cache, which the firmware never
+/// flushes. The capsule needs none of them.
 #[test]
 fn the_flash_is_accelerated_where_it_is_slow() {
     let rig = rig();
@@ -399,7 +403,7 @@ fn the_flash_is_accelerated_where_it_is_slow() {
     assert_eq!(register(&capsule, FLASH_ACR), 0);
 }
 
-/// Item 11: a halted core makes no pulse, the watchdog goes on in both machines, and the capsule's sleep is one.
+/// Item 11: a halted core makes no pulse, the watchdog keeps running in both machines, and the capsule really sleeps.
 #[test]
 fn a_debugger_finds_the_chip_as_it_should() {
     let rig = rig();
@@ -419,7 +423,7 @@ fn refused(rig: &mut RigRun, request: impl Endpoint) {
     }
 }
 
-/// Item 10: flash is not written below 2.7 V, where the detector says so with a margin. What was stored stands.
+/// Item 10: flash is not written below 2.7 V, which the detector reports with a margin. Stored data stays intact.
 #[test]
 fn nothing_is_stored_while_the_supply_is_low() {
     let mut rig = rig();
@@ -455,7 +459,7 @@ fn with_chip(change: impl FnOnce(&mut ChipOptions)) -> RigRun {
     start(RigOptions::default(), options)
 }
 
-/// Item 2: a board without the ST-LINK's clock answers, says what is missing, and moves nothing.
+/// Item 2: a board without the ST-LINK's clock answers, names the missing clock, and moves nothing.
 #[test]
 fn a_rig_without_its_clock_says_so() {
     let mut rig = with_chip(|chip| chip.hse_after_ns = None);
@@ -481,7 +485,7 @@ fn a_rig_without_its_clock_says_so() {
     assert_eq!(rig.edge_count(), 0);
     assert!(!rig.look(|rig| rig.is_enabled()), "the driver is off");
     rig.check_clean(0);
-    // With it the same image works.
+    // With the clock the same image works.
     let mut rig = with_chip(|_| ());
     let chip = rig.device.call(GetChip).expect("it answers");
     assert_eq!(
@@ -490,7 +494,8 @@ fn a_rig_without_its_clock_says_so() {
     );
 }
 
-/// Item 3: a clock that stops in a run ends the pulses at once; the rig restarts and says why, with its clock or without.
+/// Item 3: if the clock stops during a run, the pulses end at once. The rig restarts and names the cause, whether the
+/// clock comes back or not.
 #[test]
 fn a_clock_that_stops_ends_the_run_and_is_named() {
     for comes_back in [true, false] {
@@ -531,7 +536,7 @@ fn name(number: u32) -> Name {
     }
 }
 
-/// A flash in which the next name erases a sector, and that name's number.
+/// A flash in which storing the next name erases a sector, and the number of that name.
 fn about_to_erase() -> (Vec<u8>, u32) {
     let mut rig = rig();
     for number in 0..2_000 {
@@ -545,8 +550,8 @@ fn about_to_erase() -> (Vec<u8>, u32) {
     panic!("no sector was erased");
 }
 
-/// Erases a sector of `flash` with the name `number`, and checks that the device's clock neither steps back nor loses
-/// anything. Idles for `before_us` first.
+/// Idles for `before_us`, erases a sector of `flash` with the name `number`, and checks that the device's clock neither
+/// steps back nor loses time.
 fn erase_and_check_the_clock(flash: &[u8], number: u32, erase_ns: u64, before_us: u64, what: &str) {
     let mut options = BenchOptions::new(board::image());
     options.chip.erase_ns = erase_ns;
@@ -575,13 +580,13 @@ fn erase_and_check_the_clock(flash: &[u8], number: u32, erase_ns: u64, before_us
     });
     let times: Vec<u64> = times.collect();
     assert!(times.len() > 30 && times.is_sorted(), "{what}: {times:?}");
-    // The way of the bytes differs by some milliseconds.
+    // The delay of the bytes varies by some milliseconds.
     let lost_us = before - offset(&mut rig);
     assert!(lost_us.abs() < 5_000, "{what}: {lost_us} us lost");
     rig.check_clean(0);
 }
 
-/// Item 4: the device's clock over an erase of any length, begun at any phase: it never steps back and loses nothing.
+/// Item 4: over an erase of any length, at any phase, the device's clock never steps back and loses no time.
 #[test]
 fn the_clock_keeps_time_over_an_erase() {
     let seed = 0x5EED_C10C;
@@ -594,7 +599,7 @@ fn the_clock_keeps_time_over_an_erase() {
     }
 }
 
-/// Item 13: a spike on the read-back's wire is no step, whether the motor moves, dwells or stands.
+/// Item 13: a spike on the read-back's wire is not counted, whether the motor moves, dwells or stands still.
 #[test]
 fn a_spike_on_the_read_back_is_not_counted() {
     const SPIKE_NS: u64 = 250;
@@ -616,7 +621,7 @@ fn a_spike_on_the_read_back_is_not_counted() {
         .unwrap_or_else(|why| panic!("{why}"));
     rig.bench.advance_us(1_500_000).expect("the bench runs");
     assert_eq!(state(&mut rig), RigState::Ready, "{}", rig.log());
-    // The pins that carry it are slow; what the debugger uses (PA13) is not ours.
+    // The output pins run at low speed. PA13 belongs to the debugger, so leave it out.
     let outputs = [
         (GPIOA_OSPEEDR, [8, 9, 10].as_slice()),
         (GPIOB_OSPEEDR, &[4]),
@@ -630,7 +635,7 @@ fn a_spike_on_the_read_back_is_not_counted() {
     rig.check_clean(0);
 }
 
-/// Item 7: a driver without a pull-up at EN is off before the firmware waits for a clock.
+/// Item 7: a driver without a pull-up at EN is switched off before the firmware waits for a clock.
 #[test]
 fn the_driver_is_off_before_the_clock_is_waited_for() {
     let rig = rig();

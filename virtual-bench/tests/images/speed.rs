@@ -1,4 +1,4 @@
-//! The highest step rate that the settings allow, with everything else going on.
+//! The highest step rate that the settings allow, with everything else active.
 
 use client::Unobserved;
 
@@ -19,13 +19,13 @@ fn set(rig: &mut RigRun, key: SettingKey, value: u32) {
     rig.device.call(Setting { key, value }).expect("accepted");
 }
 
-/// 1/32 microsteps at 156.2 mm/s are 249.9 kHz; telemetry at 200 Hz meanwhile.
+/// 1/32 microsteps at 156.2 mm/s are 249.9 kHz, with telemetry at 200 Hz.
 const STEPS_PER_MM: i64 = 1_600;
 const STROKE_US: u64 = 462_230;
-/// Strokes as quick as these end too soon after their last step for DIR to change: some rest is asked for.
+/// Strokes this quick end too soon after their last step for DIR to change, so the run needs a dwell.
 const DWELL_US: u32 = 1_000;
 
-/// A homed rig with a screw and a driver for it.
+/// A homed rig with a screw and a driver for that rate.
 fn quick_rig(instructions_per_second: u64) -> RigRun {
     let mut options = BenchOptions::new(board::image());
     options.chip.instructions_per_second = instructions_per_second;
@@ -82,8 +82,8 @@ fn the_highest_step_rate_is_sustained() {
     rig.check_clean(0);
 }
 
-/// A processor that cannot keep up: the generator runs dry at some step of a ramp. Every edge up to there is the right
-/// one, none follows, and the position is known.
+/// A processor that cannot keep up: the ring runs empty at some step of a ramp. Every edge before that is right, none
+/// follows, and the position is known.
 #[test]
 fn a_ring_that_runs_dry_emits_no_wrong_edge() {
     let mut steps = std::collections::BTreeSet::new();
@@ -105,17 +105,17 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
         assert_eq!(verdict.end, rig.carriage(), "{what}");
         assert_eq!((verdict.strokes, verdict.wrong_direction), (1, 0), "{what}");
         assert!(verdict.edges.0 < verdict.edges.1, "{what}");
-        // The start's own resolution is an instruction.
+        // The start's own resolution is one instruction.
         let limit_ns = 10.0 + 1e3 / million as f64;
         assert!(verdict.worst.0 <= limit_ns, "{what}");
         steps.insert(verdict.edges.0);
-        // The counter stands in the last pulse if its period was fetched half-written, and then that is cut.
+        // If the last period was fetched half-written, the counter stops in the last pulse, which is then cut.
         rig.check_clean_after(0, 1);
     }
     assert!(steps.len() * 3 > tried * 2, "{steps:?}");
 }
 
-/// Equal periods share an entry of the ring. At 3502.493 ticks per step in cruise hardly two neighbours are equal.
+/// Equal periods share an entry of the ring. At 3502.493 ticks per step at cruise almost no two neighbours are equal.
 #[test]
 fn steps_that_share_no_entry_are_exact_too() {
     let mut rig = homed();
@@ -143,8 +143,8 @@ fn steps_that_share_no_entry_are_exact_too() {
     rig.check_clean(0);
 }
 
-/// On the edge of running dry, with bursts that take their time: a run ends whole or as an underrun. It never hangs with
-/// periods that the timer does not take any more.
+/// With the ring nearly empty and bursts that take time, a run completes or ends as an underrun. It never hangs on
+/// periods that the timer no longer fetches.
 #[test]
 fn a_ring_that_is_nearly_dry_ends_and_says_how() {
     let speeds = [53_500_000, 48_750_000, 54_500_000, 56_000_000];
@@ -172,8 +172,8 @@ fn a_ring_that_is_nearly_dry_ends_and_says_how() {
     }
 }
 
-/// The processor is held up until the ring is nearly dry, with the last periods of a stroke still to be pushed. A zero that was
-/// fetched as such then stops the counter with periods in the ring: whatever comes of it, the run ends and says how.
+/// Holds the processor up until the ring is nearly empty, while the last periods of a stroke are still to be pushed. A
+/// zero fetched then stops the counter with periods left in the ring. The run must still end and report how.
 #[test]
 fn a_processor_that_is_held_up_at_the_end_of_a_stroke_leaves_no_run_without_an_end() {
     const STEPS: usize = 800;

@@ -1,4 +1,4 @@
-//! What the bench leaves out because nobody can notice it is noticed by nobody: scenarios, seeded, with and without.
+//! The events that the bench skips must have no effect: seeded scenarios, with and without skipping.
 
 use std::fmt::Debug;
 
@@ -23,14 +23,14 @@ const SEED: u64 = 0x0028_57E9;
 /// The chip's RAM.
 const RAM: std::ops::Range<u32> = 0x2000_0000..0x2002_0000;
 
-/// All that a scenario leaves behind.
+/// All results of a scenario.
 #[derive(Debug, PartialEq, Eq)]
 struct Left {
-    /// What was done, for a failure's text.
+    /// The actions, for the text of a failure.
     story: String,
     edges: Fingerprint,
     syncs: Vec<u64>,
-    /// Records, telemetry, log, and what the bench counted.
+    /// Records, telemetry, log, and the bench's own counts.
     told: String,
     /// Registers and RAM, at some instants within the run and at the end.
     chip: Vec<(Vec<Option<u32>>, Fingerprint)>,
@@ -145,7 +145,7 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
     }
 }
 
-/// A run of half a second or so.
+/// A run of about half a second.
 fn plan(dice: &mut Dice) -> Run {
     let mut run = quick(
         dice.roll(1..3) as u16,
@@ -159,7 +159,7 @@ fn plan(dice: &mut Dice) -> Run {
     run
 }
 
-/// What happens to the rig, and when.
+/// A random mishap for the rig, and its instant.
 fn mishap(number: u64, dice: &mut Dice, rig: &RigRun) -> Option<(When, Action)> {
     let edge = When::Edge(rig.edge_count() as u64 + dice.roll(1..4_000));
     let at = When::At(rig.bench.now_ns() + dice.roll(10_000_000..600_000_000));
@@ -185,12 +185,12 @@ fn mishap(number: u64, dice: &mut Dice, rig: &RigRun) -> Option<(When, Action)> 
     ))
 }
 
-/// Edges with their instants, records, telemetry, log and RAM are the same whether the emulator stops for every event of every
-/// timer or for those only that something may notice.
+/// Edges with their instants, records, telemetry, log and RAM are the same whether the emulator stops for every event
+/// of every timer or only for those that something may notice.
 #[test]
 fn what_is_left_out_is_noticed_by_nobody() {
     let mut stories = 0;
-    // Always with a lost capture and with jitter, too.
+    // Always include the scenarios with a lost capture and with jitter.
     for number in (0..trials(5, 60)).chain([25, 26]) {
         eprintln!("scenario {number}");
         let every_event = |every_event| {

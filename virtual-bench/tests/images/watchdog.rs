@@ -1,4 +1,4 @@
-//! Tasks that hang and processor faults, each where a task checks in with the watchdog.
+//! Hanging tasks and processor faults, each triggered where a task checks in with the watchdog.
 
 use client::Unobserved;
 use client::error::ClientError;
@@ -14,11 +14,11 @@ use virtual_bench::{
     sabotage::{Misbehaviour, NOWHERE, Sabotage},
 };
 
-/// Clients of the watchdog, as they call `check_in`.
+/// Clients of the watchdog, with the value that each passes to `check_in`.
 const CLIENTS: [(u8, &str); 3] = [(1, "motion"), (2, "link"), (4, "control")];
 /// The watchdog's period, ns.
 const WATCHDOG_NS: u64 = 800_000_000;
-/// Until the client's next check-in, and until the round that feeds the watchdog with what was gathered before, ns.
+/// Time until the client's next check-in, plus the round that still feeds the watchdog with earlier check-ins, ns.
 const LAST_FEEDING_NS: u64 = 100_000_000 + 150_000_000;
 
 struct Ended {
@@ -28,7 +28,7 @@ struct Ended {
     edges: usize,
 }
 
-/// Lets `client` do `misbehaviour` at rest or 1 s into a run, until the device has restarted; checks what holds for every such
+/// Lets `client` misbehave at rest or 1 s into a run until the device has restarted. Checks the rules for every such
 /// end: one reset, no edge after it, driver off, motion refused until it is acknowledged.
 fn sabotaged(
     client: u8,
@@ -98,12 +98,12 @@ fn fixed(mut ended: Ended) {
     ended.rig.home();
 }
 
-/// Whoever hangs, at rest or within a run: nothing moves any more when the watchdog's period is over.
+/// Whichever task hangs, at rest or during a run: nothing moves after the watchdog's period.
 #[test]
 fn a_task_that_hangs_is_ended_by_the_watchdog() {
     for (nth, (client, name)) in CLIENTS.into_iter().enumerate() {
         for moving in [false, true] {
-            // In ci one client at rest, the next one in a run.
+            // Without the full campaign, alternate: one client at rest, the next one in a run.
             if !is_made(nth + usize::from(moving), 2) {
                 continue;
             }
@@ -121,8 +121,8 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
     }
 }
 
-/// Outputs off by the handler, reset by itself, and last words kept for whoever asks: of every client, at rest and within a
-/// run.
+/// Makes every client misbehave, at rest and during a run. The handler must switch the outputs off, reset, and keep the
+/// last words.
 fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str, &Ended)) {
     for (nth, (client, name)) in CLIENTS.into_iter().enumerate() {
         for moving in [false, true] {
@@ -131,7 +131,8 @@ fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str
             }
             let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
             let mut ended = sabotaged(client, misbehaviour, moving, cause, fault);
-            // The client checks in within 100 ms; from the misbehaviour to the reset it is a few hundred instructions.
+            // The client checks in within 100 ms. From the misbehaviour to the reset it takes a few hundred
+            // instructions.
             let took_ns = ended.reset_ns - ended.armed_ns;
             assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
             let words = ended.rig.device.last_words().expect("they are kept");
@@ -146,13 +147,13 @@ fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
     last_words_of_all(Misbehaviour::Fault, |name, words, ended| {
         let expected = format!("processor fault at 0x{NOWHERE:x}");
         assert!(words.starts_with(&expected), "{name}: {words:?}");
-        // The jump into nowhere is ours; nothing else was touched.
+        // Only the deliberate jump to an address without memory is a gap.
         let gaps = ended.rig.bench.bus().expect("the bench runs").gaps;
         assert!(gaps.iter().all(|gap| gap.contains("60000000")), "{gaps:?}");
     });
 }
 
-/// The words name the callers, innermost first, and so who panicked.
+/// The last words list the callers, innermost first, so they tell which task panicked.
 #[test]
 fn a_panic_switches_off_at_once_and_leaves_its_callers() {
     let mut told = std::collections::BTreeSet::new();
@@ -166,7 +167,7 @@ fn a_panic_switches_off_at_once_and_leaves_its_callers() {
         // The handler's caller, the task, the executor, and where the executor runs.
         assert!(callers.len() >= 4, "{name}: {words:?}");
         let code = 0x0801_0000..0x0808_0000;
-        // What an interrupt returns to (Armv7-M ARM B1.5.8), where its handler's frame meets the interrupted one.
+        // Allow exception return values (Armv7-M ARM B1.5.8), where a handler's frame meets the interrupted one.
         let exception = 0xFFFF_FFE0..=0xFFFF_FFFE;
         assert!(
             callers
@@ -179,8 +180,8 @@ fn a_panic_switches_off_at_once_and_leaves_its_callers() {
     assert_eq!(told.len(), CLIENTS.len(), "each at one place: {told:x?}");
 }
 
-/// A panic within a frame of the log finds it taken when it wants to log its own last words, and panics again. The
-/// first words stand, and it ends at once: before, it went on so until the stack was used up.
+/// A panic within a log frame finds the log taken when it logs its last words, and panics again. The first words are
+/// kept, and the reset follows at once. It used to repeat until the stack overflowed.
 #[test]
 fn a_panic_within_the_log_ends_at_once_with_its_words() {
     let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
@@ -193,7 +194,7 @@ fn a_panic_within_the_log_ends_at_once_with_its_words() {
             words.starts_with("panic, called from 0x"),
             "{name}: {words:?}"
         );
-        // Of a panic within a panic the addresses would all be those of the handler.
+        // If the second panic had replaced the words, all addresses would be the handler's.
         let callers: std::collections::BTreeSet<_> = words.split(" 0x").skip(1).collect();
         assert!(callers.len() >= 4, "{name}: {words:?}");
         ended.rig.check_clean(1);
@@ -201,8 +202,8 @@ fn a_panic_within_the_log_ends_at_once_with_its_words() {
     }
 }
 
-/// A stack that is used up ends in the guard below it, with outputs off and last words, whether an instruction meets
-/// the guard or the frame of an interrupt.
+/// A stack overflow ends in the guard below the stack, with outputs off and last words, whether an instruction or an
+/// interrupt's frame hits the guard.
 #[test]
 fn a_stack_overflow_is_a_fault_with_last_words() {
     for misbehaviour in [Misbehaviour::Overflow, Misbehaviour::OverflowByInterrupt] {
@@ -224,7 +225,7 @@ fn a_stack_overflow_is_a_fault_with_last_words() {
     }
 }
 
-/// The same of the capsule.
+/// The same for the capsule.
 #[test]
 fn the_capsules_stack_has_a_guard_too() {
     use client::Device;
@@ -257,8 +258,8 @@ fn the_capsules_stack_has_a_guard_too() {
     }
 }
 
-/// What a debugger has left in DEMCR outlives a reset, and would hold the processor at the next one. A start that comes
-/// through clears it.
+/// Catch bits that a debugger has left in DEMCR survive a reset, and would halt the processor at the next one. A
+/// successful start clears them.
 #[test]
 fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     let mut rig = homed();
@@ -275,13 +276,13 @@ fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
         rig.device
             .hello(2 + expected as u32)
             .expect("it answers again");
-        // The first start finds them; the second one none any more.
+        // The first start finds them set, the second one clear.
         assert_eq!(found(&rig), expected, "{}", rig.log());
     }
     rig.check_clean(2);
 }
 
-/// The substitute of the code is harmless for everybody but the client that it is made for.
+/// The substitute code affects only the client that it is made for.
 #[test]
 fn a_client_that_does_not_exist_changes_nothing() {
     let mut rig = homed();

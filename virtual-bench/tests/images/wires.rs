@@ -1,4 +1,4 @@
-//! Cut wires, welded and bouncing contacts, each on a rig that works otherwise.
+//! Cut wires, welded and bouncing contacts, each on an otherwise working rig.
 
 use client::Unobserved;
 use client::error::ClientError;
@@ -16,7 +16,7 @@ use virtual_bench::{
     },
 };
 
-/// Of the run below: 20 mm.
+/// Steps of a stroke of the run below: 20 mm.
 const STROKE: u64 = 16_000;
 
 fn refused<T: std::fmt::Debug>(answer: Result<T, ClientError>, expected: Refusal) {
@@ -26,7 +26,8 @@ fn refused<T: std::fmt::Debug>(answer: Result<T, ClientError>, expected: Refusal
     }
 }
 
-/// Two cycles of 20 mm, with `action` at edge `within`; the record, and the edges that followed the action.
+/// Makes two cycles of 20 mm, with `action` at edge `within`. Returns the record, and the number of edges after the
+/// action.
 fn run_with(rig: &mut RigRun, within: u64, action: Action) -> (RunRecord, u64) {
     let edges = rig.edge_count() as u64;
     rig.look(move |rig| rig.plan(When::Edge(edges + within), action));
@@ -35,7 +36,8 @@ fn run_with(rig: &mut RigRun, within: u64, action: Action) -> (RunRecord, u64) {
     (record, rig.edge_count() as u64 - edges - within)
 }
 
-/// Homing ends with `fault`; the rig does not move any more and can be homed when the contact is fixed.
+/// Checks that homing ends with `expected`, that nothing moves afterwards, and that the rig can be homed once the
+/// contact is fixed.
 fn homing_ends_with(rig: &mut RigRun, switch: Switch, expected: RigFault) {
     let accepted = rig.device.home().expect("homing is accepted");
     let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
@@ -46,7 +48,7 @@ fn homing_ends_with(rig: &mut RigRun, switch: Switch, expected: RigFault) {
     fixed(rig, switch);
 }
 
-/// At rest and latched; then the contact is sound again.
+/// Checks that the rig is at rest with the fault latched, then repairs the contact.
 fn fixed(rig: &mut RigRun, switch: Switch) {
     let edges = rig.edge_count();
     rig.idle(100_000);
@@ -58,7 +60,7 @@ fn fixed(rig: &mut RigRun, switch: Switch) {
     assert_eq!(rig.edge_count(), edges, "it moved by itself");
     rig.device.acknowledge().expect("the cause is gone");
     rig.home();
-    // The loop cuts the pulse that is going out.
+    // The loop cuts the pulse in progress.
     rig.check_clean_after(0, usize::from(switch == Switch::EStop));
 }
 
@@ -80,11 +82,12 @@ fn a_welded_home_flag_ends_the_homing() {
     let fault = rig.device.rig_status().expect("a status").fault;
     let expected = Some(RigFault::FlagNotFound(HomingPhase::Seek));
     assert!(ended.is_err() && fault == expected, "{ended:?} {fault:?}");
-    // It ran into the end of travel, as a rig without an end switch in its loop does: steps are lost there, no more.
+    // The carriage ran into the end of travel, as on a rig without an end switch in its loop. It loses steps there, but
+    // does no other harm.
     assert!(rig.look(|rig| rig.violations().stalled) > 0);
 }
 
-/// The ledger looks for the flag on every return stroke.
+/// The ledger expects the flag on every return stroke.
 #[test]
 fn a_flag_that_is_cut_or_welded_within_a_run_is_missed_by_the_ledger() {
     for (open, within) in [
@@ -120,7 +123,7 @@ fn a_cut_wire_of_the_far_limit_stops_what_moves_away() {
     let expected = RunOutcome::Faulted(RigFault::FarLimit);
     assert_eq!(record.outcome, expected);
     assert!(after <= 4, "{after} steps after the limit");
-    // Homing meets the flag while the limit is open, and a carriage is never at both ends.
+    // Homing meets the flag while the limit is open, but a carriage cannot be at both ends.
     rig.device.acknowledge().expect("at rest it is no cause");
     homing_ends_with(&mut rig, Switch::Far, RigFault::BothSwitchesOpen);
     rig.act(Action::Stick(Switch::Far, Some(true)));
@@ -161,7 +164,7 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
     fixed(&mut rig, Switch::EStop);
 }
 
-/// The cable of both switches is pulled within a run, on the way out and on the way back.
+/// Pulls the cable of both switches during a run, on the way out and on the way back.
 #[test]
 fn an_unplugged_cable_ends_a_run() {
     for (within, at_most) in [(8_000, 4), (STROKE + 5_000, 1_200)] {
@@ -173,7 +176,7 @@ fn an_unplugged_cable_ends_a_run() {
             rig.plan(edge, Action::Stick(Switch::Far, Some(true)));
         });
         let (_, record) = execute(&mut rig, quick(2, 20_000, 40_000, 500_000));
-        // Away from home the far limit is what counts; on the way back it is the flag, and the rig brakes.
+        // On the way out the far limit counts. On the way back it is the flag, and the rig brakes.
         let RunOutcome::Faulted(fault) = record.outcome else {
             panic!("edge {within}: {record:?}")
         };
@@ -185,7 +188,7 @@ fn an_unplugged_cable_ends_a_run() {
         assert!(expected, "edge {within}: {fault:?}");
         let after = rig.edge_count() as u64 - edges - within;
         assert!(after <= at_most, "edge {within}: {after} steps more");
-        // Nothing can be started before the cable is plugged in.
+        // Nothing can be started until the cable is plugged in.
         refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
         refused(rig.device.home(), Refusal::RigFaulted(fault));
         for switch in [Switch::Home, Switch::Far] {
@@ -216,7 +219,7 @@ fn bouncing_contacts_are_believed_once() {
         "{}",
         rig.log()
     );
-    // 60 us of bouncing at 40 mm/s are two steps.
+    // 60 us of bouncing at 40 mm/s span two steps.
     assert!(
         record.worst_residual_steps.abs() <= 3,
         "{} steps",
@@ -237,7 +240,7 @@ fn bouncing_contacts_are_believed_once() {
     rig.check_clean_after(0, 1);
 }
 
-/// The start button, worked as an operator does.
+/// The start button, used as an operator does.
 #[test]
 fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
     let mut rig = rig();
@@ -264,7 +267,7 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
     let status = rig.device.rig_status().expect("a status");
     assert_eq!((status.state, rig.carriage()), (RigState::Ready, 0));
     let edges = rig.edge_count();
-    // It stays down: one run, no second one.
+    // It stays down: one run, not a second one.
     rig.act(Action::Button(true));
     rig.idle(5_000_000);
     assert_eq!(rig.edge_count() - edges, 16_000);
@@ -273,7 +276,7 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
     rig.check_clean(0);
 }
 
-/// Nothing starts by itself: a button that is down when the supply comes on has not been pressed.
+/// Nothing starts by itself: a button that is down at power-on does not count as pressed.
 #[test]
 fn a_button_that_is_stuck_at_power_up_moves_nothing() {
     let mut rig = rig();
