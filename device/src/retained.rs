@@ -1,4 +1,4 @@
-//! What survives a reset: the number of starts, a latched E-stop, the last words.
+//! Data that survives a reset: the number of starts, a latched E-stop, the last words.
 //!
 //! It lies in the kilobyte of RAM that `memory.x` leaves out of data and stack. After a power cut that RAM holds
 //! anything, so everything in it is marked by a magic number, and the last words carry a checksum.

@@ -128,7 +128,7 @@ fn respond(
             })?;
             let speed = settings.speed(requested.speed_um_s)?;
             command(machine, Command::MoveTo { target, speed })?;
-            // Solve again: the machine has just started the same plan.
+            // Calculate the profile again for the reply: the machine has just started the same one.
             let settings = machine.settings();
             let (from, to) = (context.now.position, target.signed());
             let profile = settings.move_profile(from.distance_to(to), speed)?;
