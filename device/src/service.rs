@@ -64,9 +64,9 @@ struct Life {
 }
 
 impl Life {
-    /// Notes a good frame, if it comes from the host that began the motion. A frame of another session comes from a
-    /// host that was left behind; a malformed one may be anybody's; one that only devices send is an echo on the line.
-    /// A stop does not keep a motion alive.
+    /// Notes a frame, and decides whether it is a sign of life. It is not if it may come from another host: a frame of
+    /// another session comes from a host that was left behind, a malformed one may be anybody's, one that only devices
+    /// send is an echo on the line. A stop does not keep a motion alive either.
     fn hear(&mut self, decision: &Decision, is_new_session: bool, now_us: u32) {
         self.before_us = self.heard_us;
         self.began &= !is_new_session;

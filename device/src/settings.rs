@@ -238,7 +238,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Erases a flash that holds no log, and starts a new log with the defaults and the other records.
+    /// Erases a flash that holds no log, and starts a new one: empty, so all settings are defaults, but for the other
+    /// records.
     fn begin_anew(&mut self) -> Result<(), StorageFailed> {
         self.store.erase()?;
         self.found = Found::Settings;
