@@ -135,7 +135,8 @@ impl Monitor {
         }
         prop_assert_eq!(self.running.is_some(), self.capsule.is_moving());
         if let Some((kind, since_us)) = self.running {
-            // The deadline counts from the end of the brake before the motion and is not judged while a reversal brakes.
+            // The deadline counts from the end of the brake before the motion. It is not checked while a reversal
+            // brakes.
             let limit_us = u64::from(self.capsule.timeout_ms(kind)) * 1_000 + 2 * BRAKE_US;
             let record = self.capsule.record();
             prop_assert_eq!((record.kind, record.actuation), (kind, self.actuations));

@@ -122,7 +122,7 @@ pub enum Command {
     Run {
         /// The plan.
         plan: RunPlan,
-        /// What to do when the host falls silent.
+        /// Reaction to a silent host.
         link_loss: LinkLossPolicy,
     },
     /// Decelerate within a run, to go on later.
@@ -240,7 +240,7 @@ pub struct Machine {
     glitches_at_start: u32,
     /// Positions of the last report: by the generator, by the counter.
     last: (StepPosition, StepPosition),
-    /// Until then, ignore jogs: they renew a stopped one.
+    /// Ignore jogs until this time: they renew a stopped one.
     jog_stopped_until_us: u64,
 }
 

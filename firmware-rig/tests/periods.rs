@@ -432,7 +432,7 @@ fn pieces_of_a_pause_are_long() {
     }
 }
 
-/// The pieces of pauses whose lengths are bounds: the longest period, that and the shortest piece, one tick more or less.
+/// The pieces of pauses at the limits: the longest period, that plus the shortest piece, and one tick more or less.
 #[test]
 fn pieces_at_their_bounds() {
     let pieces = |ticks: u64| -> Vec<u32> {

@@ -122,9 +122,9 @@ fn clocks(source: Clock) -> Config {
     config
 }
 
-/// Prefetch and instruction cache on (RM0383 section 3.4.2); the HAL sets the wait states only. Without them code runs from
-/// flash with three wait states for every eight half-words, and prefetch off is also a condition of the erratum on a WFE
-/// with wait states (docs/silicon.md).
+/// Switches prefetch and instruction cache on (RM0383 section 3.4.2); the HAL sets the wait states only. Without them
+/// code runs from flash with three wait states for every eight half-words. Prefetch off is also a condition of the
+/// erratum on a WFE with wait states (docs/silicon.md).
 ///
 /// The data cache stays off: nothing flushes it after the settings are written, so it would return stale data. Code is
 /// never written, so the instruction cache needs one flush only, here, where it is still off.
@@ -265,7 +265,8 @@ fn configure_priorities() {
     interrupt::EXTI9_5.set_priority(Priority::P3);
     interrupt::DMA2_STREAM5.set_priority(Priority::P4);
     interrupt::SPI5.set_priority(Priority::P6);
-    // SAFETY: the handlers are in `switches.rs` and `step_generator.rs`; nothing they use is initialised later than this.
+    // SAFETY: the handlers are in `switches.rs` and `step_generator.rs`; nothing they use is initialised later than
+    // this.
     unsafe {
         interrupt::EXTI9_5.enable();
     }

@@ -1,9 +1,9 @@
 //! Home flag and far limit: filtered in the interrupt that their edges raise.
 //!
-//! The handler samples the contact for 21 us (a setting) after the edge. Shorter pulses (electrical noise of the motor) are
-//! counted and have no effect; a contact that stays open stops the pulses 21 us after its edge, within 50 us at the
-//! longest setting and two sampling windows. A pulse that ends and begins again raises the next interrupt. A line that
-//! does so too often is masked for a millisecond, so that it starves neither motion nor link.
+//! The handler samples the contact for 21 us (a setting) after the edge. It counts shorter pulses (electrical noise of
+//! the motor), which have no effect. A contact that stays open stops the pulses 21 us after its edge, within 50 us at
+//! the longest setting and two sampling windows. A pulse that ends and begins again raises the next interrupt. A line
+//! that does so too often is masked for a millisecond, so that it starves neither motion nor link.
 
 #![allow(unsafe_code)]
 

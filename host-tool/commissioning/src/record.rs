@@ -35,7 +35,7 @@ pub enum Outcome {
 pub struct StepResult {
     /// Name of the step.
     pub step: String,
-    /// What a pass proves.
+    /// Text: what a pass proves.
     pub shows: String,
     /// The verdict.
     #[serde(rename = "result")]
