@@ -1,4 +1,4 @@
-//! What the control of both machines has in common: its surroundings, and the requests that both answer alike.
+//! Common parts of both machines' control: its surroundings, and the requests that both answer alike.
 
 use crate::retained::EStop;
 use protocol::{
@@ -8,11 +8,11 @@ use protocol::{
     table::{Reply, Request, Response},
 };
 
-/// What surrounds control in either machine.
+/// Control's surroundings, in either machine.
 pub trait Surroundings {
     /// Device time.
     fn now_us(&self) -> u64;
-    /// What the chip says of its clock, its supply and its option bytes.
+    /// State of the chip's clock, supply and option bytes.
     fn chip(&self) -> Chip;
     /// How long the host that began the motion has been silent, us.
     fn silence_us(&self) -> u32;
@@ -20,11 +20,11 @@ pub trait Surroundings {
     fn set_telemetry(&mut self, period_ms: u16);
     /// Keeps an E-stop over a reset, or forgets it.
     fn keep_latched(&mut self, estop: Option<EStop>);
-    /// Logs an event, and sends it to whoever listens.
+    /// Logs an event, and sends it to the host if one listens.
     fn tell(&mut self, event: &Event);
 }
 
-/// What is to be done after a request, besides the machine's actions. `C` is a change of what is kept in flash.
+/// Work left after a request, besides the machine's actions. `C` is a change of the data in flash.
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,7 +38,7 @@ pub enum Effect<C> {
     },
     /// Record that a fault was acknowledged.
     Acknowledged,
-    /// Write this to flash; then it is in force.
+    /// Write this to flash, then put it into force.
     Store(C),
 }
 
@@ -47,14 +47,14 @@ pub enum Effect<C> {
 pub struct Executed<A, C> {
     /// Answer for the host.
     pub reply: Reply,
-    /// What the state machine wants done.
+    /// Actions of the state machine.
     pub actions: A,
-    /// What else is to be done.
+    /// Work besides these.
     pub effect: Effect<C>,
 }
 
 impl<A, C> Executed<A, C> {
-    /// Of a request that was answered or refused.
+    /// Outcome of a request that was answered or refused.
     pub fn new(answer: Result<(Response, Effect<C>), Refusal>, actions: A) -> Self {
         let (reply, effect) = match answer {
             Ok((response, effect)) => (Reply::Accepted(response), effect),
@@ -71,7 +71,7 @@ impl<A, C> Executed<A, C> {
 /// Shortest and longest interval of telemetry, ms.
 pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
 
-/// What the common requests are answered from.
+/// Data for answering the common requests.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// Events so far.

@@ -1,7 +1,7 @@
-//! Samples at equal intervals, of a processor that may stand still for longer than one.
+//! Samples at equal intervals, on a processor that may stall for longer than one.
 
-/// How many more samples have come due by `now_us` since the one that was due at `due_us`. They are left out: the one that is
-/// sent now takes the place of the last of them, and its number tells how many are missing.
+/// Samples that have come due by `now_us` after the one due at `due_us`. They are left out: the sample sent now takes
+/// the place of the last of them, and its number tells how many are missing.
 #[must_use]
 pub fn left_out(due_us: u64, now_us: u64, interval_us: u32) -> u32 {
     let late_us = u32::try_from(now_us.saturating_sub(due_us)).unwrap_or(u32::MAX);

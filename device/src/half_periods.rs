@@ -1,18 +1,18 @@
-//! Keeps the time driver's clock over a stall of the processor.
+//! Keeps the time driver's clock right over a stall of the processor.
 //!
-//! The driver counts half-periods of its 16-bit timer, 32.768 ms each, from one flag for each half. A longer stall loses some,
-//! and after an odd number of them its clock would run backwards 30 times a second. Another timer, which has 32 bits, says how
-//! long it was.
+//! The driver counts half-periods of its 16-bit timer, 32.768 ms each, from one flag for each half. A longer stall
+//! loses some. After an odd number of lost ones, its clock would run backwards 30 times a second. Another timer, which
+//! has 32 bits, measures the stall.
 
 /// A half-period, ticks of 1 us.
 const HALF_PERIOD: u32 = 1 << 15;
 /// A whole one.
 const PERIOD: u32 = 1 << 16;
 
-/// The handlers of a stall's lost half-periods take far less than this.
+/// Time reserved for handling the half-periods that a stall has lost. The handlers take far less.
 const HANDLING_US: u16 = 1_000;
 
-/// The time driver's timer, and one that knows how much time has passed. Interrupts are off.
+/// The time driver's timer, and a stopwatch. Interrupts are off.
 pub trait Timers {
     /// Flags of half-periods that the driver has not counted yet, 0 to 2.
     fn flags(&self) -> u32;
@@ -20,26 +20,26 @@ pub trait Timers {
     /// Count of the driver's timer, ticks of 1 us.
     fn count(&self) -> u16;
 
-    /// The other timer; it wraps after more than any stall.
+    /// Count of the stopwatch; it wraps after more than any stall.
     fn stopwatch(&self) -> u32;
 
-    /// Its ticks in a microsecond.
+    /// Ticks of the stopwatch in a microsecond.
     fn stopwatch_ticks_per_us(&self) -> u32;
 
     /// Raises one flag.
     fn raise(&self);
 
-    /// The driver's handler: counts each flag that stands, and clears it.
+    /// Calls the driver's handler, which counts each flag that is set and clears it.
     fn handle(&self);
 }
 
-/// Does what keeps the processor from counting time, and has the driver count what has passed.
+/// Runs `stall`, which keeps the processor from counting time, then makes the driver count the time that has passed.
 pub fn keep_over<T>(timers: &impl Timers, stall: impl FnOnce() -> T) -> T {
     let (flags, from) = flags_and_count(timers);
     let watch_from = timers.stopwatch();
     let result = stall();
-    // A half-period that began between the look at the flags and the handlers would be counted by nobody, since its flag
-    // stands already.
+    // A half-period that begins between the look at the flags and the handlers would be lost, since its flag is
+    // already set. So wait until none is about to begin.
     while left_us(timers.count()) < HANDLING_US {}
     let watch_passed = timers.stopwatch().wrapping_sub(watch_from);
     let (left, to) = flags_and_count(timers);
@@ -52,7 +52,7 @@ pub fn keep_over<T>(timers: &impl Timers, stall: impl FnOnce() -> T) -> T {
     result
 }
 
-/// The flags, and the count that goes with them.
+/// The flags, and a consistent count.
 fn flags_and_count(timers: &impl Timers) -> (u32, u16) {
     loop {
         let (before, count) = (timers.flags(), timers.count());
@@ -62,23 +62,24 @@ fn flags_and_count(timers: &impl Timers) -> (u32, u16) {
     }
 }
 
-/// Ticks that have passed while the timer went from one count to the other, by another clock that is less than 32 ms off.
+/// Ticks that the timer took from one count to the other. Another clock says about how many, with an error below 32
+/// ms.
 pub const fn passed_us(from: u16, to: u16, about_us: u32) -> u32 {
-    // Of all times with this difference of the counts, the one next to `about_us`.
+    // Of all times with this difference of counts, take the one nearest to `about_us`.
     let within = to.wrapping_sub(from) as u32;
     let off = about_us.wrapping_sub(within).wrapping_add(HALF_PERIOD) & (PERIOD - 1);
     about_us.wrapping_sub(off).wrapping_add(HALF_PERIOD)
 }
 
-/// Half-periods that have begun, and that the driver will not count from the timer's flags: `before` of them were flagged
-/// when the stall began at the count `from`, `after` when it had ended.
+/// Half-periods that have begun but will not be counted from the timer's flags. `before` of them were flagged when the
+/// stall began at the count `from`, `after` when it had ended.
 pub const fn lost(from: u16, passed_us: u32, before: u32, after: u32) -> u32 {
     let from = from as u32;
     let begun = (from + passed_us) / HALF_PERIOD - from / HALF_PERIOD;
     (before + begun).saturating_sub(after)
 }
 
-/// Ticks until the half-period ends in which the timer is at this count.
+/// Ticks until the present half-period ends, at this count of the timer.
 pub const fn left_us(count: u16) -> u16 {
     HALF_PERIOD as u16 - count % HALF_PERIOD as u16
 }

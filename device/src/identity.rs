@@ -1,4 +1,4 @@
-//! What a device says of itself.
+//! The identity that a device reports.
 
 use crate::retained::Retained;
 use protocol::{
@@ -7,7 +7,7 @@ use protocol::{
     table::SCHEMA_KEY,
 };
 
-/// As `build.rs` found it.
+/// Revision of the sources, found by `build.rs`.
 const REVISION: Revision = Revision {
     commit: match u32::from_str_radix(env!("RETROGRADE_COMMIT"), 16) {
         Ok(commit) => commit,
@@ -41,8 +41,8 @@ pub fn identity(
     }
 }
 
-/// Why the device started, when the previous start tells more than the chip's flags: it resets itself after a panic, and to
-/// take its own place.
+/// Why the device started. The previous start may know more than the chip's flags: the device resets itself after a
+/// panic, and to restart when the clock has come.
 #[must_use]
 pub fn reset_cause(by_flags: ResetCause, left: &Retained) -> ResetCause {
     match (by_flags, left.cause) {

@@ -1,4 +1,4 @@
-//! The text that a panic or a processor fault leaves, put together without `core::fmt`: that is 9.5 KB of flash.
+//! The text that a panic or a processor fault leaves. Built without `core::fmt`, which would take 9.5 KB of flash.
 
 use heapless::{String, Vec};
 
@@ -8,7 +8,7 @@ pub const LONGEST: usize = 120;
 /// Text of the last panic or processor fault.
 pub type LastWords = String<LONGEST>;
 
-/// Last words in the making. What does not fit is cut off.
+/// Builds the last words. Text that does not fit is cut off.
 #[derive(Debug, Default)]
 pub struct Draft(Vec<u8, LONGEST>);
 

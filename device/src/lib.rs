@@ -1,5 +1,5 @@
-//! What both images share, below either of them: how a device talks, what it keeps over a reset, its settings in
-//! flash, its watchdog. Whatever differs is passed in: the safe state, the urgent stop, the rules of the settings.
+//! The layer below both images: link, data kept over a reset, settings in flash, watchdog. The images pass in the
+//! parts that differ: the safe state, the urgent stop, the rules of the settings.
 //!
 //! Everything beside the folder `chip` is pure and tested on the host.
 #![no_std]

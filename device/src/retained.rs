@@ -1,4 +1,4 @@
-//! What survives a reset: the number of starts, a latched E-stop, the last words.
+//! Data that survives a reset: the number of starts, a latched E-stop, the last words.
 //!
 //! It lies in the kilobyte of RAM that `memory.x` leaves out of data and stack. After a power cut that RAM holds
 //! anything, so everything in it is marked by a magic number, and the last words carry a checksum.
@@ -51,7 +51,7 @@ pub enum EStop {
     Frame,
 }
 
-/// What the previous start left.
+/// Data left by the previous start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Retained {
     /// Number of this start, from 1 after the supply was switched on.
@@ -103,8 +103,8 @@ pub fn start(words: &mut impl Words) -> Retained {
     }
 }
 
-/// Leaves to the next start what was left to this one, and why this one began: it could do nothing yet, and the next one takes
-/// its place. An E-stop is still kept.
+/// Passes on to the next start the data left to this one, and why this one began: this start could do nothing yet, and
+/// the next one takes its place. A latched E-stop is kept anyway.
 pub fn leave_again(words: &mut impl Words, left: &Retained, cause: ResetCause) {
     if left.clock_failed {
         keep_clock_failed(words);
@@ -142,8 +142,8 @@ pub fn keep_last_words(words: &mut impl Words, text: &[u8]) {
     words.set(TEXT_MAGIC, MAGIC);
 }
 
-/// As for frames: at this length any five wrong bits are found. With a table: bit by bit it would take 2 ms of a panic at
-/// 16 MHz, and the reset has to come soon.
+/// Checksum of the last words, as for frames: at this length it detects any five wrong bits. It uses a table: bit by
+/// bit it would take 2 ms of a panic at 16 MHz, and the reset has to come soon.
 static CRC32C: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
 /// Checksum of the text; one letter per word.

@@ -1,4 +1,4 @@
-//! The device's end of the link without its wires: bytes in, frames and questions to the state machine out.
+//! The device's end of the link, without the hardware: bytes in; frames, and questions to the state machine, out.
 
 use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
@@ -12,13 +12,13 @@ use protocol::{
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq)]
 pub enum Inbound {
-    /// Of the session.
+    /// A request of the session.
     Request(Request),
     /// A stop; valid at any time.
     Urgent(Urgent),
 }
 
-/// Control of a machine, as the link's questions reach it.
+/// Control of a machine, as the link sees it.
 pub trait Answers {
     /// Carries out a request of the session.
     fn request(&mut self, request: Request) -> Reply;
@@ -38,7 +38,7 @@ pub trait Answers {
     }
 }
 
-/// What a good frame asks for.
+/// Reaction to a good frame.
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Debug, PartialEq)]
@@ -51,26 +51,27 @@ pub enum Incoming {
     Ignore,
 }
 
-/// When the host that began the motion was last heard. A motion lives as long as that host does: another one that takes
-/// the line over opens a session of its own, and its questions keep nothing moving that it did not begin.
+/// When the host that began the motion was last heard. A motion lives only as long as that host. Another host that
+/// takes over the line opens its own session, and its requests do not keep alive a motion that it did not begin.
 #[derive(Debug)]
 struct Life {
     /// The present session has begun a motion.
     began: bool,
     /// Low 32 bits of the time, us.
     heard_us: u32,
-    /// The same before the request that is being carried out.
+    /// Previous `heard_us`, from before the request in progress.
     before_us: u32,
 }
 
 impl Life {
-    /// A frame has been taken. One of another session comes from a host that was left behind; a malformed one may be
-    /// anybody's; one that only devices send is an echo on the line; and a stop keeps nothing moving.
+    /// Notes a frame, and decides whether it is a sign of life. It is not if it may come from another host: a frame of
+    /// another session comes from a host that was left behind, a malformed one may be anybody's, one that only devices
+    /// send is an echo on the line. A stop does not keep a motion alive either.
     fn hear(&mut self, decision: &Decision, is_new_session: bool, now_us: u32) {
         self.before_us = self.heard_us;
         self.began &= !is_new_session;
         let is_sign = match decision {
-            // The motion may begin before the answer is known.
+            // Count it now: the motion may begin before the answer is known.
             Decision::Execute { request, .. } => self.began || begins(request),
             Decision::Greet { .. } | Decision::Resend(_) | Decision::Refuse { .. } => self.began,
             Decision::Urgent { .. } | Decision::Reject { .. } | Decision::Ignore => false,
@@ -80,7 +81,7 @@ impl Life {
         }
     }
 
-    /// A request that begins a motion was answered.
+    /// Notes the answer to a request that begins a motion.
     fn answered(&mut self, is_accepted: bool) {
         if is_accepted {
             self.began = true;
@@ -90,12 +91,12 @@ impl Life {
     }
 }
 
-/// After this request something moves, if it is accepted.
+/// Whether this request begins a motion, if it is accepted.
 fn begins(request: &Request) -> bool {
     request.impact() == Impact::Motion || matches!(request, Request::Resume(_))
 }
 
-/// Where an answer goes: session, sequence, and the ticket of a request that may be repeated.
+/// Address of an answer: session, sequence, and the ticket of a request that may be repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Return {
     session: u8,
@@ -125,7 +126,7 @@ pub struct Service {
 }
 
 impl Service {
-    /// No session yet. `identity` is complete but for the session.
+    /// A service without a session. `identity` is complete except for the session.
     #[must_use]
     pub const fn new(identity: Identity) -> Self {
         Self {
@@ -140,12 +141,12 @@ impl Service {
         }
     }
 
-    /// Blocks of bytes that were no good frames, since the start.
+    /// Bad frames since the start.
     pub fn bad_frames(&self) -> u32 {
         self.deframer.rejected()
     }
 
-    /// Number of the session for frames that nobody asked for; 0 before the first.
+    /// Session number for unsolicited frames; 0 before the first session.
     pub fn session(&self) -> u8 {
         self.session.number()
     }
@@ -156,7 +157,7 @@ impl Service {
         self.life.heard_us
     }
 
-    /// Takes a byte at this time, low 32 bits, us; something comes back when it completes a good frame.
+    /// Takes a byte. `now_us` is the low 32 bits of the time. Returns a value when the byte completes a good frame.
     #[inline(never)]
     pub fn receive(&mut self, byte: u8, now_us: u32) -> Option<Incoming> {
         let frame = self.deframer.push(byte)?;
@@ -167,9 +168,9 @@ impl Service {
         Some(serve(&mut self.session, &self.identity, decision))
     }
 
-    /// The frame of a reply, kept for the case that its request is repeated.
+    /// Encodes a reply, and keeps the frame in case the request is repeated.
     pub fn answer(&mut self, to: Return, reply: &Reply) -> Option<Encoded> {
-        // An answer that comes after a newer greeting begins nothing for the new host.
+        // After a newer Hello, this answer does not begin a motion for the new host.
         if to.begins && to.session == self.session.number() {
             self.life.answered(matches!(reply, Reply::Accepted(_)));
         }

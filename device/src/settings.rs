@@ -1,5 +1,5 @@
-//! Values of the settings as on the wire, and the store of them, of the name, and of what else a machine keeps in flash. What
-//! they mean is the image's business.
+//! Settings as sent on the wire, and their store in flash, which also keeps the name and a machine's other records.
+//! The image interprets the values.
 
 use crate::store::{NAME_RECORD, StorageFailed, Store};
 use embedded_storage_async::nor_flash::NorFlash;
@@ -18,7 +18,7 @@ const RECORD_VERSION: u8 = 1;
 pub struct Values([u32; SettingKey::ALL.len()]);
 
 impl Values {
-    /// Those of a new device.
+    /// Values of a new device.
     pub const DEFAULT: Self = {
         let mut values = [0; SettingKey::ALL.len()];
         let mut index = 0;
@@ -51,8 +51,8 @@ impl Values {
         Ok(values)
     }
 
-    /// Takes over a record as read from flash. One that is unknown, of another layout or out of range is left
-    /// out: an older or newer firmware wrote it.
+    /// Loads a record from flash. Ignores one that is unknown, of another layout or out of range: an older or newer
+    /// firmware wrote it.
     pub fn load(&mut self, number: u8, record: &[u8]) {
         let (Some(key), [RECORD_VERSION, a, b, c, d]) = (SettingKey::from_number(number), record)
         else {
@@ -74,17 +74,17 @@ impl Values {
 /// A record as it is written to flash, without its number.
 pub type Record = heapless::Vec<u8, MAX_NAME>;
 
-/// What a machine keeps in the log beside its settings and its name.
+/// Records that a machine keeps in the log besides its settings and its name.
 pub trait Records: Clone + Default {
-    /// Whose settings the log holds.
+    /// The machine whose settings the log holds.
     const KIND: DeviceKind;
     /// Numbers of these records; no setting of the machine has them.
     const NUMBERS: &'static [u8];
 
-    /// Takes over a record as read from flash. One of another layout is left out.
+    /// Loads a record from flash. Ignores one of another layout.
     fn load(&mut self, number: u8, record: &[u8]);
 
-    /// What is to be written under a number, if there is anything.
+    /// The record to write under this number, if any.
     fn record(&self, number: u8) -> Option<Record>;
 }
 
@@ -103,12 +103,12 @@ impl Records for SettingsOnly {
     }
 }
 
-/// What a start found in flash.
+/// Content of the flash, as found at the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Found {
     /// A log of settings, or an empty one.
     Settings,
-    /// A log of values that do not go together.
+    /// A log whose values contradict each other.
     Conflict,
     /// No log.
     Noise,
@@ -124,16 +124,16 @@ pub struct SettingsStore<F: NorFlash, R = SettingsOnly> {
 }
 
 impl<F: NorFlash> SettingsStore<F> {
-    /// Reads the flash of a machine that keeps nothing else, as [`SettingsStore::load_with`].
+    /// Like [`SettingsStore::load_with`], for a machine without other records.
     pub fn load(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
         Self::load_with(flash, go_together)
     }
 }
 
 impl<F: NorFlash, R: Records> SettingsStore<F, R> {
-    /// Reads the flash. The second value is false if what is there cannot be used: not a log, or values that do not
-    /// `go_together` (a cut of the power within a reset to the defaults may leave such). Then the defaults are in force.
-    /// Without a log nothing is known of the other records either: what could be read of them may be of years ago.
+    /// Reads the flash. The second value is false if the content cannot be used: it is not a log, or the values fail
+    /// `go_together` (a power cut during a reset to the defaults may cause this). The defaults are then in force.
+    /// Without a log the other records are dropped too: those that could be read may be years old.
     pub fn load_with(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
         let mut store = Store::new(flash);
         let (mut values, mut name) = (Values::DEFAULT, String::new());
@@ -186,7 +186,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         &self.records
     }
 
-    // Flash first: what is in force is what the next start will find.
+    // Write flash first: the values in force are always those that the next start will find.
 
     /// Changes a value, which is within its range.
     ///
@@ -209,8 +209,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Changes the other records, of which only the one with this number differs. A flash without a log is erased for it:
-    /// the machine keeps them by itself, and nobody would be there to order a reset.
+    /// Replaces the other records; only the one with this number differs. A flash without a log is erased first: the
+    /// machine keeps these records on its own, and nobody may be there to order a reset.
     ///
     /// # Errors
     /// Nothing has changed.
@@ -224,7 +224,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Goes back to the defaults of all values and of the name. The other records stay.
+    /// Restores the defaults of all values and of the name. The other records stay.
     ///
     /// # Errors
     /// The flash is worn out; some values may have changed in it, none in force.
@@ -238,7 +238,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Erases a flash that holds something that is no log. It is one of defaults then, and of the other records.
+    /// Erases a flash that holds no log, and starts a new one: empty, so all settings are defaults, but for the other
+    /// records.
     fn begin_anew(&mut self) -> Result<(), StorageFailed> {
         self.store.erase()?;
         self.found = Found::Settings;
@@ -253,7 +254,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
         for key in SettingKey::of(R::KIND) {
             let default = key.range().default;
-            // After a conflict the values in force are not those in flash.
+            // After a conflict, the values in force differ from those in flash.
             if self.found == Found::Conflict || self.values.get(key) != default {
                 self.save(key as u8, &Values::record(default))?;
             }
@@ -261,21 +262,21 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         self.save(NAME_RECORD, &[])
     }
 
-    /// Writes a record, and again before it those that would be dropped some day.
+    /// Writes a record. First rewrites the old ones that would otherwise be dropped some day.
     fn save(&mut self, number: u8, content: &[u8]) -> Result<(), StorageFailed> {
         if self.found == Found::Noise {
-            // The next start would not get as far as this record.
+            // The next start would not reach this record.
             return Err(StorageFailed);
         }
         while let Some(overdue) = self.store.overdue() {
-            // What another firmware wrote gives way to an empty record, which no firmware reads.
+            // Replace a record of another firmware by an empty one, which no firmware reads.
             let record = self.record(overdue).unwrap_or_default();
             self.store.save(overdue, &record)?;
         }
         self.store.save(number, content)
     }
 
-    /// What is in force under a number.
+    /// The record in force under a number.
     fn record(&self, number: u8) -> Option<Record> {
         if number == NAME_RECORD {
             return Some(self.name.as_bytes().try_into().unwrap_or_default());
@@ -288,7 +289,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     }
 }
 
-/// The setting that a record is of.
+/// The setting in a record.
 fn setting<R: Records>(number: u8) -> Option<SettingKey> {
     SettingKey::from_number(number).filter(|key| key.is_of(R::KIND))
 }

@@ -1,9 +1,9 @@
 //! A log of numbered records in flash: the last record of a number counts.
 //!
-//! A cut of the power at any instant leaves the old record or the new one (`sequential-storage`). Its queue is used,
-//! not its map: on a full sector the map searches all records for each of them, six seconds in which the watchdog
-//! bites, and its answer to that, a cache, and the map itself take 6 KB more flash. A full queue drops its oldest
-//! sector, so a record that is still needed is written again long before.
+//! A power cut at any instant leaves the old record or the new one (`sequential-storage`). We use its queue, not its
+//! map. On a full sector the map searches all records for each of them: that takes six seconds, and the watchdog
+//! bites. Its remedy, a cache, and the map itself take 6 KB more flash. A full queue drops its oldest sector, so we
+//! rewrite a record that is still needed long before.
 
 use core::ops::Range;
 use embassy_futures::block_on;
@@ -16,41 +16,41 @@ use sequential_storage::{
 
 /// Offsets of the log's sectors in flash, as in `memory.x`.
 pub const SECTORS: Range<u32> = 0x4000..0x1_0000;
-/// Bytes of each.
+/// Size of a sector, bytes.
 pub const SECTOR: u32 = 16 * 1024;
 /// Number of the name's record; settings have theirs from 0.
 pub const NAME_RECORD: u8 = 0xF0;
-/// Bytes of a look at whether a sector is blank. By words the calls take 40 ms at 16 MHz, in which no task runs.
+/// Bytes read at a time when checking that a sector is blank. Word by word, the calls take 40 ms at 16 MHz, in which
+/// no task runs.
 const LOOK: usize = 128;
 const _: () = assert!((SECTOR as usize).is_multiple_of(LOOK));
 /// The longest record, its number included, in whole words.
 const RECORD: usize = 28;
-/// The same in whole units of writing, of which the largest is a double word.
+/// `RECORD` in whole write units; the largest unit is a double word.
 const LONGEST_READ: usize = RECORD.next_multiple_of(8);
-/// At least so many records fit into a sector of a flash that is written by so many bytes: each record has 8 bytes of head, the
-/// sector two marks.
+/// Minimum records per sector for a given write size. Each record has 8 bytes of head, the sector two marks.
 const fn in_a_sector(write_size: usize) -> u32 {
     (SECTOR - 2 * write_size as u32) / (RECORD.next_multiple_of(write_size) as u32 + 8)
 }
 
-/// How many records ago each number was written last.
+/// Age of each number's last record, in records.
 ///
 /// The log drops its oldest sector when it needs room. What is younger than a sector's worth of records is never
 /// in there, so whatever becomes older than [`Ages::OLDEST`] is written again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ages {
     records: u32,
-    /// The count of records at the last one of each number; 0 is never.
+    /// Record count when each number was last written; 0 is never.
     last: [u32; Self::NUMBERS],
 }
 
 impl Ages {
     /// Settings and the name.
     pub const NUMBERS: usize = SettingKey::ALL.len() + 1;
-    /// The age at which a record is written again.
+    /// Age at which a record is written again.
     pub const OLDEST: u32 = 256;
 
-    /// Those of an empty log.
+    /// The ages for an empty log.
     pub const fn new() -> Self {
         Self {
             records: 0,
@@ -58,7 +58,7 @@ impl Ages {
         }
     }
 
-    /// Counts a record. A number that this firmware does not know ages and is lost.
+    /// Counts a record. The record of a number unknown to this firmware ages and is lost.
     pub fn wrote(&mut self, number: u8) {
         self.records += 1;
         let slot = match number {
@@ -70,7 +70,7 @@ impl Ages {
         }
     }
 
-    /// A number whose last record is too old.
+    /// A number whose last record is too old, if any.
     pub fn overdue(&self) -> Option<u8> {
         let too_old = |last: &u32| *last != 0 && self.records - last > Self::OLDEST;
         let slot = self.last.iter().position(too_old)?;
@@ -88,7 +88,7 @@ impl Default for Ages {
     }
 }
 
-/// A flash in which a sector is erased again before its first use, unless it is blank to the last word.
+/// A flash that erases a sector again before its first use, unless it is blank to the last word.
 #[derive(Debug)]
 struct Checked<F>(F);
 
@@ -130,8 +130,8 @@ impl<F: NorFlash> NorFlash for Checked<F> {
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), F::Error> {
-        // The first word of a sector is written when it comes into use. An erasure that was cut off may have left
-        // blank both words by which the log knows a blank sector, but not what lies between.
+        // A sector comes into use when its first word is written. An interrupted erasure may have left the two words
+        // blank that the log checks, but not those in between.
         if offset.is_multiple_of(SECTOR) && !self.is_blank(offset).await? {
             self.0.erase(offset, offset + SECTOR).await?;
         }
@@ -149,14 +149,14 @@ impl<E> From<sequential_storage::Error<E>> for StorageFailed {
     }
 }
 
-/// The log over a flash that never really waits.
+/// The log, on a flash that never really waits.
 pub struct Store<F: NorFlash> {
     log: QueueStorage<Checked<F>, Cache<Uncached, Uncached, Uncached>>,
     ages: Ages,
 }
 
 impl<F: NorFlash> Store<F> {
-    /// What the log reads of a record at once.
+    /// Bytes that the log reads for a record.
     const READ: usize = RECORD.next_multiple_of(F::WRITE_SIZE);
     const FITS: () = assert!(
         Self::READ <= LONGEST_READ
@@ -195,8 +195,8 @@ impl<F: NorFlash> Store<F> {
         })
     }
 
-    /// Writes a record. Stops the processor for up to a second: only while nothing moves.
-    /// [`Store::overdue`] has to be asked after each.
+    /// Writes a record. Stops the processor for up to a second: call it only while nothing moves. Check
+    /// [`Store::overdue`] after each call.
     ///
     /// # Errors
     /// The record is not written; the old one counts.
@@ -211,8 +211,8 @@ impl<F: NorFlash> Store<F> {
         Ok(())
     }
 
-    /// Erases everything. Only where nothing can be read or written any more: a cut of the power in between could
-    /// bring older values back.
+    /// Erases everything. Call it only when nothing can be read or written any more: a power cut during it could bring
+    /// back older values.
     ///
     /// # Errors
     /// The flash is worn out.
@@ -222,7 +222,7 @@ impl<F: NorFlash> Store<F> {
         Ok(())
     }
 
-    /// Number of a record that has to be written again before others.
+    /// Number of the next record that must be written again.
     pub fn overdue(&self) -> Option<u8> {
         self.ages.overdue()
     }

@@ -1,4 +1,4 @@
-//! Who has checked in since the watchdog was last fed.
+//! Check-ins of the tasks since the watchdog was last fed.
 
 use core::sync::atomic::{AtomicU8, Ordering};
 
@@ -24,7 +24,7 @@ const EVERYBODY: u8 = Client::Motion as u8 | Client::Link as u8 | Client::Contro
 pub struct CheckIns(AtomicU8);
 
 impl CheckIns {
-    /// Nobody has checked in.
+    /// No check-ins yet.
     pub const fn new() -> Self {
         Self(AtomicU8::new(0))
     }
@@ -34,7 +34,7 @@ impl CheckIns {
         self.0.fetch_or(client as u8, Ordering::Relaxed);
     }
 
-    /// Everybody has checked in since this was last true. Then all have to check in again.
+    /// True when all clients have checked in since this was last true. Clears the check-ins then.
     pub fn complete(&self) -> bool {
         let complete = self.0.load(Ordering::Relaxed) == EVERYBODY;
         if complete {

@@ -27,7 +27,7 @@ use protocol::{
 };
 use simulated_machines::chip::Flash;
 
-/// A motor without a load, and a note of everything that control says.
+/// A motor without a load, and a record of everything that control says.
 #[derive(Default)]
 struct Board {
     now_us: u64,
@@ -95,7 +95,7 @@ struct Device {
     control: Control<Board, Flash>,
     flash: Flash,
     counts: i32,
-    /// Back-EMF times 1 ms that is not a count yet, mV.
+    /// Back-EMF times 1 ms left over from the last whole count, mV.
     turned_mv: i32,
 }
 
@@ -117,7 +117,7 @@ impl Device {
         }
     }
 
-    /// Started, with a reading of a full battery, and with nothing told.
+    /// A started capsule with a reading of a full battery, its events so far dropped.
     fn ready() -> Self {
         let mut device = Self::start(FRESH, ResetCause::PowerOn);
         device.read();
@@ -133,7 +133,7 @@ impl Device {
     fn read(&mut self) {
         self.board().now_us += 1_000;
         if let Some(Drive::Millivolts(millivolts)) = self.board().drives.last().copied() {
-            // As fast as voltage and current say: 16 mA in 6 ohm, 0.207 mV for each count/s.
+            // Speed from voltage and current: 16 mA in 6 ohm, 0.207 mV for each count/s.
             self.turned_mv += (i32::from(millivolts).abs() - 96).max(0);
             self.counts += i32::from(millivolts.signum()) * (self.turned_mv / 207);
             self.turned_mv %= 207;
@@ -278,7 +278,7 @@ fn a_silent_host_stops_the_motor_after_a_second() {
     );
     assert_eq!(device.drive(), Drive::Brake);
     assert_eq!(device.state().0, CapsuleState::Unreferenced);
-    // At rest nobody has to speak.
+    // At rest the host may be silent.
     for _ in 0..100 {
         device.read();
     }
@@ -325,7 +325,7 @@ fn an_estop_is_kept_over_a_reset_until_it_is_acknowledged() {
 #[test]
 fn other_faults_are_not_kept_over_a_reset() {
     let mut device = Device::referencing();
-    // The encoder stands although the motor is driven.
+    // The encoder does not count although the motor is driven.
     let counts = device.counts;
     for _ in 0..200 {
         device.counts = counts;
@@ -346,7 +346,7 @@ fn the_host_sets_the_interval_of_telemetry() {
         let response = device.accepted(Request::SetTelemetry(set));
         assert_eq!(response, Response::SetTelemetry(set));
     }
-    // The setting comes first.
+    // The first interval comes from the setting, at the start.
     assert_eq!(device.board().telemetry_ms, [0, 10, 0]);
     let refused = device.ask(Request::SetTelemetry(SetTelemetry { period_ms: 4 }));
     assert!(matches!(
@@ -458,7 +458,7 @@ fn a_motion_is_recorded_reading_by_reading() {
     assert_eq!((last.current_ma, last.battery_mv), (16, 3_900));
     assert!(last.drive_mv > 0 && last.thread_um > 200, "{last:?}");
     assert!(points.is_sorted_by_key(|point| point.thread_um));
-    // A long one keeps its end.
+    // The trace keeps the end of a long motion.
     for _ in 0..KEPT_TRACE_POINTS + 500 {
         device.read();
     }
@@ -483,8 +483,8 @@ fn set(key: SettingKey, value: u32) -> Request {
     Request::SetSetting(Setting { key, value })
 }
 
-/// What is in force is what the next start finds, and nothing is written while the motor may turn.
-/// A line of the encoder on its edge kept everything from being written, for ever.
+/// A setting is in force only once it is in flash, and nothing is written while the motor may turn. An encoder line at
+/// rest on its edge once blocked all writes for ever.
 #[test]
 fn a_count_that_flickers_is_no_motion() {
     let mut device = Device::ready();
@@ -495,7 +495,7 @@ fn a_count_that_flickers_is_no_motion() {
     let (key, value) = (SettingKey::EndForceMa, 120);
     let set_to = Response::SetSetting(Setting { key, value });
     assert_eq!(device.accepted(set(key, value)), set_to);
-    // A motor that turns on is.
+    // A motor that keeps turning is in motion.
     for _ in 0..1_000 {
         device.counts += 1;
         device.read();

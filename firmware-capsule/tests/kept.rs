@@ -1,4 +1,4 @@
-//! What a capsule keeps in flash, also when the power is cut while it is written.
+//! Data that a capsule keeps in flash, also over a power cut during a write.
 
 use device::{settings::SettingsStore, store::StorageFailed};
 use firmware_capsule::{
@@ -15,12 +15,12 @@ use simulated_machines::chip::{Cut, Flash, Random};
 
 type Store = SettingsStore<Flash, Kept>;
 
-/// A start, and whether what it finds is usable.
+/// Starts on a flash; the second value tells whether its content is usable.
 fn load(flash: &Flash) -> (Store, bool) {
     Store::load_with(flash.clone(), |values| Settings::new(values).is_ok())
 }
 
-/// A start on a log that is usable.
+/// Starts on a usable log.
 fn start(flash: &Flash) -> Store {
     let (store, usable) = load(flash);
     assert!(usable);
@@ -173,13 +173,13 @@ fn a_cut_leaves_the_old_setting_or_the_new_one() {
     }
 }
 
-/// A cut of the power within a reset may leave values that do not go together.
+/// A power cut during a reset may leave values that break a rule together.
 #[test]
 fn settings_that_do_not_go_together_are_the_defaults() {
     let flash = Flash::blank();
     let mut store = start(&flash);
     keep_calibration(&mut store);
-    // As no request could: the rules are what `Settings::new` checks.
+    // Write values that no request could: `Settings::new` checks the rules.
     store.set(Key::LoadedBatteryMv, 3_400).unwrap();
     let (mut later, usable) = load(&flash);
     assert!(!usable);
@@ -207,8 +207,8 @@ fn unreadable_after_what_is_there(flash: &Flash) -> Vec<u8> {
         .expect("one of them looks like a record")
 }
 
-/// Of a log that cannot be read to its end nobody knows what came later: nothing of it is in force, until a motion or a
-/// reset begins a new one.
+/// If a log cannot be read to its end, its later records are unknown. So none of it is in force until a motion or a
+/// reset starts a new log.
 #[test]
 fn of_a_log_that_is_no_log_nothing_is_in_force() {
     let flash = Flash::blank();
@@ -236,7 +236,7 @@ fn of_a_log_that_is_no_log_nothing_is_in_force() {
     }
 }
 
-/// A rig's records, should the flash have been a rig's, are no settings of a capsule.
+/// If the flash was a rig's before, its records are not taken for settings of a capsule.
 #[test]
 fn a_key_of_the_rig_is_no_setting() {
     let flash = Flash::blank();

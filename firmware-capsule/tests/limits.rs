@@ -1,5 +1,5 @@
-//! Whatever the machine is fed, it never drives past zero or the soft maximum, at rest or in a fault. Every motion
-//! ends in its time, and is reported once when it starts and once when it ends.
+//! Whatever the inputs, the machine never drives past zero or the soft maximum, at rest or in a fault. Every motion
+//! ends in time, and is reported once when it starts and once when it ends.
 
 use firmware_capsule::calibration::Calibration;
 use firmware_capsule::fold::{Actions, BRAKE_US, Capsule, Command, Drive, Event};
@@ -13,7 +13,7 @@ use protocol::capsule::{
 
 #[derive(Clone, Debug)]
 enum Input {
-    /// Some milliseconds with this many counts each in the drive's direction.
+    /// Some milliseconds, each with this many counts in the drive's direction.
     Turn {
         ms: u16,
         counts_per_ms: i32,
@@ -56,7 +56,7 @@ fn input() -> impl Strategy<Value = Input> {
     ]
 }
 
-/// Counts per ms of a motor that turns as fast as its voltage and its current say.
+/// Counts per ms of a motor whose speed follows from its voltage and current.
 const BY_VOLTAGE: i32 = i32::MAX;
 
 struct Monitor {
@@ -64,10 +64,10 @@ struct Monitor {
     now_us: u64,
     sample: Sample,
     seek_from: Counts,
-    /// Where the motor last began to pay out.
+    /// Position at which the motor last began to pay out.
     top: Counts,
     reached: [bool; 10],
-    /// Back-EMF times 1 ms that is not a count yet, mV.
+    /// Back-EMF times 1 ms left over from the last whole count, mV.
     turned_mv: i32,
     /// Motions reported as started so far.
     actuations: u32,
@@ -135,7 +135,8 @@ impl Monitor {
         }
         prop_assert_eq!(self.running.is_some(), self.capsule.is_moving());
         if let Some((kind, since_us)) = self.running {
-            // The deadline counts from the end of the brake before the motion and is not judged while a reversal brakes.
+            // The deadline counts from the end of the brake before the motion. It is not checked while a reversal
+            // brakes.
             let limit_us = u64::from(self.capsule.timeout_ms(kind)) * 1_000 + 2 * BRAKE_US;
             let record = self.capsule.record();
             prop_assert_eq!((record.kind, record.actuation), (kind, self.actuations));
@@ -236,7 +237,7 @@ impl Monitor {
     }
 }
 
-/// As a calibration would find it.
+/// The result that a calibration would find.
 const CALIBRATION: Calibration = Calibration {
     folded: Thread(21_700),
     no_load_ma: 16,
@@ -294,7 +295,7 @@ proptest! {
     }
 }
 
-/// The property above says nothing unless the sequences get somewhere.
+/// The property above proves nothing unless the sequences reach the interesting states.
 #[test]
 fn the_judge_sees_every_state() {
     let mut monitor = monitor(None, 0, true);

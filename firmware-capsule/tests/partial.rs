@@ -16,7 +16,7 @@ fn refusal(sim: &mut Simulation, um: i32) -> Option<Refusal> {
         .refusal
 }
 
-/// Up and down, short ways and long ones, soft and stiff: it stops where it was told, and unfolds to zero from there.
+/// Moves up and down, short and long, soft and stiff: the capsule stops at its target, and unfolds to zero from there.
 #[test]
 fn a_partial_fold_stops_where_it_was_told() {
     for seed in 0..12 {
@@ -86,7 +86,7 @@ fn a_jam_under_way_is_a_jam() {
     assert!(sim.plant.peak_force_n() < 20.0);
 }
 
-/// A counter that loses 0.06 mm in each cycle has the zero somewhere else after a while. No single fold shows it.
+/// A counter that loses 0.06 mm in each cycle shifts the zero after a while. No single fold shows it.
 #[test]
 fn a_count_that_moves_pays_out_past_zero_no_more_than_another_friction() {
     let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
@@ -97,7 +97,7 @@ fn a_count_that_moves_pays_out_past_zero_no_more_than_another_friction() {
         assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
         let least_mm = sim.plant.extremes_mm().0;
         assert!(least_mm >= -0.05, "cycle {cycle}: {least_mm} mm");
-        // 0.12 mm more than there is.
+        // The position reads 0.12 mm more than is wound.
         sim.board.miscount(100);
     }
 }

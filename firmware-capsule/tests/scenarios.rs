@@ -65,7 +65,7 @@ fn zero_and_end_force_do_not_depend_on_stiffness_friction_or_cell() {
     for (seed, parameters) in (0..).zip(all) {
         let figures = cases::figures(parameters, seed, 2)
             .unwrap_or_else(|| panic!("{parameters:?} did not complete"));
-        // The softest with the least friction meets the hard end just before its end force.
+        // The softest origami with the least friction meets the hard end just before its end force.
         let most_n = if seed < 6 { 9.0 } else { 14.0 };
         assert!(
             (4.0..most_n).contains(&figures.end_n),
@@ -78,7 +78,7 @@ fn zero_and_end_force_do_not_depend_on_stiffness_friction_or_cell() {
     }
 }
 
-/// A slice of the table in `docs/capsule.md`; `examples/capsules.rs` makes all of it.
+/// Part of the table in `docs/capsule.md`; `examples/capsules.rs` makes all of it.
 #[test]
 fn every_defect_has_its_name() {
     for kind in Kind::ALL {
@@ -96,7 +96,7 @@ fn every_defect_has_its_name() {
     }
 }
 
-/// Those of the first 500 that pull most: little friction in the worm, a stiff origami.
+/// The seeds of the first 500 that pull most: little friction in the worm, a stiff origami.
 #[test]
 fn a_jam_never_pulls_with_more_than_20_n() {
     for seed in [5, 15, 32, 168, 240] {
@@ -106,15 +106,16 @@ fn a_jam_never_pulls_with_more_than_20_n() {
     }
 }
 
-/// Of the first 500 the slip that leaves the most tension: 0.65 of what was calibrated. The least of a healthy one is 1.0.
+/// The slip, of the first 500 seeds, that leaves the most tension: 0.65 of the calibrated one. A healthy capsule has
+/// at least 1.0.
 #[test]
 fn a_slip_that_leaves_most_of_the_tension_is_felt() {
     let verdict = cases::try_case(Kind::SlipFolded, 180);
     assert_eq!(verdict.name, "SlipOrBreak", "{verdict:?}");
 }
 
-/// Near the end force the aim becomes slower. That is no hard end: a calibration that took it for one ended short, and the
-/// second fold went too far.
+/// The target speed falls near the end force. That must not be taken for a hard end: a calibration that did so ended
+/// short, and the second fold went too far.
 #[test]
 fn a_slower_aim_is_not_taken_for_a_hard_end() {
     assert!(cases::figures(Parameters::varied(994), 994, 2).is_some());
@@ -143,8 +144,8 @@ fn a_cut_of_the_power_never_pays_out_past_zero() {
         let lowest_mm = cases::cut(seed);
         assert!(lowest_mm >= 0.0, "seed {seed}: {lowest_mm} mm");
     }
-    // Random instants miss the worst one. These three overtook the speed from which they could stop, by what their speed
-    // loops had wound up with a battery that gave no more, and ran up to 0.06 mm past zero.
+    // Random instants miss the worst case. In these three, the speed exceeded that from which the motor could stop,
+    // because the speed loop had wound up on a battery that gave no more. They ran up to 0.06 mm past zero.
     for seed in [7, 26, 28] {
         let lowest_mm = cases::cut_anywhere(seed);
         assert!(lowest_mm >= 0.02, "seed {seed}: {lowest_mm} mm");
@@ -175,7 +176,7 @@ fn a_calibration_is_kept_and_a_later_reference_finds_the_same_zero_from_anywhere
         );
         assert_eq!(sim.kept, None, "nothing new");
         let end_mm = sim.plant.wound_mm();
-        // What it has not wound itself it does not trust.
+        // The capsule does not trust thread that it has not wound itself.
         let most_mm = if wound_mm < 1.3 { wound_mm + 0.3 } else { 1.5 };
         assert!(
             (0.0..most_mm).contains(&end_mm),
@@ -257,7 +258,7 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
             );
         }
     }
-    // Not folded at all: it is, afterwards.
+    // Not folded before; folded afterwards.
     let mut sim = nominal();
     sim.kept = calibration;
     sim.reset(true);
@@ -266,8 +267,8 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
     assert!(sim.plant.travel_mm() > 20.0);
 }
 
-/// A slice of what `examples/capsules.rs` tries, those of its seeds that came nearest to zero, and the two that were called
-/// jammed at the end when a fold after a reference run still looked for all of the calibrated thread.
+/// Part of the runs in `examples/capsules.rs`: the seeds that came nearest to zero, and two that were reported as
+/// jammed at the end, when a fold after a reference run still expected all of the calibrated thread.
 #[test]
 fn zero_is_not_passed_after_a_reset() {
     for (folded, chosen) in [(true, [207, 909]), (false, [594, 620])] {
@@ -322,7 +323,7 @@ fn a_cell_that_cannot_fold_and_unfold_again_is_refused() {
     assert_eq!(refusal, low(2_950, 3_000));
     assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
 
-    // Its resistance has shown in a fold: 2.7 V, 0.1 V, and 220 mA through it.
+    // The fold showed the cell's resistance: 2.7 V, 0.1 V, and 220 mA through it.
     let mut sim = nominal();
     sim.plant.suffer(Defect::Weak(3.0));
     sim.run(Command::Fold);
@@ -337,7 +338,7 @@ fn a_cell_that_cannot_fold_and_unfold_again_is_refused() {
     }
 }
 
-/// Two silver-oxide cells have enough at rest, and nothing under load.
+/// Two silver-oxide cells have enough voltage at rest, but not under load.
 #[test]
 fn a_low_battery_is_latched_until_it_is_charged() {
     let mut sim = nominal();
@@ -362,7 +363,7 @@ fn a_low_battery_is_latched_until_it_is_charged() {
     assert!(sim.capsule.referenced());
 }
 
-/// What strands a capsule in mid-fold must not keep it there.
+/// A cell that stops a capsule in mid-fold must still be able to unfold it.
 #[test]
 fn a_cell_that_is_too_low_for_a_fold_still_unfolds() {
     let mut sim = nominal();
@@ -471,7 +472,7 @@ fn an_emergency_stop_latches_and_costs_the_reference() {
     assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
 }
 
-/// A check is the last act before a capsule is swallowed: it asks the thread, also of a capsule that is known to be folded.
+/// A check comes last before a capsule is swallowed: it tests the thread, even if the capsule is known to be folded.
 #[test]
 fn a_check_of_a_folded_capsule_feels_its_thread_and_leaves_it_where_it_was() {
     let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
@@ -493,7 +494,8 @@ fn a_check_of_a_folded_capsule_feels_its_thread_and_leaves_it_where_it_was() {
     );
 }
 
-/// Grease, temperature and wear change the friction in the worm, and with it the current at the folded end, but not its place.
+/// Grease, temperature and wear change the friction in the worm. That changes the current at the folded end, but not
+/// the end's position.
 #[test]
 fn the_folded_end_stays_where_it_was_while_the_friction_changes() {
     for seed in 0..4 {
@@ -516,7 +518,8 @@ fn a_capsule_that_was_held_and_warmed_can_be_checked_and_unfolded() {
     }
 }
 
-/// Something soft raises the force like the origami, and would be taken for its end.
+/// Something soft in the way raises the force like the origami, and could be taken for its end. The capsule must still
+/// never pay out past zero.
 #[test]
 fn a_reference_past_something_that_gives_way_never_pays_out_past_zero() {
     for seed in 0..16 {

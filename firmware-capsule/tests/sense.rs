@@ -2,14 +2,14 @@
 
 use firmware_capsule::sense::{self, FINE, MOST_OFFSET_MA, Reference, Zero, millivolts};
 
-/// What the ADC reads for `mv` at a supply of `supply_mv`.
+/// The ADC's reading of `mv` at a supply of `supply_mv`.
 fn reads(mv: f64, supply_mv: f64) -> u16 {
     (mv / supply_mv * 4_095.0) as u16
 }
 
 #[test]
 fn the_supply_is_right_to_half_a_percent_over_the_range_of_the_reference() {
-    // The STM32F411's factory reads it at 3.3 V, that of some other chips at 3.0 V.
+    // The factory reads the reference at 3.3 V for the STM32F411, at 3.0 V for some other chips.
     for (reference_mv, factory_mv) in [1_180.0, 1_210.0, 1_240.0]
         .into_iter()
         .flat_map(|mv| [(mv, 3_300), (mv, 3_000)])
@@ -42,7 +42,7 @@ fn what_cannot_be_a_reading_of_the_reference_is_none() {
     for (word, supply_mv) in [(1_654, 3_300), (1_502, 3_000), (0xFFFF, 3_000)] {
         assert_eq!(Reference::from_factory(word, supply_mv), None, "{word}");
     }
-    // Off, at its rail, and what 1,699 and 3,601 mV would make of it.
+    // A reference that is off or at its rail, and its readings at supplies of 1,699 and 3,601 mV.
     for now in [0, 1, 1_376, 2_918, 4_095] {
         assert_eq!(reference.supply_mv(now), None, "{now}");
     }
@@ -67,7 +67,7 @@ fn reading(ma: f64) -> i32 {
     ((0.5 + ma / 3_300.0) * 4_095.0 * f64::from(FINE)).round() as i32
 }
 
-/// What is made of it.
+/// The current after the zero was taken off, mA.
 fn taken_ma(zero: &mut Zero, now_us: u64, awake: bool, ma: f64) -> i16 {
     sense::ma(zero.take_off(now_us, awake, reading(ma), 3_300))
 }
@@ -96,13 +96,13 @@ fn the_zero_is_taken_at_rest_and_off_every_reading() {
                 current as i16
             );
         }
-        // Asleep again: the current of the motor that runs out is no offset.
+        // The bridge sleeps again: the current of a motor that runs out must not be taken for the offset.
         assert_eq!(taken_ma(&mut zero, 14_000, false, offset + 388.0), 388);
         assert_eq!(zero.offset_ma(3_300), shown);
     }
 }
 
-/// Both fall with an empty battery.
+/// The amplifier's zero and the ADC's full scale both fall with an empty battery.
 #[test]
 fn the_zero_follows_the_supply() {
     let mut zero = Zero::default();
@@ -114,7 +114,7 @@ fn the_zero_follows_the_supply() {
     assert_eq!(sense::ma(zero.take_off(0, true, above, 2_800)), 68);
 }
 
-/// The noise of one reading would be in all readings of a motion.
+/// A zero from a single reading would put its noise into all readings of a motion.
 #[test]
 fn the_offset_is_a_mean_and_follows_the_temperature() {
     let mut zero = Zero::default();

@@ -1,4 +1,4 @@
-//! Settings: what they mean, and which do not go together.
+//! Settings: their conversion, and the combinations that are refused.
 
 use device::settings::Values;
 use firmware_capsule::{
@@ -72,8 +72,8 @@ fn values_that_do_not_go_together_are_named() {
 }
 
 proptest! {
-    /// Whatever the settings are, the limits keep their order: the force limit can be reached, the end is approached more
-    /// slowly, a calibration can be read back.
+    /// With any accepted settings the limits keep their order: the force limit can be reached, the end is approached
+    /// more slowly, and a calibration can be read back.
     #[test]
     fn limits_keep_their_order(fractions in prop::collection::vec(0.0..=1.0, Key::ALL.len())) {
         let mut values = Values::DEFAULT;

@@ -1,4 +1,4 @@
-//! Every state with every event: the next state, and nothing else.
+//! Every state with every event: the next state, and no other effect.
 
 use capsule_plant::Parameters;
 use device::common::{About, Effect};
@@ -101,7 +101,7 @@ fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> 
         Event::Command(_) if matches!(state, Unreferenced | WasFolded) => {
             Err(Refusal::NotReferenced)
         }
-        // Half way up, which is above Stopped and below Folded.
+        // Half way up: above Stopped and below Folded.
         Event::Command(Command::FoldTo(_)) if state == Folded => Ok(Unfolding),
         Event::Command(Command::FoldTo(_)) => Ok(Folding),
         Event::Command(Command::Fold) if state == Folded => Err(Refusal::AlreadyThere),
@@ -142,7 +142,7 @@ fn every_state_with_every_event() {
                     assert!(actions.events.is_empty(), "{state:?} {event:?}");
                 }
             }
-            // Moving, the speed loop may brake; at rest nothing drives.
+            // While moving, the speed loop may brake; at rest nothing drives.
             let drives = matches!(actions.drive, Drive::Millivolts(_));
             assert!(!drives || capsule.is_moving(), "{state:?} {event:?}");
             assert!(!capsule.is_moving() || actions.drive != Drive::Off);

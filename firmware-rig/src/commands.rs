@@ -17,14 +17,14 @@ use protocol::{
     table::{Request, Response},
 };
 
-/// What a request may need to know.
+/// Inputs for answering a request.
 #[derive(Debug)]
 pub struct Context<'a> {
     /// Time, position and inputs.
     pub now: Now,
     /// Stroke in progress.
     pub stroke: u32,
-    /// What common requests are answered from.
+    /// Data for the requests that both machines answer alike.
     pub about: About<'a>,
     /// Settings, value by value.
     pub values: &'a Values,
@@ -32,7 +32,7 @@ pub struct Context<'a> {
     pub name: &'a str,
     /// Counters, when they are asked for.
     pub health: Option<RigHealth>,
-    /// What the hardware has shown, when it is asked for.
+    /// Findings about the hardware, when they are asked for.
     pub hardware: Option<RigHardware>,
 }
 
@@ -128,7 +128,7 @@ fn respond(
             })?;
             let speed = settings.speed(requested.speed_um_s)?;
             command(machine, Command::MoveTo { target, speed })?;
-            // The same that the machine has just ordered.
+            // Calculate the profile again for the reply: the machine has just started the same one.
             let settings = machine.settings();
             let (from, to) = (context.now.position, target.signed());
             let profile = settings.move_profile(from.distance_to(to), speed)?;
@@ -175,16 +175,16 @@ fn respond(
         Request::GetRigHardware(_) => {
             Response::GetRigHardware(context.hardware.ok_or(Refusal::WrongDevice)?)
         }
-        // The capsule's; the others have been answered above, and a Hello by the session.
+        // The capsule's requests. The common ones were answered above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
 }
 
-/// The start button was pressed: what [`Command::Button`] says, with the run that the settings describe.
+/// Handles a press of the start button: [`Command::Button`], with the run that the settings describe.
 pub fn press_button(machine: &mut Machine, values: &Values, now: &Now) -> Actions {
     let run = rig::Run {
-        // The range of the setting fits.
+        // The setting's range fits into 16 bits.
         cycles: values.get(SettingKey::ButtonCycles) as u16,
         stroke_um: values.get(SettingKey::ButtonStrokeUm),
         timing: RunTiming::Total {

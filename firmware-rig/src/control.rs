@@ -1,4 +1,4 @@
-//! Everything that control decides: requests, notices, button and clock in; orders, replies and events out. Pure: the
+//! Control's decisions: requests, notices, button and clock in; orders, replies and events out. Pure: the
 //! rest of the rig is a trait, so that the host tests run what the control task runs.
 
 use crate::{
@@ -27,7 +27,7 @@ use protocol::{
 
 /// How often [`Control::tick`] has to be called.
 pub const ROUND_US: u64 = 10_000;
-/// So many rounds must the start button be down.
+/// Rounds that the start button must stay down to count as pressed: 30 ms, longer than its contact bounces.
 const BUTTON_ROUNDS: u8 = 3;
 
 /// The rest of the rig, as control sees it.
@@ -40,7 +40,7 @@ pub trait Rig {
     fn stroke(&self) -> u32;
     /// Counters of line, switches and stack; the others are control's.
     fn health(&self) -> RigHealth;
-    /// What step timer, capture timer and pins have shown.
+    /// Findings about step timer, capture timer and pins.
     fn hardware(&self) -> RigHardware;
     /// Executes a path.
     fn start(&mut self, order: Order);
@@ -54,13 +54,13 @@ pub trait Rig {
     fn set_position(&mut self, position: StepPosition);
     /// Sets how long a switch must keep its level, us.
     fn set_switch_filter(&mut self, filter_us: u32);
-    /// The clock that was missed at the start has come.
+    /// The external clock that was missing at the start is running now.
     fn clock_has_come(&self) -> bool;
-    /// Starts again with the clock; the next start tells what was left to this one, and why this one began.
+    /// Resets, to run with the external clock. Passes on to the next start what this one found and why it began.
     fn start_again(&mut self, left: &Retained, cause: ResetCause);
 }
 
-/// What telemetry and the LED show of the state machine.
+/// The state machine's data for telemetry and the LED.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Snapshot {
     /// State.
@@ -81,14 +81,14 @@ pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     reset_cause: ResetCause,
     image_hash: u32,
     underruns: u32,
-    /// When the last round was due, and by how much one was late at most.
+    /// When the last round was due, and the largest delay of a round.
     round_us: u64,
     late_us: u32,
     button_rounds: u8,
 }
 
 impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
-    /// Control after a start, from what the previous one left and what is in flash.
+    /// Creates control after a start, from what the previous start left and what is in flash.
     pub fn new(rig: R, flash: F, left: Retained, reset_cause: ResetCause, image_hash: u32) -> Self {
         let fault = match (reset_cause, left.latched) {
             _ if rig.chip().clock == Clock::Internal => Some(RigFault::ClockMissing),
@@ -112,7 +112,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             underruns: 0,
             round_us,
             late_us: 0,
-            // A button that is down at the start has to be let go first.
+            // A button that is down at the start must be released first.
             button_rounds: BUTTON_ROUNDS,
         };
         control.emit(What::Booted(reset_cause));
@@ -125,7 +125,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         control
     }
 
-    /// What telemetry and the LED show.
+    /// The data for telemetry and the LED.
     pub fn snapshot(&self) -> Snapshot {
         Snapshot {
             state: self.machine.state(),
@@ -139,7 +139,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         &mut self.rig
     }
 
-    /// Hands their settings to the others.
+    /// Passes the settings on to the other tasks.
     fn apply_settings(&mut self) {
         let filter_us = self.settings.values().get(SettingKey::SwitchFilterUs);
         self.rig.set_switch_filter(filter_us);
@@ -155,7 +155,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         self.perform(actions);
     }
 
-    /// Flash first: what is in force is what the next start will find.
+    /// Changes a setting, in flash first: the settings in force are always those that the next start will find.
     fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
         match change {
             Change::Value { setting, settings } => {
@@ -183,9 +183,9 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         }
     }
 
-    /// Every 10 ms: button, time-outs, the E-stop loop at rest, a clock that is missed.
+    /// Call it every 10 ms. Checks the button, time-outs, the E-stop loop at rest and a missing clock.
     pub fn tick(&mut self) {
-        // Nothing moves without it, so nothing is lost.
+        // Nothing moves without the clock, so a reset loses nothing.
         if self.machine.fault() == Some(RigFault::ClockMissing) && self.rig.clock_has_come() {
             self.rig.start_again(&self.left, self.reset_cause);
         }
@@ -272,7 +272,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
 impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
     #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
-        // First, so that an opening in this very moment is a new fault.
+        // Rearm first, so that an opening from now on is a new fault.
         if matches!(request, Request::Acknowledge(_)) {
             self.rig.rearm_loop();
         }

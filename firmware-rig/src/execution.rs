@@ -13,25 +13,25 @@ use motion::{
     units::{StepPosition, Steps, Window},
 };
 
-/// Time that is kept prepared in the ring: what a stop has to wait for before it takes effect. 8 ms.
+/// Time prepared ahead in the ring, 8 ms. A stop takes effect only after it.
 pub const LEAD_TICKS: u32 = 800_000;
-/// Few, long periods must not let the ring run short.
+/// Fewest periods to keep in the ring: a few long ones reach the lead, but must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
-/// Periods that make the ring full. It holds some more, but at the highest step rates it plays as many while they are
-/// prepared: then filling it to the last one would never end, and nothing else would get the processor.
+/// Periods at which the ring counts as full. It holds some more. But at the highest step rates it plays periods as
+/// fast as they are prepared, so filling it completely would never end and would starve the other tasks.
 const FULL_QUEUE: u32 = 104;
-/// Most periods that are prepared before the first of them is shown to the ring. After each such batch the captured
-/// edges are compared: on a steep ramp the ring plays nearly as fast as it is filled, and a round is as long as the
-/// ramp.
+/// Most periods to prepare before showing them to the ring. The captured edges are compared after each batch: on a
+/// steep ramp the ring plays nearly as fast as it is filled, so a round lasts as long as the ramp and the capture
+/// buffer would overflow.
 const BATCH: usize = 32;
-/// Least periods of a batch. Else no more are prepared at a time than half of those that wait, so that these last
-/// longer.
+/// Batches up to this size are always allowed. A larger one has at most half as many periods as wait in the ring, so
+/// that those outlast its preparation.
 const LEAST_BATCH: u32 = 8;
-/// Edges that are compared at a time.
+/// Most edges compared in one look.
 pub const EDGES_PER_LOOK: u32 = 64;
-/// Looks that take all that the captures' memory holds. Noise on the wire that goes on faster holds nothing up.
+/// Looks needed to drain the capture buffer. The bound keeps noise on the wire from holding up motion.
 const LOOKS: u32 = 16;
-/// With this many periods in the ring, or half the lead, there is time to compare.
+/// Compare edges only with this many periods in the ring, or with half the lead: then there is time.
 const AMPLE_QUEUE: u32 = 64;
 
 /// The ring is too nearly dry to append a period for certain.
@@ -65,7 +65,7 @@ pub trait Ring {
     /// The reader is so near that they might not be taken as a whole.
     fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun>;
 
-    /// How many more periods it takes.
+    /// Free places for periods.
     fn room(&self) -> u32;
 
     /// Periods that wait, without the one that plays and the one that is prepared to play next.
@@ -74,7 +74,7 @@ pub trait Ring {
     /// Ticks from the end of the period that plays to the end of the last one.
     fn lead(&self) -> u32;
 
-    /// Pulses that have not left for certain: those of the period that plays, and of all behind it.
+    /// Pulses that may not have left yet: those of the period that plays, and of all behind it.
     fn waiting_pulses(&self) -> u32;
 
     /// Pulses that cannot have left: those of all periods behind the one that plays.
@@ -87,7 +87,7 @@ pub trait Ring {
     /// The last period has ended, and nothing can come any more.
     fn has_played_out(&self) -> bool;
 
-    /// Looks how far the ring has played. The other questions are answered from this look.
+    /// Updates how far the ring has played. All other queries refer to this look.
     fn update(&mut self);
 
     /// Arms the outputs and starts to play.
@@ -108,10 +108,10 @@ pub trait Ring {
     /// Position by the counter of the edges that left.
     fn counted(&self) -> StepPosition;
 
-    /// Compares up to so many captured edges with the periods that were pushed. True if these were all.
+    /// Compares up to `at_most` captured edges with the periods that were pushed. True if no more are waiting.
     fn time_edges(&mut self, at_most: u32) -> bool;
 
-    /// What the comparison has found since the ring was cleared.
+    /// Result of the comparison since the ring was cleared.
     fn timed(&self) -> Timed;
 }
 
@@ -123,13 +123,13 @@ pub trait Mailbox {
     /// Somebody cut the pulses of the present path.
     fn is_cut(&self) -> bool;
 
-    /// Takes a wish to decelerate.
+    /// Takes a request to decelerate.
     fn take_stop(&mut self) -> bool;
 
-    /// Tells control; false if it cannot take more now.
+    /// Notifies control; false if its queue is full.
     fn notify(&mut self, event: Event<'static>) -> bool;
 
-    /// Shows stroke and position of the present path to whoever wants to know.
+    /// Publishes stroke and position of the present path.
     fn show(&mut self, stroke: u32, commanded: StepPosition);
 }
 
@@ -159,7 +159,7 @@ pub enum Pace {
 
 impl Pace {
     /// The next round has to come within this time, us. Rounds that find the ring full are most of the load of steady
-    /// motion; the ring holds three times as long.
+    /// motion, so they come as rarely as possible: the ring lasts three times as long.
     pub const fn within_us(self) -> u64 {
         match self {
             Pace::Idle => CHECK_IN_MS * 1_000,
@@ -169,11 +169,11 @@ impl Pace {
     }
 }
 
-/// What the motion task does.
+/// The motion task: takes an order, executes it and reports its end.
 #[derive(Debug, Default)]
 pub struct Motion {
     execution: Option<Execution>,
-    /// An end that control could not take yet.
+    /// The end of a path that control's queue had no room for yet.
     untold: Option<Event<'static>>,
 }
 
@@ -209,7 +209,7 @@ impl Motion {
         if let Some(event) = self.untold.take()
             && !mailbox.notify(event)
         {
-            // Control is behind, and has to know: in the next round.
+            // Control's queue is full, but this event must not be lost: try again in the next round.
             self.untold = Some(event);
         }
     }
@@ -228,7 +228,7 @@ enum Filling {
     Failed(PathEnd),
 }
 
-/// A path on its way to the pins.
+/// A path being executed.
 #[derive(Debug)]
 struct Execution {
     periods: Periods,
@@ -237,16 +237,16 @@ struct Execution {
     stroke: u32,
     /// Direction of the pulses in the ring.
     direction: Direction,
-    /// A stroke whose last pulse is in the ring.
+    /// A stroke whose last pulse is queued, but whose end is not reported yet.
     ended_stroke: Option<u32>,
-    /// Every step up to here had left for certain in the last round.
+    /// Every step up to here had certainly left in the last round.
     passed: StepPosition,
     /// Tick of the last step before the ring's pulses.
     passed_tick: u64,
     filling: Filling,
     min_queue: Option<u16>,
     stopped: bool,
-    /// Where steps are prepared for the ring.
+    /// Buffer in which steps are prepared for the ring.
     batch: [Equal; BATCH],
 }
 
@@ -311,8 +311,8 @@ impl Execution {
         if mailbox.is_cut() {
             return Some(self.end(ring, mailbox, PathEnd::Cut));
         }
-        // Not cut at the look, for it is not cut now. Later looks of this round may come after a cut: then the
-        // periods play on without pulses until the ring is halted.
+        // The pulses are not cut now, so they were not cut at the update above. A cut may come later in this round:
+        // then the periods play on without pulses until the ring is halted.
         self.passed = self.before_the_last(ring.waiting_pulses());
         if mailbox.take_stop() || (!self.stopped && self.misses_edges(ring)) {
             self.stopped = true;
@@ -336,7 +336,8 @@ impl Execution {
         Some(self.end(ring, mailbox, end))
     }
 
-    /// More steps have not been counted than wait in the ring. A stop follows, and then the positions at rest tell.
+    /// The counter misses more steps than are waiting in the ring. Stop then: at rest, the positions tell which are
+    /// lost.
     fn misses_edges(&self, ring: &impl Ring) -> bool {
         let missed = self.periods.position().distance_to(ring.counted());
         missed.0 > ring.waiting_pulses()
@@ -376,8 +377,8 @@ impl Execution {
         Event::PathEnded(end, report)
     }
 
-    /// Prepared steps that did not leave the pin: by the counter, within what the ring says. Without its jumper the
-    /// counter says nothing, and those count as emitted that were sure to have left.
+    /// Prepared steps that did not leave the pin, by the counter, limited to what the ring allows. Without its jumper
+    /// the counter stands still; then only the steps that have certainly left count as emitted.
     fn unemitted(&self, ring: &impl Ring, counted: StepPosition) -> u32 {
         let to_come = |from: StepPosition| {
             let steps = self.periods.position().since(from);
@@ -385,11 +386,11 @@ impl Execution {
         };
         let most = to_come(self.passed).max(0);
         let least = i64::from(ring.queued_pulses()).min(most);
-        // Neither is more than the ring holds.
+        // Neither limit exceeds the ring's size, so the cast is safe.
         to_come(counted).clamp(least, most) as u32
     }
 
-    /// The position so many steps before the last prepared one, which all go in one direction.
+    /// The position `steps` before the last prepared one. All of these steps go in one direction.
     fn before_the_last(&self, steps: u32) -> StepPosition {
         let end = self.periods.position();
         StepPosition(end.0 - steps as i32 * self.direction.sign())
@@ -415,7 +416,7 @@ impl Execution {
         }
     }
 
-    /// Until the ring is full or something else is to be done.
+    /// Fills the ring until it is full or something else has to happen first.
     fn top_up(&mut self, ring: &mut impl Ring) -> Filling {
         loop {
             let (lead, room) = (ring.lead(), ring.room());
@@ -447,8 +448,8 @@ impl Execution {
         }
     }
 
-    /// Compares captured edges for as long as the ring can wait. What has to wait too long is lost for the
-    /// comparison: no run ends because it is watched.
+    /// Compares captured edges for as long as the ring can wait. If there is no time, captures are lost to the
+    /// comparison: watching a run must not end it.
     fn time_edges(&self, ring: &mut impl Ring) {
         for _ in 0..LOOKS {
             let ample = ring.lead() >= LEAD_TICKS / 2 || ring.waiting() >= AMPLE_QUEUE;
@@ -459,7 +460,7 @@ impl Execution {
         }
     }
 
-    /// The last pulse of a stroke has left: the counter must show it.
+    /// Reports the end of a stroke, with the counter's position. Its last pulse has left.
     fn tell_stroke_end(&mut self, ring: &impl Ring, mailbox: &mut impl Mailbox) {
         let Some(stroke) = self.ended_stroke else {
             return;
@@ -475,9 +476,9 @@ impl Execution {
         self.stroke = stroke + 1;
     }
 
-    /// All pulses have left: DIR may change.
+    /// Turns DIR for the next stroke. All pulses have left.
     fn turn(&mut self, ring: &mut impl Ring, next: Direction) {
-        // If control could not take the notice until now, the record at the end makes up for it.
+        // If control's queue had no room for the notice until now, the record at the end makes up for it.
         self.ended_stroke = None;
         ring.set_direction(next);
         self.direction = next;

@@ -11,7 +11,7 @@
 //! A fault is latched, and after it the position is unknown until homed again. Neither a release of the
 //! E-stop nor a reset nor a new connection moves anything: only an accepted command does.
 //!
-//! This file has the states and what ends a path; `homing`, `running` and `moving` have what their names say.
+//! This file has the states and the handling of a path's end; `homing`, `running` and `moving` have the rest.
 
 mod homing;
 mod moving;
@@ -60,11 +60,11 @@ pub struct PathReport {
     pub last_tick: u64,
     /// Shortest queue seen while periods were still to come; none if the path was queued as a whole at once.
     pub min_queue: Option<u16>,
-    /// What the captured edges have shown.
+    /// Result of comparing the captured edges with the planned ones.
     pub timed: Timed,
 }
 
-/// What comes with every event.
+/// Time, position and inputs that come with every event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Now {
     /// Device time.
@@ -77,8 +77,8 @@ pub struct Now {
     pub glitches: u32,
 }
 
-/// What happened. Notices of interrupts and motion are among it and lie in a channel, so a command, which may hold a
-/// whole plan, is only pointed to.
+/// An event. Notices of interrupts and motion wait in a channel, so keep the enum small: a command, which may hold a
+/// whole plan, is a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event<'a> {
     /// The host or the start button orders something.
@@ -122,7 +122,7 @@ pub enum Command {
     Run {
         /// The plan.
         plan: RunPlan,
-        /// What silence of the host does.
+        /// Reaction to a silent host.
         link_loss: LinkLossPolicy,
     },
     /// Decelerate within a run, to go on later.
@@ -153,7 +153,7 @@ pub enum Command {
     Acknowledge,
 }
 
-/// What is to be done.
+/// An action to carry out.
 // Lives in a short list on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug)]
@@ -167,9 +167,9 @@ pub enum Action {
     },
     /// Decelerate to rest.
     StopPath,
-    /// No further pulse.
+    /// Cut the pulses now.
     Cut,
-    /// The carriage stands; its position is this from now on.
+    /// Set the position. The carriage stands.
     SetPosition(StepPosition),
     /// Record and send.
     Emit(RigEvent),
@@ -178,10 +178,10 @@ pub enum Action {
 /// Outcome of a step.
 #[derive(Clone, Debug, Default)]
 pub struct Actions {
-    /// To be done in this order.
+    /// Carry them out in this order.
     pub list: heapless::Vec<Action, 6>,
     /// The command was refused. Then nothing has changed and there is nothing to do, with one exception: a resume that
-    /// finds the carriage elsewhere than it was held latches that as a fault.
+    /// finds the carriage moved since the hold latches a fault.
     pub refusal: Option<Refusal>,
 }
 
@@ -206,7 +206,7 @@ enum State {
     Held,
     /// A move, or a jog.
     Moving(Option<Jog>),
-    /// Decelerating; what comes at rest.
+    /// Decelerating; the state to enter at rest.
     Stopping(Then),
     Faulted(RigFault),
 }
@@ -240,13 +240,13 @@ pub struct Machine {
     glitches_at_start: u32,
     /// Positions of the last report: by the generator, by the counter.
     last: (StepPosition, StepPosition),
-    /// Until then a jog is the renewal of one that was stopped, and starts nothing.
+    /// Ignore jogs until this time: they renew a stopped one.
     jog_stopped_until_us: u64,
 }
 
 impl Machine {
-    /// A machine after a start; `fault` is latched from the start when the last one ended badly. `image_hash` goes
-    /// into the records of runs.
+    /// A machine after a start. `fault` is latched from the beginning if the previous start ended badly. `image_hash`
+    /// goes into the records of runs.
     pub fn new(settings: Settings, fault: Option<RigFault>, image_hash: u32) -> Self {
         Self {
             settings,
@@ -277,8 +277,8 @@ impl Machine {
         }
     }
 
-    /// Takes other settings, where [`Machine::may_change_settings`]. Where they give positions another meaning,
-    /// the position is unknown from then on.
+    /// Replaces the settings; check [`Machine::may_change_settings`] first. If positions mean something else with the
+    /// new ones, the position becomes unknown.
     pub fn set_settings(&mut self, settings: Settings) {
         let same = (settings.axis, settings.flag_um) == (self.settings.axis, self.settings.flag_um);
         self.settings = settings;
@@ -342,7 +342,7 @@ impl Machine {
         self.started_us
     }
 
-    /// Takes one event.
+    /// Handles one event.
     pub fn step(&mut self, now: &Now, event: Event<'_>) -> Actions {
         let mut actions = Actions::default();
         if self.recording {
@@ -453,14 +453,14 @@ impl Machine {
                 self.jog_stopped_until_us = jog.map_or(0, |jog| jog.until_us);
                 self.stop_then(Then::Moved, actions);
             }
-            // It stands already; its run is over.
+            // Already at rest: just end the run.
             State::Held => {
                 self.end_run(outcome, actions);
                 self.state = State::Ready;
                 let position_steps = self.last.1.0;
                 actions.emit(RigEvent::Stopped { position_steps });
             }
-            // Braking for a hold: the run shall not go on.
+            // Braking for a hold: end the run instead of holding it.
             State::Stopping(Then::Held) => self.state = State::Stopping(Then::Ready(outcome)),
             _ => {} // nothing moves, or it is stopping already
         }
@@ -483,12 +483,12 @@ impl Machine {
         };
         let present = match fault {
             RigFault::EStopLoop if inputs.estop_loop => true,
-            // When it comes, the rig starts again.
+            // Cannot be acknowledged. When the clock comes, the rig resets by itself.
             RigFault::ClockMissing => true,
-            // No carriage is at both ends: whatever the fault was, the switches' cable is unplugged.
+            // The carriage cannot be at both ends: the switches' cable is unplugged, whatever the fault was.
             _ => inputs.home_flag && inputs.far_limit,
         };
-        // The report of the old path must not be taken for that of the next one.
+        // Wait for the old path's report: it must not be taken for the next path's.
         if present || self.path {
             return Err(Refusal::CauseStillPresent);
         }
@@ -579,7 +579,7 @@ impl Machine {
                 Some(fault) => self.latch(fault, actions),
                 None => self.complete(actions),
             },
-            // Nobody asked for it, and still it is not complete.
+            // The path ended before it was complete, although no stop was requested.
             State::Running => {
                 self.end_run(RunOutcome::Stopped, actions);
                 self.state = State::Ready;
@@ -588,7 +588,7 @@ impl Machine {
             State::Stopping(then) => {
                 match then {
                     Then::Unhomed => self.state = State::Unhomed,
-                    // The stop came too late to stop anything.
+                    // The stop came after the last step: the run is complete.
                     Then::Ready(_) if end == PathEnd::Complete => self.complete(actions),
                     Then::Ready(outcome) => {
                         self.end_run(outcome, actions);

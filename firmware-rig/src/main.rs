@@ -1,4 +1,4 @@
-//! The rig's image. What decides is the library; `board` wires it to the chip.
+//! The rig's image. The library has the logic; `board` wires it to the chip.
 #![cfg_attr(target_os = "none", no_std, no_main)]
 #![cfg_attr(target_os = "none", deny(unsafe_code))]
 

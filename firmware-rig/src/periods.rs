@@ -20,16 +20,16 @@ const _: () = assert!(
     LONGEST_TAKEN <= MAX_PERIOD,
     "steps taken at once fit the timer"
 );
-/// A piece of a long pause is never shorter than this, so that the queue always holds some time.
+/// Shortest piece of a long pause, so that the queue always holds some time.
 const MIN_PIECE: u64 = 32_768;
 /// Period of the last pulse of a stroke: the pulse and the hold time of DIR, 10 us.
 const LAST_PULSE: u64 = 1_000;
 /// Blank period after the very last pulse, 10 us.
 const TAIL: u64 = 1_000;
-/// Repeated rounds last 0.8 ms at most, together: queued periods cannot be recalled.
+/// Longest total of repeated rounds, 0.8 ms: a queued period cannot be recalled.
 const LONGEST_REPETITION: u32 = 80_000;
 
-/// Rounds that the repetition counter plays with its 8 bits.
+/// Most rounds that the 8-bit repetition counter can play.
 const MOST_EQUAL: u32 = 1 << 8;
 
 /// Equal rounds of the step timer.
@@ -98,7 +98,7 @@ pub enum Path {
         plan: RunPlan,
         /// The stroke to go on with.
         stroke: u32,
-        /// What is left of it.
+        /// The rest of that stroke.
         first: StrokeProfile,
     },
 }
@@ -162,7 +162,7 @@ pub struct Periods {
     direction: Direction,
     /// Everything before this tick has been given out.
     cursor: u64,
-    /// Ticks from the cursor to what comes `after`.
+    /// Ticks from the cursor to the entry in `after`.
     gap: u64,
     after: After,
     /// A pulse sits at the cursor and goes into the next period.
@@ -227,8 +227,8 @@ impl Periods {
         self.last_step
     }
 
-    /// Decelerates to rest behind what has been given out so far. Between two strokes, or before the first
-    /// step, no step follows at all.
+    /// Decelerates to rest after the periods given out so far. Between two strokes, or before the first step, no step
+    /// follows at all.
     pub fn stop(&mut self, deceleration: Acceleration) {
         match self.after {
             After::Ended | After::Guarded | After::End => {}
@@ -302,9 +302,9 @@ impl Periods {
         self.window.contains(next).then_some(next)
     }
 
-    /// The next periods that are steps of the stroke in progress and nothing else, as many as `groups` holds and in no
-    /// more than `ticks` but for the last one; returns how many. For all others, that is after 0, ask
-    /// [`Periods::next_item`]. It would give the same pulses.
+    /// Fills `groups` with the next steps of the stroke in progress, and returns how many groups. It stops at the
+    /// first one that reaches `ticks`. When it returns 0, call [`Periods::next_item`], which handles everything else
+    /// and would give the same pulses for these steps.
     pub fn steps(&mut self, groups: &mut [Equal], ticks: u32) -> usize {
         if self.gap > 0 || self.after != After::Pulse || self.sync {
             return 0;
@@ -327,7 +327,7 @@ impl Periods {
         filled
     }
 
-    /// What follows the last pulse of a stroke, which is at the cursor.
+    /// Plans what follows the last pulse of a stroke: the turn, or the end. The pulse is at the cursor.
     fn plan_turn(&mut self) {
         self.short = true;
         let next = if self.stopping {
@@ -344,7 +344,7 @@ impl Periods {
         // A profile has at least one step.
         let first = times.next().unwrap_or(0);
         self.gap = LAST_PULSE;
-        // A turnaround is longer than the last pulse by far.
+        // Does not wrap: a turnaround is far longer than the last pulse.
         let pause = start + first - self.cursor - LAST_PULSE;
         self.after = After::StrokeEnd { pause };
         (self.stroke, self.direction, self.times) = (self.stroke + 1, direction, times);
@@ -378,7 +378,7 @@ impl Periods {
     }
 }
 
-/// The first part of a pause that may be longer than the timer can count.
+/// The first piece of a pause, which may be longer than the timer can count.
 fn part(gap: u64) -> u64 {
     let max = u64::from(MAX_PERIOD);
     if gap <= max {

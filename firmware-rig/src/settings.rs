@@ -19,7 +19,7 @@ const TICKS_PER_US: u32 = (TICK_HZ / 1_000_000) as u32;
 pub struct Settings {
     /// Screw, motor, microsteps, stroke.
     pub axis: Axis,
-    /// What no plan may exceed.
+    /// Limits for every plan.
     pub limits: Limits,
     /// Width of a step pulse.
     pub pulse_ticks: u16,
@@ -58,10 +58,10 @@ impl Settings {
         Err(_) => panic!("the defaults keep the rules"),
     };
 
-    /// The settings of these values.
+    /// Checks the values and converts them.
     ///
     /// # Errors
-    /// The first rule that they do not keep together.
+    /// The first rule that the values break together.
     pub const fn new(values: &Values) -> Result<Self, SettingRule> {
         use SettingKey as Key;
         let get = Values::get;
@@ -87,7 +87,7 @@ impl Settings {
             _ => return Err(SettingRule::FlagWithinStroke),
         };
         let overtravel_um = get(values, Key::OvertravelUm);
-        // Always there: the ranges of these settings are far below 2^32 steps, and exclude zero.
+        // Always present: the ranges of these settings stay far below 2^32 steps and exclude zero.
         let (Some(overtravel), Ok(homing_accel), Ok(stop_accel)) = (
             axis.steps_within(Micrometres(overtravel_um)),
             axis.acceleration(get(values, Key::HomingAccelUmS2)),
@@ -140,7 +140,7 @@ impl Settings {
         })
     }
 
-    /// A speed of a jog or a move.
+    /// Converts the speed of a jog or a move.
     ///
     /// # Errors
     /// Zero, or above the limit.

@@ -99,7 +99,7 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
         actions,
         effect,
     } = execute(request, &mut rig.machine, &context);
-    // The machine's refusal is the host's.
+    // The host gets the machine's refusal unchanged.
     if let Some(refusal) = actions.refusal {
         assert_eq!(reply, Reply::Refused(refusal));
     }
@@ -196,7 +196,7 @@ fn name(text: &str) -> Name {
     }
 }
 
-/// One of each row, in the table's order.
+/// One request per row, in the table's order.
 fn requests() -> Vec<Request> {
     let requests = vec![
         Request::Hello(Hello {
@@ -264,7 +264,7 @@ fn moves(request: &Request) -> bool {
     matches!(request.impact(), Impact::Motion | Impact::Pace)
 }
 
-/// What refuses a request in a state; none: nothing does.
+/// The refusal that a request gets in a state, if any.
 fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
     let at_rest = matches!(state, RigState::Unhomed | RigState::Ready);
     let faulted = state == RigState::Faulted;
@@ -276,7 +276,7 @@ fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
         _ if faulted && moves(request) => Some(Refusal::RigFaulted(RigFault::EStopLoop)),
         Request::Hold(_) => (state != RigState::Running).then_some(Refusal::NothingToHold),
         Request::Resume(_) => (state != RigState::Held).then_some(Refusal::NothingToResume),
-        // It renews the one that is going on.
+        // Accepted: it renews the jog in progress.
         Request::Jog(_) if state == RigState::Moving => None,
         Request::Home(_) | Request::Run(_) | Request::Jog(_) | Request::MoveTo(_) if !at_rest => {
             Some(Refusal::RigBusy(state))
@@ -394,7 +394,7 @@ fn moves_and_jogs_out_of_range() {
             assert_eq!(refusal(&mut rig, jog), expected);
         }
     }
-    // Less than a step from where it stands.
+    // The target is less than a step away.
     assert_eq!(refusal(&mut rig, to(0, 1_000)), Refusal::AlreadyThere);
     assert_eq!(refusal(&mut rig, to(1, 1_000)), Refusal::AlreadyThere);
     let home = Request::Jog(rig::Jog {
@@ -622,7 +622,7 @@ fn a_run_in_ten_seconds_is_infeasible() {
             min_accel_um_s2: u64::MAX,
         }
     );
-    // With one that is enough for the time, it is the speed.
+    // With an acceleration high enough for the time, the speed is the limit.
     assert_eq!(
         refused_run(total(10_000_000, 520_000)),
         Refusal::SpeedLimit {
@@ -691,7 +691,7 @@ fn speeds_out_of_range() {
         refused_run(speeds(10_000, 10_000, 0)),
         out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
     );
-    // What the refusal names is possible.
+    // The speed that the refusal suggests works.
     accepted(&mut Rig::homed(SETTINGS), speeds(49_000, 49_000, 2_000_000));
 }
 
@@ -881,7 +881,7 @@ fn config() -> ProptestConfig {
 proptest! {
     #![proptest_config(config())]
 
-    /// Any run is refused without effect, or within every limit.
+    /// Any run is either refused without effect or stays within every limit.
     #[test]
     fn any_run_is_refused_or_within_the_limits(
         cycles in prop_oneof![1..20_u16, any::<u16>()],
@@ -927,7 +927,7 @@ proptest! {
 }
 
 thread_local! {
-    /// A machine that is ready: homing takes long.
+    /// A ready machine, shared by the cases because homing takes long.
     static READY: Machine = Rig::homed(SETTINGS).machine;
 }
 

@@ -34,7 +34,7 @@ use simulated_machines::chip::{Cut, Flash};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 
-/// What the board counts.
+/// The board's counters.
 const COUNTED: RigHealth = RigHealth {
     home_flag: Glitches {
         count: 1,
@@ -56,7 +56,7 @@ const COUNTED: RigHealth = RigHealth {
     image_hash: 0,
 };
 
-/// The board: a carriage, and a note of everything that control says to it.
+/// The board: a carriage, and a record of all calls from control.
 /// A healthy chip.
 const CHIP: system::Chip = system::Chip {
     clock: system::Clock::External,
@@ -65,7 +65,7 @@ const CHIP: system::Chip = system::Chip {
     option_bytes: 0x00FF_AAED,
 };
 
-/// What the hardware has shown.
+/// The hardware's findings.
 const SHOWN: RigHardware = RigHardware {
     intervals_exact: 100,
     intervals_1_tick: 20,
@@ -178,7 +178,7 @@ impl control::Rig for Board {
     }
 }
 
-/// The rig from its start on.
+/// The rig, from its start on.
 struct Bench {
     control: Control<Board, Flash>,
     flash: Flash,
@@ -236,7 +236,7 @@ impl Bench {
         Self::start(Flash::blank(), FRESH, ResetCause::PowerOn)
     }
 
-    /// Homed, with nothing told.
+    /// A homed rig, with its events so far dropped.
     fn homed() -> Self {
         let mut bench = Self::new();
         bench.accepted(Request::Home(rig::Home));
@@ -258,13 +258,13 @@ impl Bench {
         self.control.snapshot().state
     }
 
-    /// What was told since the last time.
+    /// Events told since the last call.
     fn told(&mut self) -> Vec<What> {
         let told = std::mem::take(&mut self.board().told);
         told.into_iter().map(|event| event.what).collect()
     }
 
-    /// Up to the next round of control, and it.
+    /// Advances to the next round of control and runs it.
     fn tick(&mut self) {
         let next_tick = self.next_tick;
         while self.next_tick == next_tick {
@@ -276,7 +276,7 @@ impl Bench {
         (0..ticks).for_each(|_| self.tick());
     }
 
-    /// The next thing that happens: on the carriage, or a round of control.
+    /// Runs whatever comes next: a step of the carriage, or a round of control.
     fn step(&mut self) {
         let next_tick = self.next_tick;
         let carriage = self.carriage();
@@ -429,7 +429,7 @@ mod start {
                     RigState::Unhomed
                 };
                 assert_eq!((status.state, bench.state()), (state, state));
-                // What is latched over a reset stays so until somebody acknowledges it.
+                // A fault latched over a reset stays until it is acknowledged.
                 assert_eq!(bench.board().latched, []);
                 assert!(!bench.carriage().moving());
                 if fault.is_some() {
@@ -526,7 +526,7 @@ mod settings {
             assert_eq!(bench.told(), [changed]);
             assert_eq!(bench.value(key), value);
         }
-        // The filter is handed on each time; telemetry has its own request.
+        // Each change passes the filter on; telemetry has its own request.
         assert_eq!(bench.board().filters_us, [21, 21, 11, 11]);
         assert_eq!(bench.board().telemetry_ms, [0]);
         assert_eq!(bench.state(), RigState::Ready, "positions mean the same");
@@ -549,7 +549,7 @@ mod settings {
         let mut bench = Bench::homed();
         bench.accepted(set(SettingKey::StrokeUm, 100_000));
         assert_eq!(bench.control.snapshot().axis.stroke().0, 100_000);
-        // And so does the reset that takes it back.
+        // So does the reset that takes the change back.
         bench.accepted(Request::Home(rig::Home));
         bench.finish();
         assert_eq!(bench.state(), RigState::Ready);
@@ -612,7 +612,7 @@ mod settings {
         bench.accepted(set(SettingKey::LeadUm, 2_000));
     }
 
-    /// A terminal would obey what is in such a name.
+    /// A terminal would obey escape sequences in such a name.
     #[test]
     fn a_name_with_an_escape_sequence_is_refused() {
         let mut bench = Bench::new();
@@ -634,7 +634,7 @@ mod settings {
         bench.accepted(name("Labor für Därme"));
     }
 
-    /// The reply says what happened, not what was wanted.
+    /// The reply reports what happened, not what was wanted.
     #[test]
     fn that_the_flash_does_not_take_are_not_in_force() {
         let mut bench = Bench::homed();
@@ -658,7 +658,7 @@ mod settings {
         assert_eq!(bench.state(), RigState::Ready);
     }
 
-    /// The supply fails within a change, at each of its operations: the next start has the old value or the new one.
+    /// The supply fails during a change, at each flash operation: the next start finds the old value or the new one.
     #[test]
     fn survive_a_cut_of_the_supply() {
         for number in 0..4 {
@@ -706,7 +706,7 @@ mod button {
         bench.ticks(3);
         assert_eq!(bench.state(), RigState::Homing);
         bench.finish();
-        // It has been down all the time: neither a stop nor a run.
+        // The button has been down all the time: neither a stop nor a run follows.
         assert_eq!(bench.state(), RigState::Ready);
         bench.ticks(300);
         assert_eq!(bench.state(), RigState::Ready);
@@ -723,7 +723,7 @@ mod button {
         assert_eq!(bench.record().outcome, RunOutcome::Stopped);
     }
 
-    /// A button that hangs, or an operator who leans on it.
+    /// A button that sticks, or an operator who leans on it.
     #[test]
     fn that_is_down_at_the_start_has_to_be_released_first() {
         let down = |board: &mut Board| board.button = true;
@@ -750,7 +750,7 @@ mod button {
         assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
         assert_eq!(bench.state(), RigState::Faulted);
         assert!(!bench.carriage().moving());
-        // An accepted one does not.
+        // An accepted command does not.
         let mut bench = Bench::new();
         bench.tick();
         bench.told();
@@ -770,7 +770,7 @@ mod button {
             bench.accepted(set(key, value));
         }
         hold_down(&mut bench, 3);
-        // Nobody listens; it runs to its end.
+        // The host is silent; the run still goes on to its end.
         bench.board().silence_us = u32::MAX;
         bench.finish();
         let record = bench.record();
@@ -783,7 +783,7 @@ mod button {
 mod link {
     use super::*;
 
-    /// A second is allowed by default.
+    /// The default time-out is a second.
     const TIMEOUT_US: u32 = 1_000_000;
 
     #[test]
@@ -847,7 +847,7 @@ mod emergency_stop {
         rig_event(RigEvent::Faulted(fault))
     }
 
-    /// The interrupt is only there while pulses are armed; at rest control looks itself.
+    /// The interrupt is enabled only while pulses are armed. At rest, control polls the input.
     #[test]
     fn by_the_loop_at_rest_is_latched() {
         let mut bench = Bench::homed();
@@ -903,7 +903,7 @@ mod emergency_stop {
         assert_eq!(bench.status().fault, Some(RigFault::EStopFrame));
         assert_eq!(bench.board().latched, [Some(EStop::Frame)]);
         assert!(bench.told().contains(&faulted(RigFault::EStopFrame)));
-        // Each copy of the frame cuts again; there is nothing more to tell.
+        // Each copy of the frame cuts again, but tells nothing new.
         let cuts = bench.board().cuts;
         let reply = bench.control.answer(Inbound::Urgent(Urgent::EStop));
         assert_eq!(reply, Reply::Urgent(Urgent::EStop));
@@ -1055,7 +1055,7 @@ mod health {
         let mut bench = Bench::homed();
         bench.accepted(run(LinkLossPolicy::Stop));
         bench.steps_until(1_000);
-        // Nobody looks after the ring for 20 ms.
+        // Motion does not run for 20 ms.
         let until = bench.carriage().now + 2 * CONTROL_ROUND;
         while bench.carriage().now < until && bench.carriage().moving() {
             bench.carriage().next_round = until;
@@ -1065,7 +1065,7 @@ mod health {
         assert_eq!(bench.status().fault, Some(RigFault::Underrun));
         assert_eq!(bench.health().underruns, 1);
         assert_eq!(bench.board().latched, [None]);
-        // Other ends are none.
+        // Other ends of a path do not count as underruns.
         let mut bench = Bench::homed();
         bench
             .control
@@ -1110,7 +1110,7 @@ mod health {
     }
 }
 
-/// Without its clock nothing moves, whatever was latched before; the link and the settings work.
+/// Without its clock the rig moves nothing, whatever was latched before. The link and the settings work.
 #[test]
 fn a_missing_clock_is_a_fault_that_nothing_clears() {
     let left = Retained {
@@ -1135,7 +1135,8 @@ fn a_missing_clock_is_a_fault_that_nothing_clears() {
     }
 }
 
-/// The clock that was missed comes: one new start, with all that this one was left. Another clock's state makes none.
+/// The missing clock comes: the rig resets once, and passes on everything that this start was left. The state of
+/// another clock causes no reset.
 #[test]
 fn a_clock_that_comes_starts_the_rig_again() {
     let left = Retained {
@@ -1163,7 +1164,8 @@ fn a_clock_that_comes_starts_the_rig_again() {
     }
 }
 
-/// A clock that stopped is named after the restart, unless something worse is to be told; then the rig can go on.
+/// After the restart, a stopped clock is reported, unless there is something worse to report. Then the rig works
+/// again.
 #[test]
 fn a_clock_that_failed_is_acknowledged() {
     let left = Retained {

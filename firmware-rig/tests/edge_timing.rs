@@ -1,4 +1,4 @@
-//! Captured edges against the periods that were given out: what is moved, missing or added is found.
+//! Captured edges against the periods that were given out: the comparison finds moved, missing and added edges.
 
 mod runs;
 
@@ -58,7 +58,7 @@ fn edges(periods: &[Period]) -> Vec<Vec<u64>> {
     periods.iter().map(of).collect()
 }
 
-/// What the step generator keeps of a path.
+/// The step generator's data for a path.
 #[derive(Default)]
 struct Watch {
     line: Timeline,
@@ -92,7 +92,8 @@ impl Watch {
     }
 }
 
-/// Gives the periods out and shows each edge when its period is over, on a clock that stands at `start` then.
+/// Gives the periods out, and captures each edge when its period is over. `start` is the clock's value at the path's
+/// start.
 fn timed(periods: &[Period], edges: &[Vec<u64>], start: u32) -> Timed {
     let mut timing = Watch::default();
     for (period, edges) in periods.iter().zip(edges) {
@@ -207,7 +208,7 @@ fn what_came_before_counts_no_more() {
     assert_eq!(timing.timed(), expected);
 }
 
-/// Nobody takes out what is expected. Then nothing is said, rather than something wrong.
+/// No captures arrive, so expected edges pile up. The comparison then reports nothing, rather than something wrong.
 #[test]
 fn without_the_jumper_nothing_is_timed() {
     let mut timing = Watch::default();
@@ -237,7 +238,7 @@ fn after_a_loss_nothing_more_is_compared() {
     assert_eq!(timing.timed().edges, 1);
 }
 
-/// What waits in the ring, and half of it that played since the last look, is remembered.
+/// The comparison remembers the periods waiting in the ring, and those of half a ring played since the last look.
 #[test]
 fn a_look_may_come_half_a_ring_late() {
     let mut timing = Watch::default();
@@ -254,7 +255,8 @@ fn a_look_may_come_half_a_ring_late() {
     assert_eq!(timing.timed(), expected);
 }
 
-/// Intervals by their error, over paths: the first edge of a path ends none, and one that was added belongs to none.
+/// Counts intervals by their error, over several paths. The first edge of a path ends no interval; an added edge
+/// belongs to none.
 #[test]
 fn intervals_are_counted_by_their_error() {
     let mut timing = Watch::default();
@@ -265,7 +267,7 @@ fn intervals_are_counted_by_their_error() {
         // 1 late, so the next one is 1 short; 2 early and back; 50 late.
         timing.compare([1_201, 1_300, 1_398, 1_500, 1_650, 1_700].into_iter());
     }
-    // One that comes before the first of its path is not the first.
+    // An edge before the first of its path is not taken for the first.
     timing.clear();
     timing.compare(iter::once(7));
     timing.expect(steps(100, 2));

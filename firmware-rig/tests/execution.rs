@@ -39,7 +39,7 @@ const EVERYWHERE: Window = Window {
 const US: u64 = 100;
 const MS: u64 = 100_000;
 
-/// Every pulse of a path that is left alone.
+/// Every pulse of an undisturbed path.
 fn planned(path: &Path, began: u64) -> Vec<Pulse> {
     let mut pulses = Vec::new();
     for (start, profile, direction) in strokes(path) {
@@ -54,14 +54,14 @@ fn planned(path: &Path, began: u64) -> Vec<Pulse> {
     pulses
 }
 
-/// Execution, ring and screw without anybody who decides.
+/// Execution, ring and screw without control.
 struct Bench {
     carriage: Carriage,
     began: u64,
     plan: Vec<Pulse>,
     /// Strokes that were reported as done.
     done: Vec<u32>,
-    /// How long after its last pulse each of them was, 10 ns each.
+    /// Delay of each of these reports after the stroke's last pulse, 10 ns each.
     done_after: Vec<u64>,
     end: Option<(PathEnd, PathReport)>,
     /// Stroke that was shown at each pulse.
@@ -161,7 +161,7 @@ impl Bench {
         self.end.expect("an end is reported")
     }
 
-    /// Nobody looks after the ring for so long.
+    /// Lets the ring play for this long without a round of motion.
     fn neglect(&mut self, ticks: u64) {
         let until = self.carriage.now + ticks;
         while self.carriage.moving() && self.carriage.now < until {
@@ -182,7 +182,7 @@ impl Bench {
         assert_eq!(report.last_tick, last);
         assert_eq!(self.carriage.mail.commanded, self.carriage.place);
         assert_eq!(self.carriage.ring.cut, 0, "every queued pulse has left");
-        // Whatever was ordered meanwhile, each edge came when it was planned.
+        // Each edge came at its planned time, whatever was ordered meanwhile.
         let edges = self.trace().len() as u32;
         let worst_error_ticks = 0;
         assert_eq!(
@@ -194,7 +194,7 @@ impl Bench {
         );
     }
 
-    /// It went as planned to its end.
+    /// Checks that the path went as planned to its end.
     fn assert_complete(&self, path: &Path) {
         assert_eq!(self.trace(), self.plan);
         let (end, report) = self.end.unwrap();
@@ -203,7 +203,7 @@ impl Bench {
         let (first, all) = (first_stroke(path) as u32, strokes(path));
         let turns = all.len() as u32 - 1;
         assert_eq!(self.done, (first..first + turns).collect::<Vec<_>>());
-        // Stroke by stroke, what is shown is the stroke whose pulses leave.
+        // The published stroke is always the one whose pulses leave.
         let shown = (first..).zip(&all).flat_map(|(stroke, (_, profile, _))| {
             std::iter::repeat_n(stroke, profile.steps().0 as usize)
         });
@@ -266,7 +266,7 @@ fn the_shortest_queue_is_reported_if_there_was_one() {
     let path = whole(1_000);
     let (_, report) = Bench::new(&path, EVERYWHERE, stop_accel()).finish();
     let in_time = report.min_queue.unwrap();
-    // Once it comes late; then it is in time again.
+    // One round is late; the next ones are on time again.
     let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
     bench.run_for(2 * MS);
     bench.neglect(3 * MS / 10);
@@ -276,7 +276,7 @@ fn the_shortest_queue_is_reported_if_there_was_one() {
     assert!((2..in_time).contains(&least), "{least} after {in_time}");
 }
 
-/// A stop waits for what is queued: 8 ms and the longest repetition, not more.
+/// A stop waits for the queued periods: 8 ms and the longest repetition, no more.
 #[test]
 fn a_stop_in_cruise_takes_effect_soon() {
     let path = Path::Run(paper());
@@ -297,7 +297,7 @@ fn a_stop_in_cruise_takes_effect_soon() {
     }
 }
 
-/// How soon motion wants to look again: soon, while something is awaited.
+/// Motion asks for its next round soon while it waits for something.
 #[test]
 fn motion_looks_often_only_when_it_has_to() {
     let path = strokes_of_10_mm();
@@ -311,14 +311,14 @@ fn motion_looks_often_only_when_it_has_to() {
     assert_eq!(bench.carriage.pace(), Pace::Filled);
     bench.run_for(50 * MS);
     assert_eq!(bench.carriage.pace(), Pace::Filled);
-    // The whole stroke and its dwell are queued: now the turn has to be met.
+    // The whole stroke and its dwell are queued: motion must now be in time for the turn.
     bench.run_for(bench.plan[7_999].at - 10 * US - bench.carriage.now);
     assert_eq!(bench.carriage.pace(), Pace::Waiting);
     bench.finish();
     assert_eq!(bench.carriage.pace(), Pace::Idle);
 }
 
-/// The rest of a run of which nothing is left.
+/// The rest of a run that has nothing left.
 #[test]
 fn a_path_without_strokes_ends_where_it_stands() {
     let plan = simulated_machines::carriage::plan(&SETTINGS, 1, 10_000, 40_000);
@@ -395,7 +395,8 @@ fn a_stroke_is_reported_with_its_last_pulse() {
     }
 }
 
-/// However a path is cut, the report has the steps that left and the instant of the last one; the others are counted apart.
+/// However a path is cut, the report has the steps that left and the time of the last one. Steps that did not leave
+/// are counted separately.
 #[test]
 fn a_cut_path_reports_what_left() {
     let path = strokes_of_10_mm();
@@ -417,7 +418,7 @@ fn a_cut_path_reports_what_left() {
             let place = bench.carriage.place;
             let what = format!("{count} pulses, dead counter: {counter_is_dead}: {report:?}");
             if counter_is_dead {
-                // Those that were sure to have left in the last round: 2.5 ms and a period before.
+                // Steps that had certainly left in the last round: 2.5 ms and a period before.
                 let missing = report.commanded.distance_to(StepPosition(place)).0;
                 assert!(missing <= 200, "{missing}: {what}");
             } else {
@@ -482,7 +483,7 @@ fn a_stop_before_a_turn_ends_at_the_end_of_the_stroke() {
     }
 }
 
-/// The order is taken, and what it needs is switched on; nothing else happens.
+/// Motion takes the order and switches on the driver; nothing else happens.
 #[test]
 fn an_open_loop_lets_nothing_start() {
     let path = strokes_of_10_mm();
@@ -493,7 +494,7 @@ fn an_open_loop_lets_nothing_start() {
     assert!(bench.loop_opened && bench.trace().is_empty());
     assert!(!bench.carriage.ring.armed && !bench.carriage.ring.plays());
     assert_eq!(report.counted, StepPosition(0));
-    // The next order is not hindered.
+    // The next order is executed as usual.
     bench.carriage.pressed = false;
     bench.carriage.ring.cut = 0;
     bench.order(&path, EVERYWHERE, stop_accel());
@@ -501,7 +502,7 @@ fn an_open_loop_lets_nothing_start() {
     bench.assert_complete(&path);
 }
 
-/// The notice of the loop is lost, but not the end: it says that the pulses were cut.
+/// The notice of the loop is lost. The notice of the end is not: it says that the pulses were cut.
 #[test]
 fn an_open_loop_that_control_does_not_hear_of_is_an_end() {
     let mut bench = Bench::before(&strokes_of_10_mm(), EVERYWHERE, stop_accel());
@@ -513,7 +514,7 @@ fn an_open_loop_that_control_does_not_hear_of_is_an_end() {
     assert!(!bench.loop_opened && bench.trace().is_empty());
 }
 
-/// Orders follow each other; nothing of the one before is left.
+/// Orders follow each other, with nothing left over from the one before.
 #[test]
 fn a_path_after_a_stop_is_whole_again() {
     let path = strokes_of_10_mm();
@@ -538,7 +539,7 @@ fn a_path_after_a_stop_is_whole_again() {
     assert_eq!(bench.carriage.place, 0);
 }
 
-/// Control is behind with its notices: the end waits for it, and nothing else is begun.
+/// Control's queue is full: the end waits until there is room, and no new path begins before.
 #[test]
 fn an_end_is_told_when_control_can_take_it() {
     let path = strokes_of_10_mm();
@@ -559,7 +560,7 @@ fn an_end_is_told_when_control_can_take_it() {
     bench.run_for(10 * MS);
     assert!(bench.carriage.mail.order.is_some());
     bench.carriage.mail.order = None;
-    // Notices of strokes are lost, which the record makes up for. The end comes once.
+    // Notices of strokes are lost; the record makes up for them. The end is reported once.
     bench.carriage.mail.full = false;
     let (end, report) = bench.finish();
     assert_eq!((end, bench.done.as_slice()), (PathEnd::Complete, &[][..]));
@@ -587,7 +588,7 @@ fn config(cases: u32) -> ProptestConfig {
     }
 }
 
-/// When something happens, as a part of the path's duration.
+/// The time of an event, as a fraction of the path's duration.
 fn part_of(bench: &Bench, part: f64) -> u64 {
     let last = bench.plan.last().unwrap().at - bench.began;
     (part * (last + MS) as f64) as u64
@@ -606,8 +607,8 @@ proptest! {
         bench.assert_complete(&path);
     }
 
-    /// Wherever a stop comes: what is queued leaves at its ticks, then it brakes within the stroke, and the end is reported
-    /// when the last pulse has left.
+    /// At any time of a stop, the queued steps leave at their ticks, the carriage brakes within the stroke, and the
+    /// end is reported when the last pulse has left.
     #[test]
     fn a_stop_lets_the_queue_play_out(
         plan in any_run(LIMITS, 3_000),
@@ -631,7 +632,7 @@ proptest! {
         let (trace, plan) = (bench.trace(), &bench.plan);
         prop_assert!(trace.len() >= queued);
         prop_assert_eq!(&trace[..queued], &plan[..queued]);
-        // One step more has its tick already; from there on it brakes.
+        // One more step already has its tick; braking starts from there.
         let ramp = &trace[queued.saturating_sub(1)..];
         if let Some(announced) = trace.get(queued) {
             prop_assert_eq!(announced, &plan[queued]);
@@ -668,7 +669,8 @@ proptest! {
         prop_assert_eq!(bench.carriage.ring.cut, queued);
     }
 
-    /// Nobody looks after the ring for up to 30 ms. It plays what it has and stands: no pulse comes at a wrong time.
+    /// Motion does not run for up to 30 ms. The ring plays the queued periods and stops: no pulse comes at a wrong
+    /// time.
     #[test]
     fn a_neglected_ring_only_stops(
         plan in any_run(LIMITS, 3_000),
@@ -718,7 +720,8 @@ proptest! {
         }
     }
 
-    /// The jumper to the counter goes at any time: the carriage brakes as soon as more is missing than waits.
+    /// The jumper to the counter comes off at any time: the carriage brakes as soon as the counter misses more steps
+    /// than wait in the ring.
     #[test]
     fn missing_edges_brake(
         plan in any_run(LIMITS, 3_000),
@@ -738,7 +741,7 @@ proptest! {
         if missed == 0 {
             prop_assert_eq!(end, PathEnd::Complete);
         } else {
-            // Within two looks, or when the whole rest was queued at its end.
+            // It stops within two rounds, or when the rest is already queued, at its end.
             let (first, last) = (bench.plan[left].at, bench.carriage.last_pulse);
             prop_assert!(end == PathEnd::Stopped || last - first < 10 * MS);
         }
@@ -775,7 +778,7 @@ mod with_the_machine {
         }
     }
 
-    /// Held at any time, in ramps, cruise and dwells: each step is made once, in its direction.
+    /// A hold comes at any time, in ramps, cruise and dwells: each step is made once, in its direction.
     #[test]
     fn a_held_run_loses_no_step() {
         // A run takes 1.04 s.
@@ -823,7 +826,7 @@ mod with_the_machine {
         assert_eq!((counted, rig.place), (rig.pulses, rig.ring.counted));
     }
 
-    /// The end-of-travel loop opens while the ring is full: nothing of it leaves.
+    /// The end-of-travel loop opens while the ring is full: none of the queued pulses leaves.
     #[test]
     fn an_emergency_stop_cuts_what_is_queued() {
         let mut rig = started();

@@ -1,4 +1,4 @@
-//! Feed hold: wherever it comes, the resumed run makes exactly the planned steps, each of them once.
+//! Feed hold: wherever a hold comes, the resumed run makes exactly the planned steps, each of them once.
 
 use firmware_rig::{
     machine::{Command, Event},
@@ -39,7 +39,7 @@ fn hold(rig: &mut Rig) {
     rig.finish();
 }
 
-/// Stands for a while: nothing moves, and a silent host does not matter.
+/// Waits at rest for a while: nothing moves, and a silent host does not matter.
 fn stand(rig: &mut Rig) {
     let pulses = rig.pulses;
     rig.wait(100_000_000_000);
@@ -49,7 +49,7 @@ fn stand(rig: &mut Rig) {
     assert!(rig.machine.homed());
 }
 
-/// The run went as planned, holds apart.
+/// Checks that the run went as planned, apart from the holds.
 fn assert_complete(rig: &Rig, plan: &RunPlan, holds: u32) {
     assert_eq!(rig.fault(), None);
     assert_eq!(rig.machine.state(), RigState::Ready);
@@ -119,7 +119,7 @@ fn a_run_held_anywhere_completes_as_planned() {
             hold(&mut rig);
             let last_stroke = stroke == 3 && rig.pulses == plan.edges();
             if last_stroke {
-                // It came to rest where the run ends: there is nothing to resume.
+                // It came to rest at the run's end: there is nothing to resume.
                 assert_complete(&rig, &plan, 0);
                 assert_eq!(rig.command(Command::Resume), Err(Refusal::NothingToResume));
                 continue;
@@ -174,7 +174,7 @@ fn a_run_held_at_rest_completes_as_planned() {
             let (from, first) = (rig.now, rig.pulses + 1);
             rig.pulses(1);
             assert_eq!(rig.pulses, first);
-            // At once, with the stroke's own first step: a delay or dwell is not begun again.
+            // It starts at once with the stroke's first step; a delay or dwell is not repeated.
             let next = plan.stroke(strokes as u32).unwrap();
             assert_eq!(rig.last_pulse - from, next.first_interval().0);
             rig.finish();
@@ -258,7 +258,7 @@ fn a_held_run_can_be_abandoned() {
     assert_eq!(rig.machine.record().commanded_edges, rig.pulses);
 }
 
-/// A stop while the hold still brakes: one ramp, and the run is over.
+/// A stop while the hold is still braking: one ramp, then the run is over.
 #[test]
 fn a_stop_during_a_hold_wins() {
     let mut rig = started(slow());
@@ -335,7 +335,7 @@ fn a_resume_with_an_open_switch_is_refused() {
     assert_complete(&rig, &slow(), 1);
 }
 
-/// Edges on the pin that nobody commanded: the position is no longer what it was.
+/// Edges on the pin that were not commanded: the position has changed since the hold.
 #[test]
 fn a_count_that_changed_during_the_hold_is_a_fault() {
     let mut rig = started(slow());
@@ -385,14 +385,14 @@ fn lost_steps_are_found_across_a_hold() {
     }
 }
 
-/// It comes to rest at the flag's edge, within what the ledger tolerates, where the flag may open or not. A carriage
-/// that stalls from there on never meets it.
+/// The carriage comes to rest at the flag's edge, within the ledger's tolerance, where the flag may be open or not. If
+/// it stalls from there on, it never meets the flag.
 #[test]
 fn a_flag_that_is_not_met_after_a_hold_is_lost_steps() {
     let flag = SETTINGS.flag.0;
     let mut seen = std::collections::BTreeSet::new();
-    // Equal periods are queued together and no stop begins within them, so one stroke does not come to rest at every
-    // step: several do.
+    // Equal periods are queued together and no stop begins within them. So a single stroke does not come to rest at
+    // every step; several do.
     for (stroke_um, early) in (5_000..5_040).flat_map(|um| [(um, 160), (um, 170), (um, 180)]) {
         let mut rig = started(plan(&SETTINGS, 1, stroke_um, 20_000));
         let steps = SETTINGS.axis.steps_within(Micrometres(stroke_um));
@@ -413,8 +413,8 @@ fn a_flag_that_is_not_met_after_a_hold_is_lost_steps() {
     }
 }
 
-/// The flag opens where the carriage stands, a moment after it came to rest: that counts. Farther away someone moved the
-/// carriage: that does not.
+/// The flag opens at the carriage's place, a moment after it came to rest: that counts. An opening farther away means
+/// that someone moved the carriage: that does not count.
 #[test]
 fn a_flag_that_opens_at_rest_is_met() {
     for (count, outcome) in [

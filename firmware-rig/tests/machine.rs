@@ -45,7 +45,7 @@ mod homing {
                 shift_steps: 0,
             };
             assert_eq!(rig.events, [homed]);
-            // On the flag one move more: off it first.
+            // Starting on the flag takes one move more: off it first.
             assert_eq!(rig.windows.len(), if place <= 800 { 5 } else { 4 });
         }
     }
@@ -104,9 +104,9 @@ mod homing {
     fn a_flag_that_never_closes_is_stuck() {
         let rig = home_from(0, |rig| rig.stuck_flag = Some(true));
         assert_eq!(rig.fault(), Some(RigFault::FlagStuck));
-        // As far as the flag could reach: 1 mm and the overtravel of 10 mm.
+        // The longest possible flag: 1 mm and the overtravel of 10 mm.
         assert_eq!(rig.place, 8_800);
-        // It sticks when the first pass has met it.
+        // The flag sticks after the first pass has met it.
         let mut rig = Rig::new(SETTINGS, 2_000);
         rig.command(Command::Home).unwrap();
         while rig.windows.len() < 2 {
@@ -142,7 +142,7 @@ mod homing {
         assert_eq!((rig.machine.state(), rig.pulses), (RigState::Unhomed, 0));
     }
 
-    /// Brings homing from on the flag into each of its five phases, does something, lets it come to rest.
+    /// Homes from on the flag, acts in each of the five phases, then lets the carriage come to rest.
     fn in_each_phase(mut act: impl FnMut(&mut Rig)) -> Vec<Rig> {
         (1..=5)
             .map(|phase| {
@@ -299,7 +299,7 @@ mod running {
         // 10 us for the last pulse and 10 us without one follow.
         assert_eq!(rig.now - from, plan.total().0 + 2_000);
         assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
-        // And the next one is run 2, with a record of its own.
+        // The next run is number 2, with a record of its own.
         rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop))
             .unwrap();
         assert_eq!(rig.machine.record().run, 2);
@@ -359,7 +359,7 @@ mod running {
         }
     }
 
-    /// The stroke's end and the stop cross each other: the report of the stroke comes after the command.
+    /// The stroke's end and the stop cross: the report of the stroke comes after the command.
     #[test]
     fn a_stroke_that_ends_during_a_stop_is_counted() {
         let mut rig = started(LinkLossPolicy::Stop);
@@ -368,7 +368,7 @@ mod running {
         let stop = Event::Command(&Command::Stop);
         let actions = rig.machine.step(&now(0, counted, CLOSED), stop);
         assert_eq!((kinds(&actions), actions.refusal), (vec!["StopPath"], None));
-        // Execution has not heard of it yet.
+        // Execution has not received the stop yet.
         rig.pulses(20);
         let ended = path_ended(PathEnd::Stopped, 7_990, 7_990);
         let actions = rig.machine.step(&now(0, 7_990, CLOSED), ended);
@@ -394,7 +394,7 @@ mod running {
         assert_record(&rig, RunOutcome::Complete, 4);
     }
 
-    /// Latched, position untrusted, nothing moves until acknowledged and homed.
+    /// A fault is latched, the position is untrusted, and nothing moves until acknowledged and homed.
     fn assert_latched(mut rig: Rig, fault: RigFault) {
         let pulses = rig.pulses;
         assert_eq!(rig.fault(), Some(fault));
@@ -487,7 +487,7 @@ mod running {
             rig.pulses(2_000);
             rig.slipping = slipping;
             rig.finish();
-            // Lost on the way out, the flag comes so much too early on the way back.
+            // Steps lost on the way out: the flag comes that much too early on the way back.
             let residual_steps = slipping as i32;
             assert_eq!(rig.machine.residual(), residual_steps);
             if slipping <= SETTINGS.ledger_limit_steps {
@@ -497,12 +497,12 @@ mod running {
             } else {
                 assert_eq!(rig.machine.record().worst_residual_steps, residual_steps);
                 assert_eq!(rig.machine.record().strokes, 1);
-                // Not at once but with a ramp: 40 mm/s at 1,000 mm/s2 take 0.8 mm.
+                // It brakes with a ramp: 40 mm/s at 1,000 mm/s2 take 0.8 mm.
                 assert!(rig.place < 800 && rig.place > 100, "{}", rig.place);
                 assert_latched(rig, RigFault::LostSteps { residual_steps });
             }
         }
-        // Lost on the way back, the flag comes too late.
+        // Steps lost on the way back: the flag comes too late.
         let mut rig = started(LinkLossPolicy::Stop);
         rig.pulses(10_000);
         rig.slipping = 64;
@@ -550,7 +550,7 @@ mod running {
         assert_eq!(back(6, 801), (1, -4));
     }
 
-    /// A stroke that ends within what the ledger tolerates of the flag need not meet it.
+    /// A stroke that ends within the ledger's tolerance of the flag need not meet it.
     #[test]
     fn a_stroke_has_to_meet_the_flag_if_it_reaches_beyond_it() {
         // 1 mm and 8 steps; one step more.
@@ -567,7 +567,7 @@ mod running {
         }
     }
 
-    /// Of all paths of the run; one that was queued as a whole never left the ring short.
+    /// Shortest queue over all paths of the run. A path that was queued as a whole does not count.
     #[test]
     fn queue_and_timing_are_those_of_all_paths() {
         let mut rig = started(LinkLossPolicy::Stop);
@@ -589,7 +589,7 @@ mod running {
             let resume = rig.machine.step(&now, Event::Command(&Command::Resume));
             assert_eq!(resume.refusal, None);
         }
-        // The edges of all, and the worst error of them.
+        // The sum of all edges, and the worst error.
         let record = rig.machine.record();
         assert_eq!(record.edges_timed, 40);
         assert_eq!(record.worst_interval_error_ticks, 70);
@@ -630,7 +630,7 @@ mod running {
             rig.jumper_cut = true;
             let counted = rig.ring.counted;
             rig.finish();
-            // One pulse is missed, one has its time already; braking takes as many as accelerating did.
+            // One pulse is missed, one already has its time; braking takes as many as accelerating did.
             let further = (rig.pulses - pulses) as i32;
             assert!((10..=104).contains(&further), "{further}");
             let commanded = if pulses < 8_000 {
@@ -819,7 +819,7 @@ mod table {
         Panicked,
     ];
 
-    /// Every event and command, with its contents as far as they matter.
+    /// Every event and command, with the contents that matter.
     #[derive(Clone, Copy, Debug, PartialEq)]
     enum Input {
         FlagOpens,
@@ -948,7 +948,7 @@ mod table {
         }
     }
 
-    /// When it comes, us, and what.
+    /// The time of the input, us, and the input.
     fn sample(input: Input) -> (u64, Event<'static>) {
         let time_us = match input {
             TickInTime => 300_000,
@@ -1019,7 +1019,7 @@ mod table {
         ..CLOSED
     };
 
-    /// A start, and what leads to it from the one before.
+    /// A starting state, and the inputs that lead to it from the one before.
     type Phase = (Start, fn(&mut Setup));
 
     /// Brings a machine into a state.
@@ -1044,7 +1044,7 @@ mod table {
             self.event(flag_edge(opening, count));
         }
 
-        /// From on the flag up to the beginning of a phase, to its edge, or to the end.
+        /// Homes from on the flag up to the beginning of a phase, to its edge, or to the end.
         fn home(&mut self, start: Start) {
             let phases: [Phase; 8] = [
                 (Clear, |setup| setup.command(Command::Home, ON_FLAG)),
@@ -1162,7 +1162,7 @@ mod table {
         position + i32::from(input == ResumeElsewhere)
     }
 
-    /// The state after it and the actions, or the refusal.
+    /// The next state and the actions, or the refusal.
     fn outcome(start: Start, input: Input) -> String {
         let mut machine = reach(start);
         let before = machine.fault();
@@ -1213,7 +1213,7 @@ mod table {
     ];
     const FAULTED: &[Start] = &[Faulted, FaultedMoving, FaultedHeld, Panicked];
     const AFTER_LIMIT: &[Start] = &[Faulted, FaultedMoving, FaultedHeld];
-    /// Homing that the host asked for.
+    /// Homing on request of the host.
     const BY_HOST: &[Start] = &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero];
     const AT_REST: &[Start] = &[Unhomed, Ready, ReadyOut];
     /// A run's path is being executed.
@@ -1229,7 +1229,7 @@ mod table {
         StopHoldBack,
         StopHoldMet,
     ];
-    /// A path of homing is, or that of a move.
+    /// A path of homing or of a move is being executed.
     const IN_HOMING: &[Start] = &[
         Clear,
         Seek,
@@ -1275,9 +1275,9 @@ mod table {
         StoppedBehind,
     ];
     const TICKS: &[Input] = &[TickInTime, TickAtDeadline, TickLate];
-    /// Until its end homing has time.
+    /// Ticks within homing's time.
     const TICKS_IN_TIME: &[Input] = &[TickInTime, TickAtDeadline];
-    /// Of a jog, which has less.
+    /// Ticks past a jog's deadline, which is earlier.
     const TICKS_LATE: &[Input] = &[TickAtDeadline, TickLate];
     const MOVES: &[Input] = &[Home, Run, JogSame, JogOther, MoveTo];
     const RESUMES: &[Input] = &[Resume, ResumeElsewhere];
@@ -1286,9 +1286,9 @@ mod table {
     const READ_BACK: &str = "ReadBack { commanded: 0, counted: 1 } Cut Faulted";
     const READ_BACK_RUN: &str = "ReadBack { commanded: 0, counted: 1 } Cut RunEnded Faulted";
 
-    /// States, inputs, what happens: the state (or the new fault) after it and the actions, or the refusal.
+    /// States, inputs, result: the next state (or the new fault) and the actions, or the refusal.
     const TABLE: &[(&[Start], &[Input], &str)] = &[
-        // Whatever cuts the pulses is latched, at rest as well; the first cause stays.
+        // Every cause of a cut is latched, at rest as well. The first cause stays.
         (AT_REST, &[FarLimit], "FarLimit Cut Faulted"),
         (AT_REST, &[SwitchNoise], "SwitchNoise(HomeFlag) Cut Faulted"),
         (AT_REST, &[LoopOpened], "EStopLoop Cut Faulted"),
@@ -1326,7 +1326,7 @@ mod table {
             &[FarLimit, SwitchNoise, LoopOpened, EStop],
             "Faulted Cut",
         ),
-        // So is every failure of a path.
+        // Every failure of a path is latched.
         (IN_HOMING, &[Underrun], "Underrun Cut Faulted"),
         (IN_HOMING, &[Guard], "WindowGuard Cut Faulted"),
         (IN_HOMING, &[EndMismatch], READ_BACK),
@@ -1451,7 +1451,7 @@ mod table {
             &[Acknowledge],
             "Faulted: CauseStillPresent",
         ),
-        // Homing: the edge that a phase looks for ends its move, its end begins the next one.
+        // Homing: the edge that a phase looks for ends its move; the move's end begins the next phase.
         (HOMING, STROKES, "Homing"),
         (HOMING, &[Stop], "Stopping StopPath"),
         (BY_HOST, &[LinkSilent], "Stopping StopPath"),
@@ -1576,7 +1576,7 @@ mod table {
         (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
         (&[StopMove], FINE_ENDS, "Ready Stopped"),
         (&[StopRun, StopBack], STOPPED, "Ready RunEnded Stopped"),
-        // The stop came too late to stop anything.
+        // The stop came after the last step: the run is complete.
         (
             &[StopRun, StopBack],
             &[Complete],
@@ -1587,7 +1587,7 @@ mod table {
             FINE_ENDS,
             "LostSteps { residual_steps: -100 } Cut RunEnded Faulted",
         ),
-        // Stopping to be held: the ledger goes on; behind the flag it has to have been met.
+        // Stopping for a hold: the ledger goes on; behind the flag, the carriage must have met it.
         (&[StopHoldOut], STOPPED, "Held Held"),
         (&[StopHoldOut], &[Complete], "Ready StrokeDone RunEnded"),
         (
@@ -1625,8 +1625,8 @@ mod table {
         ),
     ];
 
-    /// Only a command starts something, and only where the rig is at rest and not faulted; without a reference it
-    /// is homing. Homing alone goes on by itself.
+    /// Only a command starts something, only where the rig is at rest and not faulted, and without a reference only
+    /// homing. Only homing continues by itself.
     fn may_start(start: Start, input: Input) -> bool {
         match input {
             Home | Button | ButtonNoPlan if start == Unhomed => true,

@@ -61,7 +61,7 @@ fn every_fault_is_in_the_manual() {
         };
         let row = row(name);
         assert_eq!(row.len(), 4, "{name}: text, meaning, remedy");
-        // Texts with numbers are quoted from behind these.
+        // The manual quotes a text with numbers only from behind the numbers.
         let text = fault.to_string();
         assert!(text.ends_with(row[1]), "{name}: {text}");
         assert!(row[1].len() >= 40, "{name}: quote more of the text");

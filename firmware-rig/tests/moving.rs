@@ -45,7 +45,7 @@ fn rig_at(steps: u32) -> Rig {
 /// Device time, 10 ns each.
 const MS: u64 = 100_000;
 
-/// Executes for so long.
+/// Executes for this long.
 fn run_for(rig: &mut Rig, ticks: u64) {
     let until = rig.now + ticks;
     while rig.now < until && rig.moving() {
@@ -56,7 +56,7 @@ fn run_for(rig: &mut Rig, ticks: u64) {
 mod jogging {
     use super::*;
 
-    /// Renewed every 250 ms it goes on; 300 ms after the last renewal it brakes.
+    /// A jog renewed every 250 ms goes on; 300 ms after the last renewal it brakes.
     #[test]
     fn goes_on_while_it_is_renewed() {
         let mut rig = rig_at(40_000);
@@ -100,8 +100,8 @@ mod jogging {
         }
     }
 
-    /// A renewal that was on its way when the jog was stopped does not start it again: only one that comes when the
-    /// jog would have ended by itself does.
+    /// A renewal that was under way when the jog was stopped does not restart it. Only one after the jog's own
+    /// deadline does.
     #[test]
     fn a_stopped_jog_is_not_started_again_by_its_renewal() {
         for stop in [Command::Stop, Command::Button(None)] {
@@ -143,7 +143,7 @@ mod jogging {
         ] {
             assert_eq!(rig.command(other), busy);
         }
-        // Refused ones do not renew it.
+        // Refused jogs do not renew it.
         run_for(&mut rig, 190 * MS);
         assert_eq!(rig.command(jog(Direction::Home, 10_000)), busy);
         rig.finish();
@@ -192,7 +192,7 @@ mod moves {
             }
         }
         assert_eq!((rig.machine.state(), rig.fault()), (RigState::Ready, None));
-        // From there a run starts as ever.
+        // A run starts from there as usual.
         rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop))
             .unwrap();
     }
@@ -266,7 +266,7 @@ mod moves {
             rig.command(move_to(5_000, 1_000)),
             Err(Refusal::AlreadyThere)
         );
-        // An open far limit: home is the way out.
+        // With an open far limit, the only way is home.
         rig.far_wire_cut = true;
         let limit = Err(Refusal::RigFaulted(RigFault::FarLimit));
         assert_eq!(rig.command(move_to(5_001, 1_000)), limit);
@@ -294,7 +294,7 @@ mod homing {
         rig.command(Command::Home).unwrap();
         rig.finish();
         assert_eq!((rig.fault(), rig.place), (None, 0));
-        // The time counts from the beginning of each homing.
+        // The time-out restarts with each homing.
         rig.wait(100_000 * MS);
         rig.command(Command::Home).unwrap();
         rig.finish();
@@ -313,7 +313,7 @@ mod homing {
             rig.pulses(3);
             (rig.stuck_flag, rig.far_wire_cut) = (Some(true), true);
             rig.finish();
-            // Not the cable's edge for the flag's in the second pass.
+            // The second pass does not take the cable's edge for the flag's.
             assert_eq!(rig.fault(), Some(RigFault::BothSwitchesOpen), "{phase}");
             assert!(!rig.machine.homed());
             for command in [Command::Home, Command::Button(None)] {
@@ -452,7 +452,7 @@ mod settings {
         assert_eq!(rig.machine.may_change_settings(), Ok(()));
     }
 
-    /// What changes the meaning of a position makes it unknown; nothing else does.
+    /// A setting that changes the meaning of positions makes the position unknown; no other setting does.
     #[test]
     fn unhome_where_positions_change_their_meaning() {
         for key in SettingKey::of(DeviceKind::Rig) {
@@ -484,7 +484,7 @@ mod settings {
             };
             assert_eq!(rig.machine.state(), state);
             assert_eq!(*rig.machine.settings(), settings);
-            // A latched fault stays, whatever is set.
+            // A latched fault stays, whatever setting changes.
             let mut rig = Rig::homed(SETTINGS);
             rig.press();
             rig.machine.set_settings(settings);

@@ -1,4 +1,4 @@
-//! Timer periods against the step times that they are made of.
+//! Timer periods against the step times from which they are made.
 
 mod runs;
 
@@ -106,7 +106,7 @@ impl Walk {
         item
     }
 
-    /// Up to the next pulses: their ticks and their period.
+    /// Advances to the next pulses: returns their ticks and their period.
     fn pulses(&mut self) -> (Vec<u64>, Period) {
         loop {
             let tick = self.tick;
@@ -121,7 +121,7 @@ impl Walk {
         }
     }
 
-    /// Up to something that is no blank period: the blanks, their ticks, what follows.
+    /// Advances past blank periods: returns the blanks, their ticks and the next item.
     fn blanks(&mut self) -> (usize, u64, Item) {
         let (before, mut count) = (self.tick, 0);
         loop {
@@ -164,7 +164,7 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
             assert!(blanks >= 2 && ticks >= TURN_TICKS, "{blanks}, {ticks}");
             // The turn comes while blanks play: the last one is short, so that it is not kept waiting.
             assert!((4_097..=8_192).contains(&last_blank), "{last_blank}");
-            // No further blank: the turn comes before the period that begins with the pulse.
+            // No blank follows: the turn comes before the period that begins with the pulse.
             assert_eq!(walk.tick, start + profile.first_interval().0);
         } else {
             assert_eq!((blanks, then), (1, Item::End));
@@ -176,7 +176,7 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
     pulses
 }
 
-/// What is left of a stroke from any step on, and all strokes behind it.
+/// The rest of a run: a stroke from any step on, and all strokes after it.
 fn any_rest() -> impl Strategy<Value = Path> {
     let part = (any::<prop::sample::Index>(), any::<prop::sample::Index>());
     (any_run(LIMITS, 600), part).prop_filter_map("not too slow", |(plan, (stroke, left))| {
@@ -242,7 +242,7 @@ proptest! {
         for _ in 0..(at * f64::from(items)) as u32 {
             walk.next();
         }
-        // Before the first pulse of a stroke nothing may follow, within it no more than its rest.
+        // A stop before the first pulse of a stroke lets no pulse follow; within it, at most the stroke's rest.
         let left = if walk.pulses == 0 {
             0
         } else {
@@ -291,7 +291,7 @@ proptest! {
         deceleration in any_deceleration(),
     ) {
         let (first, last) = (position.saturating_sub(below), position.saturating_add(above));
-        // Where the path would lead, and at which pulse it leaves the window.
+        // The path's end without the window, and the pulse at which it leaves the window.
         let mut at = i64::from(position);
         let mut allowed = 0;
         let leaves = strokes(&path).iter().any(|(_, profile, direction)| {
@@ -319,7 +319,7 @@ proptest! {
     }
 }
 
-/// What the machine orders after a hold: the rest of the stroke that was not complete.
+/// The path that the machine orders after a hold: the rest of the incomplete stroke.
 fn rest_of(plan: &RunPlan, stroke: u32, position: i32) -> Option<Path> {
     let steps = plan.stroke(stroke)?.steps().0;
     let left = match plan.direction(stroke)? {
@@ -432,7 +432,7 @@ fn pieces_of_a_pause_are_long() {
     }
 }
 
-/// The pieces of pauses whose lengths are bounds: the longest period, that and the shortest piece, one tick more or less.
+/// The pieces of pauses at the limits: the longest period, that plus the shortest piece, and one tick more or less.
 #[test]
 fn pieces_at_their_bounds() {
     let pieces = |ticks: u64| -> Vec<u32> {
@@ -469,7 +469,7 @@ fn pieces_before_a_turn_at_their_bounds() {
     };
     let axis = Axis::new(4_000, 200, 256, 130_000).unwrap();
     let mut found = std::collections::BTreeSet::new();
-    // Accelerations whose first step takes such a time that whole microseconds make up the pause.
+    // Choose accelerations whose first step time makes the pause a whole number of microseconds.
     for accel_um_s2 in (400_000..2_000_000).step_by(997) {
         let request = |far_dwell_us| RunRequest {
             cycles: 1,
@@ -548,7 +548,7 @@ fn the_papers_run_is_1040000_pulses_in_forty_seconds() {
     assert_eq!(walk.position, 0);
 }
 
-/// In a dwell, and before the first step, a stop ends the path without another pulse; its last step is the last that was
+/// In a dwell, and before the first step, a stop ends the path without another pulse. Its last step is the last one
 /// queued.
 #[test]
 fn a_stop_at_rest_emits_nothing() {
@@ -586,13 +586,13 @@ fn a_stop_at_rest_emits_nothing() {
             }
             walk.periods.stop(deceleration);
             let (_, mut ticks, mut end) = walk.blanks();
-            // The end of a stroke is told, whether it was before the stop or not.
+            // The end of the stroke is reported, whether it came before the stop or not.
             if let Item::StrokeEnd { .. } = end {
                 let (_, more, then) = walk.blanks();
                 (ticks, end) = (ticks + more, then);
             }
             assert_eq!((end, walk.position), (Item::End, position), "{pulses}");
-            // 10 us after what was in the queue, not the rest of the dwell.
+            // The path ends 10 us after the queued periods, not after the rest of the dwell.
             assert!(ticks <= 1_000, "{ticks}");
             assert_eq!(walk.next(), Item::End);
         }

@@ -1,4 +1,4 @@
-//! Random sequences of commands and events: what must never happen, in whatever order they come.
+//! Random sequences of commands and events: checks what must never happen, in any order.
 
 use firmware_rig::{
     machine::{Action, Command, Event, Machine, PathEnd, PathReport},
@@ -69,7 +69,7 @@ fn a_million(first: u64) -> u64 {
     }
 }
 
-/// Anything in any order; mostly what makes sense, so that every state is reached.
+/// Anything in any order, but mostly sensible inputs, so that every state is reached.
 mod anything {
     use super::*;
 
@@ -78,7 +78,7 @@ mod anything {
         Event(u64, Event<'static>),
         /// At this position.
         Command(Command, i32),
-        /// So far from 0 lies the flag now, um.
+        /// Moves the flag to this distance from 0, um.
         Flag(u32),
     }
 
@@ -95,7 +95,7 @@ mod anything {
         }
     }
 
-    /// What comes next when nothing goes wrong.
+    /// The next input when nothing goes wrong.
     fn expected(random: &mut Random, plan: RunPlan, state: RigState) -> Input {
         let at = if random.one_in(4) { 20 } else { 0 };
         let flag = event(flag_edge(random.one_in(2), 4));
@@ -190,7 +190,7 @@ mod anything {
         }
     }
 
-    /// A machine and what it said.
+    /// A machine and its output.
     struct Watch {
         machine: Machine,
         /// A path was ordered and its end not reported.
@@ -329,7 +329,7 @@ mod anything {
                 }
                 (state, other) => panic!("{other:?} started something, {state:?}"),
             }
-            // Finite, and no longer than a search over stroke and overtravel.
+            // The path is finite, and no longer than a search over stroke and overtravel.
             assert!(last.abs_diff(first) <= 400_500, "{window:?}");
         }
     }
@@ -398,7 +398,7 @@ mod anything {
 mod executed {
     use super::*;
 
-    /// How often what was reached.
+    /// Counts of what was reached.
     #[derive(Default)]
     struct Ends {
         runs: u64,
@@ -516,7 +516,7 @@ mod executed {
     }
 
     fn check(sequences: u64) {
-        // Each seed stands for itself: even and odd ones on a core each.
+        // Seeds are independent: run even and odd ones on a core each.
         let half = |first: u64| {
             let mut ends = Ends::default();
             for seed in (first..sequences).step_by(2) {

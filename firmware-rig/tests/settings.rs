@@ -1,4 +1,4 @@
-//! Settings: ranges, rules, and what homing makes of them.
+//! Settings: ranges, rules, and homing with them.
 
 use device::settings::Values;
 use firmware_rig::{machine::Command, settings::Settings};
@@ -18,7 +18,7 @@ use simulated_machines::carriage::Rig;
 
 const DEFAULT: Values = Values::DEFAULT;
 
-/// What a device does with a value: its range, then the rules of all together.
+/// Checks a value as a device does: its range first, then the rules of all values together.
 fn change(values: &Values, key: SettingKey, value: u32) -> Result<(Values, Settings), Refusal> {
     let values = values.with(key, value)?;
     match Settings::new(&values) {
@@ -87,8 +87,8 @@ fn the_defaults_are_the_papers_rig() {
     assert_eq!((link_timeout_us, dead_man_us), (1_000_000, 300_000));
 }
 
-/// Both ends of every range against the defaults: in force, or refused for a rule by name. One beyond: refused for
-/// the range, which the text names.
+/// Both ends of every range, with all other settings at their defaults: in force, or refused by a named rule. One
+/// beyond: refused for the range, which the text names.
 #[test]
 fn ranges_end_where_they_say() {
     use SettingKey as Key;
@@ -107,7 +107,7 @@ fn ranges_end_where_they_say() {
                     assert_eq!(expected, None, "{} {end}", key.name());
                     assert_eq!(values.get(key), value);
                     assert_eq!(Settings::new(&values), Ok(settings));
-                    // And nothing else has changed.
+                    // Nothing else has changed.
                     assert_eq!(set(&values, key, range.default), DEFAULT);
                 }
                 Err(refusal) => {
@@ -212,8 +212,8 @@ fn any_change() -> impl Strategy<Value = (SettingKey, u32)> {
 proptest! {
     #![proptest_config(config(2_000))]
 
-    /// Whatever is asked for in whatever order: what is in force keeps ranges and rules, a refusal changes nothing, and
-    /// the records restore it.
+    /// Any changes in any order: the settings in force keep ranges and rules, a refusal changes nothing, and the
+    /// records restore the settings.
     #[test]
     fn what_is_in_force_always_fits_together(
         changes in prop::collection::vec(any_change(), 1..60),
@@ -249,8 +249,8 @@ proptest! {
 proptest! {
     #![proptest_config(config(400))]
 
-    /// With whatever is accepted homing finds 0, unless its time is over or the carriage brakes too slowly to stop between
-    /// flag and end of travel.
+    /// With any accepted settings homing finds 0, unless it times out or the carriage brakes too slowly to stop
+    /// between flag and end of travel.
     #[test]
     fn every_accepted_settings_can_home(
         changes in prop::collection::vec(any_change(), 1..20),

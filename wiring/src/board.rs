@@ -1,4 +1,4 @@
-//! Where a NUCLEO-F411RE brings a pin out, and what a CNC shield V3 on it calls the place.
+//! Connector places of the chip's pins on a NUCLEO-F411RE, and their labels on a CNC shield V3.
 
 use crate::Pin;
 
@@ -7,13 +7,13 @@ use crate::Pin;
 pub struct Place {
     /// The pin.
     pub pin: Pin,
-    /// Its name at the Arduino sockets, which the shield covers; empty where it is not there.
+    /// Its name at the Arduino sockets, which the shield covers; empty if it is not on them.
     pub arduino: &'static str,
     /// Connector and number of the morpho pins beside them, UM1724 table 29 [as others quote it].
     pub morpho: &'static str,
 }
 
-/// Those in use.
+/// Places of the pins in use.
 pub const PLACES: [Place; 18] = [
     place('A', 0, "A0", "CN7-28"),
     place('A', 1, "A1", "CN7-30"),
@@ -35,7 +35,7 @@ pub const PLACES: [Place; 18] = [
     place('C', 13, "", "CN7-23"),
 ];
 
-/// What a CNC shield V3.0 prints beside an Arduino pin.
+/// Label that a CNC shield V3.0 prints beside an Arduino pin.
 pub const SHIELD: [(&str, &str); 16] = [
     ("D2", "X.STEP"),
     ("D3", "Y.STEP"),
@@ -55,7 +55,7 @@ pub const SHIELD: [(&str, &str); 16] = [
     ("A3", "CoolEn"),
 ];
 
-/// Where a pin is brought out; none for a pin that nothing uses.
+/// Finds where a pin is brought out; none for an unused pin.
 #[must_use]
 pub fn place_of(pin: Pin) -> Option<Place> {
     PLACES.into_iter().find(|place| place.pin == pin)

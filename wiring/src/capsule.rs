@@ -1,4 +1,4 @@
-//! The capsule, on the board on which it is studied.
+//! Wiring of the capsule's electronics on the development board.
 
 use crate::{Pin, Signal};
 
@@ -6,22 +6,22 @@ use crate::{Pin, Signal};
 pub const IN1: Pin = Pin::new('B', 4);
 /// See [`IN1`].
 pub const IN2: Pin = Pin::new('B', 5);
-/// Bridge asleep when low.
+/// Sleep input of the bridge: asleep when low.
 pub const N_SLEEP: Pin = Pin::new('B', 10);
-/// The bridge reports a fault when low.
+/// Fault output of the bridge: low on a fault.
 pub const N_FAULT: Pin = Pin::new('A', 8);
 /// Lines A and B of the motor's encoder.
 pub const ENCODER: [Pin; 2] = [Pin::new('A', 0), Pin::new('A', 1)];
 /// Output of the current amplifier.
 pub const CURRENT: Pin = Pin::new('A', 4);
-/// The cell, halved.
+/// Half the cell's voltage.
 pub const BATTERY: Pin = Pin::new('B', 0);
 /// Supply of encoder and amplifier, high = on.
 pub const SENSORS: Pin = Pin::new('B', 1);
 /// Serial port, from the chip and to it.
 pub const SERIAL: [Pin; 2] = [Pin::new('A', 2), Pin::new('A', 3)];
 
-/// All of them, in the manual's order.
+/// All signals, in the manual's order.
 pub const SIGNALS: [Signal; 11] = [
     signal("IN1", IN1, "TIM3_CH1"),
     signal("IN2", IN2, "TIM3_CH2"),

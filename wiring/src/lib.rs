@@ -1,4 +1,4 @@
-//! Which signal is at which pin of the chip, and where NUCLEO-F411RE and CNC shield bring it out.
+//! Assigns the signals to the chip's pins, and tells where NUCLEO-F411RE and CNC shield bring them out.
 //!
 //! The images take their pins from here, and the diagrams of the manual are drawn from here (`cargo xtask pictures`).
 #![no_std]
@@ -30,7 +30,7 @@ impl Pin {
 }
 
 impl Pin {
-    /// The same pin; for checks at compile time.
+    /// Whether this is that pin; for checks at compile time.
     #[must_use]
     pub const fn is(self, port: char, number: usize) -> bool {
         self.port == port && self.number == number
@@ -46,10 +46,10 @@ impl core::fmt::Display for Pin {
 /// A signal of a machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Signal {
-    /// As the manual calls it.
+    /// Name, as in the manual.
     pub name: &'static str,
-    /// Where it is.
+    /// Pin of the chip.
     pub pin: Pin,
-    /// What the chip uses there; empty where it is a plain input or output.
+    /// Peripheral function of the chip there; empty for a plain input or output.
     pub function: &'static str,
 }

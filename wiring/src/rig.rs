@@ -1,4 +1,4 @@
-//! The rig.
+//! Wiring of the rig.
 
 use crate::{Pin, Signal};
 
@@ -6,13 +6,13 @@ use crate::{Pin, Signal};
 pub const STEP: Pin = Pin::new('A', 10);
 /// Direction, high = away from home.
 pub const DIR: Pin = Pin::new('B', 4);
-/// Driver on when low.
+/// Enable input of the driver: on when low.
 pub const ENABLE: Pin = Pin::new('A', 9);
 /// E-stop and end-of-travel loop, normally closed to ground.
 pub const ESTOP_LOOP: Pin = Pin::new('A', 6);
-/// Counts what leaves [`STEP`].
+/// Counts the pulses that leave [`STEP`].
 pub const READ_BACK: Pin = Pin::new('A', 0);
-/// Times what leaves [`STEP`].
+/// Times the pulses that leave [`STEP`].
 pub const CAPTURE: Pin = Pin::new('A', 1);
 /// Home flag, normally closed to ground.
 pub const HOME_FLAG: Pin = Pin::new('C', 7);
@@ -27,7 +27,7 @@ pub const LED: Pin = Pin::new('A', 5);
 /// Serial port, from the chip and to it.
 pub const SERIAL: [Pin; 2] = [Pin::new('A', 2), Pin::new('A', 3)];
 
-/// All of them, in the manual's order.
+/// All signals, in the manual's order.
 pub const SIGNALS: [Signal; 13] = [
     signal("STEP", STEP, "TIM1_CH3, AF1"),
     signal("DIR", DIR, ""),

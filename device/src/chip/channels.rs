@@ -1,4 +1,4 @@
-//! What the tasks of both images share; each image adds its own in its `channels.rs`.
+//! Channels and counters shared by the tasks of both images. Each image adds its own in its `channels.rs`.
 
 use crate::{service::Inbound, supervision::CheckIns};
 use core::sync::atomic::{AtomicU8, AtomicU16, AtomicU32, Ordering};
@@ -21,7 +21,7 @@ pub static OUTBOUND: Channel<Raw, Encoded, 4> = Channel::new();
 pub static TELEMETRY_MS: AtomicU16 = AtomicU16::new(0);
 /// Wakes telemetry after a change of its interval.
 pub static TELEMETRY_CHANGED: Signal<Raw, ()> = Signal::new();
-/// Present session, for frames that nobody asked for. Set by link.
+/// Present session, for unsolicited frames. Set by link.
 pub static SESSION: AtomicU8 = AtomicU8::new(0);
 /// Low 32 bits of the time when the host that began the motion was last heard, us. Set by link, read by control.
 pub static LAST_SIGN_US: AtomicU32 = AtomicU32::new(0);
@@ -31,18 +31,18 @@ pub static UART_ERRORS: AtomicU32 = AtomicU32::new(0);
 pub static BAD_FRAMES: AtomicU32 = AtomicU32::new(0);
 /// Frames that found the line busy. Set by their senders.
 pub static UNSENT_FRAMES: AtomicU32 = AtomicU32::new(0);
-/// Who is alive. Set by the clients, cleared by the watchdog's task.
+/// Check-ins for the watchdog. Set by the clients, cleared by the watchdog's task.
 pub static CHECK_INS: CheckIns = CheckIns::new();
 
-/// Sends a frame that nobody waits for, unless the line is busy.
+/// Sends an unsolicited frame, unless the line is busy.
 pub fn send_if_free(frame: Encoded) {
     if OUTBOUND.try_send(frame).is_err() {
         UNSENT_FRAMES.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-/// Sends an event to whoever listens. The frame may be lost when the line is busy: the host fetches the event by its
-/// index.
+/// Sends an event to the host, if one listens. The frame is lost when the line is busy; the host then fetches the
+/// event by its index.
 pub fn send_event(event: &Event) {
     let session = SESSION.load(Ordering::Relaxed);
     if session == 0 {

@@ -1,4 +1,4 @@
-//! What the linker knows: the fingerprint of the image in flash, the use of the stack and its end.
+//! Facts from the linker's symbols: the fingerprint of the image in flash, the stack's size, use and guard.
 
 use super::stm32f411re::GUARD;
 use core::{
@@ -7,7 +7,7 @@ use core::{
 };
 use cortex_m::peripheral::{MPU, SCB};
 
-/// With this `cortex-m-rt` paints the stack at the start (feature `paint-stack`).
+/// Word that `cortex-m-rt` paints the stack with at the start (feature `paint-stack`).
 const PAINT: u32 = 0xCCCC_CCCC;
 
 unsafe extern "C" {
@@ -42,11 +42,10 @@ fn guard() -> Range<u32> {
     first..first + GUARD
 }
 
-/// Makes a stack that grows towards the statics a processor fault with last words, where it was a machine that went on
-/// with wrong numbers. Once, before anything needs much of the stack. The handlers of processor fault and NMI may use
-/// the guard.
+/// Guards the stack: an overflow becomes a processor fault with last words, instead of overwriting the statics. Call
+/// it once, before anything needs much of the stack. The handlers of processor fault and NMI may use the guard.
 ///
-/// The other regions and the background are the map that the processor has without its MPU (Armv7-M ARM table B3-1).
+/// The other regions and the background repeat the processor's memory map without the MPU (Armv7-M ARM table B3-1).
 pub fn guard_stack() {
     /// Bytes of a region as 2^(SIZE + 1), and ENABLE.
     const fn region(bytes: u64) -> u32 {
@@ -62,7 +61,7 @@ pub fn guard_stack() {
     let regions = [
         (0x0000_0000, FULL_ACCESS | WRITE_THROUGH | HALF_GIB),
         (0x2000_0000, FULL_ACCESS | WRITE_BACK_ALLOCATE | HALF_GIB),
-        // The region with the highest number counts.
+        // Where regions overlap, the one with the highest number applies.
         (
             guard().start,
             NO_ACCESS | WRITE_BACK_ALLOCATE | region(GUARD as u64),
@@ -82,8 +81,8 @@ pub fn guard_stack() {
     cortex_m::asm::isb();
 }
 
-/// Whether the processor fault is an overflow of the stack: an instruction met the guard, or the frame of an exception
-/// did, as a rule that of the fault itself (CFSR and MMFAR, Armv7-M ARM B3.2.15 and B3.2.18).
+/// Whether the processor fault is a stack overflow: an instruction hit the guard, or the stacking of an exception did,
+/// usually that of the fault itself (CFSR and MMFAR, Armv7-M ARM B3.2.15 and B3.2.18).
 pub(super) fn stack_has_overflowed() -> bool {
     const STACKING: u32 = 1 << 5 | 1 << 4;
     const ADDRESS_VALID: u32 = 1 << 7;
@@ -95,7 +94,7 @@ pub(super) fn stack_has_overflowed() -> bool {
     status & STACKING != 0 || (status & ADDRESS_VALID != 0 && guard().contains(&address))
 }
 
-/// Size of the stack, and how much of it has been used at most, bytes.
+/// Size of the stack and its peak use, bytes.
 pub fn stack() -> (u32, u32) {
     let (bottom, top) = (guard().end as *const u32, addr_of!(_stack_start));
     let untouched = words(bottom, top).take_while(|word| *word == PAINT).count() as u32 * 4;

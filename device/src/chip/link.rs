@@ -26,7 +26,7 @@ pub async fn transmit(mut uart: UartTx<'static, Async>) -> ! {
     }
 }
 
-/// Reads the port; at least every 100 ms. `at_once` is what an urgent stop does before control hears of it.
+/// Reads the port, at least every 100 ms. An urgent stop calls `at_once` before control hears of it.
 pub async fn receive(
     mut uart: RingBufferedUartRx<'static>,
     identity: Identity,
@@ -53,20 +53,20 @@ pub async fn receive(
             };
             LAST_SIGN_US.store(service.heard_us(), Ordering::Relaxed);
             SESSION.store(service.session(), Ordering::Relaxed);
-            // One way out: each `await` is a copy of the state, so there are few.
+            // Send in one place: each `await` stores another copy of the state.
             let frame = match incoming {
                 Incoming::Send(frame) => Some(frame),
                 Incoming::Ask(inbound, to) => {
                     if let Inbound::Urgent(urgent) = inbound {
                         at_once(urgent);
                     }
-                    // Control has answered everything before it: nothing is overwritten.
+                    // Overwrites nothing: control has answered every earlier request.
                     REQUESTS.signal(inbound);
                     service.answer(to, &REPLIES.wait().await)
                 }
                 Incoming::Ignore => None,
             };
-            // A request that was refused keeps nothing moving.
+            // Update after the answer: a refused request does not keep a motion alive.
             LAST_SIGN_US.store(service.heard_us(), Ordering::Relaxed);
             if let Some(frame) = frame {
                 OUTBOUND.send(frame).await;

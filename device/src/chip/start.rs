@@ -1,4 +1,4 @@
-//! The chip at its start, whichever it is: time base, why it was reset, identity, watchdog.
+//! The chip's start, for any chip: time base, reset cause, identity, watchdog.
 
 use super::{
     stm32f411re::{self, TIME_DRIVER, TIME_DRIVER_INTERRUPT},
@@ -13,11 +13,11 @@ use protocol::system::{Chip, ResetCause};
 /// Speed of the serial port, baud.
 pub(super) const BAUD: u32 = 115_200;
 
-/// Longer than the longest erasure of a settings sector, 500 ms, in which no task runs.
+/// Watchdog timeout. It must exceed the longest erasure of a settings sector, 500 ms, in which no task runs.
 pub(super) const WATCHDOG_US: u32 = 800_000;
 
-/// Starts the HAL. Its time driver would count a compare flag that is raised at its initialisation as half a
-/// period, 65 ms, and the clock could step back later: the flag is cleared before the first interrupt can see it.
+/// Starts the HAL, and clears the compare flag that its initialisation raises before the first interrupt can see it.
+/// Otherwise the time driver would count it as half a period, 65 ms, and the clock could step back later.
 pub fn init_clearing_stale_flags(config: Config) -> embassy_stm32::Peripherals {
     cortex_m::interrupt::free(|_| {
         let peripherals = embassy_stm32::init(config);
@@ -27,16 +27,16 @@ pub fn init_clearing_stale_flags(config: Config) -> embassy_stm32::Peripherals {
     })
 }
 
-/// Waits until clocks that were just enabled have come to their peripherals: an access within two cycles of their bus
-/// may be lost (ES0287 2.1.6, with this remedy; a read alone was found too short on sister parts).
+/// Waits until clocks that were just enabled reach their peripherals: an access within two cycles of their bus may be
+/// lost (ES0287 2.1.6, with this remedy; a read alone was found too short on sister parts).
 pub fn let_clocks_come() {
     cortex_m::asm::dsb();
 }
 
-/// Clears what a debugger may have left: to halt at resets and at processor faults (the VC bits of DEMCR, which
-/// software may write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would stand there with the watchdog
-/// off. Whether it obeys them at all, C_DEBUGEN, only a debugger can change. So a start that has come this far is the
-/// place. After the HAL's start, whose clock the log needs.
+/// Clears the catches that a debugger may have left: halts at resets and at processor faults (the VC bits of DEMCR,
+/// which software may write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would stand there with the
+/// watchdog off. Only a debugger can change C_DEBUGEN, which enables them, so clear them at every start. Call it after
+/// the HAL's start: the log needs its clock.
 pub fn forget_catches() {
     const CATCHES: u32 = 0x7F1;
     // SAFETY: the only user of this register; a read and a write without side effects.
@@ -58,7 +58,7 @@ pub(super) fn feed() {
         .write(|w| w.set_key(pac::iwdg::vals::Key::RESET));
 }
 
-/// Why the chip was reset. Once: it clears the flags.
+/// Why the chip was reset. Call it once: it clears the flags.
 pub fn reset_cause() -> ResetCause {
     stm32f411re::reset_cause()
 }

@@ -9,11 +9,11 @@ use core::ops::Range;
 use embassy_stm32::{interrupt, pac};
 use protocol::system::{Clock, ResetCause};
 
-/// Where a stack can be: the RAM without its last two words.
+/// Range for a stack: the RAM without its last two words.
 pub(super) const RAM: Range<u32> = 0x2000_0000..0x2001_FFF8;
 
-/// Bytes between statics and stack that nobody may touch, a power of two. No frame of an image is larger, so that none
-/// steps over them: `cargo xtask images` looks.
+/// Guard between statics and stack, bytes, a power of two. It is larger than any frame of an image, so that no frame
+/// steps over it; `cargo xtask images` checks this.
 pub(super) const GUARD: u32 = 32 * 1_024;
 
 /// The timer of the HAL's time driver (a feature of the HAL in this package's manifest), and its interrupt.
@@ -35,7 +35,7 @@ pub(super) fn reset_cause() -> ResetCause {
     }
 }
 
-/// What the processor's clock is made from.
+/// Source of the processor's clock.
 pub(super) fn clock_source() -> Clock {
     let external = pac::RCC.pllcfgr().read().pllsrc() == pac::rcc::vals::Pllsrc::HSE;
     if external && pac::RCC.cr().read().hserdy() {

@@ -1,4 +1,4 @@
-//! What surrounds control on the chip.
+//! Control's surroundings, on the chip.
 
 use super::{
     channels::{LAST_SIGN_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
@@ -9,7 +9,7 @@ use core::sync::atomic::Ordering;
 use embassy_time::Instant;
 use protocol::system::{Chip, Event, What};
 
-/// A machine that is surrounded by this chip.
+/// Marks a machine's surroundings as those of this chip.
 pub trait OnChip {}
 
 impl<M: OnChip> Surroundings for M {
@@ -22,7 +22,7 @@ impl<M: OnChip> Surroundings for M {
     }
 
     fn silence_us(&self) -> u32 {
-        // Of the low 32 bits: right up to 71 minutes, then it begins again.
+        // Low 32 bits only: correct up to 71 minutes, then it wraps.
         (self.now_us() as u32).wrapping_sub(LAST_SIGN_US.load(Ordering::Relaxed))
     }
 

@@ -9,9 +9,8 @@ use protocol::{
     table::Telemetry,
 };
 
-/// Sends what `sample` makes, for ever; nothing where it makes nothing. A sample that finds the line busy is dropped, and
-/// those that come due while the processor stands or no task runs, as when flash is written, are left out; the sequence
-/// number of the next one shows the gap.
+/// Sends the samples that `sample` returns, for ever. A sample that finds the line busy is dropped. Samples due while
+/// no task runs, as during a write to flash, are left out. The next one's sequence number shows the gap.
 pub async fn run(mut sample: impl FnMut(Instant) -> Option<Telemetry>) -> ! {
     let mut seq = 0_u16;
     let mut next = Instant::now();

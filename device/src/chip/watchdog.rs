@@ -5,13 +5,13 @@ use crate::supervision::{CHECK_IN_MS, Client};
 use embassy_stm32::{peripherals, wdg::IndependentWatchdog};
 use embassy_time::{Duration, Ticker};
 
-/// How often each client checks in at least.
+/// Longest time between two check-ins of a client.
 pub const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 
-/// Five rounds fit into the watchdog's 800 ms.
+/// Interval of the watchdog's task: five rounds fit into the watchdog's 800 ms.
 const ROUND: Duration = Duration::from_millis(150);
 
-/// To be called in every round of a client's loop. Not inlined: the virtual bench lets tasks hang here.
+/// Call it in every round of a client's loop. Not inlined: the virtual bench lets tasks hang here.
 #[inline(never)]
 pub fn check_in(client: Client) {
     CHECK_INS.note(client);

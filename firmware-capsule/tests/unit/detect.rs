@@ -1,4 +1,4 @@
-//! What one leg's readings mean, reading by reading.
+//! Detection within a leg, reading by reading.
 
 use super::*;
 
@@ -34,7 +34,7 @@ impl Feed {
         }
     }
 
-    /// A millisecond with so many counts in the direction of the leg.
+    /// A millisecond with `counts` counts in the direction of the leg.
     fn step(&mut self, counts: i32) -> Result<Load, Trip> {
         self.now_us += 1_000;
         let along = self.spooling.along(counts);
@@ -89,7 +89,7 @@ fn the_end_force_is_a_mean_of_8_readings_above_the_no_load_current() {
     let mut feed = Feed::at_speed(Spooling::Wind, 5);
     feed.draws(NO_LOAD_MA + force_ma() - 1, 170);
     assert!((0..100).all(|_| feed.step(5).is_ok_and(|load| !load.end_force)));
-    // A motor that accelerates draws as much.
+    // An accelerating motor draws as much.
     let mut feed = Feed::new(Spooling::Wind);
     feed.draws(200, 220);
     let after_ms = (1..60).find(|_| feed.step(5).is_ok_and(|load| load.end_force));
@@ -136,7 +136,7 @@ fn a_motor_that_becomes_slower_is_not_struck() {
     assert!(feed.step(6).is_ok_and(|load| load.struck));
 }
 
-/// 2 counts/ms more than 12 ms before are 166,700 counts/s2, 39 mA.
+/// A gain of 2 counts/ms in 12 ms is 166,700 counts/s2: 39 mA.
 #[test]
 fn what_makes_the_motor_faster_does_not_pull_at_the_thread() {
     for (pull_ma, found) in [(force_ma() + 36, false), (force_ma() + 42, true)] {
@@ -155,7 +155,7 @@ fn counts_that_end_at_once_are_an_encoder_and_counts_that_fade_are_none() {
             let mut feed = Feed::at_speed(spooling, counts);
             assert!(feed.step(counts / 2).is_ok(), "within a millisecond");
             assert_eq!(feed.until_trip(10, 0), Some((3, Trip::EncoderLost)));
-            // One line: it flickers on the spot.
+            // Only one line works: the count flickers in place.
             let mut feed = Feed::at_speed(spooling, counts);
             assert!(feed.step(0).is_ok());
             let flicker = [1, -1, 1, -1];
@@ -176,7 +176,7 @@ fn counts_that_end_at_once_are_an_encoder_and_counts_that_fade_are_none() {
     }
 }
 
-/// Slow, with 105 mA above the no-load current, then slower by a fifth and more.
+/// A slow motor with 105 mA above the no-load current, then slower by a fifth and more.
 fn slowed_to(counts: i32, ordered_ma: u16) -> Load {
     let mut feed = Feed::at_speed(Spooling::Wind, 6);
     feed.draws(NO_LOAD_MA + 105, 130);
@@ -196,7 +196,7 @@ fn a_loaded_motor_that_becomes_slower_has_met_its_end_unless_it_was_ordered_to()
     assert!(!slowed_to(1, 140).end_force, "no motor stops so fast");
 }
 
-/// The encoder of a slow motor is lost: the speed loop orders more and more, and the motor draws less than that.
+/// A slow motor loses its encoder: the speed loop orders more and more current, and the motor draws less than that.
 #[test]
 fn an_end_force_without_counts_is_a_lost_encoder_if_the_motor_turns() {
     for (current_ma, expected) in [(168, Err(Trip::EncoderLost)), (172, Ok(true))] {
@@ -223,7 +223,7 @@ fn counts_the_wrong_way_are_an_encoder() {
     }
 }
 
-/// Name of a motor that was never seen to move, after 40 ms.
+/// The fault of a motor that was never seen to move, after 40 ms.
 fn standing(current_ma: u16, ordered_ma: u16, battery_mv: u16) -> Option<(u32, Trip)> {
     let mut feed = Feed::new(Spooling::Wind);
     feed.draws(current_ma, ordered_ma);
@@ -262,7 +262,7 @@ fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
         assert_eq!(trip, name);
         assert!((24..40).contains(&ms), "{ms} ms");
     }
-    // Coasting to zero is ordered to draw next to nothing.
+    // A motor coasting to zero is ordered to draw next to nothing.
     let mut feed = Feed::at_speed(Spooling::PayOut, 11);
     feed.draws(0, 11);
     assert_eq!(feed.until_trip(300, 5), None);
@@ -306,7 +306,7 @@ fn battery_and_driver_are_debounced() {
     assert_eq!(feed.until_trip(50, 11), Some((4, Trip::Driver)));
 }
 
-/// A weak cell takes the supply of the chip with it, the drive ends, and the cell is back before the sag has lasted.
+/// A weak cell pulls the chip's supply down, the drive ends, and the cell recovers before the sag has lasted.
 #[test]
 fn a_cell_that_collapses_again_and_again_is_low() {
     for (on_its_way_mv, told_mv) in [(None, 2_000), (Some(2_350), 2_350)] {
@@ -314,7 +314,7 @@ fn a_cell_that_collapses_again_and_again_is_low() {
         let whole_mv = feed.sample.battery_mv;
         feed.draws(0, 40);
         for collapse in 1..=5 {
-            // What is measured below 2 V means nothing, and is not told.
+            // A voltage measured below 2 V is meaningless, and is not reported.
             feed.sample.battery_mv = [0, 1_999, 0, 1_200, 0][collapse - 1];
             let trip = feed.until_trip(1, 11);
             let low = Some((
@@ -332,7 +332,7 @@ fn a_cell_that_collapses_again_and_again_is_low() {
     }
 }
 
-/// A clock that stands makes no speed, and divides by nothing.
+/// A clock that stands still gives no speed, and no division by zero.
 #[test]
 fn readings_without_time_trip_nothing_and_overflow_nothing() {
     let mut feed = Feed::new(Spooling::Wind);

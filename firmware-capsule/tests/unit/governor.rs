@@ -1,4 +1,4 @@
-//! What the speed loop asks for.
+//! Output of the speed loop.
 
 use super::*;
 
@@ -8,7 +8,7 @@ const FAST: Aim = Aim {
     held_ma: 220,
 };
 
-/// A motor at standstill is given the limit as a voltage over its resistance, whatever the battery has.
+/// A motor at standstill gets the current limit times its resistance as voltage, at any battery voltage.
 #[test]
 fn the_first_pulse_is_bounded_by_the_current() {
     for battery_mv in [2_900, 3_700, 4_200] {
@@ -82,7 +82,7 @@ fn the_current_is_bounded_by_the_least_speed() {
     assert!(stopped * 2 < steady, "{stopped} of {steady} mV");
 }
 
-/// The speed is a mean over 3 ms, so a motor that is being shorted is slower than it says.
+/// The measured speed is a mean over 3 ms, so a motor that is being shorted is slower than measured.
 #[test]
 fn a_motor_that_is_being_braked_is_not_braked_too_long() {
     for (braked_ms, cps, brakes) in [
@@ -126,8 +126,8 @@ fn what_needs_more_than_is_held_is_moved_more_slowly() {
     assert_eq!(governor.ordered_ma(), Some(220), "all is held");
 }
 
-/// What the battery cannot give does not wind up: as soon as a motor that was below its aim is above it, it is given less
-/// than what held it.
+/// The speed loop does not wind up on an empty battery: as soon as a motor that was too slow is too fast, it gets less
+/// than the drive that held it.
 #[test]
 fn a_motor_that_the_battery_cannot_speed_up_is_slowed_down_at_once() {
     let mut governor = Governor::default();

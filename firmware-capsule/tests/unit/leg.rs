@@ -1,4 +1,4 @@
-//! Where each leg ends, and how fast it is there.
+//! End position of each leg, and the speed there.
 
 use super::*;
 
@@ -152,7 +152,8 @@ fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
     );
 }
 
-/// Something soft in the way raises the force along a line: the rise from half may be the origami's, that from a quarter is not.
+/// Something soft in the way raises the force along a line. A rise from half the force may be the origami's; one from
+/// a quarter is not.
 #[test]
 fn a_rise_along_a_line_is_no_origami() {
     for (half, quarter, right) in [
@@ -223,7 +224,7 @@ fn what_is_felt_decides_what_follows() {
 #[test]
 fn a_short_rise_is_tried_again_by_a_reference_only() {
     let at = after(ORIGIN, 20_000);
-    // As long a rise from a quarter as the origami's.
+    // The rise from a quarter is as long as the origami's.
     let risen = |um: i32| Load {
         rise_from: Some(Counts(at.0 - Thread(um).counts().0)),
         long_rise_from: Some(Counts(at.0 - Thread(um * 22 / 10).counts().0)),
@@ -294,8 +295,8 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
     );
 }
 
-/// Wherever the power is cut, friction alone stops the motor before zero: with 4,200 counts/s2 per mA, and a
-/// quarter less than that.
+/// Wherever the power is cut, friction alone stops the motor before zero: with 4,200 counts/s2 per mA, and with a
+/// quarter less.
 #[test]
 fn paying_out_is_never_faster_than_friction_stops() {
     let leg = Leg::PayOut {

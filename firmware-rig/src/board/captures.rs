@@ -13,12 +13,12 @@ use core::{
 };
 use embassy_stm32::pac::{self, DMA1, TIM5, timer::regs::SrGp16};
 
-/// 4 ms at the highest step rate; motion looks every 2.5 ms.
+/// Size of the capture ring: 4 ms at the highest step rate. Motion reads it every 2.5 ms.
 const INSTANTS: usize = 1_024;
 const STREAM: usize = 4;
 /// TIM5_CH2 (RM0383 table 27).
 const DMA_CHANNEL: u8 = 6;
-/// Of channels 1 and 2, and in their common registers.
+/// Channel 2's index in the registers that channels 1 and 2 share.
 const CHANNEL: usize = 1;
 
 #[repr(C, align(4))]
@@ -31,9 +31,9 @@ static RING: Ring = Ring(UnsafeCell::new([0; INSTANTS]));
 pub struct Captures {
     /// The instant to be read next.
     next: usize,
-    /// Instants from there on that have been captured.
+    /// Captured instants from there on.
     unread: usize,
-    /// The ring's end was passed, and its flag had not been raised yet.
+    /// DMA has passed the ring's end, but its flag was not raised yet.
     flag_to_come: bool,
 }
 
@@ -57,7 +57,7 @@ impl Captures {
         }
     }
 
-    /// Forgets the instants so far.
+    /// Drops all instants captured so far.
     pub fn skip(&mut self) {
         let mut written = written();
         is_overcaptured();
@@ -73,8 +73,8 @@ impl Captures {
         };
     }
 
-    /// Fills `instants` with those that were not taken yet, and returns how many. None if some have been overwritten,
-    /// in the ring or in the capture register, or if DMA has stopped.
+    /// Fills `instants` with unread ones, and returns how many. None if some have been overwritten, in the ring or in
+    /// the capture register, or if DMA has stopped.
     pub fn take(&mut self, instants: &mut [u32]) -> Option<usize> {
         let Written {
             end,
@@ -130,11 +130,11 @@ fn start_stream() {
     stream.cr().modify(|w| w.set_en(true));
 }
 
-/// Where DMA is, and what it has done since the last look.
+/// DMA's progress since the last look.
 struct Written {
-    /// The instant that it writes next.
+    /// Index of the instant that DMA writes next.
     end: usize,
-    /// It has come to the ring's end.
+    /// DMA has reached the ring's end.
     at_end: bool,
     /// An error of a transfer has switched the stream off.
     stopped: bool,

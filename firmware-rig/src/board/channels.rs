@@ -52,7 +52,7 @@ pub static TIMER_RESETS: AtomicU32 = AtomicU32::new(0);
 /// EN was high before the firmware drove it. Set at the start.
 pub static ENABLE_HIGH_AT_START: AtomicBool = AtomicBool::new(false);
 
-/// [`Intervals`] for other tasks.
+/// [`Intervals`] in atomics, so that other tasks can read them.
 pub struct CapturedIntervals([AtomicU32; 4]);
 
 impl CapturedIntervals {
@@ -60,7 +60,7 @@ impl CapturedIntervals {
         Self([const { AtomicU32::new(0) }; 4])
     }
 
-    /// What has been compared so far.
+    /// Publishes the counts of the comparison.
     pub fn show(&self, Intervals { exact, off }: Intervals) {
         for (shown, count) in self.0.iter().zip([exact, off[0], off[1], off[2]]) {
             shown.store(count, Ordering::Relaxed);
@@ -89,19 +89,19 @@ impl Glitches {
         }
     }
 
-    /// One more.
+    /// Counts a false pulse and notes its time.
     pub fn add(&self) {
         self.count.fetch_add(1, Ordering::Relaxed);
         let now = Instant::now().as_micros() as u32;
         self.last_us.store(now, Ordering::Relaxed);
     }
 
-    /// The line was masked once more.
+    /// Counts a masking of the line.
     pub fn add_masking(&self) {
         self.masked.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// As on the wire.
+    /// The counts as sent to the host.
     pub fn get(&self) -> protocol::rig::Glitches {
         protocol::rig::Glitches {
             count: self.count.load(Ordering::Relaxed),

@@ -1,4 +1,4 @@
-//! What happens when the 8 MHz clock stops.
+//! Reacts to a stop of the 8 MHz clock.
 
 #![allow(unsafe_code)]
 
@@ -12,7 +12,7 @@ unsafe fn NonMaskableInt() -> ! {
     clock_failed()
 }
 
-/// Switches everything off and starts again; the next start says why.
+/// Switches everything off and resets the chip; the next start reports why.
 pub fn clock_failed() -> ! {
     pins::outputs_off();
     die_of_the_clock()

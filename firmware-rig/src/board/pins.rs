@@ -1,6 +1,6 @@
 //! Pins, clocks, timers and interrupts of the rig; the only file that sets them up.
 //!
-//! Which signal is at which pin is [`wiring::rig`].
+//! [`wiring::rig`] assigns the signals to the pins.
 //!
 //! Step timer: TIM1 with DMA2 stream 5 channel 6 (RM0383 table 28). Time driver: TIM4. All inputs have pull-ups:
 //! an open contact and a cut wire read the same, high.
@@ -34,7 +34,7 @@ use wiring::{
 const AF_TIMER: u8 = 1;
 const AF_CAPTURE: u8 = 2;
 
-/// What the tasks own.
+/// Peripherals that the tasks own.
 pub struct Board {
     /// Link.
     pub serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
@@ -46,9 +46,9 @@ pub struct Board {
     pub sectors: Sectors,
 }
 
-/// Driver off and no step: EN high, DIR and STEP low. Before anything else: until then the driver's own resistor decides, a
-/// DRV8825's means "on", and the clocks may take long to come. The HAL enables the ports once more and does not reset
-/// them. Registers only.
+/// Driver off and no step: EN high, DIR and STEP low. Call it before anything else. Until then the driver's own
+/// resistor decides, which on a DRV8825 means "on", and the clocks may take long to start. The HAL later enables the
+/// ports once more, but does not reset them. Registers only.
 pub fn make_outputs_safe() {
     use pac::gpio::vals::Moder;
     pac::RCC.ahb1enr().modify(|w| {
@@ -122,12 +122,12 @@ fn clocks(source: Clock) -> Config {
     config
 }
 
-/// Prefetch and instruction cache on (RM0383 section 3.4.2); the HAL sets the wait states only. Without them code runs from
-/// flash with three wait states for every eight half-words, and prefetch off is also a condition of the erratum on a WFE
-/// with wait states (docs/silicon.md).
+/// Switches prefetch and instruction cache on (RM0383 section 3.4.2); the HAL sets the wait states only. Without them
+/// code runs from flash with three wait states for every eight half-words. Prefetch off is also a condition of the
+/// erratum on a WFE with wait states (docs/silicon.md).
 ///
-/// The data cache stays off: it keeps what it has read, and nobody flushes it after the settings were written. Code is
-/// never written, so the instruction cache needs no flush but this one, which it takes only while it is off.
+/// The data cache stays off: nothing flushes it after the settings are written, so it would return stale data. Code is
+/// never written, so the instruction cache needs one flush only, here, where it is still off.
 fn accelerate_flash() {
     let acr = pac::FLASH.acr();
     acr.modify(|w| {
@@ -145,14 +145,14 @@ fn accelerate_flash() {
 /// A debugger that halts the core stops TIM1 and switches its outputs off as MOE = 0 does (RM0383 section 23.16.5), so
 /// that the prepared steps do not play out behind its back.
 ///
-/// The watchdog goes on. A halt is the end of the motion: its reset switches the driver off within 1.5 s and is latched
-/// as a fault. Frozen, it would leave the driver on for as long as the debugger or its cable takes, and the steps would go
-/// on at full speed when the core does. TIM4 goes on with it: the time of the halt has passed.
+/// The watchdog keeps running, so a halt ends the motion: the watchdog's reset switches the driver off within 1.5 s
+/// and is latched as a fault. A frozen watchdog would leave the driver on for as long as the halt lasts, and the steps
+/// would continue at full speed afterwards. TIM4 keeps running too, so that device time includes the halt.
 fn stop_pulses_while_halted() {
     pac::DBGMCU.apb2fzr().modify(|w| w.set_tim1(true));
 }
 
-/// What the HAL does not drive for us.
+/// Enables the clocks of the peripherals that are used without the HAL.
 fn enable_peripherals() {
     pac::RCC.ahb1enr().modify(|w| {
         w.set_gpioaen(true);
@@ -222,7 +222,7 @@ pub const HOME_LINE: usize = HOME_FLAG.number;
 /// EXTI line of the far limit.
 pub const FAR_LINE: usize = FAR_LIMIT.number;
 
-/// What has other names below: those of the HAL, and the ports that the switches' EXTI lines select.
+/// Ties `wiring::rig` to the names used below: the HAL's pins, and the ports that the switches' EXTI lines select.
 const _: () = assert!(
     LED.is('A', 5)
         && SERIAL[0].is('A', 2)
@@ -258,14 +258,15 @@ fn is_high(pin: Pin) -> bool {
     port(pin).idr().read().idr(pin.number) == pac::gpio::vals::Idr::HIGH
 }
 
-/// The break before everything; then the time base at 2 (the switch filter reads it), the switches, the step ring's
-/// producer. The serial port is below at 7.
+/// Highest first: the break, the time base at 2 (the switch filter reads it), the switches, the step ring's producer.
+/// The serial port stays below, at 7.
 fn configure_priorities() {
     interrupt::TIM1_BRK_TIM9.set_priority(Priority::P1);
     interrupt::EXTI9_5.set_priority(Priority::P3);
     interrupt::DMA2_STREAM5.set_priority(Priority::P4);
     interrupt::SPI5.set_priority(Priority::P6);
-    // SAFETY: the handlers are in `switches.rs` and `step_generator.rs`; nothing they use is initialised later than this.
+    // SAFETY: the handlers are in `switches.rs` and `step_generator.rs`; nothing they use is initialised later than
+    // this.
     unsafe {
         interrupt::EXTI9_5.enable();
     }
@@ -297,7 +298,7 @@ pub fn set_direction(direction: Direction) {
     set(DIR, direction == Direction::Away);
 }
 
-/// DIR as it is set.
+/// DIR's present output level.
 pub fn direction() -> Direction {
     match port(DIR).odr().read().odr(DIR.number) {
         pac::gpio::vals::Odr::HIGH => Direction::Away,

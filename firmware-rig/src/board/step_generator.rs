@@ -48,7 +48,7 @@ use motion::{
 const SLOTS: usize = 128;
 const WORDS: usize = 5;
 const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
-/// Never more than this many periods wait in the ring; the rest keeps the zero slot away from the reader.
+/// Most periods that may wait in the ring. The remaining slots keep the zero slot away from the reader.
 const MAX_QUEUE: i32 = SLOTS as i32 - 4;
 /// Width of the sync pulse, 50 us, or as long as the period.
 const SYNC_TICKS: u32 = 5_000;
@@ -61,15 +61,15 @@ const MOE_READS: u32 = 16;
 const FETCH_READS: u32 = 1_000;
 /// DCR.DBA of ARR: register offset 0x2C / 4.
 const DBA_ARR: u8 = 11;
-/// How long a request of the timer may take to its first transfer; about 0.5 us is expected. 2 us at 100 MHz.
+/// Longest time from a timer request to its first transfer: 2 us at 100 MHz. About 0.5 us is expected.
 const REQUEST_CYCLES: u32 = 200;
-/// Waits of this length that are longer than any burst, together.
+/// Waits of `REQUEST_CYCLES` before giving up on a burst. Together they are longer than any burst.
 const BURST_WAITS: u32 = 50;
-/// The stream stops within some cycles of the bus, or never.
+/// Reads before giving up on a stream that should stop: it stops within some bus cycles, or never.
 const STREAM_READS: u32 = 1_000;
-/// Cutting the pulses takes less than 1 us.
+/// Ticks reserved for cutting the pulses, 1 us; it takes less.
 const CUT_TICKS: i32 = 100;
-/// Looks at STEP that take longer than any pulse.
+/// Reads of STEP before giving up on the end of a pulse. They take longer than any pulse.
 const PULSE_READS: u32 = 2_000;
 /// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
 const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
@@ -90,7 +90,7 @@ pub struct StepGenerator {
     read_slot: u32,
     running: bool,
     captures: Captures,
-    /// Where they are taken out to.
+    /// Buffer for the captures of one look.
     instants: [u32; EDGES_PER_LOOK as usize],
     timing: EdgeTiming,
     /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
@@ -139,8 +139,8 @@ impl StepGenerator {
         self.line.given().wrapping_sub(self.fetched) as i32
     }
 
-    /// Cuts the pulses, but none in its middle: one that is shorter than the read-back's filter would be an edge at
-    /// the pin and none in the count. What stops at once, E-stop and limits, has cut them before.
+    /// Cuts the pulses between two of them. A pulse shortened below the read-back's filter would be an edge at the pin
+    /// that the counter misses. E-stop and limits do not wait for this: they have cut the pulses before.
     fn cut_between_pulses(&mut self) {
         for _ in 0..PULSE_READS {
             let cut = cortex_m::interrupt::free(|_| {
@@ -149,7 +149,8 @@ impl StepGenerator {
                 // SAFETY: a word of a slot; only this generator writes it.
                 let last_tick = unsafe { words(slot).read_volatile() };
                 let left = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
-                // No pulse begins before the outputs are off: it is not so near, or the counter is blocked or stands.
+                // Safe to cut: the next pulse is too far away to begin before the outputs are off, or the counter is
+                // blocked.
                 let none_begins = left > CUT_TICKS || last_tick == 0;
                 let cut = none_begins && !pins::step_is_high();
                 if cut {
@@ -164,21 +165,21 @@ impl StepGenerator {
         pins::cut_pulses();
     }
 
-    /// Whether a period could still be appended for certain.
+    /// Whether there is certainly time left to append a period.
     fn is_in_time(&self) -> bool {
         !self.running || self.queue() >= 2
     }
 
-    /// Shows the reader `count` slots from `first` on, which were written but for the first word of the first one: a
-    /// half-written slot that the reader takes all the same stops the counter.
+    /// Publishes `count` slots from `first` on by writing the first word of the first one; all other words are written
+    /// before. If DMA fetches a half-written slot anyway, its zero stops the counter.
     fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
         compiler_fence(Ordering::SeqCst);
         // SAFETY: as in `end_slot`.
         unsafe { words(first).write_volatile(last_tick) };
         compiler_fence(Ordering::SeqCst);
         self.update();
-        // With no other slot in the queue the one before these has been fetched, and with its last word the first one
-        // of these: perhaps still as the zero that stops the counter.
+        // If no other slot is queued, DMA has fetched the slot before these, and prefetched the first word of the
+        // first one: perhaps still the zero that stops the counter.
         if self.running && self.queue() <= count {
             return Err(Underrun);
         }
@@ -243,7 +244,7 @@ impl Ring for StepGenerator {
         let (mut slot, pulse) = (first, self.pulse_ticks);
         for steps in groups {
             let words = words(slot);
-            // Neither wraps: there is no group of no steps, and no step of no ticks.
+            // Neither subtraction wraps: a group has at least one step, a step at least one tick.
             write_slot(words, steps.steps.wrapping_sub(1) as u16, 0, pulse);
             if slot != first {
                 // SAFETY: as in `end_slot`.
@@ -331,7 +332,7 @@ impl Ring for StepGenerator {
         TIM1.bdtr().modify(|w| w.set_moe(true));
         // MOE reads back right only after a resynchronisation of some clocks (RM0383 section 12.3.12).
         let armed = (0..MOE_READS).any(|_| is_armed());
-        // An opening that is over has left its flag.
+        // A past opening still shows in the break flag.
         if !armed || TIM1.sr().read().bif(0) {
             self.halt();
             return Err(StartError::LoopOpen);
@@ -344,8 +345,7 @@ impl Ring for StepGenerator {
     fn halt(&mut self) {
         self.cut_between_pulses();
         TIM1.cr1().modify(|w| w.set_cen(false));
-        // Without its request a burst would end in its middle, and the timer may go on there with the next path's
-        // words.
+        // A burst without its request would end halfway, and the timer might continue it with the next path's words.
         let whole = burst_is_whole();
         enable_requests(false);
         DMA2.st(STREAM).cr().modify(|w| w.set_en(false));
@@ -441,8 +441,8 @@ fn restart_timer() {
     rearm_loop();
 }
 
-/// The burst in progress has been transferred as a whole: then the stream stands between two slots, and stays there for
-/// longer than a request needs. False if it does not come to that.
+/// Waits until the burst in progress is complete: the stream then stands between two slots for longer than a request
+/// needs. False if that does not happen.
 fn burst_is_whole() -> bool {
     let between_slots = || u32::from(DMA2.st(STREAM).ndtr().read().ndt()) % WORDS as u32 == 0;
     (0..BURST_WAITS).any(|_| {
@@ -466,7 +466,7 @@ fn end_slot(slot: u32) {
     compiler_fence(Ordering::SeqCst);
 }
 
-/// Writes all words of a slot but the first, ARR: RCR, CCR1, CCR3; there is no second channel (CCR2).
+/// Writes all words of a slot except the first (ARR): RCR, CCR1, CCR3. CCR2 is unused.
 // Once per step: inline, although the image is optimised for size.
 #[inline(always)]
 fn write_slot(words: *mut u16, repeats: u16, sync: u16, pulse: u16) {
@@ -478,7 +478,7 @@ fn write_slot(words: *mut u16, repeats: u16, sync: u16, pulse: u16) {
     }
 }
 
-/// The first word of a slot, which may be one beyond the last and then is the first again.
+/// The first word of a slot. Slot numbers wrap at the end of the ring.
 #[inline]
 fn words(slot: u32) -> *mut u16 {
     let slots = RING.0.get().cast::<[u16; WORDS]>();
@@ -508,28 +508,29 @@ fn DMA2_STREAM5() {
 /// The E-stop loop opened, or the clock security broke the timer; the hardware has already cleared MOE.
 #[pac::interrupt]
 fn TIM1_BRK_TIM9() {
-    // The NMI says so first; this is for the case that it is missed.
+    // Normally the NMI reports this first. Check here in case it is missed.
     if pac::RCC.cir().read().cssf() {
         clock_failed();
     }
-    // The flag stays: it keeps everything from starting until somebody acknowledges. No more interrupts until then.
+    // Keep the flag: it blocks every start until the fault is acknowledged. Mask the interrupt until then.
     enable_break_interrupt(false);
     channels::pulses_were_cut(Event::LoopOpened);
 }
 
-/// Forgets that the loop was open. If it still is, that is noticed at once.
+/// Clears the latch of the E-stop loop. A loop that is still open is noticed at once.
 pub fn rearm_loop() {
     TIM1.sr()
         .write_value(pac::timer::regs::SrAdv(!ALL_BUT_BREAK.0));
     enable_break_interrupt(true);
 }
 
-/// The break's bit in DIER, which motion, control and the break's handler change beside the one below.
+/// Switches the break interrupt. Its bit shares DIER with that of `enable_requests`; motion, control and the break's
+/// handler all change the register.
 fn enable_break_interrupt(on: bool) {
     cortex_m::interrupt::free(|_| TIM1.dier().modify(|w| w.set_bie(on)));
 }
 
-/// The timer asks DMA for its next words.
+/// Switches the timer's DMA requests.
 fn enable_requests(on: bool) {
     cortex_m::interrupt::free(|_| TIM1.dier().modify(|w| w.set_ude(on)));
 }

@@ -1,9 +1,9 @@
 //! Home flag and far limit: filtered in the interrupt that their edges raise.
 //!
-//! The handler samples the contact for 21 us (a setting) after the edge. Shorter pulses (electrical noise of the motor) are
-//! counted and have no effect; a contact that stays open stops the pulses 21 us after its edge, within 50 us at the
-//! longest setting and two sampling windows. A pulse that ends and begins again raises the next interrupt, but a noisy line
-//! only so often: then it is masked for a millisecond, so that it starves neither motion nor link.
+//! The handler samples the contact for 21 us (a setting) after the edge. It counts shorter pulses (electrical noise of
+//! the motor), which have no effect. A contact that stays open stops the pulses 21 us after its edge, within 50 us at
+//! the longest setting and two sampling windows. A pulse that ends and begins again raises the next interrupt. A line
+//! that does so too often is masked for a millisecond, so that it starves neither motion nor link.
 
 #![allow(unsafe_code)]
 
@@ -38,7 +38,7 @@ struct Watch {
     services: AtomicU32,
     masked_since_us: AtomicU32,
     maskings: AtomicU32,
-    /// The line is masked since then.
+    /// When the line was masked.
     masked_at_us: AtomicU32,
     is_masked: AtomicBool,
 }
@@ -56,7 +56,7 @@ impl Watch {
         }
     }
 
-    /// Notes a service; masks the line if there were too many. True if it had to be masked too often.
+    /// Counts a service, and masks the line after too many. True if it had to be masked too often.
     fn serve(&self) -> bool {
         if count_within(&self.since_us, &self.services, 1_000) <= SERVICES_PER_MS {
             return false;
@@ -67,9 +67,9 @@ impl Watch {
         count_within(&self.masked_since_us, &self.maskings, 100_000) > MASKINGS_PER_100_MS
     }
 
-    /// Watches the line again when its time is over, beginning with a look at its level.
+    /// Unmasks the line when its time is over, and first checks its level.
     fn unmask_when_due(&self) {
-        // Asked in every round of motion, and hardly ever masked: the clock costs more than the question.
+        // Check this first: every round of motion asks, the line is rarely masked, and reading the clock costs more.
         if !self.is_masked.load(Ordering::Acquire) {
             return;
         }
@@ -88,7 +88,8 @@ impl Watch {
 /// Home flag and far limit, in the order of [`channels::GLITCHES`].
 static WATCHES: [Watch; 2] = [Watch::new(HOME_LINE), Watch::new(FAR_LINE)];
 
-/// The home flag had no level at its last service, and where the carriage was at the first edge of that. Of the interrupt.
+/// The home flag had no level at its last service, and where the carriage was at that first edge. Used by the
+/// interrupt only.
 static BOUNCING: AtomicBool = AtomicBool::new(false);
 static FIRST_EDGE: AtomicI32 = AtomicI32::new(0);
 
@@ -96,7 +97,7 @@ fn now_us() -> u32 {
     Instant::now().as_micros() as u32
 }
 
-/// How many there were since a window of this length began, this one included.
+/// Counts events within a window of this length, this one included.
 fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 {
     let now_us = now_us();
     let mut number = count.load(Ordering::Relaxed);
@@ -108,7 +109,7 @@ fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 
     number + 1
 }
 
-/// Watches noisy lines again whose time is over. Every 10 ms, and every 2.5 ms while something moves.
+/// Unmasks noisy lines whose time is over. Called every 10 ms, and every 2.5 ms while something moves.
 pub fn tend() {
     WATCHES.iter().for_each(Watch::unmask_when_due);
 }
@@ -121,7 +122,7 @@ fn EXTI9_5() {
     let pending = pac::exti::regs::Lines(EXTI.pr(0).read().0 & EXTI.imr(0).read().0);
     if pending.line(FAR_LINE) {
         let level = settle(FAR_LINE, 1, false, || pins::inputs().far_limit);
-        // Without a level it counts as open: the safe side.
+        // A contact without a level counts as open: the safe side.
         if level.unwrap_or(true) && pins::direction() == Direction::Away {
             let armed = step_generator::is_armed();
             pins::cut_pulses();
@@ -134,7 +135,7 @@ fn EXTI9_5() {
     if pending.line(HOME_LINE) {
         let before = channels::HOME_FLAG_OPEN.load(Ordering::Relaxed);
         let level = settle(HOME_LINE, 0, before, || pins::inputs().home_flag);
-        // While it bounces it has no level. When it has one again, the first of these edges is the one to measure by.
+        // A bouncing flag has no level. Once it settles, the first of its edges is the position to use.
         let bounces = BOUNCING.swap(level.is_none(), Ordering::Relaxed);
         if !bounces {
             FIRST_EDGE.store(count.0, Ordering::Relaxed);
@@ -159,16 +160,16 @@ fn watch(index: usize, switch: Switch) {
     }
 }
 
-/// Samples a contact until it keeps its level for a whole window; counts the pulses that did not last. None if it does
-/// not come to rest.
+/// Samples a contact until it keeps its level for a whole window. Counts the pulses that did not last. None if the
+/// contact does not settle.
 fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -> Option<bool> {
     let window_us = u64::from(channels::SWITCH_FILTER_US.load(Ordering::Relaxed));
     for window in 0..WINDOWS {
         EXTI.pr(0).write(|w| w.set_line(line, true));
         let first = level();
         let start = Instant::now();
-        // The time first, then the level: who is interrupted between them must not believe a level that he has not
-        // seen at the window's end.
+        // Read the time first, then the level: an interruption in between must not end the window before its last
+        // level is read.
         let steady = loop {
             let is_over = start.elapsed().as_micros() >= window_us;
             let same = level() == first;

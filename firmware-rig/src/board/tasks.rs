@@ -54,7 +54,7 @@ pub async fn motion(mut generator: StepGenerator) -> ! {
     loop {
         check_in(Client::Motion);
         let wait = Duration::from_micros(motion.pace().within_us());
-        // Either way there is something to do.
+        // Run a round after a time-out as well as after a wake-up.
         let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
         switches::tend();
         motion.round(&mut generator, &mut MotionMailbox);
@@ -92,7 +92,7 @@ impl control::Rig for Rig {
         Now {
             time_us: Instant::now().as_micros(),
             position: step_generator::counted(),
-            // The home flag as filtered: one glitch must not choose how homing begins.
+            // Use the filtered home flag: one glitch must not choose how homing begins.
             inputs: RigInputs {
                 home_flag: HOME_FLAG_OPEN.load(Ordering::Relaxed),
                 ..pins::inputs()
@@ -185,7 +185,7 @@ pub async fn transmit(uart: UartTx<'static, Async>) -> ! {
 /// Reads the port; at least every 100 ms.
 #[embassy_executor::task]
 pub async fn receive(uart: RingBufferedUartRx<'static>, identity: Identity) -> ! {
-    // The pulses end before control latches the fault.
+    // Cut the pulses at once; control latches the fault later.
     let at_once = |urgent| {
         if urgent == Urgent::EStop {
             pins::cut_pulses();

@@ -12,7 +12,7 @@ use protocol::{
     rig::{HomingPhase, LinkLossPolicy, RigEvent, RigFault},
 };
 
-/// What homing knows so far.
+/// Homing in progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Homing {
     pub(super) phase: HomingPhase,
@@ -22,13 +22,13 @@ pub(super) struct Homing {
     seek: Option<StepPosition>,
     /// Flag edge of the second pass.
     locate: Option<StepPosition>,
-    /// The flag by its filtered edges: one look at the pin could meet a glitch.
+    /// State of the flag from its filtered edges. A single look at the pin could meet a glitch.
     flag_open: bool,
     /// The position was trusted when homing began.
     was_homed: bool,
-    /// Second pass against the first, steps.
+    /// Second pass minus the first, steps.
     repeat: i32,
-    /// The reference against the one before, steps.
+    /// New reference minus the previous one, steps.
     shift: i32,
 }
 
@@ -88,7 +88,7 @@ impl Machine {
             // The flag reaches from its edge to the end of travel on the home side.
             HomingPhase::Clear => (Direction::Away, flag + overtravel, settings.locate_um_s * 2),
             HomingPhase::Seek => {
-                // From a known position, no farther than needed.
+                // If the position is known, travel no farther than needed.
                 let from = if !homing.was_homed {
                     settings.axis.stroke_steps().0
                 } else if position > StepPosition::HOME {
@@ -118,7 +118,7 @@ impl Machine {
         });
         let end = position.moved(direction, Steps(distance));
         let (Some(profile), Some(end)) = (profile, end) else {
-            // Only with settings that no validator would pass.
+            // Happens only with settings that the validator refuses.
             return self.latch(RigFault::FlagNotFound(homing.phase), actions);
         };
         self.state = State::Homing(homing);
@@ -144,7 +144,7 @@ impl Machine {
         actions: &mut Actions,
     ) {
         let missing = match homing.phase {
-            // The edge that was found may be that of the cable.
+            // The edge may come from unplugging the cable.
             _ if now.inputs.home_flag && now.inputs.far_limit => Some(RigFault::BothSwitchesOpen),
             HomingPhase::Clear | HomingPhase::PullOff => {
                 homing.flag_open.then_some(RigFault::FlagStuck)

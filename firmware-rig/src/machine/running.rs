@@ -179,7 +179,8 @@ impl Machine {
         }
         let residual = count.since(self.settings.flag);
         let lost = residual.unsigned_abs() > self.settings.ledger_limit_steps;
-        // At rest the flag may open a moment late. Far from its edge, someone moved the carriage.
+        // At rest, the flag may open a moment late: accept an edge near the expected position. Farther away, someone
+        // moved the carriage: ignore it.
         if lost && matches!(self.state, State::Held) {
             return;
         }
@@ -231,8 +232,8 @@ impl Machine {
         });
     }
 
-    /// At the end of a stroke towards home that began beyond the flag, the flag has to be open. If it is not, the
-    /// carriage is at least as far off as from here to the flag's edge.
+    /// Checks that the flag is open at the end of a stroke towards home that began beyond it. If not, steps were lost:
+    /// at least the distance from here to the flag's edge.
     pub(super) fn missed_flag(&self, counted: StepPosition) -> Option<RigFault> {
         let flag = self.settings.flag;
         let from = flag.distance_to(StepPosition::HOME).0;
@@ -246,8 +247,8 @@ impl Machine {
         })
     }
 
-    /// Adds the way since the last report to the run's record. Positions are reported at the ends of strokes,
-    /// where they are extreme.
+    /// Adds the travel since the last report to the run's record. Reports come at the ends of strokes, so they include
+    /// the extreme positions.
     fn track(&mut self, commanded: StepPosition, counted: StepPosition) {
         let record = &mut self.record;
         record.min_steps = record.min_steps.min(commanded.0);

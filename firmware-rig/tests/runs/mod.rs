@@ -53,7 +53,7 @@ pub fn first_stroke(path: &Path) -> usize {
     }
 }
 
-/// Any allowed axis; strokes of up to so many steps that take 1 ms to 3 s.
+/// Any allowed axis; strokes of up to the given steps that take 1 ms to 3 s.
 pub fn any_run(limits: Limits, longest: u32) -> impl Strategy<Value = RunPlan> {
     let axis = (500_u32..=50_000, any::<bool>(), 0_u32..=8);
     let rests = prop_oneof![Just([0, 0, 0]), any::<[u16; 3]>()];

@@ -100,23 +100,24 @@ pub const STEPS: &[Step] = &[
     },
 ];
 
-/// The current measured at a third of the duty may differ from the one in proportion by this, parts per hundred:
-/// offset, ripple, steps of the duty.
+/// Allowed deviation of the current from proportion, at a third of the duty, parts per hundred. It covers offset,
+/// ripple and steps of the duty.
 const HELD_PERCENT: u32 = 25;
-/// The largest duty has to be this much of the smallest, parts per hundred: with a shunt below the bridge the ratio
-/// follows it. The model's motor goes from 21 to 38 %.
+/// Least ratio of the largest to the smallest duty, parts per hundred. With a shunt below the bridge, the measured
+/// resistance follows the duty, so the duty has to vary enough to show it. The model's motor goes from 21 to 38 %.
 const HELD_SPAN_PERCENT: u32 = 150;
-/// Less current than this says nothing of a proportion, mA.
+/// Least current for a comparison, mA: a smaller one does not show proportion.
 const HELD_LEAST_MA: u16 = 15;
-/// The capsule's clock is the chip's own: 1 % at 25 C, more in the cold, parts per million.
+/// Allowed error of the capsule's clock, parts per million. The chip's own oscillator is 1 % off at 25 C, more in the
+/// cold.
 const CLOCK_PPM: i64 = 20_000;
 /// Most current that may be measured while the motor is off, mA: the amplifier's offset.
 const REST_MA: u16 = 10;
-/// A motor that turns draws more, in either direction, mA.
+/// Least current of a turning motor, in either direction, mA.
 const LEAST_DRIVE_MA: u16 = 10;
 /// Allowed difference between the capsule's battery voltage and the meter's, parts per hundred.
 const BATTERY_PERCENT: i64 = 3;
-/// Longer than the capsule waits for its host, us, and shorter than the motion.
+/// Silence of the host, us: longer than the capsule waits for its host, shorter than the motion.
 const SILENCE_US: u64 = 1_500_000;
 /// Thread left at the end of unfolding, um.
 const UNFOLDED_UM: i32 = 300;
@@ -183,9 +184,9 @@ fn rest(work: &mut Work<'_>) -> Result<(), Halt> {
     Ok(())
 }
 
-/// A motor that is held has no back-EMF: its current is the voltage over the resistance of the loop, at any duty, if
-/// the shunt sees what flows in the motor. One below the bridge sees the pulses only, a share of the current as large
-/// as the duty.
+/// Checks the shunt with a held motor. It has no back-EMF, so its current is the voltage divided by the loop's
+/// resistance, at any duty, if the shunt measures the motor's current. A shunt below the bridge sees only the pulses:
+/// a share of the current equal to the duty.
 fn held(work: &mut Work<'_>) -> Result<(), Halt> {
     clear(work)?;
     work.hand(Part::Rotor, true)?;
@@ -207,7 +208,7 @@ fn held(work: &mut Work<'_>) -> Result<(), Halt> {
     in_proportion(thirds)
 }
 
-/// Means of the readings of a motor that stands, by thirds of its duty.
+/// Averages the readings of a standing motor, for each third of the duty range.
 fn thirds(points: &[TracePoint]) -> Result<[Standing; 3], Halt> {
     let mut standing = standing(points);
     standing.sort_unstable_by_key(|point| point.duty_percent);
@@ -222,7 +223,7 @@ fn thirds(points: &[TracePoint]) -> Result<[Standing; 3], Halt> {
     }
 }
 
-/// Voltage and current have the same ratio at all three duties.
+/// Checks that voltage and current have the same ratio at all three duties.
 fn in_proportion([low, middle, high]: [Standing; 3]) -> Result<(), Halt> {
     if high.duty_percent * 100 < HELD_SPAN_PERCENT * low.duty_percent {
         return Err(Halt::NotShown(format!(
@@ -257,8 +258,8 @@ impl Standing {
     }
 }
 
-/// The readings of a motor that stands: drive counts until the next reading, and is the same in two, so that the
-/// current has settled.
+/// The readings of a standing motor under voltage. A drive applies until the next reading. Only readings whose drive
+/// is within 1/8 of the previous one count, so that the current has settled.
 fn standing(points: &[TracePoint]) -> Vec<Standing> {
     let stands = |window: &&[TracePoint]| {
         let [before, now, after] = window else {
@@ -289,7 +290,7 @@ fn mean(points: &[Standing]) -> Option<Standing> {
     })
 }
 
-/// Waits for an actuation that has to end by itself; its numbers are kept.
+/// Waits for an actuation that has to end by itself, and keeps its numbers.
 fn complete(work: &mut Work<'_>, accepted: &ActuationAccepted) -> Result<ActuationRecord, Halt> {
     let record = work.device.wait_actuation(accepted, &mut Unobserved)?;
     work.unless_left()?;
@@ -311,7 +312,7 @@ fn reference(work: &mut Work<'_>) -> Result<(), Halt> {
     complete(work, &accepted).map(|_| ())
 }
 
-/// The thread paid out to a zero that is known. What that measures is no result of a step.
+/// Pays the thread out to a known zero. Measurements on the way are not part of a step's result.
 fn unfolded(work: &mut Work<'_>) -> Result<(), Halt> {
     let kept = work.take_measured();
     let done = pay_out(work);
@@ -364,7 +365,7 @@ fn unfold(work: &mut Work<'_>) -> Result<(), Halt> {
     Ok(())
 }
 
-/// A fold that is under way.
+/// Starts a fold, and waits until it is under way.
 fn folding(work: &mut Work<'_>) -> Result<(), Halt> {
     unfolded(work)?;
     work.device.fold()?;
@@ -387,7 +388,7 @@ fn folding(work: &mut Work<'_>) -> Result<(), Halt> {
     }
 }
 
-/// The motor is off and the thread stands; returns how far it ran on.
+/// Checks that the motor is off and the thread stands; returns how far it ran on.
 fn stands(work: &mut Work<'_>) -> Result<CapsuleStatus, Halt> {
     work.pause(500_000)?;
     let first = status(work)?;
@@ -430,7 +431,8 @@ fn e_stop(work: &mut Work<'_>) -> Result<(), Halt> {
 }
 
 fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
-    // Folding is over before the silence counts; a reference run from the folded end takes longer.
+    // Use a reference run from the folded end, which takes long enough: folding would be over before the silence
+    // counts.
     unfolded(work)?;
     let accepted = work.device.fold()?;
     complete(work, &accepted)?;

@@ -5,10 +5,10 @@ use protocol::system::{Identity, ResetCause};
 use crate::halt::Halt;
 use crate::work::Work;
 
-/// How often the clocks are compared, each time over a longer interval.
+/// Comparisons of the clocks, each over a longer interval.
 const CLOCK_TRIES: u32 = 4;
 
-/// Asks who it is; a last start that was a failure is a defect.
+/// Asks for the identity. A previous start that failed is a defect.
 pub(super) fn started_well(work: &mut Work<'_>) -> Result<Identity, Halt> {
     let Some(identity) = work.device.identity().copied() else {
         return Err(Halt::NotShown(
@@ -35,7 +35,7 @@ pub(super) fn compare_clocks(
     limit_ppm: i64,
     mut device_us: impl FnMut(&mut Work<'_>) -> Result<u64, Halt>,
 ) -> Result<(), Halt> {
-    // The quickest of some answers says best what time it is there: its round trip is the uncertainty.
+    // Take the fastest of some answers: its round trip is the uncertainty of the time.
     let mut pair = |work: &mut Work<'_>| {
         let mut best = (i64::MAX, 0, 0);
         for _ in 0..8 {
@@ -50,7 +50,7 @@ pub(super) fn compare_clocks(
         Ok::<_, Halt>(best)
     };
     let first = pair(work)?;
-    // A wrong clock goes on being wrong; an answer that was late once matters less and less.
+    // A wrong clock stays wrong over longer intervals; a single late answer matters less and less.
     let mut duration_us = work.options.clock_us;
     for tries_left in (0..CLOCK_TRIES).rev() {
         work.pause(duration_us)?;

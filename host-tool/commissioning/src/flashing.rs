@@ -1,4 +1,5 @@
-//! Looks at an image before it is flashed: an ELF file for this chip and this machine, which leaves the settings alone.
+//! Checks an image before it is flashed: it must be an ELF file for this chip and this machine, and leave the settings
+//! alone.
 
 use std::path::Path;
 
@@ -49,7 +50,7 @@ pub enum Unfit {
         /// Where that is.
         place: &'static str,
     },
-    /// Its vector table is none of this chip.
+    /// Its vector table does not fit this chip.
     #[error("its vector table cannot start this chip: stack {stack:#010x}, reset {reset:#010x}")]
     Vectors {
         /// Initial stack pointer.
@@ -65,7 +66,7 @@ pub enum Unfit {
         /// The machine it is for.
         found: DeviceKind,
     },
-    /// Nothing says what machine it is for.
+    /// It does not show which machine it is for.
     #[error(
         "it is neither the image of the rig nor that of the capsule, or its symbols were removed"
     )]
@@ -80,11 +81,11 @@ pub enum Unfit {
 pub struct Image {
     /// Bytes of flash that it fills.
     pub bytes: u64,
-    /// What the machine that runs it calls its `image_hash`.
+    /// Fingerprint; the machine that runs the image reports it as `image_hash`.
     pub fingerprint: u32,
 }
 
-/// Looks at a file that is to be flashed to a machine.
+/// Checks a file that is to be flashed to a machine.
 ///
 /// # Errors
 /// [`Unfit`].
@@ -139,7 +140,7 @@ fn vectors(parts: &[(u64, u64, &[u8])]) -> Result<(), Unfit> {
         bytes.map_or(0, |bytes| u32::from_le_bytes(*bytes))
     };
     let (stack, reset) = (word(0), word(4));
-    // An odd address: Thumb code is all that there is.
+    // The address is odd: the chip runs Thumb code only.
     let entry = u64::from(reset & !1);
     let in_code = parts
         .iter()
@@ -151,7 +152,7 @@ fn vectors(parts: &[(u64, u64, &[u8])]) -> Result<(), Unfit> {
     Err(Unfit::Vectors { stack, reset })
 }
 
-/// The machine whose crate the symbols are of.
+/// The machine whose crate the symbols belong to.
 fn machine_of(parsed: &ElfFile32<'_, Endianness>) -> Option<DeviceKind> {
     let mut found = None;
     for symbol in parsed.symbols() {

@@ -1,21 +1,21 @@
-//! Why a measurement ended before its end, and what faults say about a new machine.
+//! Why a measurement was broken off, and what faults mean on a new machine.
 
 use client::error::ClientError;
 use protocol::error::Refusal;
 use protocol::rig::RigFault;
 
-/// Why a measurement ended before its end.
+/// Why a measurement was broken off.
 #[derive(Debug)]
 pub enum Halt {
     /// The operator left.
     Left,
-    /// Nothing can be said, for this reason.
+    /// The effect could not be shown, for this reason.
     NotShown(String),
-    /// Something is wrong, and this is what.
+    /// A defect, described by this text.
     Defect(String),
-    /// The machine or the link to it.
+    /// The machine failed, or the link to it.
     Client(ClientError),
-    /// The bench's hands are gone.
+    /// The connection to the bench's hands was lost.
     NoHands(String),
 }
 
@@ -30,7 +30,7 @@ impl From<ClientError> for Halt {
     }
 }
 
-/// A refusal that nobody expected here.
+/// Describes an unexpected refusal.
 pub(super) fn refused(refusal: &Refusal) -> String {
     match refusal {
         Refusal::RigFaulted(fault) => fault_text(*fault),
@@ -38,7 +38,7 @@ pub(super) fn refused(refusal: &Refusal) -> String {
     }
 }
 
-/// What a fault says about a new machine.
+/// Explains a fault of a new machine.
 #[must_use]
 pub fn fault_text(fault: RigFault) -> String {
     match fault {
@@ -54,7 +54,7 @@ pub fn fault_text(fault: RigFault) -> String {
     }
 }
 
-/// What an end of homing says about a new rig.
+/// Explains the end of homing of a new rig.
 #[must_use]
 pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
     if met_far_limit {

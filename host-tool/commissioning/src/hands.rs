@@ -1,4 +1,4 @@
-//! Who presses, pulls and measures at the machine: a person at the terminal, or the virtual bench.
+//! Hands at the machine, which press, pull and measure: a person at the terminal, or the virtual bench.
 //!
 //! The bench's hands listen on a TCP port of their own. Each side sends lines of text:
 //!
@@ -18,7 +18,7 @@ use client::error::ClientError;
 
 use crate::halt::Halt;
 
-/// How long the bench's hands may take, s: a cable is pulled for some seconds.
+/// Time allowed for the bench's hands: pulling a cable takes some seconds.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 macro_rules! named {
@@ -45,7 +45,7 @@ macro_rules! named {
 }
 
 named! {
-    /// What a hand can act on.
+    /// Parts that a hand can act on.
     Part {
         /// The home flag, actuated or let go.
         HomeFlag: "home-flag",
@@ -71,7 +71,7 @@ named! {
 }
 
 named! {
-    /// What a hand can measure.
+    /// Quantities that a hand can measure.
     Reading {
         /// EN (D8) against GND while the reset button is held, mV. The board starts again afterwards.
         EnableInReset: "enable-in-reset-mv",
@@ -82,12 +82,12 @@ named! {
     }
 }
 
-/// Something to do.
+/// An act for the hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Act {
-    /// With this part.
+    /// The part to act on.
     pub part: Part,
-    /// Actuated, pressed, plugged, switched on.
+    /// True: actuated, pressed, plugged, switched on.
     pub on: bool,
 }
 
@@ -131,20 +131,21 @@ impl FromStr for Wish {
     }
 }
 
-/// Prints a line for whoever looks on.
+/// Prints a line for the operator.
 pub type Say<'a> = dyn FnMut(&str) + 'a;
 
-/// Looks at the machine for the effect of an act, and keeps its link alive; true when the effect is there.
+/// Checks the machine for the effect of an act, and keeps its link alive. True when the effect is there.
 pub type Watch<'a> = dyn FnMut() -> Result<bool, ClientError> + 'a;
 
-/// Somebody at the machine.
+/// Hands at the machine.
 pub trait Hands {
-    /// Somebody is there.
+    /// Whether any hands are there.
     fn present(&self) -> bool {
         true
     }
 
-    /// Has it done, and returns when it is done or when `watch` sees its effect; `shows`: an input shows the effect.
+    /// Has an act done, and returns when it is done or when `watch` sees its effect. `shows`: an input shows the
+    /// effect.
     ///
     /// # Errors
     /// [`Halt::Left`], [`Halt::NotShown`] if it is not done, or what `watch` returns.
@@ -156,14 +157,14 @@ pub trait Hands {
         watch: &mut Watch<'_>,
     ) -> Result<(), Halt>;
 
-    /// Has it measured.
+    /// Has a quantity measured.
     ///
     /// # Errors
     /// As [`Hands::act`].
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt>;
 }
 
-/// Nobody.
+/// No hands: nothing can be done or measured.
 #[derive(Clone, Copy, Debug)]
 pub struct Nobody;
 
@@ -197,7 +198,7 @@ impl Bench {
     /// Connects to `HOST:PORT`.
     ///
     /// # Errors
-    /// Nobody listens there.
+    /// No bench listens there.
     pub fn connect(place: &str) -> std::io::Result<Self> {
         let stream = TcpStream::connect(place)?;
         stream.set_nodelay(true)?;

@@ -21,7 +21,7 @@ pub enum ImageError {
     /// The linker's names for the ends of the image are missing.
     #[error("it is not an image of this firmware: no symbol {0}")]
     NoSymbol(&'static str),
-    /// The linker's names for the ends of the image are those of no image.
+    /// The linker's names for the ends of the image do not describe an image.
     #[error(
         "it is not an image of this chip: its code goes from {start:#010x} to {end:#010x}, allowed are 4 to {MOST_BYTES} bytes"
     )]
@@ -53,7 +53,7 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
         .and_then(|length| usize::try_from(length).ok())
         .filter(|length| (4..=MOST_BYTES).contains(length))
         .ok_or(ImageError::Extent { start, end })?;
-    // What no segment covers stays erased.
+    // Bytes outside all segments stay erased.
     let mut flash = vec![0xFF; length];
     let endian = elf.endian();
     for segment in elf.elf_program_headers() {

@@ -2,21 +2,21 @@
 //!
 //! ```text
 //!   session     carries steps out and writes the record
-//!   warning     what a run should know of the record
+//!   warning     warnings before a run, from the record
 //!   steps       the steps of each machine
 //!   rig, capsule  the measurements; device: those that both share
 //!   procedure   which step is next, and whether a result still counts, from a record alone
 //!   step        what there is to show, and what its result depends on
-//!   work        what all measurements need: asking for a hand, finding the board again; work::rig: homing, running
+//!   work        helpers for all measurements: asking for a hand, finding the board again; work::rig: homing, running
 //!   record      what was found: a JSON file, one per board
-//!   hands       who presses, pulls and measures: a person, or the bench
-//!   halt        why a measurement ended before its end
+//!   hands       the person or the bench that presses, pulls and measures
+//!   halt        why a measurement was broken off
 //!   image       the fingerprint of an image file
 //!   flashing    which image may be flashed
 //! ```
 //!
-//! Each uses only what stands below it. A step counts as passed only if its effect was observed. What nobody has shown
-//! is recorded as not shown.
+//! Each module uses only those below it. A step passes only if its effect was observed; otherwise it is recorded as
+//! not shown.
 #![forbid(unsafe_code)]
 
 pub mod capsule;

@@ -1,4 +1,4 @@
-//! Which step is next, from the record and what the record is about. No machine is involved.
+//! Decides which step is next, from the record and its subject alone. No machine is involved.
 
 use std::collections::BTreeSet;
 
@@ -40,8 +40,8 @@ pub fn standing(step: &Step, record: &Commissioning, subject: &Subject) -> Stand
     changed.map_or(Standing::Holds, |key| Standing::OtherSetting(key.name()))
 }
 
-/// Goes through the steps once. A step that holds is not repeated; one that was carried out in this session is not
-/// begun again, whatever came of it.
+/// Goes through the steps once. It skips a step whose result holds, and does not repeat a step that was carried out in
+/// this session, whatever its result.
 #[derive(Debug)]
 pub struct Procedure {
     steps: &'static [Step],
@@ -71,7 +71,7 @@ impl Procedure {
         Some((number, step))
     }
 
-    /// Enters what was found out about `step` into `record`, in the order of the steps.
+    /// Enters the finding about `step` into `record`, in the order of the steps.
     pub fn enter(
         &self,
         record: &mut Commissioning,
@@ -96,7 +96,7 @@ impl Procedure {
         };
         record.steps.retain(|known| known.step != step.name);
         record.steps.push(result);
-        // What no step of this tool is named like comes last.
+        // Results of steps that this tool does not know come last.
         record.steps.sort_by_key(|result| {
             let mut names = self.steps.iter().map(|step| step.name);
             names

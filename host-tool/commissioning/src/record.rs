@@ -18,13 +18,13 @@ use trials::writer::replace;
 /// Version of the format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
 
-/// What came of a step.
+/// Verdict of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Observed, and as it has to be.
+    /// Observed and correct.
     Passed,
-    /// Observed, and not as it has to be.
+    /// Observed and wrong.
     Failed,
     /// Not observed.
     NotShown,
@@ -35,18 +35,18 @@ pub enum Outcome {
 pub struct StepResult {
     /// Name of the step.
     pub step: String,
-    /// What a pass shows.
+    /// Text: what a pass proves.
     pub shows: String,
-    /// What came of it.
+    /// The verdict.
     #[serde(rename = "result")]
     pub outcome: Outcome,
     /// The defect, or why nothing was shown; none with a pass.
     pub reason: Option<String>,
     /// The numbers that were measured, with the unit in their names.
     pub measured: Map<String, Value>,
-    /// When.
+    /// Date and time of the result.
     pub date_utc: Timestamp,
-    /// The image that it is about; none if it does not depend on the image.
+    /// The image that was tested; none if the result does not depend on the image.
     pub image: Option<String>,
     /// The settings that it depends on.
     pub settings: BTreeMap<String, u32>,
@@ -84,10 +84,10 @@ pub struct Commissioning {
     pub steps: Vec<StepResult>,
 }
 
-/// What a session has found out about a step.
+/// Finding of a session about a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
-    /// What came of it.
+    /// The verdict.
     pub outcome: Outcome,
     /// The defect, or why nothing was shown.
     pub reason: Option<String>,

@@ -16,29 +16,29 @@ use crate::work::Work;
 /// How a session ended.
 #[derive(Debug)]
 pub enum Ending {
-    /// At the last step.
+    /// All steps were gone through.
     Through,
-    /// With a step that failed: its name, and the defect.
+    /// A step failed: its name, and the defect.
     Defect(&'static str, String),
-    /// The operator left; the step that was going on has no result.
+    /// The operator left. The step in progress, if any, has no result.
     Left(Option<&'static str>),
 }
 
-/// Why a session could not go on.
+/// Why a session was broken off.
 #[derive(Debug)]
 pub enum Broken {
-    /// The machine or the link to it.
+    /// The machine failed, or the link to it.
     Client(ClientError),
     /// The record could not be written.
     Record(RecordError),
-    /// The bench's hands are gone.
+    /// The connection to the bench's hands was lost.
     NoHands(String),
 }
 
-/// Width of the screen that everything fits into.
+/// Line width of the output, columns: fits a terminal of 80.
 const COLUMNS: usize = 78;
 
-/// Carries out what does not hold yet. A step that fails ends the session: what comes after it may rest on it.
+/// Carries out the steps whose results do not hold. A failed step ends the session: later steps may rely on it.
 ///
 /// # Errors
 /// [`Broken`]; the results so far are in the file.
@@ -136,7 +136,7 @@ fn say_wrapped(work: &mut Work<'_>, text: &str, indent: &str) {
     }
 }
 
-/// Breaks a text into lines for the screen; those after the first are indented.
+/// Wraps a text for the screen. Lines after the first are indented.
 #[must_use]
 pub fn wrapped(text: &str, indent: &str) -> Vec<String> {
     let start = text.len() - text.trim_start().len();

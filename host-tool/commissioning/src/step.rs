@@ -10,9 +10,9 @@ use crate::work::Work;
 pub struct Step {
     /// Name, in records and on the screen.
     pub name: &'static str,
-    /// What a pass shows, in a line.
+    /// One line: what a pass proves.
     pub shows: &'static str,
-    /// What a person has to look at meanwhile, because nothing measures it; may be empty.
+    /// Hint for the operator: what to watch meanwhile, because nothing measures it; may be empty.
     pub look: &'static str,
     /// Its result is that of an image: another image needs another result.
     pub of_image: bool,

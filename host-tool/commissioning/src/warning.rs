@@ -1,4 +1,4 @@
-//! What a run should know of the commissioning of its board.
+//! Warnings before a run, about the commissioning of its board.
 
 use std::path::PathBuf;
 

@@ -14,10 +14,10 @@ use crate::hands::{Act, Hands, Part, Reading};
 
 /// Interval between two looks at the machine, us.
 pub(crate) const LOOK_US: u64 = 50_000;
-/// For so long a board that was reset or plugged in again is looked for, us.
+/// Longest search for a board after a reset or after its cable was plugged in, us.
 const RETURN_US: u64 = 30_000_000;
 
-/// What the measurements may be told.
+/// Options of the measurements.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Cycles of the read-back test, of two strokes each.
@@ -37,16 +37,16 @@ pub type Reopen<'a> = dyn Fn() -> Result<Device, String> + 'a;
 pub struct Work<'a> {
     /// The machine.
     pub device: Device,
-    /// What it is.
+    /// Identity of the device.
     pub subject: Subject,
-    /// What the user wants.
+    /// The user's options.
     pub options: Options,
     hands: &'a mut dyn Hands,
     say: &'a mut dyn FnMut(&str),
     reopen: &'a Reopen<'a>,
     /// The motor supply, as far as it is known.
     supply: Option<bool>,
-    /// What the present step has measured so far.
+    /// Measurements of the present step so far.
     measured: Map<String, Value>,
 }
 
@@ -88,7 +88,7 @@ impl<'a> Work<'a> {
         self.measured.insert(name.to_owned(), value.into());
     }
 
-    /// What was measured since the last call.
+    /// Takes the measurements made since the last call.
     pub fn take_measured(&mut self) -> Map<String, Value> {
         std::mem::take(&mut self.measured)
     }
@@ -178,7 +178,7 @@ impl<'a> Work<'a> {
     /// # Errors
     /// [`Halt::Defect`] if it does not come back.
     pub fn find_again(&mut self) -> Result<(), Halt> {
-        // A port is opened exclusively.
+        // Close it first: a port is opened exclusively.
         self.device.hang_up();
         let begin = std::time::Instant::now();
         loop {
@@ -191,7 +191,7 @@ impl<'a> Work<'a> {
                     return Err(Halt::Defect(format!("the board does not come back: {why}")));
                 }
                 Err(_) => {
-                    // Fails, but asks whether the operator wants to leave.
+                    // Fails without a link, but notices that the operator wants to leave.
                     let _ = self.device.keep_alive();
                     self.unless_left()?;
                     std::thread::sleep(std::time::Duration::from_millis(300));

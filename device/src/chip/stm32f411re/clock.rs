@@ -1,4 +1,4 @@
-//! An external clock: one that may not come, or come late, and one that stops.
+//! The external clock: waits for it, does without it, and handles its stop.
 
 use super::super::{
     retained::Ram,
@@ -8,17 +8,17 @@ use crate::retained::{Retained, keep_clock_failed, leave_again};
 use embassy_stm32::{Config, pac};
 use protocol::system::ResetCause;
 
-/// So long is the external clock waited for before the link is served without it, ms. From its USB the ST-LINK has started by
-/// then. From an outer supply it may take seconds.
+/// Longest wait for the external clock before the link is served without it, ms. An ST-LINK powered from its USB has
+/// started by then; with an external supply it may take seconds.
 const CLOCK_MS: u32 = 300;
-/// The oscillator that a reset begins with, kHz.
+/// The oscillator that runs after a reset, kHz.
 const RESET_KHZ: u32 = 16_000;
 
-/// Starts the watchdog and then the HAL with `external` clocks, or with `internal` ones where the external clock does
-/// not come; it stays switched on, and [`external_clock_has_come`] tells when it comes after all. A clock that stops later
+/// Starts the watchdog, then the HAL with `external` clocks, or with `internal` ones if the external clock does not
+/// start. It stays switched on, and [`external_clock_has_come`] tells when it starts later. A clock that stops later
 /// breaks TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
 ///
-/// The HAL itself waits for the external clock for ever, and before the watchdog.
+/// The HAL alone would wait for the external clock for ever, and without a watchdog.
 pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
     start_watchdog();
     let comes = external_clock_comes();
@@ -31,19 +31,19 @@ pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm
     peripherals
 }
 
-/// Starts the watchdog with what [`super::super::start::watchdog`] will ask for. The prescaler and the reload value are
-/// taken while its clock runs, so it is started first (RM0383 section 18.3).
+/// Starts the watchdog with the timeout that [`super::super::start::watchdog`] will set. Prescaler and reload value
+/// are accepted only while its clock runs, so it is started first (RM0383 section 18.3).
 fn start_watchdog() {
     use pac::iwdg::vals::{Key, Pr};
     let key = |key| pac::IWDG.kr().write(|w| w.set_key(key));
     key(Key::START);
     key(Key::ENABLE);
     pac::IWDG.pr().write(|w| w.set_pr(Pr::DIVIDE_BY8));
-    // 32 kHz / 8: four to the millisecond.
+    // 32 kHz / 8 = 4 ticks per millisecond.
     pac::IWDG
         .rlr()
         .write(|w| w.set_rl((WATCHDOG_US / 250 - 1) as u16));
-    // Five cycles of its clock; the longest wait is a millisecond.
+    // Takes five cycles of the watchdog's clock; wait a millisecond at most.
     let taken = |_| {
         let status = pac::IWDG.sr().read();
         !status.pvu() && !status.rvu()
@@ -52,7 +52,7 @@ fn start_watchdog() {
     feed();
 }
 
-/// Switches the external clock on and waits for it, bounded.
+/// Switches the external clock on and waits up to `CLOCK_MS` for it.
 fn external_clock_comes() -> bool {
     pac::RCC.cr().modify(|w| w.set_hsebyp(true));
     pac::RCC.cr().modify(|w| w.set_hseon(true));
@@ -63,21 +63,21 @@ fn external_clock_comes() -> bool {
     })
 }
 
-/// The external clock is there.
+/// The external clock runs.
 pub fn external_clock_has_come() -> bool {
     pac::RCC.cr().read().hserdy()
 }
 
-/// Starts again, now that the clock is there. What this start has found is told by the next one.
+/// Resets, now that the external clock runs. The next start reports the findings of this one.
 pub fn start_again(left: &Retained, cause: ResetCause) -> ! {
     leave_again(&mut Ram, left, cause);
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// The clock stopped. The outputs are off; the chip runs on its own oscillator by now.
+/// Resets after a stop of the external clock. The outputs are off, and the chip runs on its own oscillator by now.
 pub fn die_of_the_clock() -> ! {
     keep_clock_failed(&mut Ram);
-    // The NMI would come again until its flag is cleared.
+    // Clear the flag, else the NMI comes again at once.
     pac::RCC.cir().modify(|w| w.set_cssc(true));
     cortex_m::peripheral::SCB::sys_reset()
 }

@@ -1,10 +1,10 @@
-//! Sectors 0 to 3 of the flash as the settings' store wants them: asynchronous in form, never waiting in fact.
+//! Sectors 0 to 3 of the flash, for the settings' store. The interface is asynchronous but never waits.
 //!
 //! A write keeps the processor from fetching instructions for 16 us typically, an erasure for up to 500 ms (STM32F411
 //! datasheet, flash memory programming; x32).
 //!
-//! Below 2.7 V neither is allowed by words (x32). A start there leaves cells that read differently each time, so it is
-//! refused; what has begun goes on.
+//! Below 2.7 V, neither is allowed by words (x32): cells would read differently each time. A start below that is
+//! refused; an operation that has begun continues.
 
 use super::{super::start, TIME_DRIVER, supply};
 use crate::{
@@ -23,7 +23,7 @@ use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 pub struct Sectors(Bank1Region1<'static, Blocking>);
 
 impl Sectors {
-    /// Those of this chip.
+    /// Takes the sectors of this chip.
     pub fn new(flash: Peri<'static, peripherals::FLASH>) -> Self {
         supply::watch();
         Self(
@@ -34,7 +34,7 @@ impl Sectors {
     }
 }
 
-/// Words are too many bits at once for a supply that is too low.
+/// Refuses when the supply is too low to write whole words.
 fn check_supply() -> Result<(), Error> {
     if supply::is_low() {
         defmt::warn!("the supply is below 2.7 V: nothing is stored");
@@ -68,7 +68,7 @@ impl NorFlash for Sectors {
             check_supply()?;
             // No task runs during an erase.
             start::feed();
-            // The driver leaves the parallelism at x8, with which an erasure takes up to 800 ms instead of 500 ms.
+            // The driver leaves the parallelism at x8, where an erasure takes up to 800 ms instead of 500 ms.
             pac::FLASH.keyr().write_value(0x4567_0123);
             pac::FLASH.keyr().write_value(0xCDEF_89AB);
             pac::FLASH
@@ -87,7 +87,8 @@ impl NorFlash for Sectors {
     }
 }
 
-/// Does what keeps the processor from counting time. TIM5 is the stopwatch; if it counts already it goes on as it is.
+/// Runs `stall`, which keeps the processor from counting time, and corrects the clock afterwards. TIM5 is the
+/// stopwatch; if it counts already, it continues as it is.
 fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
     cortex_m::interrupt::free(|_| {
         let watch = pac::TIM5;
@@ -102,7 +103,7 @@ fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
             watch.cr1().modify(|w| w.set_cen(false));
             pac::RCC.apb1enr().modify(|w| w.set_tim5en(false));
         }
-        // Alarms that became due meanwhile.
+        // Trigger the alarms that became due meanwhile.
         TIME_DRIVER.egr().write(|w| w.set_ccg(1, true));
         TheTimers.handle();
         result

@@ -1,4 +1,4 @@
-//! What the board says of itself, and EN while it says nothing.
+//! Checks of the board itself, and of EN during a reset.
 
 use std::path::Path;
 

@@ -2,9 +2,9 @@
 
 use protocol::settings::SettingKey as Key;
 
-/// What turns steps into millimetres.
+/// Settings that convert steps to millimetres.
 pub(super) const SCREW: [Key; 3] = [Key::LeadUm, Key::FullSteps, Key::Microsteps];
-/// What homing depends on.
+/// Settings that homing depends on.
 pub(super) const HOMING: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,
@@ -21,7 +21,7 @@ pub(super) const HOMING: &[Key] = &[
     Key::MaxStepHz,
     Key::StepPulseNs,
 ];
-/// What the pulses of a run depend on.
+/// Settings that the pulses of a run depend on.
 pub(super) const PULSES: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,
@@ -32,7 +32,7 @@ pub(super) const PULSES: &[Key] = &[
     Key::StepPulseNs,
     Key::TurnaroundUs,
 ];
-/// What a whole run depends on.
+/// Settings that a whole run depends on.
 pub(super) const RUN: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,

@@ -70,8 +70,8 @@ pub(super) fn travel(work: &mut Work<'_>) -> Result<(), Halt> {
     work.go_to(0).map(|_| ())
 }
 
-/// What a measured travel says about screw and driver, with the settings lead, full steps and microsteps; none if it is
-/// the commanded one within 1.5 %, which is more than a caliper's error.
+/// Diagnosis of screw and driver from a measured travel, with the settings lead, full steps and microsteps. None if
+/// the travel is within 1.5 % of the commanded one, which is more than a caliper's error.
 #[must_use]
 pub fn wrong_travel(
     commanded_um: i64,

@@ -15,9 +15,9 @@ use super::{LOOK_US, Work};
 use crate::halt::{Halt, fault_text, homing_text, refused};
 use crate::hands::{Act, Part};
 
-/// An effect that has not come in this time after the act does not come, us.
+/// Longest wait for the effect of an act, us.
 const SETTLE_US: u64 = 500_000;
-/// How much longer than announced homing may take, us.
+/// Time that homing may take beyond the announced time, us.
 const HOMING_MARGIN_US: u64 = 3_000_000;
 
 /// How homing ended.
@@ -30,7 +30,8 @@ pub enum HomeEnd {
 }
 
 impl Work<'_> {
-    /// Has something done whose effect `seen` sees; returns the rig as it was then, or half a second after the act.
+    /// Has an act done whose effect `seen` detects. Returns the rig's status at that moment, or half a second after
+    /// the act.
     ///
     /// # Errors
     /// [`Halt`]
@@ -54,8 +55,8 @@ impl Work<'_> {
         self.until(SETTLE_US, seen)
     }
 
-    /// Switches the motor supply, unless it is known to be so. Without it the carriage can be moved by hand, and the rig
-    /// must not trust its position any more.
+    /// Switches the motor supply, unless it is known to be in that state. Without it the carriage can be moved by
+    /// hand, so the rig must not trust its position any more.
     ///
     /// # Errors
     /// [`Halt`]
@@ -67,14 +68,14 @@ impl Work<'_> {
         if on { Ok(()) } else { self.forget_position() }
     }
 
-    /// The motor supply was switched off and not on again.
+    /// Whether the motor supply was switched off and not on again.
     #[must_use]
     pub fn supply_is_off(&self) -> bool {
         self.supply == Some(false)
     }
 
-    /// Makes the rig forget where it is: an emergency stop by command, acknowledged. A rig that does not know it anyway
-    /// is left alone.
+    /// Makes the rig forget its position, by an emergency stop that is then acknowledged. Does nothing if the position
+    /// is unknown anyway.
     fn forget_position(&mut self) -> Result<(), Halt> {
         if !self.status()?.homed {
             return Ok(());
@@ -104,7 +105,7 @@ impl Work<'_> {
             Ok((accepted, self.finish(&accepted)?))
         });
         let forgotten = match ran {
-            // Of one who leaves, the rig takes stops only: the fault stays latched until the next session.
+            // From an operator who leaves, the rig takes stops only: the fault stays latched until the next session.
             Err(Halt::Left) => Ok(self.device.urgent(Urgent::EStop)?),
             _ => self.forget_position(),
         };
@@ -112,7 +113,7 @@ impl Work<'_> {
         forgotten.map(|()| ran)
     }
 
-    /// The carriage in the middle of its travel, without motor supply.
+    /// Has the carriage moved to the middle of its travel, without motor supply.
     ///
     /// # Errors
     /// [`Halt`]
@@ -177,7 +178,7 @@ impl Work<'_> {
         }
     }
 
-    /// Homes, and watches the far limit meanwhile: a carriage that meets it goes the wrong way, and is cut.
+    /// Homes and watches the far limit meanwhile: a carriage that meets it goes the wrong way, and its pulses are cut.
     ///
     /// # Errors
     /// [`Halt`]
@@ -220,7 +221,7 @@ impl Work<'_> {
         }
     }
 
-    /// The rig homed and at 0, with motor supply.
+    /// Brings the rig to 0, homed, with motor supply.
     ///
     /// # Errors
     /// [`Halt`]
@@ -317,7 +318,7 @@ impl Work<'_> {
         Ok(record)
     }
 
-    /// A run that has to end with all its edges; the numbers are kept.
+    /// Checks that a run ended with all its edges, and keeps the numbers.
     ///
     /// # Errors
     /// [`Halt`]
@@ -348,7 +349,7 @@ impl Work<'_> {
     }
 }
 
-/// A run by speed, alike in both directions, which stops when it hears no host.
+/// A run by speed, equal in both directions, which stops when the host falls silent.
 #[must_use]
 pub fn by_speed(cycles: u16, stroke_um: u32, speed_um_s: u32, accel_um_s2: u32) -> Run {
     Run {
