@@ -520,9 +520,10 @@ fn a_dead_flag_is_named() {
 
 #[test]
 fn a_noisy_loop_is_named() {
-    // It opens for 4 ms and closes for 4 ms, again and again.
+    // It opens for 4 ms and closes for 4 ms, again and again. The text is the same whether the step sees the fault or the
+    // rig refuses a request for it.
     let noisy = Action::Noise(Switch::EStop, Some(4_000_000));
-    defect(short(), &[noisy], &[], "quiet", "the E-stop loop is noisy");
+    defect(short(), &[noisy], &[], "quiet", "noise on its wire");
 }
 
 #[test]

@@ -19,14 +19,8 @@ pub(super) fn quiet(work: &mut Work<'_>) -> Result<(), Halt> {
     work.note("watched_us", QUIET_US);
     work.note("home_flag_false_pulses", home);
     work.note("far_limit_false_pulses", far);
-    match status.fault {
-        Some(RigFault::EStopLoop) => {
-            return Err(Halt::Defect(
-                "the E-stop loop is noisy: it opens although nobody touches it. A loose contact, or a wire beside the motor's: shield it, 1 to 2.2 kohm from D12 to 3.3 V".to_owned(),
-            ));
-        }
-        Some(fault) => return Err(Halt::Defect(fault_text(fault))),
-        None => {}
+    if let Some(fault) = status.fault {
+        return Err(Halt::Defect(fault_text(fault)));
     }
     for (name, count) in [("home flag", home), ("far limit", far)] {
         if count > 0 {
