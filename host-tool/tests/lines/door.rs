@@ -103,8 +103,10 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
         assert_eq!(subscriber.owner().expect("another").pid, run.id());
         let mut seen = Seen::default();
         let gone = loop {
-            if let Err(error) = subscriber.idle(50_000, &mut seen) {
-                break error;
+            match subscriber.idle(50_000, &mut seen) {
+                // Five windows ask as well, and a busy computer takes its time for each of them.
+                Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
+                Err(error) => break error,
             }
         };
         assert!(matches!(gone, ClientError::Link(_)), "{gone:?}");
