@@ -450,6 +450,9 @@ impl<W: Wiring> Conductor<W> {
             .map(|(_, byte)| byte)
             .collect();
         let life = self.life.as_mut()?;
+        if !sent.is_empty() {
+            life.pace.sent();
+        }
         let lost_us = life.pace.lost_us();
         let board = session.board().seen_wiring();
         life.outside.turn(board, &sent, lost_us);

@@ -5,11 +5,16 @@
 
 use std::fmt;
 
-/// Longest piece to run in one go. Between two of them the line is checked, and the thread sleeps.
+/// Longest piece to run in one go, us, while bytes pass on the line. Between two of them the line is checked, and the
+/// thread sleeps.
 const TURN_US: u64 = 1_000;
-/// Longest delay that the machine still catches up, us; beyond it the time counts as lost. No client waits for an
-/// answer that long.
-const MOST_LATE_US: u64 = 100_000;
+/// The same while the line is quiet, us. Waking the thread costs more than the piece of a machine at rest.
+const QUIET_TURN_US: u64 = 4_000;
+/// The line is quiet after this long without a byte, us.
+const QUIET_AFTER_US: u64 = 50_000;
+/// Longest delay that the machine still catches up, us; beyond it the time counts as lost. Translating the code of a
+/// first fold takes less.
+const MOST_LATE_US: u64 = 250_000;
 /// Interval between two reports of lost time.
 const REPORT_US: u64 = 5_000_000;
 
@@ -50,6 +55,10 @@ pub(crate) struct Pace {
     lost_us: u64,
     /// Input has arrived: hand it over before a whole piece is due.
     hurried: bool,
+    /// A byte has passed since the last turn.
+    talked: bool,
+    /// Real time until which the pieces are short, us.
+    short_until_us: u64,
     /// Real time and total loss at the last report.
     reported: (u64, u64),
 }
@@ -61,6 +70,8 @@ impl Pace {
             epoch_us: now_us,
             lost_us: 0,
             hurried: false,
+            talked: false,
+            short_until_us: 0,
             reported: (0, 0),
         }
     }
@@ -71,16 +82,30 @@ impl Pace {
         let late_us = due_us.saturating_sub(now_us);
         self.lost_us += late_us.saturating_sub(MOST_LATE_US);
         let hurried = std::mem::take(&mut self.hurried);
-        if late_us >= TURN_US || hurried && late_us > 0 {
-            return Turn::Run(now_us + late_us.min(TURN_US));
+        if std::mem::take(&mut self.talked) {
+            self.short_until_us = elapsed_us + QUIET_AFTER_US;
+        }
+        let piece_us = if elapsed_us < self.short_until_us {
+            TURN_US
+        } else {
+            QUIET_TURN_US
+        };
+        if late_us >= piece_us || hurried && late_us > 0 {
+            return Turn::Run(now_us + late_us.min(piece_us));
         }
         let early_us = now_us.saturating_sub(due_us);
-        Turn::Rest(early_us + TURN_US - late_us)
+        Turn::Rest(early_us + piece_us - late_us)
     }
 
     /// Input has arrived for the machine: it runs at once, as far as it may.
     pub(crate) fn hurry(&mut self) {
         self.hurried = true;
+        self.talked = true;
+    }
+
+    /// The machine has sent bytes: the next ones are wanted soon.
+    pub(crate) fn sent(&mut self) {
+        self.talked = true;
     }
 
     /// Total time that the machine has lost, us.
@@ -119,8 +144,10 @@ mod tests {
         reports: Vec<Slow>,
     }
 
-    /// Runs a machine for which each ms costs `cost_us` of real time and each rest lasts `overslept_us` too long.
-    fn lived(cost_us: u64, overslept_us: u64) -> Lived {
+    /// Runs a machine for which each ms costs `cost_us` of real time and each rest lasts `overslept_us` too long. It sends
+    /// bytes all the time, or never.
+    fn lived(talks: bool, cost_us: u64, overslept_us: u64) -> Lived {
+        let piece_us = if talks { TURN_US } else { QUIET_TURN_US };
         let (mut elapsed_us, mut now_us) = (0, BEGAN_US);
         let mut lived = Lived {
             us: 0,
@@ -130,15 +157,18 @@ mod tests {
             reports: vec![],
         };
         while elapsed_us < 10_000_000 {
+            if talks {
+                lived.pace.sent();
+            }
             match lived.pace.turn(elapsed_us, now_us) {
                 Turn::Run(until_us) => {
-                    assert!(until_us > now_us && until_us - now_us <= TURN_US);
+                    assert!(until_us > now_us && until_us - now_us <= piece_us);
                     elapsed_us += (until_us - now_us) * cost_us / 1_000;
                     now_us = until_us;
                     lived.pieces += 1;
                 }
                 Turn::Rest(us) => {
-                    assert!((1..=TURN_US).contains(&us));
+                    assert!((1..=piece_us).contains(&us));
                     elapsed_us += us + overslept_us;
                     lived.rests += 1;
                 }
@@ -154,20 +184,28 @@ mod tests {
 
     #[test]
     fn a_quick_emulator_keeps_real_time_and_rests_once_for_each_piece() {
-        for (cost_us, overslept_us) in [(1, 0), (30, 60), (400, 0), (900, 60), (400, 7_000)] {
-            let lived = lived(cost_us, overslept_us);
-            let limit_us = 2 * TURN_US + overslept_us;
+        let loads = [(1, 0), (30, 60), (400, 0), (900, 60), (400, 7_000)];
+        for (talks, (cost_us, overslept_us)) in
+            loads.map(|load| [(true, load), (false, load)]).concat()
+        {
+            let lived = lived(talks, cost_us, overslept_us);
+            let piece_us = if talks { TURN_US } else { QUIET_TURN_US };
+            let limit_us = 2 * piece_us + overslept_us;
             assert!(lived.us.abs_diff(10_000_000) <= limit_us, "{}", lived.us);
             assert_eq!(lived.pace.lost_us(), 0);
             assert_eq!(lived.reports, []);
-            assert!(lived.pieces <= 10_000, "{} pieces", lived.pieces);
+            assert!(
+                lived.pieces <= 10_000_000 / piece_us,
+                "{} pieces",
+                lived.pieces
+            );
             assert!(lived.rests <= lived.pieces + 1, "{} rests", lived.rests);
         }
     }
 
     #[test]
     fn a_slow_one_is_slow_and_not_later_and_later() {
-        let lived = lived(2_000, 0);
+        let lived = lived(true, 2_000, 0);
         assert!(lived.us.abs_diff(5_000_000) <= 10_000, "{}", lived.us);
         let lost_us = lived.pace.lost_us();
         assert!((lived.us + lost_us).abs_diff(10_000_000) <= 2 * MOST_LATE_US);
@@ -182,7 +220,7 @@ mod tests {
     #[test]
     fn what_comes_for_it_does_not_wait_for_a_whole_piece() {
         let mut pace = Pace::new(BEGAN_US);
-        assert_eq!(pace.turn(400, BEGAN_US), Turn::Rest(600));
+        assert_eq!(pace.turn(400, BEGAN_US), Turn::Rest(3_600));
         pace.hurry();
         assert_eq!(pace.turn(401, BEGAN_US), Turn::Run(BEGAN_US + 401));
         assert_eq!(pace.turn(402, BEGAN_US + 401), Turn::Rest(999));
@@ -195,11 +233,11 @@ mod tests {
     #[test]
     fn a_computer_that_was_away_is_told_once() {
         let mut pace = Pace::new(0);
-        assert_eq!(pace.turn(3_000_000, 0), Turn::Run(TURN_US));
+        assert_eq!(pace.turn(3_000_000, 0), Turn::Run(QUIET_TURN_US));
         assert_eq!(pace.lost_us(), 3_000_000 - MOST_LATE_US);
         assert_eq!(pace.report(4_000_000), None);
         let told = Slow {
-            lost_us: 2_900_000,
+            lost_us: 3_000_000 - MOST_LATE_US,
             of_us: 5_000_000,
         };
         assert_eq!(pace.report(5_000_000), Some(told));

@@ -18,6 +18,9 @@ use crate::pace::Slow;
 /// How long a client may leave its line full before it is disconnected: the machine must not wait for it.
 const PATIENCE: Duration = Duration::from_millis(1);
 
+/// The machine boots for this long, us, before its time is paced: translating its code is no reason to lose time.
+const BOOT_US: u64 = 500_000;
+
 /// A machine behind a port of the loopback interface.
 pub struct Server {
     listener: TcpListener,
@@ -62,6 +65,7 @@ impl Server {
     ) -> Result<(), BenchError> {
         let client = Client::default();
         let (alive, end) = channel();
+        bench.advance_us(BOOT_US)?;
         let ear = bench.live(Box::new(Port {
             name,
             client: Arc::clone(&client),
