@@ -23,6 +23,8 @@ pub mod emulator;
 pub mod faults;
 pub mod figures;
 pub mod hands;
+#[cfg(unix)]
+pub mod killed;
 pub mod link;
 pub mod log;
 mod pace;

@@ -54,6 +54,9 @@ enum Subcommand {
         /// Emergency stops.
         #[arg(default_value_t = virtual_bench::sidedoor::STOPS)]
         stops: u32,
+        /// Instead, kill the process of a run this often while others look on.
+        #[arg(long, value_name = "KILLS", conflicts_with = "stops")]
+        killed: Option<u32>,
     },
     /// Measures `retrograde serve` with the rig's image, in real time: emergency stops over HTTP among a crowd, and a run
     /// with 50 readers.
@@ -101,9 +104,13 @@ fn main() -> ExitCode {
         })
         .map_err(miette::Report::from),
         #[cfg(unix)]
-        Subcommand::Door { stops } => virtual_bench::sidedoor::run(stops, &mut |line| {
-            drop(writeln!(std::io::stdout(), "{line}"))
-        })
+        Subcommand::Door { stops, killed } => {
+            let mut say = |line| drop(writeln!(std::io::stdout(), "{line}"));
+            match killed {
+                Some(kills) => virtual_bench::killed::run(kills, &mut say),
+                None => virtual_bench::sidedoor::run(stops, &mut say),
+            }
+        }
         .map_err(miette::Report::from),
         #[cfg(unix)]
         Subcommand::Page {

@@ -56,6 +56,8 @@ pub(crate) struct Seen {
     pub(crate) edges: usize,
     /// When the last of them was seen.
     pub(crate) last: Option<Instant>,
+    /// When the last byte for the rig arrived.
+    pub(crate) heard: Option<Instant>,
     /// Total time that the machine has lost, us.
     pub(crate) lost_us: u64,
 }
@@ -93,13 +95,14 @@ impl Rig {
         let seen = Arc::new(Mutex::new(Seen::default()));
         let line = File::from(master);
         let typed = line.try_clone()?;
+        let heard = Arc::clone(&seen);
         let ear = bench.live(Box::new(Terminal {
             line,
             seen: Arc::clone(&seen),
         }))?;
         // This thread ends with the process. Until then its handle keeps the rig alive.
         thread::spawn(move || {
-            hear(typed, &ear);
+            hear(typed, &ear, &heard);
             drop(bench);
         });
         Ok(Self {
@@ -223,11 +226,12 @@ impl Outside<RigBoard> for Terminal {
 }
 
 /// Passes bytes from the line to the rig, forever.
-fn hear(mut line: File, ear: &Ear<RigBoard>) {
+fn hear(mut line: File, ear: &Ear<RigBoard>, seen: &Mutex<Seen>) {
     let mut bytes = [0; 4_096];
     loop {
         match line.read(&mut bytes) {
             Ok(count @ 1..) => {
+                seen.lock().unwrap_or_else(PoisonError::into_inner).heard = Some(Instant::now());
                 if !ear.hear(bytes[..count].to_vec()) {
                     return;
                 }
