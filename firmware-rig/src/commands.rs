@@ -8,7 +8,11 @@ use device::{
     common::{About, Effect, Executed},
     settings::Values,
 };
-use motion::{run::RunPlan, units::Micrometres};
+use motion::{
+    axis::{Position, Speed},
+    run::RunPlan,
+    units::Micrometres,
+};
 use protocol::{
     error::{Field, Refusal},
     rig::{self, LinkLossPolicy, RigFault, RigHardware, RigHealth, RigStatus, RunTiming},
@@ -87,12 +91,7 @@ fn respond(
         Request::GetRigStatus(_) => Response::GetRigStatus(status(machine, context)),
         Request::Home(_) => {
             command(machine, Command::Home)?;
-            let settings = machine.settings();
-            Response::Home(rig::HomeAccepted {
-                seek_um_s: settings.seek_um_s,
-                locate_um_s: settings.locate_um_s,
-                max_travel_um: settings.axis.stroke().0 + settings.overtravel_um,
-            })
+            Response::Home(home_accepted(machine.settings()))
         }
         Request::Run(requested) => {
             let plan = solve(&requested, machine)?;
@@ -117,16 +116,7 @@ fn respond(
             Response::Jog(Done)
         }
         Request::MoveTo(requested) => {
-            let settings = machine.settings();
-            let position_um = requested.position_um;
-            let target = settings.axis.position_um(Micrometres(position_um));
-            let target = target.map_err(|_| Refusal::OutOfRange {
-                field: Field::PositionUm,
-                requested: position_um.into(),
-                min: 0,
-                max: settings.axis.stroke().0.into(),
-            })?;
-            let speed = settings.speed(requested.speed_um_s)?;
+            let (target, speed) = destination(&requested, machine.settings())?;
             command(machine, Command::MoveTo { target, speed })?;
             // Calculate the profile again for the reply: the machine has just started the same one.
             let settings = machine.settings();
@@ -179,6 +169,26 @@ fn respond(
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
+}
+
+fn home_accepted(settings: &Settings) -> rig::HomeAccepted {
+    rig::HomeAccepted {
+        seek_um_s: settings.seek_um_s,
+        locate_um_s: settings.locate_um_s,
+        max_travel_um: settings.axis.stroke().0 + settings.overtravel_um,
+    }
+}
+
+/// Where a move ends, and how fast it may go.
+fn destination(requested: &rig::MoveTo, settings: &Settings) -> Result<(Position, Speed), Refusal> {
+    let target = (settings.axis).position_um(Micrometres(requested.position_um));
+    let target = target.map_err(|_| Refusal::OutOfRange {
+        field: Field::PositionUm,
+        requested: requested.position_um.into(),
+        min: 0,
+        max: settings.axis.stroke().0.into(),
+    })?;
+    Ok((target, settings.speed(requested.speed_um_s)?))
 }
 
 /// Handles a press of the start button: [`Command::Button`], with the run that the settings describe.

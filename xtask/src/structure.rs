@@ -3,7 +3,7 @@
 //! * No two files import each other, directly or by way of others; nor do two modules of a crate, each with the files
 //!   below it.
 //! * Crates import in one direction, which cargo sees to, and not past what `docs/architecture.md` draws.
-//! * No crate is larger than a fifth of the source, no source file longer than 800 lines.
+//! * No crate is larger than a fifth of the source, no source file longer than 800 lines, no function longer than 100.
 //!
 //! Imports are read from the text: `use`, and paths that begin with `crate`, `self` or `super`.
 
@@ -22,6 +22,31 @@ const LONGER: [(&str, &str); 1] = [(
     "virtual-bench/src/emulator.rs",
     "one processor with its peripherals; the parts that stand alone are files below it",
 )];
+/// Longest function, lines.
+const MOST_LINES_OF_FUNCTION: usize = 100;
+/// Functions that may be longer, by file and name, each with the reason.
+const LONGER_FUNCTIONS: [(&str, &str, &str); 4] = [
+    (
+        "firmware-capsule/src/fold.rs",
+        "decide",
+        "one table of states and readings",
+    ),
+    (
+        "firmware-capsule/src/leg.rs",
+        "decide",
+        "one table of readings",
+    ),
+    (
+        "virtual-bench/src/cycles/thumb.rs",
+        "instructions_are_told_apart",
+        "one table of encodings",
+    ),
+    (
+        "virtual-bench/src/figures.rs",
+        "run",
+        "one figure after the other, each from the last",
+    ),
+];
 /// Crates that only test: they count as tests, not as source.
 const TESTING: [&str; 3] = ["exemplars", "fuzz", "simulated-machines"];
 /// What a crate must not import.
@@ -448,8 +473,8 @@ fn reach(node: &str, edges: &BTreeMap<String, BTreeSet<String>>) -> BTreeSet<Str
     far
 }
 
-/// Lines of each source file of a folder.
-fn lines(folder: &Path) -> Result<Vec<(PathBuf, usize)>> {
+/// Each source file of a folder, with its text.
+fn sources(folder: &Path) -> Result<Vec<(PathBuf, String)>> {
     let (mut files, mut open) = (vec![], vec![folder.to_path_buf()]);
     while let Some(folder) = open.pop() {
         let Ok(entries) = fs::read_dir(&folder) else {
@@ -460,8 +485,8 @@ fn lines(folder: &Path) -> Result<Vec<(PathBuf, usize)>> {
             if path.is_dir() {
                 open.push(path);
             } else if path.extension().is_some_and(|end| end == "rs") {
-                let count = read(&path)?.lines().count();
-                files.push((path, count));
+                let text = read(&path)?;
+                files.push((path, text));
             }
         }
     }
@@ -469,22 +494,65 @@ fn lines(folder: &Path) -> Result<Vec<(PathBuf, usize)>> {
     Ok(files)
 }
 
-/// Crates and files that are too large.
+/// The functions with a body in a formatted text, with their lines.
+fn functions(text: &str) -> Vec<(&str, usize)> {
+    let lines: Vec<_> = text.lines().collect();
+    let mut found = vec![];
+    for (at, line) in lines.iter().enumerate() {
+        let from = &lines[at..];
+        let Some(name) = function(line) else {
+            continue;
+        };
+        let opens = from.iter().position(|line| line.ends_with(['{', '}', ';']));
+        let Some(head) = opens.filter(|head| from[*head].ends_with('{')) else {
+            continue;
+        };
+        let indent = &line[..line.len() - line.trim_start().len()];
+        let closes = |line: &&str| line.strip_prefix(indent) == Some("}");
+        if let Some(body) = from[head..].iter().position(closes) {
+            found.push((name, head + body + 1));
+        }
+    }
+    found
+}
+
+/// The function that a line begins.
+fn function(line: &str) -> Option<&str> {
+    let (before, rest) = line.split_once("fn ")?;
+    let words = ["pub", "const", "async", "unsafe", "extern"];
+    let mut before = before.split_whitespace();
+    let is_head =
+        before.all(|word| words.iter().any(|known| word.starts_with(known)) || word == "\"C\"");
+    let name = rest.split(['(', '<']).next()?;
+    is_head.then_some(name)
+}
+
+/// Crates, files and functions that are too large.
 fn sizes(packages: &[Package]) -> Result<Vec<String>> {
     let mut wrong = vec![];
     let mut of_package = vec![];
     for package in packages {
-        let files = lines(&package.folder.join("src"))?;
-        for (file, count) in &files {
-            let file = shown(file);
-            if *count > MOST_LINES && !LONGER.iter().any(|(name, _)| *name == file) {
+        let (mut lines, files) = (0, sources(&package.folder.join("src"))?);
+        for (file, text) in &files {
+            let (file, count) = (shown(file), text.lines().count());
+            lines += count;
+            if count > MOST_LINES && !LONGER.iter().any(|(name, _)| *name == file) {
                 wrong.push(format!(
                     "{file} has {count} lines; {MOST_LINES} are the most"
                 ));
             }
+            for (function, count) in functions(text) {
+                let known =
+                    |(known, name, _): &(&str, &str, &str)| (*known, *name) == (&*file, function);
+                if count > MOST_LINES_OF_FUNCTION && !LONGER_FUNCTIONS.iter().any(known) {
+                    wrong.push(format!(
+                        "{file}: `{function}` has {count} lines; {MOST_LINES_OF_FUNCTION} are the most"
+                    ));
+                }
+            }
         }
         if !TESTING.contains(&package.name.as_str()) {
-            of_package.push((&package.name, files.iter().map(|(_, count)| count).sum()));
+            of_package.push((&package.name, lines));
         }
     }
     let all: usize = of_package.iter().map(|(_, count)| count).sum();
@@ -574,6 +642,13 @@ mod tests {
         ]);
         expected.sort();
         assert_eq!(found, expected);
+    }
+
+    #[test]
+    fn functions_are_measured_from_head_to_brace() {
+        let text = "impl A {\n    pub(crate) fn a<T>(\n        b: u8,\n    ) -> T {\n        loop {\n        }\n    }\n    fn c();\n}\n\
+            fn d() {}\nconst fn e() {\n    let f: fn (u8);\n}\n";
+        assert_eq!(functions(text), [("a", 6), ("e", 3)]);
     }
 
     #[test]

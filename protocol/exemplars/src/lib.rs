@@ -176,34 +176,164 @@ pub fn events() -> std::vec::Vec<Event> {
     ]
 }
 
-/// Responses of every kind.
-#[must_use]
-pub fn responses() -> std::vec::Vec<Response> {
+const STROKE: Stroke = Stroke {
+    steps: u32::MAX,
+    duration_ticks: u64::MAX,
+    ramp_ticks: u64::MAX,
+    peak_um_s: u32::MAX,
+    accel_um_s2: u32::MAX,
+};
+
+const IDENTITY: Identity = Identity {
+    device: DeviceKind::Capsule,
+    protocol: Version { major: 1, minor: 2 },
+    schema_key: 0x0123_4567_89ab_cdef,
+    uid: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12],
+    revision: Revision {
+        commit: 0xdead_beef,
+        dirty: true,
+    },
+    profile: BuildProfile::Firmware,
+    boot_id: 17,
+    reset_cause: ResetCause::Pin,
+    session: 18,
+};
+
+const RIG_STATUS: RigStatus = RigStatus {
+    time_us: 12_345_678,
+    state: RigState::Faulted,
+    fault: Some(RigFault::ReadBack {
+        commanded: -104_000,
+        counted: 7,
+    }),
+    homed: true,
+    position_steps: 104_000,
+    position_um: 130_000,
+    stroke_um: 130_000,
+    steps_per_rev: 3_200,
+    lead_um: 4_000,
+    inputs: INPUTS,
+    run: 3,
+    stroke: 9,
+    strokes: 10,
+    elapsed_us: 39_999_999,
+    needs_acknowledge: true,
+};
+
+const RUN_RECORD: RunRecord = RunRecord {
+    run: 3,
+    outcome: RunOutcome::Faulted(RigFault::FlagNotFound(HomingPhase::Locate)),
+    strokes: 10,
+    commanded_edges: 1_040_000,
+    counted_edges: 1_039_999,
+    ticks: 4_000_000_000,
+    plan_hash: u64::MAX,
+    min_steps: -1,
+    max_steps: 104_000,
+    worst_residual_steps: -3,
+    min_queue: Some(101),
+    glitches: 5,
+    holds: 1,
+    image_hash: 0x811c_9dc5,
+    prepared_edges: 1_040_185,
+    edges_timed: 1_039_998,
+    worst_interval_error_ticks: 2,
+};
+
+const CAPSULE_STATUS: CapsuleStatus = CapsuleStatus {
+    time_us: 12_345_678,
+    state: CapsuleState::Faulted,
+    fault: Some(CapsuleFault::OverCurrent { current_ma: 900 }),
+    referenced: true,
+    thread_um: 21_000,
+    current_ma: 160,
+    battery_mv: 3_700,
+    actuation: 4,
+    needs_acknowledge: true,
+};
+
+const ACTUATION_RECORD: ActuationRecord = ActuationRecord {
+    actuation: 3,
+    kind: ActuationKind::Fold,
+    outcome: ActuationOutcome::Complete,
+    duration_ms: 1_550,
+    thread_um: 21_200,
+    end_current_ma: 160,
+    peak_current_ma: 300,
+    engaged_um: 1_000,
+    energy_mj: 180,
+    min_battery_mv: 3_600,
+};
+
+const RIG_HEALTH: RigHealth = RigHealth {
+    home_flag: Glitches {
+        count: 300,
+        last_us: 12_345_678,
+        masked: 7,
+    },
+    far_limit: Glitches {
+        count: 2,
+        last_us: 11_222_333,
+        masked: 8,
+    },
+    uart_errors: 3,
+    bad_frames: 4,
+    unsent_frames: 5,
+    underruns: 1,
+    stack_used: 4_000,
+    stack_size: 118_000,
+    control_late_us: 900,
+    image_hash: 0x811c_9dc5,
+};
+
+const CAPSULE_TOTALS: CapsuleTotals = CapsuleTotals {
+    actuations: 1_003,
+    energy_mj: 185_000,
+    calibration: Some(CapsuleCalibration {
+        folded_um: 21_700,
+        rise_um: 1_600,
+        no_load_ma: 16,
+        tension_ma: 22,
+    }),
+};
+
+const RIG_HARDWARE: RigHardware = RigHardware {
+    intervals_exact: 190_000,
+    intervals_1_tick: 1_500,
+    intervals_2_ticks: 300,
+    intervals_more: 4,
+    lost_captures: 5,
+    dma_errors: 6,
+    timer_resets: 7,
+    enable_high_at_start: true,
+};
+
+fn run_accepted() -> RunAccepted {
     let Request::Run(requested) = requests()[9] else {
         unreachable!()
     };
-    let stroke = Stroke {
-        steps: u32::MAX,
-        duration_ticks: u64::MAX,
-        ramp_ticks: u64::MAX,
-        peak_um_s: u32::MAX,
-        accel_um_s2: u32::MAX,
-    };
-    vec![
-        Response::Hello(Identity {
-            device: DeviceKind::Capsule,
-            protocol: Version { major: 1, minor: 2 },
-            schema_key: 0x0123_4567_89ab_cdef,
-            uid: [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12],
-            revision: Revision {
-                commit: 0xdead_beef,
-                dirty: true,
+    RunAccepted {
+        run: u32::MAX,
+        requested: Run {
+            timing: RunTiming::Total {
+                total_us: u64::MAX,
+                accel_um_s2: u32::MAX,
             },
-            profile: BuildProfile::Firmware,
-            boot_id: 17,
-            reset_cause: ResetCause::Pin,
-            session: 18,
-        }),
+            ..requested
+        },
+        forward: STROKE,
+        back: STROKE,
+        total_ticks: u64::MAX,
+        edges: u64::MAX,
+        plan_hash: u64::MAX,
+    }
+}
+
+/// Responses of every kind.
+#[must_use]
+pub fn responses() -> std::vec::Vec<Response> {
+    vec![
+        Response::Hello(IDENTITY),
         Response::KeepAlive(Done),
         Response::GetLastWords(LastWords {
             text: "x".repeat(120).as_str().try_into().unwrap(),
@@ -215,76 +345,15 @@ pub fn responses() -> std::vec::Vec<Response> {
             events: Vec::from_slice(&events()[3..6]).unwrap(),
         }),
         Response::Acknowledge(Done),
-        Response::GetRigStatus(RigStatus {
-            time_us: 12_345_678,
-            state: RigState::Faulted,
-            fault: Some(RigFault::ReadBack {
-                commanded: -104_000,
-                counted: 7,
-            }),
-            homed: true,
-            position_steps: 104_000,
-            position_um: 130_000,
-            stroke_um: 130_000,
-            steps_per_rev: 3_200,
-            lead_um: 4_000,
-            inputs: INPUTS,
-            run: 3,
-            stroke: 9,
-            strokes: 10,
-            elapsed_us: 39_999_999,
-            needs_acknowledge: true,
-        }),
+        Response::GetRigStatus(RIG_STATUS),
         Response::Home(HomeAccepted {
             seek_um_s: 20_000,
             locate_um_s: 2_000,
             max_travel_um: 140_000,
         }),
-        Response::Run(RunAccepted {
-            run: u32::MAX,
-            requested: Run {
-                timing: RunTiming::Total {
-                    total_us: u64::MAX,
-                    accel_um_s2: u32::MAX,
-                },
-                ..requested
-            },
-            forward: stroke,
-            back: stroke,
-            total_ticks: u64::MAX,
-            edges: u64::MAX,
-            plan_hash: u64::MAX,
-        }),
-        Response::GetRunRecord(RunRecord {
-            run: 3,
-            outcome: RunOutcome::Faulted(RigFault::FlagNotFound(HomingPhase::Locate)),
-            strokes: 10,
-            commanded_edges: 1_040_000,
-            counted_edges: 1_039_999,
-            ticks: 4_000_000_000,
-            plan_hash: u64::MAX,
-            min_steps: -1,
-            max_steps: 104_000,
-            worst_residual_steps: -3,
-            min_queue: Some(101),
-            glitches: 5,
-            holds: 1,
-            image_hash: 0x811c_9dc5,
-            prepared_edges: 1_040_185,
-            edges_timed: 1_039_998,
-            worst_interval_error_ticks: 2,
-        }),
-        Response::GetCapsuleStatus(CapsuleStatus {
-            time_us: 12_345_678,
-            state: CapsuleState::Faulted,
-            fault: Some(CapsuleFault::OverCurrent { current_ma: 900 }),
-            referenced: true,
-            thread_um: 21_000,
-            current_ma: 160,
-            battery_mv: 3_700,
-            actuation: 4,
-            needs_acknowledge: true,
-        }),
+        Response::Run(run_accepted()),
+        Response::GetRunRecord(RUN_RECORD),
+        Response::GetCapsuleStatus(CAPSULE_STATUS),
         Response::Reference(ActuationAccepted {
             actuation: 2,
             timeout_ms: 20_000,
@@ -297,51 +366,21 @@ pub fn responses() -> std::vec::Vec<Response> {
             actuation: 4,
             timeout_ms: 5_000,
         }),
-        Response::GetActuationRecord(ActuationRecord {
-            actuation: 3,
-            kind: ActuationKind::Fold,
-            outcome: ActuationOutcome::Complete,
-            duration_ms: 1_550,
-            thread_um: 21_200,
-            end_current_ma: 160,
-            peak_current_ma: 300,
-            engaged_um: 1_000,
-            energy_mj: 180,
-            min_battery_mv: 3_600,
-        }),
+        Response::GetActuationRecord(ACTUATION_RECORD),
         Response::Hold(Done),
         Response::Resume(Done),
         Response::Jog(Done),
         Response::MoveTo(MoveAccepted {
             from_steps: 104_000,
             to_steps: 52_000,
-            stroke,
+            stroke: STROKE,
         }),
         Response::GetSetting(SETTING),
         Response::SetSetting(SETTING),
         Response::FactoryReset(Done),
         Response::GetName(lab_name()),
         Response::SetName(lab_name()),
-        Response::GetRigHealth(RigHealth {
-            home_flag: Glitches {
-                count: 300,
-                last_us: 12_345_678,
-                masked: 7,
-            },
-            far_limit: Glitches {
-                count: 2,
-                last_us: 11_222_333,
-                masked: 8,
-            },
-            uart_errors: 3,
-            bad_frames: 4,
-            unsent_frames: 5,
-            underruns: 1,
-            stack_used: 4_000,
-            stack_size: 118_000,
-            control_late_us: 900,
-            image_hash: 0x811c_9dc5,
-        }),
+        Response::GetRigHealth(RIG_HEALTH),
         Response::GetChip(Chip {
             clock: Clock::Internal,
             brown_out: BrownOut::Level3,
@@ -361,30 +400,12 @@ pub fn responses() -> std::vec::Vec<Response> {
             total: 1_790,
             points: (0..MAX_TRACE_POINTS).map(|_| TRACE_POINT).collect(),
         }),
-        Response::GetCapsuleTotals(CapsuleTotals {
-            actuations: 1_003,
-            energy_mj: 185_000,
-            calibration: Some(CapsuleCalibration {
-                folded_um: 21_700,
-                rise_um: 1_600,
-                no_load_ma: 16,
-                tension_ma: 22,
-            }),
-        }),
+        Response::GetCapsuleTotals(CAPSULE_TOTALS),
         Response::FoldTo(ActuationAccepted {
             actuation: 7,
             timeout_ms: 8_000,
         }),
-        Response::GetRigHardware(RigHardware {
-            intervals_exact: 190_000,
-            intervals_1_tick: 1_500,
-            intervals_2_ticks: 300,
-            intervals_more: 4,
-            lost_captures: 5,
-            dma_errors: 6,
-            timer_resets: 7,
-            enable_high_at_start: true,
-        }),
+        Response::GetRigHardware(RIG_HARDWARE),
     ]
 }
 

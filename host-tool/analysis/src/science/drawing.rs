@@ -309,19 +309,38 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     // Leave room for the text beside and below a small structure.
     const MARGIN: f64 = 18.0;
     const LEAST_PART: f64 = 70.0;
-    let m = usize::from(design.crescents());
     let (length, half) = (design.length_mm(0.0)?, design.width_mm() / 2.0);
     let part = (length + 2.0 * MARGIN).max(LEAST_PART);
     let margin = (part - length) / 2.0;
     let middle = 10.0 + half;
     let mut drawing = Drawing::new((2.0 * part).ceil(), (middle + half + 26.0).ceil());
 
+    drawing.open("unsqueezed", (margin, middle));
+    let core = unsqueezed(&mut drawing, design, length)?;
+    drawing.close();
+    drawing.open("squeezed", (part + margin, middle));
+    squeezed(&mut drawing, design, a_mm, core)?;
+    drawing.close();
+    drawing.text(
+        "start",
+        (4.0, middle + half + 24.0),
+        "lengths in mm, drawn to scale; tail at the left, head at the right; model: kinematics, Eqs. (1) to (7)",
+    );
+    Ok(drawing.finish("The origami, not squeezed and squeezed", KINEMATICS))
+}
+
+/// The half of [`structure`] at rest. Returns where the core begins and ends.
+fn unsqueezed(
+    drawing: &mut Drawing,
+    design: &Design<f64>,
+    length: f64,
+) -> Result<Point, OutOfRange> {
+    let (m, half) = (usize::from(design.crescents()), design.width_mm() / 2.0);
     // The rearmost tip is at 0, so the core begins at s2(0).
     let free = Body::new(design, design.wing_reach_mm(0.0)?, &vec![0.0; m])?;
     let (tail, head) = free.core_ends_mm();
-    drawing.open("unsqueezed", (margin, middle));
     drawing.text("middle", (length / 2.0, -half - 4.0), "(a) not squeezed");
-    walls(&mut drawing, length, half);
+    walls(drawing, length, half);
     drawing.body(&free);
     drawing.upright(
         head + 4.0,
@@ -366,13 +385,22 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
             design.short_side_mm()
         ),
     );
-    drawing.close();
+    Ok((tail, head))
+}
 
+/// The half of [`structure`] that is squeezed, beside the outline of the other.
+fn squeezed(
+    drawing: &mut Drawing,
+    design: &Design<f64>,
+    a_mm: f64,
+    (tail, head): Point,
+) -> Result<(), OutOfRange> {
+    let (m, half) = (usize::from(design.crescents()), design.width_mm() / 2.0);
+    let length = design.length_mm(0.0)?;
     let psi = design.squeezed_spacing_mm(a_mm)?;
     let d = design.shortening_mm(a_mm)?;
     let squeezed = Body::new(design, tail + d, &vec![a_mm; m])?;
     let reach = half - a_mm;
-    drawing.open("squeezed", (part + margin, middle));
     drawing.text(
         "middle",
         (length / 2.0, -half - 4.0),
@@ -381,7 +409,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
     for side in [-1.0, 1.0] {
         drawing.line("ghost", (-3.0, side * half), (length + 3.0, side * half));
     }
-    walls(&mut drawing, length, reach);
+    walls(drawing, length, reach);
     drawing.body(&squeezed);
     drawing.line("ghost", (tail, -half), (tail, half));
     drawing.upright(head + 4.0, (-half, -reach), &format!("a = {a_mm:.2}"));
@@ -401,13 +429,7 @@ pub fn structure(design: &Design<f64>, a_mm: f64) -> Result<String, OutOfRange> 
         (length / 2.0, half + 15.5),
         &format!("ψ = {psi:.3}, core m ψ = {:.2}", m as f64 * psi),
     );
-    drawing.close();
-    drawing.text(
-        "start",
-        (4.0, middle + half + 24.0),
-        "lengths in mm, drawn to scale; tail at the left, head at the right; model: kinematics, Eqs. (1) to (7)",
-    );
-    Ok(drawing.finish("The origami, not squeezed and squeezed", KINEMATICS))
+    Ok(())
 }
 
 fn walls(drawing: &mut Drawing, length: f64, reach: f64) {

@@ -9,9 +9,9 @@ use campaign::contents::Campaign;
 use campaign::differences::Finding;
 use campaign::files::TRIALS;
 use campaign::form::Form;
-use campaign::ledger::Standing;
+use campaign::ledger::{Standing, Trial};
 use campaign::manifest::{self, hex};
-use campaign::plan::{self, Purpose};
+use campaign::plan::{self, Plan, Purpose};
 use campaign::verify::verify;
 use client::identity::Origin;
 use client::limited;
@@ -61,6 +61,110 @@ pub struct Trials {
     pub stroke_mm: Option<f64>,
     /// The uncertainty that the source states, if another one was given and replaced it, mm.
     pub overridden_mm: Option<f64>,
+}
+
+impl Trials {
+    /// Of no source, and with nothing in it.
+    const EMPTY: Self = Self {
+        path: PathBuf::new(),
+        measured: vec![],
+        left_out: vec![],
+        files: vec![],
+        origin: Origin::Unknown,
+        stroke_mm: None,
+        overridden_mm: None,
+    };
+
+    /// Adds a trial of a campaign: its displacements, and everything that is not used.
+    fn add(&mut self, trial: &Trial, plan: &Plan, uncertainty_mm: f64) {
+        let place = format!("trial {}", trial.planned.trial);
+        let mut leave = |why: String| {
+            self.left_out.push(LeftOut {
+                place: place.clone(),
+                why,
+            });
+        };
+        // List every attempt that did not count, even if a later one does.
+        for attempt in trial.attempts.iter().filter(|attempt| !attempt.stands()) {
+            let how = attempt
+                .outcome
+                .map_or("not ended", |outcome| outcome.name());
+            let why = attempt.given_up.as_deref().or(attempt.reason.as_deref());
+            let why = why.map_or(String::new(), |why| format!(": {why}"));
+            leave(format!("attempt {} {how}{why}", attempt.number));
+        }
+        let (displacement_mm, indentation_mm) = match usable(trial) {
+            Ok(values) => values,
+            Err(why) => return leave(why),
+        };
+        let planned = &trial.planned;
+        let observation = Observation {
+            kind: match planned.purpose {
+                Purpose::Series | Purpose::FoldTest => Kind::Net {
+                    cycles: plan.run.cycles,
+                },
+                Purpose::AntegradePass => Kind::AntegradePass,
+                Purpose::ReturningPass => Kind::ReturningPass,
+            },
+            lubrication: match planned.lubrication {
+                plan::Lubrication::Dry => Lubrication::Dry,
+                plan::Lubrication::Lubricated => Lubrication::Lubricated,
+            },
+            indentation_mm,
+            displacement_mm,
+            uncertainty_mm,
+        };
+        let strokes = plan.strokes_of(planned.purpose, planned.shape);
+        let after = strokes.map(|count| {
+            trial
+                .attempt()
+                .and_then(|attempt| attempt.all_strokes(count))
+        });
+        if after == Some(None) {
+            leave("its displacements per stroke: they were not entered".to_owned());
+        }
+        self.measured.push(Measured {
+            observation,
+            place: place.clone(),
+        });
+        let mut before_mm = 0.0;
+        for (number, after) in (1..).zip(after.flatten().unwrap_or_default()) {
+            // The body begins at its mark, so the first stroke takes one reading; later strokes are the difference of
+            // two readings.
+            let readings: f64 = if number == 1 { 1.0 } else { 2.0 };
+            self.measured.push(Measured {
+                observation: Observation {
+                    kind: Kind::Stroke { number },
+                    displacement_mm: after.mm() - before_mm,
+                    uncertainty_mm: uncertainty_mm * readings.sqrt(),
+                    ..observation
+                },
+                place: format!("{place}, stroke {number}"),
+            });
+            before_mm = after.mm();
+        }
+    }
+}
+
+/// Displacement and indentation of a trial, mm, or the reason for which it is left out.
+fn usable(trial: &Trial) -> Result<(f64, f64), String> {
+    let because = |why: &Option<String>| why.clone().unwrap_or_default();
+    match trial.standing() {
+        Standing::Done => {}
+        Standing::Excluded => return Err(format!("excluded: {}", because(&trial.excluded))),
+        Standing::Skipped => return Err(format!("skipped: {}", because(&trial.skipped))),
+        Standing::Open | Standing::UnderWay | Standing::Unmeasured => {
+            return Err("not done".to_owned());
+        }
+    }
+    if trial.planned.shape != Form::Unfolded {
+        return Err(FOLDED.to_owned());
+    }
+    let indentation = trial.attempt().and_then(|attempt| attempt.indentation_mm);
+    match (trial.counted(), indentation) {
+        (Some(displacement), Some(indentation)) => Ok((displacement.value.mm(), indentation.mm())),
+        _ => Err("its indentation is not known".to_owned()),
+    }
 }
 
 /// Why a source cannot be used.
@@ -118,101 +222,22 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
     let overridden_mm = stated_mm.filter(|stated| uncertainty_mm.is_some_and(|mm| mm != *stated));
     let uncertainty_mm = (uncertainty_mm.or(stated_mm))
         .ok_or_else(|| TrialsError::NoUncertainty(path.to_owned()))?;
-    let (mut measured, mut left_out) = (vec![], vec![]);
+    let mut trials = Trials {
+        path: path.to_owned(),
+        files: listed_files(path)?,
+        origin: campaign.origin().unwrap_or_default(),
+        stroke_mm: Some(f64::from(campaign.plan.run.stroke_um) / 1e3),
+        overridden_mm,
+        ..Trials::EMPTY
+    };
     for trial in &campaign.state.trials {
-        let place = format!("trial {}", trial.planned.trial);
-        let mut leave = |why: String| {
-            left_out.push(LeftOut {
-                place: place.clone(),
-                why,
-            });
-        };
-        // List every attempt that did not count, even if a later one does.
-        for attempt in trial.attempts.iter().filter(|attempt| !attempt.stands()) {
-            let how = attempt
-                .outcome
-                .map_or("not ended", |outcome| outcome.name());
-            let why = attempt.given_up.as_deref().or(attempt.reason.as_deref());
-            let why = why.map_or(String::new(), |why| format!(": {why}"));
-            leave(format!("attempt {} {how}{why}", attempt.number));
-        }
-        let because = |why: &Option<String>| why.clone().unwrap_or_default();
-        match trial.standing() {
-            Standing::Done => {}
-            Standing::Excluded => {
-                leave(format!("excluded: {}", because(&trial.excluded)));
-                continue;
-            }
-            Standing::Skipped => {
-                leave(format!("skipped: {}", because(&trial.skipped)));
-                continue;
-            }
-            Standing::Open | Standing::UnderWay | Standing::Unmeasured => {
-                leave("not done".to_owned());
-                continue;
-            }
-        }
-        if trial.planned.shape != Form::Unfolded {
-            leave(FOLDED.to_owned());
-            continue;
-        }
-        let indentation = trial.attempt().and_then(|attempt| attempt.indentation_mm);
-        let (Some(displacement), Some(indentation)) = (trial.counted(), indentation) else {
-            leave("its indentation is not known".to_owned());
-            continue;
-        };
-        let observation = |kind, displacement_mm, uncertainty_mm| Observation {
-            kind,
-            lubrication: match trial.planned.lubrication {
-                plan::Lubrication::Dry => Lubrication::Dry,
-                plan::Lubrication::Lubricated => Lubrication::Lubricated,
-            },
-            indentation_mm: indentation.mm(),
-            displacement_mm,
-            uncertainty_mm,
-        };
-        let kind = match trial.planned.purpose {
-            Purpose::Series | Purpose::FoldTest => Kind::Net {
-                cycles: campaign.plan.run.cycles,
-            },
-            Purpose::AntegradePass => Kind::AntegradePass,
-            Purpose::ReturningPass => Kind::ReturningPass,
-        };
-        let Some(count) = (campaign.plan).strokes_of(trial.planned.purpose, trial.planned.shape)
-        else {
-            measured.push(Measured {
-                observation: observation(kind, displacement.value.mm(), uncertainty_mm),
-                place,
-            });
-            continue;
-        };
-        let after = trial
-            .attempt()
-            .and_then(|attempt| attempt.all_strokes(count));
-        if after.is_none() {
-            leave("its displacements per stroke: they were not entered".to_owned());
-        }
-        measured.push(Measured {
-            observation: observation(kind, displacement.value.mm(), uncertainty_mm),
-            place: place.clone(),
-        });
-        let mut before = 0.0;
-        for (number, after) in (1..).zip(after.unwrap_or_default()) {
-            // The body begins at its mark, so the first stroke takes one reading; later strokes are the difference of
-            // two readings.
-            let readings: f64 = if number == 1 { 1.0 } else { 2.0 };
-            let uncertainty_mm = uncertainty_mm * readings.sqrt();
-            measured.push(Measured {
-                observation: observation(
-                    Kind::Stroke { number },
-                    after.mm() - before,
-                    uncertainty_mm,
-                ),
-                place: format!("{place}, stroke {number}"),
-            });
-            before = after.mm();
-        }
+        trials.add(trial, &campaign.plan, uncertainty_mm);
     }
+    Ok(trials)
+}
+
+/// The files of a campaign that are read here, with their hashes.
+fn listed_files(path: &Path) -> Result<Vec<SourceFile>, CampaignError> {
     let listed = path.join(manifest::NAME);
     let files = [TRIALS.into(), manifest::NAME.to_owned()];
     let files = files.map(|name| {
@@ -224,15 +249,7 @@ fn campaign(path: &Path, uncertainty_mm: Option<f64>) -> Result<Trials, TrialsEr
             sha256: hex(&hash),
         })
     });
-    Ok(Trials {
-        path: path.to_owned(),
-        measured,
-        left_out,
-        files: files.into_iter().collect::<Result<_, CampaignError>>()?,
-        origin: campaign.origin().unwrap_or_default(),
-        stroke_mm: Some(f64::from(campaign.plan.run.stroke_um) / 1e3),
-        overridden_mm,
-    })
+    files.into_iter().collect()
 }
 
 /// Columns of a CSV file of trials. The first four are required.
@@ -294,15 +311,7 @@ pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String
             return Err(format!("the column {name} is missing"));
         }
     }
-    let mut trials = Trials {
-        path: PathBuf::new(),
-        measured: vec![],
-        left_out: vec![],
-        files: vec![],
-        origin: Origin::Unknown,
-        stroke_mm: None,
-        overridden_mm: None,
-    };
+    let mut trials = Trials::EMPTY;
     let mut origins = vec![];
     for (number, record) in (1..).zip(reader.records()) {
         let record = record.map_err(|error| format!("row {number}: {error}"))?;
@@ -310,7 +319,8 @@ pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String
             let place = columns.get(name)?;
             record.get(*place).filter(|text| !text.is_empty())
         };
-        let row = row(&text, uncertainty_mm).map_err(|why| format!("row {number}: {why}"))?;
+        let row =
+            row(&Fields(&text), uncertainty_mm).map_err(|why| format!("row {number}: {why}"))?;
         let place = format!("row {number}");
         origins.push(row.origin);
         match row.used {
@@ -336,12 +346,16 @@ struct Row {
     origin: Origin,
 }
 
-fn row<'a>(
-    text: &dyn Fn(&str) -> Option<&'a str>,
-    uncertainty_mm: Option<f64>,
-) -> Result<Row, String> {
-    let number = |name: &str| -> Result<Option<f64>, String> {
-        let Some(text) = text(name) else {
+/// The fields of a row by the name of their column; none if a field is empty.
+struct Fields<'a>(&'a dyn Fn(&str) -> Option<&'a str>);
+
+impl<'a> Fields<'a> {
+    fn text(&self, name: &str) -> Option<&'a str> {
+        self.0(name)
+    }
+
+    fn number(&self, name: &str) -> Result<Option<f64>, String> {
+        let Some(text) = self.text(name) else {
             return Ok(None);
         };
         match text.parse::<f64>() {
@@ -350,10 +364,14 @@ fn row<'a>(
                 "{name}: {text:?} is no number; write for example 12.5"
             )),
         }
-    };
-    let required = |name: &str| number(name)?.ok_or_else(|| format!("{name} is empty"));
-    let count = |name: &str, most: u16| -> Result<Option<u16>, String> {
-        let Some(text) = text(name) else {
+    }
+
+    fn required(&self, name: &str) -> Result<f64, String> {
+        self.number(name)?.ok_or_else(|| format!("{name} is empty"))
+    }
+
+    fn count(&self, name: &str, most: u16) -> Result<Option<u16>, String> {
+        let Some(text) = self.text(name) else {
             return Ok(None);
         };
         match text.parse::<u16>() {
@@ -362,59 +380,82 @@ fn row<'a>(
                 "{name}: {text:?}; write a whole number from 1 to {most}"
             )),
         }
-    };
-    let (cycles, stroke) = (
-        count("cycles", MOST_CYCLES)?,
-        count("stroke", 2 * MOST_CYCLES)?,
-    );
-    let kind = match text("kind") {
-        Some("net") => Kind::Net {
-            cycles: cycles.ok_or("net: write the number of cycles of the run into `cycles`")?,
-        },
-        Some("stroke") => Kind::Stroke {
-            number: stroke.ok_or("stroke: write its number in the run, from 1, into `stroke`")?,
-        },
-        Some("antegrade_pass") => Kind::AntegradePass,
-        Some("returning_pass") => Kind::ReturningPass,
-        other => {
-            return Err(format!(
-                "kind: {:?}; write net, stroke, antegrade_pass or returning_pass",
-                other.unwrap_or_default()
-            ));
-        }
-    };
-    if cycles.is_some() && !matches!(kind, Kind::Net { .. }) {
-        return Err("`cycles` is for net only: leave it empty".to_owned());
     }
-    if stroke.is_some() && !matches!(kind, Kind::Stroke { .. }) {
-        return Err("`stroke` is for stroke only: leave it empty".to_owned());
-    }
-    let lubrication = match text("lubrication") {
-        Some("dry") => Lubrication::Dry,
-        Some("lubricated") => Lubrication::Lubricated,
-        other => {
-            let other = other.unwrap_or_default();
-            return Err(format!("lubrication: {other:?}; write dry or lubricated"));
+
+    fn kind(&self) -> Result<Kind, String> {
+        let cycles = self.count("cycles", MOST_CYCLES)?;
+        let stroke = self.count("stroke", 2 * MOST_CYCLES)?;
+        let kind = match self.text("kind") {
+            Some("net") => Kind::Net {
+                cycles: cycles.ok_or("net: write the number of cycles of the run into `cycles`")?,
+            },
+            Some("stroke") => Kind::Stroke {
+                number: stroke
+                    .ok_or("stroke: write its number in the run, from 1, into `stroke`")?,
+            },
+            Some("antegrade_pass") => Kind::AntegradePass,
+            Some("returning_pass") => Kind::ReturningPass,
+            other => {
+                return Err(format!(
+                    "kind: {:?}; write net, stroke, antegrade_pass or returning_pass",
+                    other.unwrap_or_default()
+                ));
+            }
+        };
+        if cycles.is_some() && !matches!(kind, Kind::Net { .. }) {
+            return Err("`cycles` is for net only: leave it empty".to_owned());
         }
-    };
-    let origin = match text("origin") {
-        None | Some("unknown") => Origin::Unknown,
-        Some("board") => Origin::Board,
-        Some("virtual") => Origin::Virtual,
-        Some(other) => {
-            return Err(format!(
+        if stroke.is_some() && !matches!(kind, Kind::Stroke { .. }) {
+            return Err("`stroke` is for stroke only: leave it empty".to_owned());
+        }
+        Ok(kind)
+    }
+
+    fn lubrication(&self) -> Result<Lubrication, String> {
+        match self.text("lubrication") {
+            Some("dry") => Ok(Lubrication::Dry),
+            Some("lubricated") => Ok(Lubrication::Lubricated),
+            other => {
+                let other = other.unwrap_or_default();
+                Err(format!("lubrication: {other:?}; write dry or lubricated"))
+            }
+        }
+    }
+
+    fn origin(&self) -> Result<Origin, String> {
+        match self.text("origin") {
+            None | Some("unknown") => Ok(Origin::Unknown),
+            Some("board") => Ok(Origin::Board),
+            Some("virtual") => Ok(Origin::Virtual),
+            Some(other) => Err(format!(
                 "origin: {other:?}; write board, virtual or unknown"
-            ));
+            )),
         }
-    };
-    let indentation_mm = required("indentation_mm")?;
+    }
+
+    fn is_folded(&self) -> Result<bool, String> {
+        match self.number("thread_mm")? {
+            Some(mm) if mm < 0.0 => Err(format!(
+                "thread_mm: {mm}; write 0 or more, the thread drawn in"
+            )),
+            Some(mm) => Ok(mm > 0.0),
+            None => Ok(false),
+        }
+    }
+}
+
+fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<Row, String> {
+    let kind = fields.kind()?;
+    let lubrication = fields.lubrication()?;
+    let origin = fields.origin()?;
+    let indentation_mm = fields.required("indentation_mm")?;
     if indentation_mm <= 0.0 {
         return Err(format!(
             "indentation_mm: {indentation_mm}; write a number above 0"
         ));
     }
-    let displacement_mm = required("displacement_mm")?;
-    let uncertainty_mm = number("uncertainty_mm")?.or(uncertainty_mm).ok_or(
+    let displacement_mm = fields.required("displacement_mm")?;
+    let uncertainty_mm = fields.number("uncertainty_mm")?.or(uncertainty_mm).ok_or(
         "uncertainty_mm is empty: write the standard deviation of the displacement, or give --uncertainty-mm",
     )?;
     if uncertainty_mm <= 0.0 {
@@ -422,16 +463,8 @@ fn row<'a>(
             "uncertainty_mm: {uncertainty_mm}; no measurement is exact: write a number above 0"
         ));
     }
-    let folded = match number("thread_mm")? {
-        Some(mm) if mm < 0.0 => {
-            return Err(format!(
-                "thread_mm: {mm}; write 0 or more, the thread drawn in"
-            ));
-        }
-        Some(mm) => mm > 0.0,
-        None => false,
-    };
-    let used = match text("excluded") {
+    let folded = fields.is_folded()?;
+    let used = match fields.text("excluded") {
         Some(why) => Err(format!("excluded: {why}")),
         None if folded => Err(FOLDED.to_owned()),
         None => Ok(Observation {

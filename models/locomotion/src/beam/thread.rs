@@ -24,7 +24,7 @@ use crate::beam::crescent::{Law, Wing};
 use crate::beam::{Modelled, NoAnswer};
 use crate::body::{LINKS, middles};
 use crate::parameter::{Label, Parameter, row};
-use crate::range::{Ends, check};
+use crate::range::{Ends, OutOfRange, check};
 use crate::roller::wall_mm;
 
 /// The body, its wall and the rig's run.
@@ -69,6 +69,80 @@ impl Params {
         step_mm: 0.5,
         cycles: 5,
     };
+
+    /// Refuses the first value outside its range.
+    fn check(&self, indentation_mm: f64) -> Result<(), OutOfRange> {
+        let gap_mm = self.wing.design.half_gap_mm();
+        for (quantity, unit, value, range, because) in [
+            (
+                "friction coefficient",
+                "",
+                self.friction,
+                (0.0, 2.0),
+                "it is a friction",
+            ),
+            (
+                "stiffness of the wall",
+                "N/mm^2",
+                self.wall_n_mm2,
+                (1e-4, 1e4),
+                "the wall is an elastic sheet",
+            ),
+            (
+                "share of the roller's slope",
+                "",
+                self.backed,
+                (0.0, 1.0),
+                "it is a share",
+            ),
+            (
+                "preload",
+                "mm",
+                self.preload_mm,
+                (-1.0, 1.0),
+                "the body is about as wide as the intestine",
+            ),
+            ("weight", "N", self.weight_n, (0.0, 10.0), "it is a weight"),
+            (
+                "start of the core",
+                "mm",
+                self.core_tail_mm,
+                (-1e3, 1e3),
+                "the intestine is a tenth of that",
+            ),
+            (
+                "stroke",
+                "mm",
+                self.stroke_mm,
+                (1.0, 1e3),
+                "the carriage has to travel",
+            ),
+            (
+                "roller step",
+                "mm",
+                self.step_mm,
+                (0.01, 5.0),
+                "finer costs time for nothing, coarser jumps over crescents",
+            ),
+            (
+                "roller radius",
+                "mm",
+                self.radius_mm,
+                (gap_mm, 1e3),
+                "the wave is an arc of the roller, no deeper than its radius",
+            ),
+            (
+                "indentation a",
+                "mm",
+                indentation_mm,
+                (0.0, gap_mm - 1.1),
+                "the wall moves inward, and the bent wing needs room before the core",
+            ),
+        ] {
+            check(quantity, unit, value, range, Ends::Closed, because)?;
+        }
+        Ok(())
+    }
 }
 
 /// Each parameter of [`Params::PAPER`], except for those of the roller and the design, with its label and its source.
@@ -186,80 +260,8 @@ impl ThreadedBody {
     /// # Errors
     /// A value outside its range; an indentation for which the wing has no equilibrium.
     pub fn new(params: Params, thread_mm: f64, indentation_mm: f64) -> Result<Self, NoAnswer> {
-        let closed = |quantity, unit, value, range, because| {
-            check(quantity, unit, value, range, Ends::Closed, because)
-        };
-        closed(
-            "friction coefficient",
-            "",
-            params.friction,
-            (0.0, 2.0),
-            "it is a friction",
-        )?;
-        closed(
-            "stiffness of the wall",
-            "N/mm^2",
-            params.wall_n_mm2,
-            (1e-4, 1e4),
-            "the wall is an elastic sheet",
-        )?;
-        closed(
-            "share of the roller's slope",
-            "",
-            params.backed,
-            (0.0, 1.0),
-            "it is a share",
-        )?;
-        closed(
-            "preload",
-            "mm",
-            params.preload_mm,
-            (-1.0, 1.0),
-            "the body is about as wide as the intestine",
-        )?;
-        closed(
-            "weight",
-            "N",
-            params.weight_n,
-            (0.0, 10.0),
-            "it is a weight",
-        )?;
-        closed(
-            "start of the core",
-            "mm",
-            params.core_tail_mm,
-            (-1e3, 1e3),
-            "the intestine is a tenth of that",
-        )?;
-        closed(
-            "stroke",
-            "mm",
-            params.stroke_mm,
-            (1.0, 1e3),
-            "the carriage has to travel",
-        )?;
-        closed(
-            "roller step",
-            "mm",
-            params.step_mm,
-            (0.01, 5.0),
-            "finer costs time for nothing, coarser jumps over crescents",
-        )?;
+        params.check(indentation_mm)?;
         let design = params.wing.design;
-        closed(
-            "roller radius",
-            "mm",
-            params.radius_mm,
-            (design.half_gap_mm(), 1e3),
-            "the wave is an arc of the roller, no deeper than its radius",
-        )?;
-        closed(
-            "indentation a",
-            "mm",
-            indentation_mm,
-            (0.0, design.half_gap_mm() - 1.1),
-            "the wall moves inward, and the bent wing needs room before the core",
-        )?;
         let drawn_mm = design.indentation_for_thread_mm(thread_mm)?;
         let rest_mm = design.squeezed_spacing_mm(drawn_mm)?;
         let mut body = Self {
