@@ -9,7 +9,7 @@ use campaign::contents::Campaign;
 use campaign::differences::Finding;
 use campaign::files::TRIALS;
 use campaign::form::Form;
-use campaign::ledger::{Standing, Trial};
+use campaign::ledger::{Standing, TrialState};
 use campaign::manifest::{self, hex};
 use campaign::plan::{self, Plan, Purpose};
 use campaign::verify::verify;
@@ -76,7 +76,7 @@ impl Trials {
     };
 
     /// Adds a trial of a campaign: its displacements, and everything that is not used.
-    fn add(&mut self, trial: &Trial, plan: &Plan, uncertainty_mm: f64) {
+    fn add(&mut self, trial: &TrialState, plan: &Plan, uncertainty_mm: f64) {
         let place = format!("trial {}", trial.planned.trial);
         let mut leave = |why: String| {
             self.left_out.push(LeftOut {
@@ -147,7 +147,7 @@ impl Trials {
 }
 
 /// Displacement and indentation of a trial, mm, or the reason for which it is left out.
-fn usable(trial: &Trial) -> Result<(f64, f64), String> {
+fn usable(trial: &TrialState) -> Result<(f64, f64), String> {
     let because = |why: &Option<String>| why.clone().unwrap_or_default();
     match trial.standing() {
         Standing::Done => {}

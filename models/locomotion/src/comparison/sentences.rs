@@ -9,6 +9,9 @@ use crate::prior::{ABOUT_1_MM, FASTER, HARDLY, LINEAR, Words};
 use crate::range::OutOfRange;
 use crate::trend;
 
+/// The model's value for a sentence.
+type Formula = fn(&Figures<'_>) -> Result<f64, OutOfRange>;
+
 /// One sentence of the paper. The fields are those of [`Row`](crate::comparison::Row), with formulas for its numbers.
 pub(super) struct Sentence {
     pub(super) section: &'static str,
@@ -18,7 +21,7 @@ pub(super) struct Sentence {
     pub(super) unit: &'static str,
     pub(super) evidence: Evidence,
     pub(super) world: Option<Words>,
-    pub(super) value: Option<fn(&Figures<'_>) -> Result<f64, OutOfRange>>,
+    pub(super) value: Option<Formula>,
     pub(super) condition: Option<fn(&Figures<'_>) -> Condition>,
     pub(super) chosen: Option<Chosen>,
     pub(super) remark: &'static str,
