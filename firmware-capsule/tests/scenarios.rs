@@ -509,6 +509,20 @@ fn the_folded_end_stays_where_it_was_while_the_friction_changes() {
     }
 }
 
+/// With more friction the plain end force stalls before the folded end: the fold needs the force of that friction.
+#[test]
+fn more_friction_is_no_jam() {
+    for times in [1.1, 1.2, 1.3] {
+        for seed in 0..30 {
+            let changes = [Defect::Friction(times)];
+            let (name, least_mm, _) =
+                cases::lives_on_with(Parameters::lifelike(seed), seed, &changes);
+            assert_eq!(name, "Complete", "seed {seed}, friction x {times}");
+            assert!(least_mm >= -0.05, "seed {seed}: {least_mm} mm");
+        }
+    }
+}
+
 #[test]
 fn a_capsule_that_was_held_and_warmed_can_be_checked_and_unfolded() {
     for seed in 0..6 {

@@ -137,9 +137,16 @@ impl Capsule {
         let Some(from) = load.rise_from else {
             return;
         };
+        let risen = self.sample.counts.since(from).thread();
+        if risen.0 * 2 < rise_um {
+            // Something hard raises the force faster than the origami.
+            return;
+        }
+        // Farther from the end the force doubles more slowly: between a quarter and a half of it, over this length.
+        let flatter_um = (calibration.long_rise.0 - rise_um).max(rise_um);
         let earlier_um = end.0 - rise_um - from.since(self.zero).thread().0;
-        if (0..=rise_um * 7 / 10).contains(&earlier_um) {
-            let more = grows(earlier_um, rise_um) * SCATTERED / 1_000;
+        if (0..=flatter_um).contains(&earlier_um) {
+            let more = grows(earlier_um, flatter_um) * SCATTERED / 1_000;
             actuation.settings = self.settings.with_force(more.min(most));
         }
     }
