@@ -11,6 +11,7 @@ use calibration::fit::{Fit, Settings, fit as calibrate};
 use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, bands, checks, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
+use calibration::verdict::Check as Verdict;
 use clap::Args;
 use client::identity::Origin;
 use locomotion::model::{Model, Setting, Value as Given};
@@ -212,10 +213,14 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         svg.display(),
         origin.meaning()
     ));
-    warn(&found, screen);
+    say_verdict(&found, screen);
     Ok(json!({
         "origin": origin.name(),
         "reliable": posterior.reliable,
+        "reasons": posterior.reasons,
+        "doubts": posterior.doubts,
+        "chi_square": posterior.chi_square,
+        "degrees": posterior.degrees,
         "seed": args.seed,
         "draws": found.draws.count(),
         "step_mm": found.step_mm,
@@ -282,8 +287,12 @@ fn posterior(
             tables(found)
         ),
         r_hat: worst(|one| one.r_hat, f64::max),
-        ess: worst(|one| one.ess, f64::min),
-        reliable: found.has_mixed() && found.is_accurate(),
+        ess: worst(|one| one.ess.min(one.tail_ess), f64::min),
+        reliable: found.verdict.is_reliable(),
+        reasons: sentences(found, true),
+        doubts: sentences(found, false),
+        chi_square: found.verdict.chi_square.map(|one| one.value),
+        degrees: found.verdict.chi_square.map(|one| one.degrees),
         point: point + 1,
         parameters: unknowns()
             .iter()
@@ -295,6 +304,14 @@ fn posterior(
             .collect(),
         source: trials.iter().map(source).collect(),
     }
+}
+
+/// The reasons that make it unreliable, or those that raise a doubt.
+fn sentences(found: &Fit, unreliable: bool) -> Vec<String> {
+    let all = found.verdict.reasons.iter();
+    all.filter(|reason| reason.unreliable == unreliable)
+        .map(|reason| reason.sentence.clone())
+        .collect()
 }
 
 fn tables(found: &Fit) -> String {
@@ -316,12 +333,12 @@ fn short(value: f64) -> String {
 }
 
 fn say_table(found: &Fit, screen: &mut Screen<'_>) {
-    screen.say("  parameter             prior 5-95 %       posterior 5 / 50 / 95 %   R-hat   ESS");
+    screen.say("  parameter            prior 5-95 %    posterior 5 / 50 / 95 %  R-hat   ESS  tail");
     for (place, unknown) in unknowns().iter().enumerate() {
         let prior = |part| short(unknown.shape.quantile(part));
         let at = |part| short(found.quantile(place, part));
         screen.say(&format!(
-            "  {:<19} {:>8} {:>7}  {:>8} {:>8} {:>8} {:>7.3} {:>5.0}",
+            "  {:<19} {:>7} {:>6}  {:>7} {:>7} {:>7} {:>6.3} {:>5.0} {:>5.0}",
             unknown.key,
             prior(0.05),
             prior(0.95),
@@ -330,6 +347,7 @@ fn say_table(found: &Fit, screen: &mut Screen<'_>) {
             at(0.95),
             found.mixing[place].r_hat,
             found.mixing[place].ess,
+            found.mixing[place].tail_ess,
         ));
     }
 }
@@ -370,21 +388,58 @@ fn say_checks(checked: &[Check], screen: &mut Screen<'_>) {
     }
 }
 
-/// Warns if the posterior must not be relied on.
-fn warn(found: &Fit, screen: &mut Screen<'_>) {
-    if !found.has_mixed() {
-        screen.say(
-            "WARNING: NOT RELIABLE. The chains have not mixed: R-hat above 1.01 or fewer than 400 effective draws.\n\
-             Try another --seed; give displacements that tell more, such as isolated passes both ways.",
-        );
-    }
-    if !found.is_accurate() {
+/// Says what speaks against the posterior, and what to do.
+fn say_verdict(found: &Fit, screen: &mut Screen<'_>) {
+    let verdict = &found.verdict;
+    if let Some(one) = verdict.chi_square {
         screen.say(&format!(
-            "WARNING: NOT RELIABLE. The model could not be tabulated finely enough: off by {:.2} standard deviations.\n\
-             Is the stated uncertainty smaller than what the model's ripple of some hundredths of a millimetre allows?",
-            found.table_error
+            "chi-square without tau: {:.1} at {} degrees of freedom, p {:.3}",
+            one.value, one.degrees, one.p
         ));
     }
+    for reason in &verdict.reasons {
+        let word = if reason.unreliable {
+            "WARNING: NOT RELIABLE"
+        } else {
+            "DOUBTED"
+        };
+        screen.say(&folded(&format!("{word}: {}.", reason.sentence)));
+    }
+    if verdict
+        .reasons
+        .iter()
+        .any(|one| one.check == Verdict::Mixing)
+    {
+        screen.say(
+            "Try another --seed; give displacements that tell more, such as isolated passes\nboth ways.",
+        );
+    }
+    if verdict
+        .reasons
+        .iter()
+        .any(|one| one.check == Verdict::Table)
+    {
+        screen.say(
+            "Is the stated uncertainty smaller than what the model's ripple of some\nhundredths of a millimetre allows?",
+        );
+    }
+}
+
+/// A sentence in lines of a terminal.
+fn folded(text: &str) -> String {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        let last = lines.len() - 1;
+        if lines[last].chars().count() + word.chars().count() >= 80 {
+            lines.push(format!("  {word}"));
+        } else {
+            if !lines[last].is_empty() {
+                lines[last].push(' ');
+            }
+            lines[last].push_str(word);
+        }
+    }
+    lines.join("\n")
 }
 
 fn rows(found: &Fit) -> Vec<Value> {
@@ -400,6 +455,7 @@ fn rows(found: &Fit) -> Vec<Value> {
             "posterior_95": found.quantile(place, 0.95),
             "r_hat": found.mixing[place].r_hat,
             "ess": found.mixing[place].ess,
+            "tail_ess": found.mixing[place].tail_ess,
         })
     };
     unknowns().iter().enumerate().map(row).collect()

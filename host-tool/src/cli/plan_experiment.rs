@@ -333,11 +333,7 @@ fn origin(base: &locomotion::model::Model, posterior: Option<&Posterior>) -> Str
         Some(posterior) => format!(
             "body from a posterior of origin {}{}",
             posterior.origin,
-            if posterior.reliable {
-                ""
-            } else {
-                ", NOT RELIABLE"
-            }
+            posterior.verdict()
         ),
     };
     // The file's own body does not matter: each body of the belief replaces it.

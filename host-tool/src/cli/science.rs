@@ -8,6 +8,7 @@ use analysis::science::posterior::Posterior;
 use analysis::science::series::{self, TubeCase, TubeRow, TubeRun};
 use analysis::science::values::Values;
 use analysis::science::{charts, model_file, snapshots, table};
+use calibration::observation::Kind;
 use clap::{Args, Subcommand};
 use locomotion::comparison;
 use locomotion::folded::Contact;
@@ -446,12 +447,21 @@ impl Session<'_, '_> {
         let Some(cases) = bands::few(indentations_mm) else {
             return Ok(Bands::none());
         };
-        let bodies = match &self.posterior {
-            Some(posterior) => bands::fitted(&self.model, posterior),
-            None => bands::bodies(&self.model, Words::Rig),
+        let Some(posterior) = &self.posterior else {
+            let bodies = bands::bodies(&self.model, Words::Rig);
+            let values = self.work.map(&bodies, |body| bands::on_rig(body, &cases))?;
+            return Ok(Bands::of(&cases, &values));
         };
+        let bodies = bands::fitted(&self.model, posterior);
         let values = self.work.map(&bodies, |body| bands::on_rig(body, &cases))?;
-        Ok(Bands::of(&cases, &values).fitted(self.posterior.is_some()))
+        let cycles = u16::try_from(self.model.rig()?.cycles).unwrap_or(u16::MAX);
+        let passes = Kind::Net { cycles }.discrepancies();
+        let deviations_mm: Vec<f64> = posterior
+            .discrepancies_mm()
+            .iter()
+            .map(|tau| passes * tau)
+            .collect();
+        Ok(Bands::with_discrepancy(&cases, &values, &deviations_mm))
     }
 
     /// Prior bands in the tube for each pressure. Trials on the rig say nothing about the tube's wall.
@@ -517,7 +527,10 @@ impl Session<'_, '_> {
 
     fn say_what_a_band_is(&mut self, words: Words) {
         let text = match (&self.posterior, words) {
-            (Some(posterior), Words::Rig) => format!("posterior band: {}", posterior.meaning()),
+            (Some(posterior), Words::Rig) => format!(
+                "posterior band, with the model's discrepancy: {}",
+                posterior.meaning()
+            ),
             _ => format!("prior band: {}", bands::meaning(words)),
         };
         self.work.screen.say(&format!("  {text}"));

@@ -9,3 +9,4 @@ mod identify;
 mod optimise;
 mod plan_experiment;
 mod science;
+mod verdict;

@@ -103,8 +103,13 @@ fn a_plan_from_the_prior_is_the_same_on_any_number_of_threads() {
 
 /// A model file with a posterior of a narrow body, without a fit.
 fn posterior_file(folder: &Path) -> PathBuf {
+    posterior_with(folder, 0.05, "reliable = true")
+}
+
+/// The same with this discrepancy and these lines of a verdict.
+pub fn posterior_with(folder: &Path, tau_mm: f64, verdict: &str) -> PathBuf {
     let mut random = stream(1, 1);
-    let middle = Values([0.15, 40.0, 0.0007, 0.05]).point();
+    let middle = Values([0.15, 40.0, 0.0007, tau_mm]).point();
     let mut samples = String::new();
     for _ in 0..60 {
         let near: Point = std::array::from_fn(|axis| middle[axis] + 0.1 * normal(&mut random));
@@ -113,7 +118,7 @@ fn posterior_file(folder: &Path) -> PathBuf {
     let path = folder.join("model.toml");
     let model = format!(
         "from_body = \"one\"\n[posterior]\nformat = 1\norigin = \"virtual\"\nmade_by = \"a test\"\nseed = 1\nsampler = \"none\"\n\
-         r_hat = 1.0\ness = 1000.0\nreliable = true\npoint = 1\n\
+         r_hat = 1.0\ness = 1000.0\n{verdict}\npoint = 1\n\
          parameters = [\"body.coupling\", \"body.friction_ratio\", \"body.preload_mm\", \"fit.discrepancy_mm\"]\n\
          samples = [\n{samples}]\nsource = []\n"
     );

@@ -1,4 +1,4 @@
-//! Whether chains have mixed: rank-normalised split R-hat and bulk effective sample size (Vehtari, Gelman, Simpson,
+//! Whether chains have mixed: rank-normalised split R-hat, bulk and tail effective sample size (Vehtari, Gelman, Simpson,
 //! Carpenter and Bürkner, Bayesian Analysis 16, 2021), also for ensembles of walkers.
 //!
 //! An ensemble is one chain whose draws come in rows, one draw of each walker. R-hat needs only means and variances
@@ -10,7 +10,7 @@ use statrs::function::erf::erf_inv;
 
 /// Largest R-hat of chains that count as mixed.
 pub const GREATEST_R_HAT: f64 = 1.01;
-/// Least bulk effective sample size for quantiles that are worth printing.
+/// Least bulk and tail effective sample size for quantiles that are worth printing.
 pub const LEAST_ESS: f64 = 400.0;
 
 /// Chains split into halves; each half consists of rows with one draw of each walker.
@@ -211,4 +211,34 @@ pub fn bulk_ess(chains: &[Vec<f64>], walkers: usize) -> f64 {
     let (_, of_draws) = variances(&split.halves);
     let (_, of_rows) = variances(&rows);
     effective(&rows) * of_draws / of_rows
+}
+
+/// Tail effective sample size: the smaller of those of the 5 % and of the 95 % quantile. `walkers` is 1 for plain
+/// chains. NaN for chains that are too short or do not move.
+#[must_use]
+pub fn tail_ess(chains: &[Vec<f64>], walkers: usize) -> f64 {
+    let Some(split) = Split::of(chains, walkers) else {
+        return f64::NAN;
+    };
+    let mut sorted = chains.concat();
+    sorted.sort_by(f64::total_cmp);
+    let of = |part: f64| {
+        let limit = quantile(&sorted, part);
+        let below = split.map(|value| if value <= limit { 1.0 } else { 0.0 });
+        let rows = below.row_means();
+        let (_, of_draws) = variances(&below.halves);
+        let (_, of_rows) = variances(&rows);
+        effective(&rows) * of_draws / of_rows
+    };
+    let (low, high) = (of(0.05), of(0.95));
+    // `min` would ignore a NaN.
+    if low.is_nan() { low } else { high.min(low) }
+}
+
+/// A quantile of sorted values, between two of them by a straight line.
+fn quantile(sorted: &[f64], part: f64) -> f64 {
+    let place = part * (sorted.len() - 1) as f64;
+    let below = place as usize;
+    let above = (below + 1).min(sorted.len() - 1);
+    sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
 }

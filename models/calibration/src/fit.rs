@@ -11,11 +11,13 @@ use rayon::prelude::*;
 
 use crate::chance::{stream, unit};
 use crate::observation::{Condition, Observation, Unusable, conditions};
+use crate::plausible::{mistake, mistake_beside};
 use crate::prediction::Predictor;
 use crate::prior::{OF_BODY, Parts, Point, UNKNOWNS, discrepancy_mm, parts};
 use crate::sampler::{Draws, Effort, Mixing, sample_from};
 use crate::table::{Region, Table, distinct};
 use crate::target::{Target, deviation_mm};
+use crate::verdict::{Verdict, judge, of_sampling};
 
 /// Step of the rollers at which the model has converged, mm: the reference for every table.
 pub const CONVERGED_STEP_MM: f64 = 0.05;
@@ -69,6 +71,9 @@ pub enum Unfit {
     /// The model does not cover an observation.
     #[error(transparent)]
     Range(#[from] OutOfRange),
+    /// They are written down wrongly.
+    #[error("no body of the prior comes near these displacements, but many do if {0}")]
+    Mistaken(&'static str),
     /// No body explains them, even with the discrepancy.
     #[error(
         "no body of the prior comes near these displacements: are signs, units and uncertainties right? \
@@ -93,6 +98,8 @@ pub struct Fit {
     pub table_error: f64,
     /// Number of nodes computed in the last table.
     pub nodes: usize,
+    /// Whether it may be believed, and each reason not to.
+    pub verdict: Verdict,
 }
 
 /// Error of `read` against the converged model, mm: body by body and case by case.
@@ -150,9 +157,15 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
         .map(|_| core::array::from_fn(|_| unit(&mut random)))
         .collect();
     let mut before: Option<Draws> = None;
+    let mut whole: Option<Table> = None;
     let mut level = 0;
     loop {
         let table = Table::new(converged.with_step(step_mm), region, LEVELS[level]);
+        if level == 0
+            && let Some(mistake) = mistake(&conditions, &places, &table, settings.seed)
+        {
+            return Err(Unfit::Mistaken(mistake.what));
+        }
         let last = level >= GOOD_ENOUGH;
         let read = |body: &Parts| {
             // A body outside the table counts as an infinite error, which marks the fit as unreliable.
@@ -188,8 +201,20 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
         if last {
             let table_error = worst(&errors_mm(read, &converged, &tried)?);
             if table_error <= WANTED_TABLE_ERROR || level + 1 == LEVELS.len() {
+                let mixing = draws.mixing();
+                let exact = |body: &Parts| converged.displacements_mm(body);
+                let mut verdict = judge(&target, &draws, &exact)?;
+                if let (Some(one), Some(whole)) = (verdict.chi_square, &whole)
+                    && let Some(mistake) =
+                        mistake_beside(one.value, &conditions, &places, whole, settings.seed)
+                {
+                    return Err(Unfit::Mistaken(mistake.what));
+                }
+                let has_mixed = mixing.iter().all(Mixing::is_enough);
+                of_sampling(&mut verdict, has_mixed, table_error, GREATEST_TABLE_ERROR);
                 return Ok(Fit {
-                    mixing: draws.mixing(),
+                    verdict,
+                    mixing,
                     conditions,
                     draws,
                     step_mm,
@@ -211,6 +236,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
         let all: Vec<Parts> = draws.ensembles.iter().flatten().map(parts).collect();
         region = Region::around(&all, MARGIN).ok_or(Unfit::Nowhere)?;
         before = Some(draws);
+        whole = whole.or(Some(table));
         level += 1;
     }
 }

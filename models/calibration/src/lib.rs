@@ -9,6 +9,9 @@
 //! * [`sampler`]: draws from the posterior.
 //! * [`diagnostics`]: whether the draws are reliable.
 //! * [`fit`]: the whole calibration.
+//! * [`verdict`]: whether the fit may be believed, with the reasons not to.
+//! * [`plausible`]: data in another unit or with the opposite sign.
+//! * [`descent`]: the body nearest to the data.
 //! * [`predictive`]: predictions of the posterior beside the measurements.
 //! * [`synthetic`]: trials of a known body.
 //! * [`belief`]: knowledge of the unknowns before a trial.
@@ -23,12 +26,14 @@
 
 pub mod belief;
 pub mod chance;
+pub mod descent;
 pub mod design;
 pub mod diagnostics;
 pub mod fit;
 pub mod history;
 pub mod information;
 pub mod observation;
+pub mod plausible;
 pub mod prediction;
 pub mod predictive;
 pub mod prior;
@@ -37,3 +42,4 @@ pub mod synthetic;
 pub mod table;
 pub mod tabulated;
 pub mod target;
+pub mod verdict;

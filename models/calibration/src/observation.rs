@@ -41,16 +41,32 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Standard deviation of the model's error in this displacement, in multiples of that of one pass.
+    /// How often the model's error in an antegrade and in a returning pass enters this displacement.
     ///
-    /// The model makes the same error in each pass of one direction, so the errors of n cycles add up. The errors of
+    /// The model makes the same error in each pass of one direction, so the errors of n cycles add up.
+    #[must_use]
+    pub fn errors(self) -> [f64; 2] {
+        match self {
+            Self::Net { cycles } => [f64::from(cycles); 2],
+            Self::Stroke { number } if number % 2 == 0 => [0.0, 1.0],
+            Self::Stroke { .. } | Self::AntegradePass => [1.0, 0.0],
+            Self::ReturningPass => [0.0, 1.0],
+        }
+    }
+
+    /// Standard deviation of the model's error in this displacement, in multiples of that of one pass: the errors of
     /// the two directions are independent.
     #[must_use]
     pub fn discrepancies(self) -> f64 {
-        match self {
-            Self::Net { cycles } => f64::from(cycles) * core::f64::consts::SQRT_2,
-            Self::Stroke { .. } | Self::AntegradePass | Self::ReturningPass => 1.0,
-        }
+        let [antegrade, returning] = self.errors();
+        libm::hypot(antegrade, returning)
+    }
+
+    /// Whether the body is relaxed before and after it. Such a pass does not share the errors of a run: in a run the
+    /// body lies under the rollers at the ends of the strokes.
+    #[must_use]
+    pub fn is_isolated(self) -> bool {
+        matches!(self, Self::AntegradePass | Self::ReturningPass)
     }
 }
 
@@ -98,6 +114,9 @@ pub struct Condition {
     pub case: Case,
     /// State of the wall.
     pub lubrication: Lubrication,
+    /// Number, from 0, of the conditions with which it shares the model's errors: nets and strokes at one indentation
+    /// and wall are displacements by the same passes, and so are isolated passes.
+    pub family: usize,
     /// Number of repeats.
     pub repeats: usize,
     /// Their mean, weighted by their precision, mm.
@@ -196,7 +215,14 @@ pub fn conditions(observations: &[Observation]) -> Result<Vec<Condition>, Unusab
     if groups.is_empty() {
         return Err(Unusable::Nothing);
     }
+    let mut families = vec![];
     let condition = |((kind, lubrication, bits), repeats): ((Kind, Lubrication, u64), Vec<_>)| {
+        let key = (kind.is_isolated(), lubrication, bits);
+        let known = families.iter().position(|other| *other == key);
+        let family = known.unwrap_or_else(|| {
+            families.push(key);
+            families.len() - 1
+        });
         let weight = |one: &Observation| 1.0 / (one.uncertainty_mm * one.uncertainty_mm);
         let sum: f64 = repeats.iter().map(weight).sum();
         let weighted = repeats.iter().map(|one| weight(one) * one.displacement_mm);
@@ -211,6 +237,7 @@ pub fn conditions(observations: &[Observation]) -> Result<Vec<Condition>, Unusab
                 indentation_mm: f64::from_bits(bits),
             },
             lubrication,
+            family,
             repeats: repeats.len(),
             mean_mm,
             uncertainty_mm: libm::sqrt(1.0 / sum),

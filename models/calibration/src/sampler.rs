@@ -11,7 +11,7 @@ use hammer_and_sample::{DifferentialEvolution, MinChainLen, Mixture, Serial, Str
 use rayon::prelude::*;
 
 use crate::chance::{self, stream};
-use crate::diagnostics::{GREATEST_R_HAT, LEAST_ESS, bulk_ess, r_hat};
+use crate::diagnostics::{GREATEST_R_HAT, LEAST_ESS, bulk_ess, r_hat, tail_ess};
 use crate::prior::{Point, UNKNOWNS, draw, unknowns};
 use crate::target::{Target, Tempered};
 
@@ -28,11 +28,10 @@ pub struct Effort {
     pub stages: usize,
     /// Steps of each walker in a stage.
     pub stage_steps: usize,
-    /// Steps of each walker at full likelihood that are discarded.
-    pub warm_up: usize,
-    /// Steps of each walker that are kept, before any doubling.
+    /// Steps of each walker that are kept, before any doubling. As many before them are discarded.
     pub steps: usize,
-    /// The kept steps are doubled until the chains have mixed, at most this many times.
+    /// Everything is discarded and as many steps as before are kept, until the chains have mixed and were long enough
+    /// to forget their start; at most this many times.
     pub doublings: usize,
 }
 
@@ -44,7 +43,6 @@ impl Effort {
         starts: 256,
         stages: 6,
         stage_steps: 20,
-        warm_up: 100,
         steps: 500,
         doublings: 5,
     };
@@ -63,9 +61,10 @@ impl Effort {
     #[must_use]
     pub fn text(&self) -> String {
         format!(
-            "{} ensembles of {} walkers, stretch and differential-evolution moves (hammer-and-sample), likelihood brought in \
-             over {} stages of {} steps from {} points of the prior each, {} steps thrown away",
-            self.ensembles, self.walkers, self.stages, self.stage_steps, self.starts, self.warm_up
+            "{} ensembles of {} walkers, stretch and differential-evolution moves (hammer-and-sample), likelihood \
+             brought in \
+             over {} stages of {} steps from {} points of the prior each, as many steps thrown away as kept",
+            self.ensembles, self.walkers, self.stages, self.stage_steps, self.starts
         )
     }
 }
@@ -81,6 +80,10 @@ pub struct Draws {
     pub accepted: f64,
 }
 
+/// Least length of the discarded part of the chains, in autocorrelation times of the slowest unknown. The kept part is
+/// as long, so it is the number of effective draws of each walker.
+pub const LEAST_TIMES: f64 = 20.0;
+
 /// How well an unknown is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Mixing {
@@ -88,13 +91,20 @@ pub struct Mixing {
     pub r_hat: f64,
     /// Bulk effective sample size.
     pub ess: f64,
+    /// Tail effective sample size: that of the 5 % or of the 95 % quantile.
+    pub tail_ess: f64,
 }
 
 impl Mixing {
     /// Whether quantiles are reliable. NaN means no.
     #[must_use]
     pub fn is_enough(&self) -> bool {
-        self.r_hat <= GREATEST_R_HAT && self.ess >= LEAST_ESS
+        self.r_hat <= GREATEST_R_HAT && self.ess >= LEAST_ESS && self.tail_ess >= LEAST_ESS
+    }
+
+    /// Whether chains that discarded as much as they kept have forgotten their start.
+    fn has_forgotten(&self, chains: usize) -> bool {
+        self.ess >= LEAST_TIMES * chains as f64
     }
 }
 
@@ -114,6 +124,7 @@ impl Draws {
             Mixing {
                 r_hat: r_hat(&chains, self.walkers),
                 ess: bulk_ess(&chains, self.walkers),
+                tail_ess: tail_ess(&chains, self.walkers),
             }
         })
     }
@@ -275,7 +286,7 @@ impl WarmUp<'_> {
         Some((chosen, low))
     }
 
-    /// Moves an ensemble to the posterior.
+    /// Moves an ensemble to the posterior, where it begins to forget its start.
     fn walkers(&self, ensemble: usize) -> Option<Vec<Point>> {
         let Self {
             target,
@@ -292,7 +303,7 @@ impl WarmUp<'_> {
             walkers = last(&chain, effort.walkers);
         }
         let at = (ensemble, effort.stages + 1);
-        let (chain, _) = advance(target, 1.0, seed, at, &walkers, effort.warm_up);
+        let (chain, _) = advance(target, 1.0, seed, at, &walkers, effort.steps);
         Some(last(&chain, effort.walkers))
     }
 }
@@ -318,29 +329,27 @@ pub fn sample_from(
         .collect::<Option<_>>()?;
     let mut draws = Draws {
         walkers: effort.walkers,
-        ensembles: vec![vec![]; effort.ensembles],
+        ensembles: vec![],
         accepted: 0.0,
     };
-    let mut accepted = 0;
-    let mut steps = effort.steps;
     for doubling in 0..=effort.doublings {
         let round = effort.stages + 2 + doubling;
+        // A round is as long as all rounds before it, and these are what it discards.
+        let steps = effort.steps << doubling;
         let more: Vec<(Vec<Point>, usize)> = (stand.par_iter().enumerate())
             .map(|(ensemble, from)| advance(target, 1.0, seed, (ensemble, round), from, steps))
             .collect();
-        for (ensemble, (chain, count)) in more.into_iter().enumerate() {
-            stand[ensemble] = last(&chain, effort.walkers);
-            draws.ensembles[ensemble].extend(chain);
-            accepted += count;
+        let accepted: usize = more.iter().map(|(_, count)| count).sum();
+        draws.ensembles = more.into_iter().map(|(chain, _)| chain).collect();
+        draws.accepted = accepted as f64 / draws.count() as f64;
+        for (from, chain) in stand.iter_mut().zip(&draws.ensembles) {
+            *from = last(chain, effort.walkers);
         }
-        // Each round is as long as all rounds before it.
-        if doubling > 0 {
-            steps *= 2;
-        }
-        if draws.mixing().iter().all(Mixing::is_enough) {
+        let chains = effort.ensembles * effort.walkers;
+        let done = |one: &Mixing| one.is_enough() && one.has_forgotten(chains);
+        if doubling < effort.doublings && draws.mixing().iter().all(done) {
             break;
         }
     }
-    draws.accepted = accepted as f64 / draws.count() as f64;
     Some(draws)
 }

@@ -1,5 +1,7 @@
 //! Trials of a body with known parameters, for tests of the calibration.
 
+use std::collections::BTreeMap;
+
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use rand::Rng;
@@ -39,8 +41,8 @@ impl Planned {
     }
 }
 
-/// Simulated results of these trials with this body: the model's displacement, plus a discrepancy per condition, plus
-/// a measurement error per trial.
+/// Simulated results of these trials with this body: the model's displacement, plus the model's errors, plus a
+/// measurement error per trial. Strokes and nets at one indentation and wall share the model's errors.
 ///
 /// # Errors
 /// A case or a body that the model does not cover.
@@ -63,10 +65,23 @@ pub fn observed(
     random: &mut impl Rng,
 ) -> Vec<Observation> {
     let tau_mm = discrepancy_mm(truth);
+    let mut errors = BTreeMap::new();
     let mut all = vec![];
     for (one, mm) in planned.iter().zip(exact_mm) {
-        let share = one.case.kind.discrepancies() * tau_mm;
-        let mm = mm + share * chance::normal(random);
+        let Case {
+            kind,
+            indentation_mm,
+        } = one.case;
+        let family = (
+            kind.is_isolated(),
+            one.lubrication,
+            indentation_mm.to_bits(),
+        );
+        let own = *errors
+            .entry(family)
+            .or_insert_with(|| [0; 2].map(|_| tau_mm * chance::normal(random)));
+        let [antegrade, returning] = kind.errors();
+        let mm = mm + antegrade * own[0] + returning * own[1];
         for _ in 0..one.repeats {
             all.push(Observation {
                 kind: one.case.kind,

@@ -2,7 +2,7 @@
 //! reveal.
 
 use calibration::chance::{normal, stream};
-use calibration::diagnostics::{bulk_ess, r_hat};
+use calibration::diagnostics::{bulk_ess, r_hat, tail_ess};
 
 /// Chains that any program can reproduce: a linear congruential generator drives an autoregression.
 fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Vec<Vec<f64>> {
@@ -21,10 +21,11 @@ fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Ve
     (0..count).map(chain).collect()
 }
 
-/// Values of arviz-stats 0.8.0, `rhat(method="rank")` and `ess(method="bulk")`, for the same chains.
+/// Values of arviz-stats 0.8.0 for the same chains: `rhat(method="rank")`, `ess(method="bulk")` and
+/// `ess(method="tail", prob=(0.05, 0.95))`.
 #[test]
 fn as_another_program_has_it() {
-    for (seed, count, length, memory, shift, hat, ess) in [
+    for (seed, count, length, memory, shift, hat, ess, tail) in [
         (
             1,
             4,
@@ -33,6 +34,7 @@ fn as_another_program_has_it() {
             0.0,
             1.006_484_679_949_389_2,
             228.886_614_120_992_8,
+            410.599_539_671_267_1,
         ),
         (
             2,
@@ -42,6 +44,7 @@ fn as_another_program_has_it() {
             0.0,
             1.000_937_947_739_667_6,
             809.573_454_413_395_1,
+            742.821_847_406_133_2,
         ),
         (
             3,
@@ -51,6 +54,7 @@ fn as_another_program_has_it() {
             0.0,
             1.003_820_136_812_945_8,
             2_025.410_798_173_902_5,
+            726.156_652_794_946_8,
         ),
         (
             4,
@@ -60,6 +64,7 @@ fn as_another_program_has_it() {
             0.2,
             1.207_557_926_251_212,
             10.373_959_880_648_835,
+            31.475_874_752_924_327,
         ),
         (
             5,
@@ -69,6 +74,7 @@ fn as_another_program_has_it() {
             0.0,
             1.071_413_186_639_065_3,
             50.097_939_206_083_66,
+            76.206_343_659_539_47,
         ),
     ] {
         let chains = chains(seed, count, length, memory, shift);
@@ -82,6 +88,11 @@ fn as_another_program_has_it() {
             (found.1 / ess - 1.0).abs() < 1e-9,
             "seed {seed}: {} effective for {ess}",
             found.1
+        );
+        let found = tail_ess(&chains, 1);
+        assert!(
+            (found / tail - 1.0).abs() < 1e-9,
+            "seed {seed}: {found} effective in the tails for {tail}"
         );
     }
 }
@@ -101,11 +112,13 @@ fn chains_that_differ_show() {
 
 #[test]
 fn what_cannot_be_judged_is_no_number() {
-    assert!(r_hat(&[], 1).is_nan() && bulk_ess(&[], 1).is_nan());
+    assert!(r_hat(&[], 1).is_nan() && bulk_ess(&[], 1).is_nan() && tail_ess(&[], 1).is_nan());
     let short = vec![vec![1.0, 2.0, 3.0]; 4];
     assert!(r_hat(&short, 1).is_nan() && bulk_ess(&short, 1).is_nan());
+    assert!(tail_ess(&short, 1).is_nan());
     let still = vec![vec![1.0; 100]; 4];
     assert!(r_hat(&still, 1).is_nan() && bulk_ess(&still, 1).is_nan());
+    assert!(tail_ess(&still, 1).is_nan());
 }
 
 /// Walkers that all follow one path are worth one walker; independent ones count in full.

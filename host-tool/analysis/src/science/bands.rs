@@ -13,6 +13,13 @@ pub const MOST: usize = 100;
 const ROLLER_STEP_MM: f64 = 0.25;
 const WALL_STEP_MM: f64 = 0.08;
 
+/// Standard normal numbers, each in the middle of a tenth of the probability: they stand for the discrepancy of a body
+/// without a random number.
+const NORMAL: [f64; 10] = [
+    -1.644_854, -1.036_433, -0.674_490, -0.385_320, -0.125_661, 0.125_661, 0.385_320, 0.674_490,
+    1.036_433, 1.644_854,
+];
+
 /// The bands of some cases.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Bands {
@@ -33,6 +40,19 @@ impl Bands {
             of_cases: cases.iter().enumerate().filter_map(band).collect(),
             fitted: false,
         }
+    }
+
+    /// From each fitted body's displacement in each of the cases, with its discrepancy: the standard deviation of the
+    /// model's error in a displacement, mm. What a trial would find without an error of measurement.
+    #[must_use]
+    pub fn with_discrepancy(cases: &[f64], values: &[Vec<f64>], deviations_mm: &[f64]) -> Self {
+        let spread = |(values, deviation_mm): (&Vec<f64>, &f64)| {
+            let deviation_mm = *deviation_mm;
+            let values = values.clone();
+            NORMAL.map(|z| values.iter().map(|mm| mm + deviation_mm * z).collect())
+        };
+        let all: Vec<Vec<f64>> = values.iter().zip(deviations_mm).flat_map(spread).collect();
+        Self::of(cases, &all).fitted(true)
     }
 
     /// The same bands, marked as those of a posterior.

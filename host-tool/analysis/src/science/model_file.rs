@@ -238,27 +238,24 @@ pub fn origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
     };
     format!(
         "model: body {} with {} fitted to trials, sample {} of {} of their posterior, the nearest to its medians; origin of the \
-         trials: {}{changed}; calculated, not a measurement",
+         trials: {}{}{changed}; calculated, not a measurement",
         model.name,
         posterior.of_body().join(", "),
         posterior.point,
         posterior.samples.len(),
-        posterior.origin.meaning()
+        posterior.origin.meaning(),
+        posterior.verdict()
     )
 }
 
 /// Name of a posterior in a figure.
 #[must_use]
 pub fn fitted_name(posterior: &Posterior) -> ModelName {
-    let doubt = if posterior.reliable {
-        ""
-    } else {
-        " NOT RELIABLE"
-    };
     ModelName {
         short: format!(
-            "model fitted to trials of origin {}{doubt}",
-            posterior.origin
+            "model fitted to trials of origin {}{}",
+            posterior.origin,
+            posterior.word()
         ),
         full: format!(
             "model: {}; calculated, not a measurement",
@@ -285,8 +282,11 @@ pub fn short_origin_with(model: &Model, posterior: Option<&Posterior>) -> String
     match posterior {
         None => short_origin(model),
         Some(posterior) => format!(
-            "model {}, sample {} of a posterior of origin {}",
-            model.name, posterior.point, posterior.origin
+            "model {}, sample {} of a posterior of origin {}{}",
+            model.name,
+            posterior.point,
+            posterior.origin,
+            posterior.word()
         ),
     }
 }

@@ -68,10 +68,22 @@ pub struct Posterior {
     pub sampler: String,
     /// Greatest R-hat among the unknowns.
     pub r_hat: f64,
-    /// Least bulk effective sample size among the unknowns.
+    /// Least effective sample size among the unknowns, in the bulk or in the tails.
     pub ess: f64,
-    /// Whether R-hat, effective sample size and the accuracy of the tables make it reliable.
+    /// Whether no reason speaks against it. False if `reasons` has one.
     pub reliable: bool,
+    /// Reasons why it is not reliable, a sentence each.
+    #[serde(default)]
+    pub reasons: Vec<String>,
+    /// Reasons to doubt it, a sentence each.
+    #[serde(default)]
+    pub doubts: Vec<String>,
+    /// Chi-square of the trials without the discrepancy, at the body nearest to them.
+    #[serde(default)]
+    pub chi_square: Option<f64>,
+    /// Its degrees of freedom.
+    #[serde(default)]
+    pub degrees: Option<usize>,
     /// Number, from 1, of the sample whose values the file has: the one nearest to the medians.
     pub point: usize,
     /// Names of the columns of `samples`.
@@ -101,6 +113,9 @@ impl Posterior {
         if this.samples.is_empty() {
             return Err("it has no samples".to_owned());
         }
+        if this.reliable && !this.reasons.is_empty() {
+            return Err("it is reliable and has reasons why it is not".to_owned());
+        }
         for (number, sample) in (1..).zip(&this.samples) {
             if sample.len() != names.len() {
                 return Err(format!(
@@ -129,7 +144,7 @@ impl Posterior {
         let _ = write!(
             text,
             "format = {}\norigin = {}\nmade_by = {}\nseed = {}\nsampler = {}\n\
-             r_hat = {:?}\ness = {:?}\nreliable = {}\npoint = {}\nparameters = {}\nsamples = [\n",
+             r_hat = {:?}\ness = {:?}\nreliable = {}\nreasons = {}\ndoubts = {}\n",
             self.format,
             quoted(self.origin.name()),
             quoted(&self.made_by),
@@ -138,6 +153,15 @@ impl Posterior {
             self.r_hat,
             self.ess,
             self.reliable,
+            list(&self.reasons),
+            list(&self.doubts),
+        );
+        if let (Some(chi_square), Some(degrees)) = (self.chi_square, self.degrees) {
+            let _ = writeln!(text, "chi_square = {chi_square:?}\ndegrees = {degrees}");
+        }
+        let _ = write!(
+            text,
+            "point = {}\nparameters = {}\nsamples = [\n",
             self.point,
             list(&self.parameters),
         );
@@ -192,16 +216,40 @@ impl Posterior {
     #[must_use]
     pub fn what(&self) -> String {
         let trials: usize = self.source.iter().map(|source| source.used.len()).sum();
-        let doubt = if self.reliable {
-            ""
-        } else {
-            "; NOT RELIABLE: its chains had not mixed, or its tables were too coarse"
-        };
         format!(
-            "{} bodies of the posterior of {trials} displacements; their origin: {}{doubt}",
+            "{} bodies of the posterior of {trials} displacements; their origin: {}{}",
             self.samples.len(),
-            self.origin.meaning()
+            self.origin.meaning(),
+            self.verdict()
         )
+    }
+
+    /// The verdict on it, for the end of a sentence: empty if nothing speaks against it.
+    #[must_use]
+    pub fn verdict(&self) -> String {
+        let (word, reasons) = match (self.reliable, self.reasons.as_slice()) {
+            (false, []) => return "; NOT RELIABLE".to_owned(),
+            (false, reasons) => ("NOT RELIABLE", reasons),
+            (true, _) if self.doubts.is_empty() => return String::new(),
+            (true, _) => ("DOUBTED", self.doubts.as_slice()),
+        };
+        format!("; {word}: {}", reasons.join("; "))
+    }
+
+    /// The verdict in a word, for a figure: empty if nothing speaks against it.
+    #[must_use]
+    pub fn word(&self) -> &'static str {
+        match (self.reliable, self.doubts.as_slice()) {
+            (false, _) => " NOT RELIABLE",
+            (true, []) => "",
+            (true, _) => " DOUBTED",
+        }
+    }
+
+    /// The discrepancy of each of the bodies, mm.
+    #[must_use]
+    pub fn discrepancies_mm(&self) -> Vec<f64> {
+        self.samples.iter().map(|sample| sample[OF_BODY]).collect()
     }
 }
 

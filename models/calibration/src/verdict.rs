@@ -1,0 +1,448 @@
+//! Whether a posterior may be believed, and each reason not to, in a sentence.
+//!
+//! The discrepancy tau absorbs what the model cannot explain, so a posterior-predictive check with tau always looks
+//! good. These checks leave tau out, or ask what it had to absorb. They see that data and model disagree; they cannot
+//! see a body that moves as another body of the model would at every indentation and speed of the trials.
+
+use locomotion::range::OutOfRange;
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::descent::{Place, lowest};
+use crate::observation::{Case, Condition, Kind, Lubrication};
+use crate::prior::{DISCREPANCY, OF_BODY, Parts, Point, UNKNOWNS, parts, unknowns};
+use crate::sampler::Draws;
+use crate::target::Target;
+
+/// Probability by chance below which a check makes a posterior unreliable.
+const UNRELIABLE: f64 = 1e-3;
+/// Probability by chance below which a check is a doubt.
+const DOUBTED: f64 = 0.05;
+/// Part of the prior, at either end, in which draws count as lying at the bound.
+const END: f64 = 0.05;
+/// Share of the draws there above which the bound counts as a doubt: four times the prior's own share.
+const AT_BOUND: f64 = 0.2;
+/// Share above which the posterior is unreliable: most of it lies at the bound.
+const MOSTLY_AT_BOUND: f64 = 0.5;
+/// A net displacement this many times as far as its passes, or its passes as far as it, contradicts them. A run differs
+/// from its passes by its ends only: the rollers stand over the body there.
+const CONTRADICTION: f64 = 2.0;
+/// Standard deviations that a contradiction has to exceed.
+const CERTAIN: f64 = 4.0;
+/// Draws that leave one condition out by their weights.
+const WEIGHTED: usize = 4_000;
+
+/// What a check looks at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Check {
+    /// Whether the chains have mixed.
+    Mixing,
+    /// Whether the tables were fine enough.
+    Table,
+    /// Chi-square without tau.
+    ChiSquare,
+    /// tau beyond its prior.
+    Discrepancy,
+    /// An unknown at an end of its prior.
+    Bound,
+    /// Residuals over the indentation.
+    Trend,
+    /// One condition beside all others.
+    LeftOut,
+    /// Dry beside lubricated trials.
+    Walls,
+    /// Net displacements beside passes: sign and magnitude.
+    NetAndPasses,
+}
+
+/// A reason not to believe a posterior.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reason {
+    /// The check that gives it.
+    pub check: Check,
+    /// Whether it makes the posterior unreliable; otherwise it is a doubt.
+    pub unreliable: bool,
+    /// The reason, in a sentence.
+    pub sentence: String,
+}
+
+/// Squared residuals without tau, at the body that lies nearest to the trials.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChiSquare {
+    /// Sum of the squared residuals over their variances.
+    pub value: f64,
+    /// Conditions less unknowns of the body.
+    pub degrees: usize,
+    /// Probability that chance exceeds it.
+    pub p: f64,
+}
+
+/// The verdict on a posterior.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Verdict {
+    /// None for too few conditions to leave anything over.
+    pub chi_square: Option<ChiSquare>,
+    /// The reasons, those that make it unreliable first.
+    pub reasons: Vec<Reason>,
+}
+
+impl Verdict {
+    /// Whether no reason makes the posterior unreliable.
+    #[must_use]
+    pub fn is_reliable(&self) -> bool {
+        self.reasons.iter().all(|reason| !reason.unreliable)
+    }
+
+    /// Whether there is any reason, if only a doubt.
+    #[must_use]
+    pub fn is_doubted(&self) -> bool {
+        !self.reasons.is_empty()
+    }
+
+    /// Adds a reason in its place.
+    pub fn add(&mut self, check: Check, unreliable: bool, sentence: String) {
+        self.reasons.push(Reason {
+            check,
+            unreliable,
+            sentence,
+        });
+        self.reasons.sort_by_key(|reason| !reason.unreliable);
+    }
+
+    /// Adds a reason if its probability by chance is small.
+    fn weigh(&mut self, check: Check, p: f64, sentence: impl FnOnce() -> String) {
+        if p < DOUBTED {
+            self.add(check, p < UNRELIABLE, sentence());
+        }
+    }
+}
+
+/// The model's displacements of the target's cases with a body, mm.
+pub type Exact<'a> = dyn Fn(&Parts) -> Result<Vec<f64>, OutOfRange> + 'a;
+
+/// Judges the draws of a posterior. `exact` is the model itself.
+///
+/// # Errors
+/// A case or a body that the model does not cover.
+pub fn judge(target: &Target<'_>, draws: &Draws, exact: &Exact<'_>) -> Result<Verdict, OutOfRange> {
+    let mut verdict = Verdict::default();
+    let found_mm = exact(&nearest(target, draws))?;
+    let residual = |(condition, place): (&Condition, &usize)| {
+        (condition.mean_mm - found_mm[*place]) / condition.uncertainty_mm
+    };
+    let residuals: Vec<f64> = (target.conditions.iter())
+        .zip(target.places)
+        .map(residual)
+        .collect();
+    chi_square(&mut verdict, &residuals);
+    discrepancy(&mut verdict, draws);
+    bounds(&mut verdict, draws);
+    trends(&mut verdict, target.conditions, &residuals);
+    left_out(&mut verdict, target, draws);
+    walls(&mut verdict, target.conditions);
+    net_and_passes(&mut verdict, target.conditions);
+    Ok(verdict)
+}
+
+/// The body nearest to the trials without tau, found by a descent from the posterior's mean: the mean of a bent
+/// posterior lies beside it.
+fn nearest(target: &Target<'_>, draws: &Draws) -> Parts {
+    let points = draws.thinned(WEIGHTED);
+    let count = points.len() as f64;
+    let mean: Place =
+        core::array::from_fn(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / count);
+    let spread: Place = core::array::from_fn(|axis| {
+        let square = |point: &Point| (point[axis] - mean[axis]).powi(2);
+        libm::sqrt(points.iter().map(square).sum::<f64>() / count)
+    });
+    let body = |place: &Place| {
+        let mut point = [0.0; UNKNOWNS];
+        point[..OF_BODY].copy_from_slice(place);
+        parts(&point)
+    };
+    let cost = |place: &Place| {
+        let Some(found_mm) = target.table.displacements_mm(&body(place)) else {
+            return f64::INFINITY;
+        };
+        let one = |(condition, place): (&Condition, &usize)| {
+            ((condition.mean_mm - found_mm[*place]) / condition.uncertainty_mm).powi(2)
+        };
+        target.conditions.iter().zip(target.places).map(one).sum()
+    };
+    let of = |point: &Point| -> Place { core::array::from_fn(|axis| point[axis]) };
+    let best = (points.iter().map(of))
+        .map(|place| (cost(&place), place))
+        .min_by(|one, other| one.0.total_cmp(&other.0));
+    let found = core::iter::once(mean).chain(best.map(|(_, place)| place));
+    let (place, _) = found
+        .map(|start| lowest(&cost, &start, &spread))
+        .min_by(|one, other| one.1.total_cmp(&other.1))
+        .unwrap_or((mean, f64::INFINITY));
+    body(&place)
+}
+
+/// Probability that chance exceeds a chi-square.
+fn exceeded(value: f64, degrees: usize) -> f64 {
+    ChiSquared::new(degrees as f64).map_or(f64::NAN, |chi| chi.sf(value))
+}
+
+/// Probability that chance is as far off to either side, in standard deviations.
+fn two_sided(off: f64) -> f64 {
+    libm::erfc(libm::fabs(off) / core::f64::consts::SQRT_2)
+}
+
+fn probability(p: f64) -> String {
+    if p < 1e-4 {
+        format!("{p:.0e}")
+    } else {
+        format!("{p:.4}")
+    }
+}
+
+fn name(condition: &Condition) -> String {
+    let Case {
+        kind,
+        indentation_mm,
+    } = condition.case;
+    format!("{kind}, {}, at {indentation_mm} mm", condition.lubrication)
+}
+
+fn chi_square(verdict: &mut Verdict, residuals: &[f64]) {
+    let Some(degrees) = (residuals.len().checked_sub(OF_BODY)).filter(|degrees| *degrees > 0)
+    else {
+        return;
+    };
+    let value = residuals.iter().map(|off| off * off).sum();
+    let p = exceeded(value, degrees);
+    verdict.chi_square = Some(ChiSquare { value, degrees, p });
+    verdict.weigh(Check::ChiSquare, p, || {
+        format!(
+            "without tau the nearest body misses the displacements by a chi-square of {value:.1} at {degrees} \
+             degrees of \
+             freedom, p {}: tau absorbs what the model does not explain",
+            probability(p)
+        )
+    });
+}
+
+fn discrepancy(verdict: &mut Verdict, draws: &Draws) {
+    let unknown = unknowns()[OF_BODY];
+    let sorted = draws.sorted(OF_BODY);
+    let Some(median_mm) = sorted.get(sorted.len() / 2) else {
+        return;
+    };
+    let limit_mm = unknown.shape.quantile(0.95);
+    if *median_mm > limit_mm {
+        let sentence = format!(
+            "{DISCREPANCY} has a median of {median_mm:.2} mm, beyond 95 % of its prior, {limit_mm:.2} mm: the model \
+             is wrong \
+             by more than was thought possible"
+        );
+        verdict.add(Check::Discrepancy, true, sentence);
+    }
+}
+
+fn bounds(verdict: &mut Verdict, draws: &Draws) {
+    let all = || draws.ensembles.iter().flatten();
+    let count = all().count().max(1) as f64;
+    for (axis, unknown) in unknowns()[..OF_BODY].iter().enumerate() {
+        let share = |at_end: fn(f64) -> bool| {
+            all().filter(|point| at_end(parts(point)[axis])).count() as f64 / count
+        };
+        let low = share(|part| part < END);
+        let high = share(|part| part > 1.0 - END);
+        let (end, share, bound) = if high > low {
+            ("upper", high, unknown.shape.quantile(1.0))
+        } else {
+            ("lower", low, unknown.shape.quantile(0.0))
+        };
+        if share > AT_BOUND {
+            let sentence = format!(
+                "{} lies at the {end} end of its prior, {bound}, with {:.0} % of the draws in the last twentieth of \
+                 it: the \
+                 prior decides, not the trials",
+                unknown.key,
+                100.0 * share
+            );
+            verdict.add(Check::Bound, share > MOSTLY_AT_BOUND, sentence);
+        }
+    }
+}
+
+/// Residuals of a kind on a wall: indentation, mm, and residual in standard deviations.
+type Series = (Kind, Lubrication, Vec<(f64, f64)>);
+
+/// Fewest indentations over which a trend is asked.
+const LEAST_DEPTHS: usize = 3;
+
+fn trends(verdict: &mut Verdict, conditions: &[Condition], residuals: &[f64]) {
+    let mut series: Vec<Series> = vec![];
+    for (condition, residual) in conditions.iter().zip(residuals) {
+        let key = (condition.case.kind, condition.lubrication);
+        let point = (condition.case.indentation_mm, *residual);
+        match series.iter_mut().find(|one| (one.0, one.1) == key) {
+            Some(known) => known.2.push(point),
+            None => series.push((key.0, key.1, vec![point])),
+        }
+    }
+    series.retain(|one| one.2.len() >= LEAST_DEPTHS);
+    let count = series.len() as f64;
+    let slope = |points: &[(f64, f64)]| {
+        let middle = points.iter().map(|point| point.0).sum::<f64>() / points.len() as f64;
+        let along: f64 = points.iter().map(|(a, off)| (a - middle) * off).sum();
+        let square: f64 = points.iter().map(|(a, _)| (a - middle).powi(2)).sum();
+        along / libm::sqrt(square)
+    };
+    let steepest = series
+        .iter()
+        .map(|one| (slope(&one.2), one))
+        .max_by(|one, other| libm::fabs(one.0).total_cmp(&libm::fabs(other.0)));
+    let Some((steep, (kind, lubrication, _))) = steepest else {
+        return;
+    };
+    let p = (count * two_sided(steep)).min(1.0);
+    verdict.weigh(Check::Trend, p, || {
+        let rises = if steep > 0.0 { "rises" } else { "falls" };
+        format!(
+            "without tau the residual of the {kind}, {lubrication}, {rises} with the indentation by {:.1} standard \
+             deviations, \
+             p {} among {count} series: a parameter that the model keeps changes with the indentation",
+            libm::fabs(steep),
+            probability(p)
+        )
+    });
+}
+
+/// Leaves each condition out in turn. The draws of the posterior stand for that of the other conditions by weights,
+/// one over the condition's likelihood, cut off where few draws would decide (Ionides 2008).
+fn left_out(verdict: &mut Verdict, target: &Target<'_>, draws: &Draws) {
+    let count = target.conditions.len();
+    if count < 2 {
+        return;
+    }
+    let points = draws.thinned(WEIGHTED);
+    let without: Vec<_> = (points.iter())
+        .filter_map(|point| target.without(point))
+        .collect();
+    let p = |place: usize| {
+        let least =
+            (without.iter().map(|all| all[place].log_density)).fold(f64::INFINITY, f64::min);
+        let weights: Vec<f64> = (without.iter())
+            .map(|all| libm::exp(least - all[place].log_density))
+            .collect();
+        let most = weights.iter().sum::<f64>() / libm::sqrt(weights.len() as f64);
+        let (mut sum, mut below) = (0.0, 0.0);
+        for (weight, all) in weights.iter().zip(&without) {
+            let weight = weight.min(most);
+            sum += weight;
+            below += weight * 0.5 * libm::erfc(-all[place].off / core::f64::consts::SQRT_2);
+        }
+        let part: f64 = below / sum;
+        2.0 * part.min(1.0 - part)
+    };
+    let worst = (0..count)
+        .map(|place| (p(place), place))
+        .min_by(|one, other| one.0.total_cmp(&other.0));
+    if let Some((p, place)) = worst {
+        let among = (count as f64 * p).min(1.0);
+        verdict.weigh(Check::LeftOut, among, || {
+            format!(
+                "the other conditions do not predict the {}, p {} among {count} conditions: the readings there are \
+                 wrong, or \
+                 the model is",
+                name(&target.conditions[place]),
+                probability(among)
+            )
+        });
+    }
+}
+
+/// Compares the conditions that were measured on both walls. The model predicts the same for both.
+fn walls(verdict: &mut Verdict, conditions: &[Condition]) {
+    let on = |lubrication: Lubrication| {
+        let all = conditions.iter();
+        all.filter(move |condition| condition.lubrication == lubrication)
+    };
+    let (mut value, mut degrees) = (0.0, 0);
+    for dry in on(Lubrication::Dry) {
+        if let Some(wet) = on(Lubrication::Lubricated).find(|wet| wet.case == dry.case) {
+            let deviation_mm = libm::hypot(dry.uncertainty_mm, wet.uncertainty_mm);
+            value += ((dry.mean_mm - wet.mean_mm) / deviation_mm).powi(2);
+            degrees += 1;
+        }
+    }
+    if degrees == 0 {
+        return;
+    }
+    let p = exceeded(value, degrees);
+    verdict.weigh(Check::Walls, p, || {
+        format!(
+            "dry and lubricated trials differ by a chi-square of {value:.1} at {degrees} degrees of freedom, p {}: one \
+             friction ratio does not hold for both walls; fit them apart",
+            probability(p)
+        )
+    });
+}
+
+/// Compares each net displacement with the isolated passes at its indentation and wall.
+fn net_and_passes(verdict: &mut Verdict, conditions: &[Condition]) {
+    for net in conditions {
+        let Kind::Net { cycles } = net.case.kind else {
+            continue;
+        };
+        let pass = |kind: Kind| {
+            conditions.iter().find(|other| {
+                let case = Case { kind, ..net.case };
+                other.case == case && other.lubrication == net.lubrication
+            })
+        };
+        let (Some(antegrade), Some(returning)) =
+            (pass(Kind::AntegradePass), pass(Kind::ReturningPass))
+        else {
+            continue;
+        };
+        let cycles = f64::from(cycles);
+        let sum_mm = cycles * (antegrade.mean_mm + returning.mean_mm);
+        let passes_mm = cycles * libm::hypot(antegrade.uncertainty_mm, returning.uncertainty_mm);
+        // A discrepancy that is not surprising contradicts nothing.
+        let usual_mm = net.case.kind.discrepancies() * unknowns()[OF_BODY].shape.quantile(0.95);
+        let contradicts = |less: f64, of_less: f64, more: f64, of_more: f64| {
+            // Written so that displacements of opposite signs contradict each other, too.
+            let beyond = (more - CONTRADICTION * less) * more.signum();
+            beyond > usual_mm + CERTAIN * libm::hypot(of_more, CONTRADICTION * of_less)
+        };
+        let (one, other) = (
+            contradicts(net.mean_mm, net.uncertainty_mm, sum_mm, passes_mm),
+            contradicts(sum_mm, passes_mm, net.mean_mm, net.uncertainty_mm),
+        );
+        if one || other {
+            let sentence = format!(
+                "the {} is {:.1} mm, and {cycles} times its antegrade and returning pass together {sum_mm:.1} mm: \
+                 signs, units \
+                 or cycles of one of them are wrong",
+                name(net),
+                net.mean_mm
+            );
+            verdict.add(Check::NetAndPasses, true, sentence);
+            return;
+        }
+    }
+}
+
+/// The reasons of the sampling itself.
+pub(crate) fn of_sampling(verdict: &mut Verdict, has_mixed: bool, table_error: f64, greatest: f64) {
+    if !has_mixed {
+        let sentence = "the chains have not mixed: R-hat above 1.01, or fewer than 400 effective draws in the bulk \
+        or in \
+                        the tails";
+        verdict.add(Check::Mixing, true, sentence.to_owned());
+    }
+    // NaN counts as an error.
+    if table_error.partial_cmp(&greatest) == Some(core::cmp::Ordering::Greater)
+        || table_error.is_nan()
+    {
+        let sentence = format!(
+            "the model could not be tabulated finely enough: off by {table_error:.2} standard deviations"
+        );
+        verdict.add(Check::Table, true, sentence);
+    }
+}

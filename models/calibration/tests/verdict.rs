@@ -1,0 +1,233 @@
+//! The verdict of a fit on data that the model made, and on seven kinds that it did not: written down wrongly, or from
+//! bodies that are not those of the model.
+
+mod wrong_bodies;
+
+use calibration::chance::{normal, stream};
+use calibration::fit::{Fit, Settings, Unfit, fit};
+use calibration::observation::{Kind, Lubrication, Observation};
+use calibration::sampler::Effort;
+use calibration::verdict::Check;
+use locomotion::model::{Model, Setting, Value};
+use wrong_bodies::{LIKE, Unlike, displacements_mm};
+
+const DEPTHS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
+const KINDS: [Kind; 3] = [
+    Kind::AntegradePass,
+    Kind::ReturningPass,
+    Kind::Net { cycles: 5 },
+];
+const REPEATS: usize = 3;
+const UNCERTAINTY_MM: f64 = 0.2;
+
+fn full() -> bool {
+    std::env::var("RETROGRADE_CAMPAIGN").is_ok_and(|what| what == "full")
+}
+
+/// The default body with other values.
+fn body(values: &[(&str, f64)]) -> Model {
+    let mut model = Model::ONE;
+    for (key, value) in values {
+        let setting = Setting::named(key).expect(key);
+        model.set(setting, Value::Number(*value)).expect("a number");
+    }
+    model
+}
+
+/// Trials of a body at all indentations on a wall.
+fn trials(of: impl Fn(f64) -> [f64; 3], lubrication: Lubrication, seed: u64) -> Vec<Observation> {
+    let mut random = stream(seed, lubrication as u64);
+    let mut all = vec![];
+    for indentation_mm in DEPTHS_MM {
+        for (kind, exact_mm) in KINDS.into_iter().zip(of(indentation_mm)) {
+            for _ in 0..REPEATS {
+                all.push(Observation {
+                    kind,
+                    lubrication,
+                    indentation_mm,
+                    displacement_mm: exact_mm + UNCERTAINTY_MM * normal(&mut random),
+                    uncertainty_mm: UNCERTAINTY_MM,
+                });
+            }
+        }
+    }
+    all
+}
+
+fn dry(model: &Model, unlike: Unlike, seed: u64) -> Vec<Observation> {
+    let of = |depth_mm| displacements_mm(model, depth_mm, unlike);
+    trials(of, Lubrication::Dry, seed)
+}
+
+fn fitted(trials: &[Observation], seed: u64) -> Result<Fit, Unfit> {
+    let settings = Settings {
+        seed,
+        effort: Effort {
+            doublings: 4,
+            ..Effort::FULL
+        },
+    };
+    let fit = fit(&Model::ONE, trials, &settings);
+    if let Ok(fit) = &fit {
+        let at = |part| fit.quantile(1, part);
+        eprintln!(
+            "friction ratio {:.1} to {:.1}, tau {:.2}: {:?} {:#?}",
+            at(0.05),
+            at(0.95),
+            fit.quantile(3, 0.5),
+            fit.verdict.chi_square,
+            fit.verdict.reasons
+        );
+    }
+    fit
+}
+
+/// The wrong bodies' own chain is the model where nothing is unlike it.
+#[test]
+fn a_body_like_the_model_moves_like_it() {
+    let case = |kind, indentation_mm| calibration::observation::Case {
+        kind,
+        indentation_mm,
+    };
+    for (depth_mm, ratio) in [(2.0, 40.0), (5.05, 5.0)] {
+        let model = body(&[("body.friction_ratio", ratio)]);
+        let cases = KINDS.map(|kind| case(kind, depth_mm));
+        let predictor =
+            calibration::prediction::Predictor::new(&model, &cases, 0.05).expect("covered");
+        let values = calibration::prior::Values([0.15, ratio, 0.0007, 0.1]);
+        let body = calibration::prior::parts(&values.point());
+        let expected = predictor.displacements_mm(&body).expect("covered");
+        let found = displacements_mm(&model, depth_mm, LIKE);
+        for (one, other) in found.iter().zip(&expected) {
+            assert!((one - other).abs() < 1e-6, "{found:?} {expected:?}");
+        }
+    }
+}
+
+/// 100 data sets with `RETROGRADE_CAMPAIGN=full`, of which 95 have to be reliable; otherwise two.
+#[test]
+fn the_true_body_is_reliable() {
+    let count = if full() { 100 } else { 2 };
+    let exact = DEPTHS_MM.map(|depth_mm| displacements_mm(&Model::ONE, depth_mm, LIKE));
+    let of = |depth_mm| {
+        exact[DEPTHS_MM
+            .iter()
+            .position(|mm| *mm == depth_mm)
+            .expect("set")]
+    };
+    let (mut reliable, mut undoubted) = (0, 0);
+    for seed in 0..count {
+        let fit = fitted(&trials(of, Lubrication::Dry, seed), seed).expect("a posterior");
+        reliable += u64::from(fit.verdict.is_reliable());
+        undoubted += u64::from(!fit.verdict.is_doubted());
+        assert!(fit.quantile(1, 0.01) < 40.0 && fit.quantile(1, 0.99) > 40.0);
+    }
+    eprintln!("{reliable} of {count} reliable, {undoubted} without a doubt");
+    assert!(reliable * 100 >= 95 * count, "{reliable} of {count}");
+}
+
+#[test]
+fn displacements_with_the_opposite_sign_are_refused() {
+    let mut trials = dry(&Model::ONE, LIKE, 1);
+    for one in &mut trials {
+        one.displacement_mm = -one.displacement_mm;
+    }
+    let refused = fitted(&trials, 1).expect_err("refused").to_string();
+    assert!(refused.contains("signs are reversed"), "{refused}");
+}
+
+/// With an uncertainty in centimetres as well, and with one that was given in millimetres.
+#[test]
+fn centimetres_are_refused() {
+    for share in [0.1, 1.0] {
+        let mut trials = dry(&Model::ONE, LIKE, 2);
+        for one in &mut trials {
+            one.displacement_mm *= 0.1;
+            one.uncertainty_mm *= share;
+        }
+        let refused = fitted(&trials, 2).expect_err("refused").to_string();
+        assert!(refused.contains("centimetres"), "{refused}");
+    }
+}
+
+fn has(fit: &Fit, check: Check) -> bool {
+    let mut all = fit.verdict.reasons.iter();
+    all.any(|reason| reason.check == check && reason.unreliable)
+}
+
+/// Nets in the opposite direction of the passes of the same body.
+#[test]
+fn nets_that_contradict_the_passes_are_named() {
+    let mut trials = dry(&Model::ONE, LIKE, 3);
+    for one in &mut trials {
+        if matches!(one.kind, Kind::Net { .. }) {
+            one.displacement_mm = -one.displacement_mm;
+        }
+    }
+    match fitted(&trials, 3) {
+        Ok(fit) => assert!(has(&fit, Check::NetAndPasses), "{:?}", fit.verdict),
+        Err(refused) => panic!("{refused}"),
+    }
+}
+
+#[test]
+fn a_friction_ratio_that_changes_with_the_wall_is_not_reliable() {
+    let mut trials = dry(&Model::ONE, LIKE, 4);
+    let slippery = body(&[("body.friction_ratio", 5.0)]);
+    let of = |depth_mm| displacements_mm(&slippery, depth_mm, LIKE);
+    trials.extend(self::trials(of, Lubrication::Lubricated, 4));
+    let fit = fitted(&trials, 4).expect("a posterior");
+    assert!(has(&fit, Check::Walls), "{:?}", fit.verdict);
+    assert!(has(&fit, Check::Discrepancy), "{:?}", fit.verdict);
+}
+
+/// The coupling rises by half from 1 to 5.05 mm.
+#[test]
+fn a_coupling_that_changes_with_the_indentation_is_not_reliable() {
+    let of = |depth_mm: f64| {
+        let coupling = 0.15 * (1.0 + 0.5 * (depth_mm - 1.0) / 4.05);
+        displacements_mm(&body(&[("body.coupling", coupling)]), depth_mm, LIKE)
+    };
+    let fit = fitted(&trials(of, Lubrication::Dry, 5), 5).expect("a posterior");
+    assert!(has(&fit, Check::Trend), "{:?}", fit.verdict);
+    assert!(has(&fit, Check::ChiSquare), "{:?}", fit.verdict);
+}
+
+/// A late recovery of 1 mm is not seen, and moves the friction ratio beyond the truth: `docs/science.md` says so. 2 mm
+/// are tried with `RETROGRADE_CAMPAIGN=full` only, because the chains mix slowly.
+#[test]
+fn wings_that_recover_late_are_doubted() {
+    let recoveries_mm: &[f64] = if full() { &[2.0, 4.0] } else { &[4.0] };
+    for recovery_mm in recoveries_mm {
+        let late = Unlike {
+            recovery_mm: *recovery_mm,
+            ..LIKE
+        };
+        let fit = fitted(&dry(&Model::ONE, late, 6), 6).expect("a posterior");
+        assert!(
+            fit.verdict.is_doubted(),
+            "{recovery_mm} mm: {:?}",
+            fit.verdict
+        );
+    }
+}
+
+#[test]
+fn a_contact_that_gives_before_it_slips_is_doubted() {
+    let gives = Unlike {
+        threshold_mm: 0.3,
+        ..LIKE
+    };
+    let fit = fitted(&dry(&Model::ONE, gives, 7), 7).expect("a posterior");
+    assert!(fit.verdict.is_doubted(), "{:?}", fit.verdict);
+}
+
+/// A friction ratio of 40 that falls to 10 at the slip speed of the rig's one speed is a body with 10. No check can see
+/// it, and `docs/science.md` says so.
+#[test]
+fn a_friction_ratio_that_falls_with_the_slip_speed_is_invisible() {
+    let fast = body(&[("body.friction_ratio", 10.0)]);
+    let fit = fitted(&dry(&fast, LIKE, 8), 8).expect("a posterior");
+    assert!(fit.verdict.is_reliable(), "{:?}", fit.verdict);
+    assert!(fit.quantile(1, 0.95) < 20.0);
+}
