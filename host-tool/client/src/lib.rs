@@ -24,6 +24,7 @@ pub mod identity;
 pub mod limited;
 pub mod link;
 pub mod named;
+pub mod plain;
 pub mod subject;
 pub mod wording;
 
