@@ -26,6 +26,7 @@ pub mod link;
 pub mod named;
 pub mod plain;
 pub mod subject;
+pub mod visible;
 pub mod wording;
 
 pub use device::observer::{
