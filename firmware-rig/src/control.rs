@@ -22,7 +22,7 @@ use protocol::{
     rig::{RigEvent, RigFault, RigHardware, RigHealth, RigState},
     settings::SettingKey,
     system::{Clock, ResetCause, Urgent, What},
-    table::{Reply, Request},
+    table::{Impact, Reply, Request},
 };
 
 /// How often [`Control::tick`] has to be called.
@@ -209,7 +209,17 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         self.watch_link();
     }
 
+    /// The supply is too low to begin a motion: a reset by brown-out would cut it and lose the position.
+    fn is_too_weak(&self) -> bool {
+        self.rig.chip().supply_low
+    }
+
     fn press_button(&mut self) {
+        let at_rest =
+            self.machine.may_change_settings().is_ok() || self.machine.state() == RigState::Held;
+        if at_rest && self.is_too_weak() {
+            return self.emit(What::Rig(RigEvent::ButtonIgnored));
+        }
         let now = self.rig.now();
         let actions = press_button(&mut self.machine, self.settings.values(), &now);
         let refused = actions.refusal.is_some();
@@ -275,6 +285,14 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
         // Rearm first, so that an opening from now on is a new fault.
         if matches!(request, Request::Acknowledge(_)) {
             self.rig.rearm_loop();
+        }
+        let starts = match request.impact() {
+            Impact::Motion => true,
+            Impact::Pace => matches!(request, Request::Resume(_)),
+            Impact::None | Impact::Fault | Impact::Flash => false,
+        };
+        if starts && self.is_too_weak() {
+            return Reply::Refused(Refusal::SupplyLow);
         }
         let context = Context {
             now: self.rig.now(),

@@ -111,8 +111,8 @@ pub trait Ring {
     /// Compares up to `at_most` captured edges with the periods that were pushed. True if no more are waiting.
     fn time_edges(&mut self, at_most: u32) -> bool;
 
-    /// Result of the comparison since the ring was cleared.
-    fn timed(&self) -> Timed;
+    /// Result of the comparison since the ring was cleared; `whole` if every step has left.
+    fn timed(&self, whole: bool) -> Timed;
 }
 
 /// The other tasks, as execution sees them.
@@ -371,7 +371,7 @@ impl Execution {
             counted,
             last_tick,
             min_queue: self.min_queue,
-            timed: ring.timed(),
+            timed: ring.timed(unemitted == 0),
         };
         mailbox.show(self.stroke, report.commanded);
         Event::PathEnded(end, report)

@@ -677,6 +677,59 @@ mod settings {
     }
 }
 
+/// Below 2.7 V a reset may come at any moment: it would cut a motion and lose the position.
+mod supply {
+    use super::*;
+
+    #[test]
+    fn that_is_too_low_begins_no_motion_and_refuses_no_stop() {
+        let mut bench = Bench::homed();
+        let start = run(LinkLossPolicy::Stop);
+        bench.accepted(start.clone());
+        bench.steps_until(100);
+        bench.board().supply_low = true;
+        // A stop, and a hold, are never refused for it.
+        bench.accepted(Request::Hold(rig::Hold));
+        bench.finish();
+        assert_eq!(bench.state(), RigState::Held);
+        assert_eq!(
+            bench.refused(Request::Resume(rig::Resume)),
+            Refusal::SupplyLow
+        );
+        bench.control.stop(Urgent::Stop);
+        assert_eq!(bench.state(), RigState::Ready);
+        let moves = [
+            Request::Home(rig::Home),
+            start,
+            Request::Jog(rig::Jog {
+                sense: rig::Direction::Away,
+                speed_um_s: 1_000,
+            }),
+            Request::MoveTo(rig::MoveTo {
+                position_um: 0,
+                speed_um_s: 1_000,
+            }),
+        ];
+        for request in &moves {
+            assert_eq!(bench.refused(request.clone()), Refusal::SupplyLow);
+        }
+        bench.told();
+        bench.board().button = true;
+        bench.ticks(3);
+        bench.board().button = false;
+        assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
+        assert_eq!(bench.state(), RigState::Ready);
+        bench.board().supply_low = false;
+        bench.accepted(moves[0].clone());
+        // The button still stops.
+        bench.board().supply_low = true;
+        bench.tick();
+        bench.board().button = true;
+        bench.ticks(3);
+        assert_eq!(bench.state(), RigState::Stopping);
+    }
+}
+
 mod button {
     use super::*;
 

@@ -208,6 +208,30 @@ fn what_came_before_counts_no_more() {
     assert_eq!(timing.timed(), expected);
 }
 
+/// No interval ends at an edge that does not come, so the last one is looked for at the end.
+#[test]
+fn a_last_step_without_an_edge_is_the_worst_error() {
+    for (edges, worst) in [(0, 0), (1, u32::MAX), (5, u32::MAX), (6, 0)] {
+        let mut timing = Watch::default();
+        timing.expect(steps(100, 3));
+        timing.expect(steps(100, 1));
+        timing.compare((0..edges).map(|edge| 1_000 + edge * 100));
+        let expected = Timed {
+            edges,
+            worst_error_ticks: worst,
+        };
+        assert_eq!(timing.timing.timed_whole(&timing.line), expected);
+        // A path that was cut has steps in the ring that never left.
+        assert_eq!(timing.timed().worst_error_ticks, 0);
+    }
+    // After a loss nothing is known.
+    let mut timing = Watch::default();
+    timing.expect(steps(100, 3));
+    timing.compare([1_000, 1_100].into_iter());
+    timing.timing.lose();
+    assert_eq!(timing.timing.timed_whole(&timing.line).worst_error_ticks, 0);
+}
+
 /// No captures arrive, so expected edges pile up. The comparison then reports nothing, rather than something wrong.
 #[test]
 fn without_the_jumper_nothing_is_timed() {

@@ -268,9 +268,10 @@ mod moves {
         );
         // With an open far limit, the only way is home.
         rig.far_wire_cut = true;
-        let limit = Err(Refusal::RigFaulted(RigFault::FarLimit));
+        let limit = Err(Refusal::FarLimitOpen);
         assert_eq!(rig.command(move_to(5_001, 1_000)), limit);
         assert_eq!(rig.command(jog(Direction::Away, 1_000)), limit);
+        assert_eq!(rig.fault(), None);
         rig.command(move_to(4_999, 1_000)).unwrap();
         rig.finish();
         assert_eq!((rig.place, rig.fault()), (4_999, None));

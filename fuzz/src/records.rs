@@ -5,7 +5,6 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use analysis::report::check;
 use campaign::manifest::{self, Manifest};
 use campaign::verify::verify;
 use client::{Device, Unobserved};
@@ -14,8 +13,9 @@ use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
+use trials::check;
 use trials::experiment;
-use trials::trial::{Action, CapsuleSample, Recording, RigSample, Trial};
+use trials::trial::{Recording, Trial};
 
 use crate::script::steps;
 use simulated_machines::machine::{Script, link};
@@ -96,25 +96,12 @@ pub fn target(data: &[u8]) {
     look(&folder.join(&written.names[0]));
 }
 
-/// Checks a record as the report does.
+/// Checks a record as `verify` and the report do.
 fn look(sidecar: &Path) {
     let Ok(trial) = Trial::read(sidecar) else {
         return;
     };
-    match &trial.action {
-        Action::Run { .. } => {
-            let (samples, _) = check::read::<RigSample>(sidecar, &trial);
-            drop(check::run(&trial, &samples));
-        }
-        Action::Move { .. } => {
-            let (samples, _) = check::read::<RigSample>(sidecar, &trial);
-            drop(check::movement(&trial, &samples));
-        }
-        Action::Actuation { .. } => {
-            let (samples, _) = check::read::<CapsuleSample>(sidecar, &trial);
-            drop(check::actuation(&trial, &samples));
-        }
-    }
+    drop(check::record(sidecar, &trial));
 }
 
 /// Checks that text which parses as a manifest is written back unchanged.

@@ -57,6 +57,7 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser};
 use client::address::Address;
 use client::link::serial::DEFAULT_BAUD;
+use client::visible;
 use operations::arguments::{
     FoldArgs, JogArgs, MachineKind, MoveArgs, PartialArgs, RunArgs, Which,
 };
@@ -291,6 +292,7 @@ fn run_in(
         Err(error) => {
             let error = without_environment(error, &args);
             let text = error.render().to_string();
+            let text = visible::lines(&text);
             let wanted = !error.use_stderr();
             let _ = if wanted {
                 out.write_all(text.as_bytes())

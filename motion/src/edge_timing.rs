@@ -7,7 +7,8 @@ use crate::timeline::Timeline;
 pub struct Timed {
     /// Edges that were captured and compared.
     pub edges: u32,
-    /// Largest difference between a captured interval and the planned one; [`u32::MAX`] after an edge without a step.
+    /// Largest difference between a captured interval and the planned one; [`u32::MAX`] after an edge without a step or
+    /// a step without an edge.
     pub worst_error_ticks: u32,
 }
 
@@ -22,8 +23,7 @@ pub struct Intervals {
 
 /// Comparison of one path.
 ///
-/// A missing, moved or additional edge shows as a wrong interval. At the first or last step it shows in the number of
-/// edges instead.
+/// A missing, moved or additional edge shows as a wrong interval; at the last step, in [`EdgeTiming::timed_whole`].
 #[derive(Debug, Default)]
 pub struct EdgeTiming {
     /// Number of the next period with pulses.
@@ -54,6 +54,17 @@ impl EdgeTiming {
     /// Result since the start of the path.
     pub fn timed(&self) -> Timed {
         self.timed
+    }
+
+    /// Result of a path of which every step has left. A last step without an edge shows in no interval.
+    pub fn timed_whole(&self, line: &Timeline) -> Timed {
+        let missing = self.to_come > 0 || self.next != line.given_with_pulses();
+        let mut timed = self.timed;
+        // Without the jumper nothing was timed.
+        if missing && timed.edges > 0 && !self.lost {
+            timed.worst_error_ticks = u32::MAX;
+        }
+        timed
     }
 
     /// Result on all paths since the start of the device.

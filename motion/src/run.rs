@@ -87,29 +87,35 @@ impl RunPlan {
     /// The first reason why the run is infeasible.
     pub fn solve(axis: &Axis, limits: &Limits, request: &RunRequest) -> Result<Self, RunError> {
         Self::solve_as_is(axis, limits, request).map_err(|error| {
-            let (
-                RunError::TotalTooShort {
-                    minimal_total_us,
-                    minimal_accel_um_s2: Some(accel_um_s2),
-                },
-                Timing::Total { total_us, .. },
-            ) = (error, request.timing)
-            else {
+            let Timing::Total { total_us, .. } = request.timing else {
                 return error;
-            };
-            let harder = RunRequest {
-                timing: Timing::Total {
-                    total_us,
-                    accel_um_s2,
-                },
-                ..*request
             };
             // This acceleration may itself exceed the limit, or leave the driver no time to turn; a higher one would
             // leave even less time.
-            let does = Self::solve_as_is(axis, limits, &harder).is_ok();
-            RunError::TotalTooShort {
-                minimal_total_us,
-                minimal_accel_um_s2: does.then_some(accel_um_s2),
+            let does = |accel_um_s2| {
+                let timing = Timing::Total {
+                    total_us,
+                    accel_um_s2,
+                };
+                let harder = RunRequest { timing, ..*request };
+                Self::solve_as_is(axis, limits, &harder).is_ok()
+            };
+            match error {
+                RunError::TotalTooShort {
+                    minimal_total_us,
+                    minimal_accel_um_s2: Some(accel_um_s2),
+                } if !does(accel_um_s2) => RunError::TotalTooShort {
+                    minimal_total_us,
+                    minimal_accel_um_s2: None,
+                },
+                RunError::AccelerationTooLow {
+                    minimal_um_s2,
+                    shortest,
+                    ..
+                } if !does(minimal_um_s2) => {
+                    RunError::Profile(StrokeError::TooSlow { duration: shortest })
+                }
+                error => error,
             }
         })
     }
@@ -355,13 +361,25 @@ impl Strokes<'_> {
             Err(StrokeError::Infeasible {
                 minimal_duration, ..
             }) => {
-                let shortest = self
-                    .shortest(fastest, acceleration)
-                    .unwrap_or(minimal_duration);
+                let minimal_accel_um_s2 = self.least_accel(duration, fastest, acceleration);
+                let Some(shortest) = self.shortest(fastest, acceleration) else {
+                    // At this acceleration no stroke has exact step times, however long it takes.
+                    return Err(match minimal_accel_um_s2 {
+                        Some(minimal_um_s2) => RunError::AccelerationTooLow {
+                            accel_um_s2,
+                            minimal_um_s2,
+                            max_um_s2: self.limits.max_accel_um_s2,
+                            shortest: minimal_duration,
+                        },
+                        None => RunError::Profile(StrokeError::TooSlow {
+                            duration: minimal_duration,
+                        }),
+                    });
+                };
                 return Err(match self.total_us(shortest) {
                     Some(minimal_total_us) => RunError::TotalTooShort {
                         minimal_total_us,
-                        minimal_accel_um_s2: self.least_accel(duration, fastest, acceleration),
+                        minimal_accel_um_s2,
                     },
                     None => RunError::TooLong,
                 });
@@ -397,10 +415,13 @@ impl Strokes<'_> {
     }
 
     /// The least acceleration for strokes of this duration within the limits of speed and step rate. Its ramps are the
-    /// longest that still keep the peak within these limits. Only the axis of `any` matters.
+    /// longest that still keep the peak within these limits, and the step times exact. Only the axis of `any` matters.
     fn least_accel(&self, duration: Ticks, fastest: Speed, any: Acceleration) -> Option<u32> {
         let time = u128::from(duration.0);
-        let ramp = time.checked_sub(self.least_span(fastest))?.min(time / 2);
+        let within = time.checked_sub(self.least_span(fastest))?.min(time / 2);
+        let longest =
+            StrokeProfile::longest_ramp(self.steps, duration, u64::try_from(within).ok()?)?;
+        let ramp = u128::from(longest.0);
         u32::try_from(any.least_for(self.steps, ramp * (time - ramp))).ok()
     }
 
@@ -478,6 +499,17 @@ pub enum RunError {
         /// The least acceleration for this total with which the run is within all limits, um/s^2;
         /// `None` if there is none.
         minimal_accel_um_s2: Option<u32>,
+    },
+    /// At this acceleration no stroke of this length has exact step times, whatever the total.
+    AccelerationTooLow {
+        /// Requested acceleration, um/s^2.
+        accel_um_s2: u32,
+        /// The least acceleration for this total with which the run is within all limits, um/s^2.
+        minimal_um_s2: u32,
+        /// Limit, um/s^2.
+        max_um_s2: u32,
+        /// The shortest stroke at the requested acceleration, which is too slow for exact step times.
+        shortest: Ticks,
     },
     /// The total needs a peak speed above the machine's limit.
     PeakAboveLimit {
@@ -571,6 +603,14 @@ impl fmt::Display for RunError {
                     ),
                 }
             }
+            Self::AccelerationTooLow {
+                accel_um_s2,
+                minimal_um_s2,
+                ..
+            } => write!(
+                f,
+                "an acceleration of {accel_um_s2} um/s^2 is too low for exact step times: accelerate with at least {minimal_um_s2} um/s^2"
+            ),
             Self::PeakAboveLimit {
                 peak_um_s,
                 max_um_s,

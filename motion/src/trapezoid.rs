@@ -154,6 +154,20 @@ impl StrokeProfile {
         Self::from_parts(steps, ticks(ramp + span), ticks(ramp))
     }
 
+    /// The longest ramp up to `most` of a profile of this duration; `None` if there is none. A longer ramp makes the
+    /// first steps slower, so that the exact step times end before they fit.
+    pub(crate) fn longest_ramp(steps: Steps, duration: Ticks, most: u64) -> Option<Ticks> {
+        let is_too_slow = |ramp| {
+            let profile = Self::from_parts(steps, duration, Ticks(ramp));
+            matches!(profile, Err(StrokeError::TooSlow { .. }))
+        };
+        let longest = match least(1, most, is_too_slow) {
+            ramp if is_too_slow(ramp) => ramp - 1,
+            ramp => ramp,
+        };
+        (longest > 0).then_some(Ticks(longest))
+    }
+
     /// Number of steps.
     #[must_use]
     pub const fn steps(&self) -> Steps {

@@ -111,6 +111,17 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
             accel_um_s2,
             max_um_s2,
         } => out_of_range(Field::AccelUmS2, accel_um_s2.into(), 1, max_um_s2.into()),
+        RunError::AccelerationTooLow {
+            accel_um_s2,
+            minimal_um_s2,
+            max_um_s2,
+            ..
+        } => out_of_range(
+            Field::AccelUmS2,
+            accel_um_s2.into(),
+            minimal_um_s2.into(),
+            max_um_s2.into(),
+        ),
         RunError::SpeedAboveLimit {
             speed_um_s,
             max_um_s,

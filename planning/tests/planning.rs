@@ -374,6 +374,38 @@ fn every_error_has_its_words() {
     );
 }
 
+/// Slow strokes have exact step times only with short ramps: at a lower acceleration no total would be accepted.
+#[test]
+fn an_acceleration_that_no_total_suits_is_told_the_least_one() {
+    let run = |accel_um_s2| Run {
+        cycles: 5,
+        stroke_um: 130_000,
+        timing: RunTiming::Total {
+            total_us: 700_000_000,
+            accel_um_s2,
+        },
+        far_dwell_us: 0,
+        home_dwell_us: 0,
+        start_delay_us: 0,
+        ..PAPER
+    };
+    let Refusal::OutOfRange {
+        field: Field::AccelUmS2,
+        requested: 50,
+        min,
+        max: 2_000_000,
+    } = refused(&run(50))
+    else {
+        panic!("{:?}", refused(&run(50)));
+    };
+    let least = u32::try_from(min).unwrap();
+    assert!(solve(&run(least), &AXIS, &LIMITS).is_ok(), "{least} um/s2");
+    assert!(
+        solve(&run(least - 1), &AXIS, &LIMITS).is_err(),
+        "{least} um/s2"
+    );
+}
+
 /// Whoever takes the duration that a refusal names is not refused for the speed then.
 #[test]
 fn the_shortest_duration_is_one_that_the_speed_limit_allows() {
@@ -417,8 +449,9 @@ proptest! {
     fn what_a_refusal_names_is_accepted(
         cycles in 1_u16..=30,
         stroke_um in 2_u32..=100_000,
-        total_us in 1_000_u64..100_000_000,
-        accel_um_s2 in 1_000_u32..=2_000_000,
+        // Slow strokes and low accelerations, too.
+        total_us in prop_oneof![3 => 1_000_u64..100_000_000, 1 => 100_000_000_u64..10_000_000_000],
+        accel_um_s2 in prop_oneof![3 => 1_000_u32..=2_000_000, 1 => 1_u32..1_000],
         far_dwell_us in 0_u32..1_000_000,
         fine: bool,
         speed_um_s in 5_000_u32..=200_000,
@@ -437,16 +470,26 @@ proptest! {
         let solves = |total_us, accel_um_s2| solve(&run(total_us, accel_um_s2), &axis, &limits);
         let Err(error) = solves(total_us, accel_um_s2) else { return Ok(()) };
         let requested = run(total_us, accel_um_s2);
-        let Refusal::TooFast { min_us, min_accel_um_s2, .. } = refusal(&error, &requested, &axis, &limits) else {
-            return Ok(());
+        let (min_us, min_accel_um_s2) = match refusal(&error, &requested, &axis, &limits) {
+            Refusal::TooFast { min_us, min_accel_um_s2, .. } => (Some(min_us), min_accel_um_s2),
+            Refusal::OutOfRange { field: Field::AccelUmS2, min, .. } => (None, min),
+            _ => return Ok(()),
         };
-        match solves(min_us, accel_um_s2) {
+        // Where only the acceleration is named, no total would do.
+        let totals = [total_us, 2 * total_us, 100 * total_us];
+        if min_us.is_none() {
+            prop_assert!(totals.iter().all(|total_us| solves(*total_us, accel_um_s2).is_err()));
+        }
+        match min_us.map(|min_us| solves(min_us, accel_um_s2)) {
             // The time between the strokes is another matter, with a number of its own.
-            Ok(_) | Err(RunError::Turnaround { .. }) => {}
-            Err(other) => prop_assert!(false, "{min_us} us: {other}"),
+            None | Some(Ok(_) | Err(RunError::Turnaround { .. })) => {}
+            Some(Err(other)) => prop_assert!(false, "{min_us:?} us: {other}"),
         }
         if min_accel_um_s2 == u64::MAX {
-            for accel_um_s2 in (accel_um_s2..2_000_000).step_by(50_000).chain([2_000_000]) {
+            let by_eights = (0..24).map(|power| (accel_um_s2 << 3).wrapping_shl(power) >> 3);
+            let by_eights = by_eights.filter(|um_s2| (accel_um_s2..=2_000_000).contains(um_s2));
+            let even = (accel_um_s2..2_000_000).step_by(50_000);
+            for accel_um_s2 in even.chain(by_eights).chain([2_000_000]) {
                 prop_assert!(solves(total_us, accel_um_s2).is_err(), "{accel_um_s2} um/s2 does it");
             }
         } else {

@@ -112,7 +112,7 @@ pub enum Refusal {
     BothSwitchesOpen,
     /// The far limit is open; no fault is latched.
     FarLimitOpen,
-    /// The supply is too low to write the flash; the old value stands.
+    /// The supply is too low to write the flash or to begin a motion; nothing has changed.
     SupplyLow,
     /// A name has a character that cannot be printed.
     NameNotPrintable,
@@ -379,7 +379,7 @@ impl fmt::Display for Refusal {
             Refusal::LoopOpen => f.write_str("the E-stop / end-of-travel loop is open: release the button, or fix the loop"),
             Refusal::BothSwitchesOpen => f.write_str("home flag and far limit are both open: plug in the switch cable"),
             Refusal::FarLimitOpen => f.write_str("the far limit is open: check its switch and its wire, or move the carriage off it by hand"),
-            Refusal::SupplyLow => f.write_str("the supply is below 2.7 V, too low to write the flash; the old value stands: check the supply, then try again"),
+            Refusal::SupplyLow => f.write_str("the supply is below 2.7 V: nothing is stored, and no motion of the rig begins; check the supply, then try again"),
             Refusal::NotCalibrated => f.write_str("this capsule has no calibration: unfold it, then `retrograde capsule calibrate`"),
             Refusal::NameNotPrintable => f.write_str("the name has a character that cannot be printed: use letters, digits, spaces and signs"),
         }

@@ -295,7 +295,7 @@ pub struct RunRecord {
     /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
     pub edges_timed: u64,
     /// Largest difference between a captured interval and the planned one, in timer ticks of 10 ns; [`u32::MAX`] if
-    /// there were more edges than steps.
+    /// there were more edges than steps, or if the last step had none.
     pub worst_interval_error_ticks: u32,
 }
 

@@ -394,8 +394,11 @@ impl Ring for StepGenerator {
         count < at_most
     }
 
-    fn timed(&self) -> Timed {
-        self.timing.timed()
+    fn timed(&self, whole: bool) -> Timed {
+        match whole {
+            true => self.timing.timed_whole(&self.line),
+            false => self.timing.timed(),
+        }
     }
 }
 

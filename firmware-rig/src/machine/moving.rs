@@ -6,10 +6,7 @@ use motion::{
     axis::{Direction, Position, Speed},
     units::Window,
 };
-use protocol::{
-    error::Refusal,
-    rig::{RigFault, RigState},
-};
+use protocol::{error::Refusal, rig::RigState};
 
 /// A jog goes on until its dead-man time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,7 +59,7 @@ impl Machine {
             return Err(Refusal::AlreadyThere);
         };
         if now.inputs.far_limit && direction == Direction::Away {
-            return Err(Refusal::RigFaulted(RigFault::FarLimit));
+            return Err(Refusal::FarLimitOpen);
         }
         let profile = self.settings.move_profile(distance, speed)?;
         self.state = State::Moving(jog);

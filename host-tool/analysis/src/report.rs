@@ -5,7 +5,6 @@
 pub mod campaign;
 pub mod campaign_band;
 mod campaign_figures;
-pub mod check;
 pub mod evaluation;
 mod page;
 pub mod remark;
@@ -15,11 +14,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
+use client::plain;
 use maud::html;
 use miette::Diagnostic;
 use trials::sidecar::{heading, other};
 use trials::trial::{RecordError, Trial};
-use trials::writer;
 
 use crate::figures::FigureError;
 use crate::report::remark::Remark;
@@ -246,7 +245,7 @@ pub fn write(
 }
 
 /// Writes a file of a report completely or not at all.
-pub(crate) fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), ReportError> {
+fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), ReportError> {
     if let Some(folder) = path
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty())
@@ -254,15 +253,20 @@ pub(crate) fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), R
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
     }
     let written = match existing {
-        Existing::Replace => writer::replace(path, bytes),
-        Existing::Keep => writer::create(path, bytes),
+        Existing::Replace => plain::replace(path, bytes),
+        Existing::Keep => plain::create(path, bytes),
     };
-    written.map_err(|io| match io.kind() {
+    written.map_err(|io| not_written(path, &io))
+}
+
+/// Why a file of a report was not written.
+pub(crate) fn not_written(path: &Path, io: &std::io::Error) -> ReportError {
+    match io.kind() {
         std::io::ErrorKind::AlreadyExists => ReportError::Exists {
             path: path.to_owned(),
         },
         _ => RecordError::write(path, io).into(),
-    })
+    }
 }
 
 /// The report of these trials.

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
+use client::plain;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
@@ -111,7 +112,7 @@ pub fn list(folders: &[PathBuf], trials: bool, wanted: &Wanted) -> Catalogue {
 
 impl Catalogue {
     fn look(&mut self, folder: &Path, depth: u32, trials: bool) {
-        if folder.join(PLAN).is_file() && folder.join(ORDER).is_file() {
+        if plain::is_file(&folder.join(PLAN)) && plain::is_file(&folder.join(ORDER)) {
             match Campaign::read(folder) {
                 Ok(campaign) => self.campaign(&campaign, trials),
                 Err(error) => self.unreadable.push(error.to_string()),
@@ -139,8 +140,9 @@ impl Catalogue {
             }
         }
         if depth > 0 {
-            // Skip links, which could form a cycle.
-            let is_folder = |path: &&PathBuf| path.is_dir() && !path.is_symlink();
+            // Skip links, which could form a cycle, and campaigns that were never made whole.
+            let is_part = |path: &Path| path.to_string_lossy().ends_with(plain::PART);
+            let is_folder = |path: &&PathBuf| plain::is_folder(path) && !is_part(path);
             for folder in within.iter().filter(is_folder) {
                 self.look(folder, depth - 1, trials);
             }

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
-use client::limited;
+use client::{limited, plain};
 use serde::de::DeserializeOwned;
 
 use crate::CampaignError;
@@ -45,14 +45,19 @@ impl Campaign {
     /// The first file that cannot be read or contradicts the others. Does not compare hashes:
     /// [`crate::verify::verify`] does that.
     pub fn read(folder: &Path) -> Result<Self, CampaignError> {
+        let path = folder.join(ATTEMPTS);
+        if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_dir()) {
+            let why = "it is a link or no folder, and nothing is read through it";
+            return Err(CampaignError::new(&path, why, RESTORE));
+        }
         let path = folder.join(PLAN);
         let text =
-            limited::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
+            plain::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
         let plan = Plan::parse(&text, &path)?;
         let order = order(&plan);
         let path = folder.join(ORDER);
         let found =
-            limited::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
+            plain::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
         if found != order_text(&order) {
             let why = "it is not the order that the plan and its seed give";
             return Err(CampaignError::new(&path, why, RESTORE));
@@ -120,17 +125,12 @@ impl Campaign {
 
 /// The sidecar of the run or the pass in the folder of an attempt.
 fn run_sidecar(folder: &Path) -> Option<PathBuf> {
-    let mut found: Vec<_> = fs::read_dir(folder)
-        .ok()?
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            let is_motion = name.starts_with("run-") || name.starts_with("pass-");
-            is_motion && name.ends_with(".json")
-        })
-        .collect();
-    found.sort();
+    let mut found = plain::files(folder);
+    found.retain(|path| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        let is_motion = name.starts_with("run-") || name.starts_with("pass-");
+        is_motion && name.ends_with(".json")
+    });
     found.pop()
 }
 
@@ -163,7 +163,7 @@ pub(crate) fn rows<T: DeserializeOwned>(
     path: &Path,
     header: &str,
 ) -> Result<Vec<T>, CampaignError> {
-    let text = limited::read_text(path, limited::RECORD).map_err(|io| not_a_campaign(path, io))?;
+    let text = plain::read_text(path, limited::RECORD).map_err(|io| not_a_campaign(path, io))?;
     parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
 }
 

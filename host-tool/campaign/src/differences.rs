@@ -5,12 +5,13 @@ use std::io;
 use std::path::Path;
 
 use client::limited;
+use client::plain::{self, PART};
 
 use crate::CampaignError;
 use crate::contents::Campaign;
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
 use crate::ledger::Attempt;
-use crate::manifest::{self, Hash, Manifest, PART, contents, hash_file};
+use crate::manifest::{self, Hash, Manifest, contents, hash_file};
 
 /// Files that grow line by line.
 const GROWING: [&str; 2] = [READINGS, TRIALS];
@@ -51,7 +52,7 @@ pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 /// The file is not a manifest.
 pub fn read_manifest(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
     let path = folder.join(manifest::NAME);
-    let text = match limited::read_text(&path, limited::RECORD) {
+    let text = match plain::read_text(&path, limited::RECORD) {
         Ok(text) => text,
         Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(io) => return Err(CampaignError::new(&path, io, COPY)),
@@ -74,6 +75,8 @@ pub struct Differences {
     pub grown: BTreeMap<String, (usize, bool)>,
     /// Entries that are neither a file nor a folder.
     pub strange: Vec<String>,
+    /// Files that cannot be read, with the reasons.
+    pub unreadable: BTreeMap<String, String>,
     /// Number of files compared.
     pub compared: usize,
 }
@@ -104,31 +107,40 @@ impl Differences {
             ..Self::default()
         };
         for path in there.files {
-            let Some(listed) = differences.missing.remove(&path) else {
-                let hash = hash_file(&folder.join(&path))?;
-                differences.added.insert(path, hash);
-                continue;
-            };
-            differences.compared += 1;
-            let hash = hash_file(&folder.join(&path))?;
-            if hash == listed {
-                continue;
-            }
-            let grown = GROWING
-                .contains(&&*path)
-                .then(|| grown(&folder.join(&path), &listed))
-                .transpose()?
-                .flatten();
-            match grown {
-                Some(by) => {
-                    differences.grown.insert(path, by);
-                }
-                None => {
-                    differences.changed.insert(path, hash);
-                }
+            let listed = differences.missing.remove(&path);
+            if let Err(io) = differences.compare(folder, &path, listed) {
+                differences.unreadable.insert(path, io.to_string());
             }
         }
         Ok(differences)
+    }
+
+    /// Compares a file with its hash in the manifest.
+    fn compare(&mut self, folder: &Path, path: &str, listed: Option<Hash>) -> io::Result<()> {
+        let full = folder.join(path);
+        let hash = hash_file(&full)?;
+        let Some(listed) = listed else {
+            self.added.insert(path.to_owned(), hash);
+            return Ok(());
+        };
+        self.compared += 1;
+        if hash == listed {
+            return Ok(());
+        }
+        let grown = GROWING
+            .contains(&path)
+            .then(|| grown(&full, &listed))
+            .transpose()?
+            .flatten();
+        match grown {
+            Some(by) => {
+                self.grown.insert(path.to_owned(), by);
+            }
+            None => {
+                self.changed.insert(path.to_owned(), hash);
+            }
+        }
+        Ok(())
     }
 
     /// Describes the differences for people. `listed` is the manifest that was compared.
@@ -178,6 +190,10 @@ impl Differences {
         for path in self.added.keys() {
             findings.push(Finding::new(path, "is not in SHA256SUMS", UNKNOWN));
         }
+        for (path, why) in &self.unreadable {
+            let what = format!("cannot be read: {why}");
+            findings.push(Finding::new(path, what, COPY));
+        }
         for path in &self.strange {
             findings.push(Finding::new(
                 path,
@@ -209,6 +225,15 @@ impl Differences {
         }
         if let Some(path) = self.strange.first() {
             return Err(other(path, "it is neither a file nor a folder"));
+        }
+        if let Some((path, why)) = self.unreadable.iter().next() {
+            return Err(other(path, &format!("it cannot be read: {why}")));
+        }
+        let lines: usize = self.grown.values().map(|(lines, _)| lines).sum();
+        if lines > 1 {
+            let path = self.grown.keys().next().map_or("", String::as_str);
+            let what = format!("{lines} rows are not in {}", manifest::NAME);
+            return Err(other(path, &what));
         }
         for (path, (lines, torn)) in &self.grown {
             if *lines > 0 {
@@ -253,7 +278,7 @@ fn is_new(attempt: &str, campaign: &Campaign) -> bool {
 /// Number of whole lines that a file has gained since it had this hash, and whether an incomplete line follows; none
 /// if its beginning has changed.
 fn grown(path: &Path, listed: &Hash) -> io::Result<Option<(usize, bool)>> {
-    let bytes = limited::read(path, limited::RECORD)?;
+    let bytes = plain::read(path, limited::RECORD)?;
     let mut hash = hmac_sha256::Hash::new();
     let mut lines = bytes.split_inclusive(|byte| *byte == b'\n');
     for line in lines.by_ref() {

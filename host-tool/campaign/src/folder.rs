@@ -4,25 +4,26 @@
 //! is replaced after each change. [`Folder::resume`] reports what a crash has left, and repairs it if nothing but a
 //! crash can be the cause.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
 use client::limited;
+use client::plain::{self, replace};
 use jiff::Timestamp;
 use serde::Serialize;
 use trials::trial::{Status, Trial};
-use trials::writer::replace;
 
 use crate::CampaignError;
 use crate::contents::{
     Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, not_a_campaign, order_text,
 };
-use crate::differences::{Differences, read_manifest};
+use crate::contradictions::CLOCK_STEP;
+use crate::differences::{Differences, Left, read_manifest};
 use crate::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
 use crate::ledger::{Attempt, Event, Outcome, Row};
-use crate::manifest::{self, Manifest, PART};
+use crate::manifest::{self, Manifest};
 use crate::order::order;
 use crate::plan::Plan;
 use crate::readings::ReadingRow;
@@ -47,11 +48,7 @@ impl Growing {
     /// Opens it at its end.
     fn open(path: PathBuf) -> Result<Self, CampaignError> {
         let failed = |io| CampaignError::write(&path, io);
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .open(&path)
-            .map_err(failed)?;
+        let mut file = plain::open_to_write(&path).map_err(failed)?;
         let mut hash = hmac_sha256::Hash::new();
         let mut piece = vec![0; 65_536];
         loop {
@@ -86,6 +83,14 @@ impl Growing {
     fn hash(&self) -> manifest::Hash {
         self.hash.finalize()
     }
+
+    /// Takes the last line back, which `hash` does not cover.
+    fn take_back(&mut self, line: &[u8], hash: hmac_sha256::Hash) {
+        let end = self.file.seek(SeekFrom::End(0)).unwrap_or(0);
+        // Best effort: otherwise `resume` shows the row and asks about it.
+        let _ = self.file.set_len(end.saturating_sub(line.len() as u64));
+        self.hash = hash;
+    }
 }
 
 /// A campaign that this process may write.
@@ -105,25 +110,17 @@ impl Folder {
     /// The plan cannot be carried out, or something cannot be written.
     pub fn create(folder: &Path, plan_text: &str, plan_path: &Path) -> Result<Self, CampaignError> {
         let plan = Plan::parse(plan_text, plan_path)?;
-        if folder.exists() {
-            let remedy = format!(
-                "`retrograde campaign resume {}` goes on with it; `--out DIR` names another folder",
-                folder.display()
-            );
-            return Err(CampaignError::misuse(folder, "it exists already", remedy));
+        if fs::symlink_metadata(folder).is_ok() {
+            return Err(exists(folder));
         }
         let name = folder.file_name().ok_or_else(|| {
             CampaignError::new(folder, "it has no name", "name a new folder: `--out DIR`")
         })?;
-        let mut part = name.to_owned();
-        part.push(PART);
-        let part = folder.with_file_name(part);
+        // A folder of its own: another process may be making a campaign of the same name.
+        let part = folder.with_file_name(plain::part_of(Path::new(name)));
         let made = (|| {
-            if part.exists() {
-                // Left by a process that was killed while creating it.
-                fs::remove_dir_all(&part)?;
-            }
-            fs::create_dir_all(part.join(ATTEMPTS))?;
+            fs::create_dir(&part)?;
+            fs::create_dir(part.join(ATTEMPTS))?;
             for (name, text) in [
                 (PLAN, plan_text),
                 (ORDER, &order_text(&order(&plan))),
@@ -136,16 +133,30 @@ impl Folder {
             }
             let manifest = manifest::of_folder(&part)?;
             replace(&part.join(manifest::NAME), manifest.text().as_bytes())?;
-            fs::rename(&part, folder)
+            // Locked before it appears, so that nobody else writes it first. Other systems do not rename a folder in
+            // which a file is open.
+            let lock = cfg!(unix).then(|| plain::open_or_create(&part.join(LOCK)));
+            let lock = lock.transpose()?;
+            lock.as_ref().map_or(Ok(()), File::try_lock)?;
+            // Fails if another process was faster: its folder is not empty.
+            fs::rename(&part, folder)?;
+            plain::sync_folder_of(folder)?;
+            Ok(lock)
         })();
-        made.map_err(|io: std::io::Error| {
+        let lock = made.map_err(|io: std::io::Error| {
+            // Only what was made here: its name is random.
+            let _ = fs::remove_dir_all(&part);
+            if fs::symlink_metadata(folder).is_ok() {
+                return exists(folder);
+            }
             CampaignError::new(
                 folder,
                 io,
                 "choose a folder that can be written, with free space: `--out DIR`",
             )
         })?;
-        Self::open(folder, lock(folder)?)
+        let lock = lock.map_or_else(|| self::lock(folder), Ok)?;
+        Self::open(folder, lock)
     }
 
     /// Opens a folder for writing; it must match its manifest.
@@ -163,12 +174,18 @@ impl Folder {
     }
 
     /// Opens the folder of an existing campaign, and repairs what a crash has left. Also returns descriptions of the
-    /// repairs, for the operator.
+    /// repairs, for the operator. A crash leaves at most one row that the manifest does not know; `accepts` is asked
+    /// about it.
     ///
     /// # Errors
-    /// Something other than a crash has changed it, or another process is writing it. Then nothing has changed.
-    pub fn resume(folder: &Path, now: Timestamp) -> Result<(Self, Vec<String>), CampaignError> {
-        if !folder.join(TRIALS).is_file() {
+    /// Something other than a crash has changed it, another process is writing it, or the row is not accepted. Then
+    /// nothing has changed.
+    pub fn resume(
+        folder: &Path,
+        now: Timestamp,
+        accepts: &mut dyn FnMut(&str) -> bool,
+    ) -> Result<(Self, Vec<String>), CampaignError> {
+        if !plain::is_file(&folder.join(TRIALS)) {
             return Err(not_a_campaign(folder, "there is no campaign in it"));
         }
         let lock = lock(folder)?;
@@ -179,6 +196,8 @@ impl Folder {
         let read = |io| CampaignError::new(folder, io, RESTORE);
         let differences = Differences::between(folder, &manifest).map_err(read)?;
         let left = differences.left_by_a_crash(&campaign)?;
+        clock_goes_on(&campaign, now)?;
+        ask_about_row(&campaign, &left, now, accepts)?;
         let mut told = vec![];
         for cut in &left.torn {
             told.push(cut_off(&folder.join(cut))?);
@@ -189,8 +208,9 @@ impl Folder {
             told.push(format!("{part}: removed; it was not yet whole"));
         }
         for (file, lines) in &left.grown {
+            let row = last_line(&folder.join(file))?;
             told.push(format!(
-                "{file}: {lines} whole lines more than {} knew; taken up",
+                "{file}: {lines} row more than {} knew, taken up: {row}",
                 manifest::NAME
             ));
         }
@@ -277,10 +297,17 @@ impl Folder {
                 "`retrograde campaign status` shows how each trial stands",
             )
         })?;
-        self.trials.append(&line(&row))?;
+        let (bytes, hash) = (line(&row), self.trials.hash);
+        self.trials.append(&bytes)?;
+        // Without its hash in the manifest the row would look like one that was added by hand.
+        if let Err(error) = self.seal() {
+            self.trials.take_back(&bytes, hash);
+            let _ = self.seal();
+            return Err(error);
+        }
         self.campaign.state = state;
         self.campaign.rows.push(row);
-        self.seal()
+        Ok(())
     }
 
     /// Adds a row to the readings. It is on the disk when this returns.
@@ -302,10 +329,16 @@ impl Folder {
         readings
             .apply(&row)
             .map_err(|error| CampaignError::new(&self.readings.path, error, RESTORE))?;
-        self.readings.append(&line(&row))?;
+        let (bytes, hash) = (line(&row), self.readings.hash);
+        self.readings.append(&bytes)?;
+        if let Err(error) = self.seal() {
+            self.readings.take_back(&bytes, hash);
+            let _ = self.seal();
+            return Err(error);
+        }
         self.campaign.readings = readings;
         self.campaign.reading_rows.push(row);
-        self.seal()
+        Ok(())
     }
 
     /// Refuses rows of another origin than the earlier ones.
@@ -357,8 +390,87 @@ impl Folder {
     }
 }
 
+fn exists(folder: &Path) -> CampaignError {
+    let remedy = format!(
+        "`retrograde campaign resume {}` goes on with it; `--out DIR` names another folder",
+        folder.display()
+    );
+    CampaignError::misuse(folder, "it exists already", remedy)
+}
+
+/// Times of the rows of both tables.
+fn times(campaign: &Campaign) -> impl Iterator<Item = Timestamp> + '_ {
+    let rows = campaign.rows.iter().map(|row| row.time_utc);
+    rows.chain(campaign.reading_rows.iter().map(|row| row.time_utc))
+}
+
+/// Refuses to write rows that would lie before the present ones.
+fn clock_goes_on(campaign: &Campaign, now: Timestamp) -> Result<(), CampaignError> {
+    match times(campaign).max() {
+        Some(last) if last.duration_since(now) > CLOCK_STEP => Err(CampaignError::misuse(
+            &campaign.folder,
+            format!("its last row is of {last}, and this computer's clock says {now}"),
+            "set the clock, then again; if the clock is right, restore the folder from a copy",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Asks about a row that the manifest does not know.
+fn ask_about_row(
+    campaign: &Campaign,
+    left: &Left,
+    now: Timestamp,
+    accepts: &mut dyn FnMut(&str) -> bool,
+) -> Result<(), CampaignError> {
+    let Some((file, _)) = left.grown.first() else {
+        return Ok(());
+    };
+    let path = campaign.folder.join(file);
+    let (time, others): (_, Vec<Timestamp>) = if file == TRIALS {
+        let rows: Vec<_> = campaign.rows.iter().map(|row| row.time_utc).collect();
+        split(rows)
+    } else {
+        let rows = campaign.reading_rows.iter().map(|row| row.time_utc);
+        split(rows.collect())
+    };
+    let before = others.into_iter().max();
+    if let Some(time) = time
+        && (before.is_some_and(|before| before.duration_since(time) > CLOCK_STEP)
+            || time.duration_since(now) > CLOCK_STEP)
+    {
+        let why = format!("a row that is not in {} is of {time}", manifest::NAME);
+        return Err(CampaignError::new(&path, why, RESTORE));
+    }
+    let row = last_line(&path)?;
+    let question = format!(
+        "{file} has one row more than {} knows, as after a crash:\n  {row}\nIs it yours?",
+        manifest::NAME
+    );
+    if accepts(&question) {
+        return Ok(());
+    }
+    let why = format!("it has a row that is not in {}: {row}", manifest::NAME);
+    let remedy = "`retrograde campaign resume` at a terminal asks whether it is yours; if it is not, restore the file from a copy";
+    Err(CampaignError::new(&path, why, remedy))
+}
+
+/// The last time, and those before it.
+fn split(mut times: Vec<Timestamp>) -> (Option<Timestamp>, Vec<Timestamp>) {
+    let last = times.pop();
+    (last, times)
+}
+
+/// The last whole line of a file.
+fn last_line(path: &Path) -> Result<String, CampaignError> {
+    let text = plain::read_text(path, limited::RECORD)
+        .map_err(|io| CampaignError::new(path, io, RESTORE))?;
+    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+    Ok(whole.rsplit('\n').next().unwrap_or_default().to_owned())
+}
+
 /// Removes line breaks from a text, because people may read the CSV files line by line.
-fn in_a_line(text: &str) -> String {
+pub(crate) fn in_a_line(text: &str) -> String {
     let text: String = text
         .chars()
         .map(|char| if char.is_control() { ' ' } else { char })
@@ -370,12 +482,7 @@ fn in_a_line(text: &str) -> String {
 /// file unreadable.
 fn lock(folder: &Path) -> Result<File, CampaignError> {
     let path = folder.join(LOCK);
-    let file = OpenOptions::new()
-        .write(true)
-        .create(true)
-        .truncate(false)
-        .open(&path)
-        .map_err(|io| CampaignError::write(&path, io))?;
+    let file = plain::open_or_create(&path).map_err(|io| CampaignError::write(&path, io))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(fs::TryLockError::WouldBlock) => Err(CampaignError::misuse(
@@ -390,12 +497,12 @@ fn lock(folder: &Path) -> Result<File, CampaignError> {
 /// Cuts off everything after the last complete line.
 fn cut_off(path: &Path) -> Result<String, CampaignError> {
     let failed = |io| CampaignError::write(path, io);
-    let bytes = limited::read(path, limited::RECORD).map_err(failed)?;
+    let bytes = plain::read(path, limited::RECORD).map_err(failed)?;
     let whole = bytes
         .iter()
         .rposition(|byte| *byte == b'\n')
         .map_or(0, |end| end + 1);
-    let file = OpenOptions::new().write(true).open(path).map_err(failed)?;
+    let file = plain::open_to_write(path).map_err(failed)?;
     file.set_len(whole as u64)
         .and_then(|()| file.sync_all())
         .map_err(failed)?;

@@ -6,7 +6,7 @@
 //! * [`readings`]: what the caliper says.
 //! * [`files`], [`contents`], [`folder`]: all that on the disk, as it is named, read and written.
 //! * [`manifest`]: the hash of every file.
-//! * [`differences`], [`verify`]: every change of a folder, found.
+//! * [`differences`], `contradictions`, [`verify`]: every change of a folder, found.
 //! * [`prompts`]: what is asked, and what may be answered.
 //! * [`conduct`]: carries the trials out.
 //! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
@@ -19,6 +19,7 @@ pub mod catalogue;
 pub mod chance;
 pub mod conduct;
 pub mod contents;
+mod contradictions;
 pub mod differences;
 pub mod files;
 pub mod folder;

@@ -3,9 +3,11 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
+
+use client::plain;
 
 use crate::files::LOCK;
 
@@ -14,9 +16,6 @@ pub const NAME: &str = "SHA256SUMS";
 
 /// Folder that the manifest leaves out: `report` can create it again.
 pub const NOT_COVERED: &str = "report";
-
-/// Suffix of a file that is about to replace another one.
-pub(crate) const PART: &str = ".part";
 
 /// A SHA-256 hash.
 pub type Hash = [u8; 32];
@@ -96,12 +95,12 @@ impl Manifest {
     }
 }
 
-/// The hash of a file, read piece by piece.
+/// The hash of a plain file, read piece by piece.
 ///
 /// # Errors
-/// Those of the file.
+/// Those of the file; it is longer than any that this program writes, [`plain::TELEMETRY`].
 pub fn hash_file(path: &Path) -> io::Result<Hash> {
-    let mut file = File::open(path)?;
+    let mut file = plain::open_within(path, plain::TELEMETRY)?;
     let mut hash = hmac_sha256::Hash::new();
     let mut piece = vec![0; 65_536];
     loop {

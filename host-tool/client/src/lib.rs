@@ -24,7 +24,9 @@ pub mod identity;
 pub mod limited;
 pub mod link;
 pub mod named;
+pub mod plain;
 pub mod subject;
+pub mod visible;
 pub mod wording;
 
 pub use device::observer::{

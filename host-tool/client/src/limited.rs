@@ -1,4 +1,5 @@
-//! Reads whole files up to a size limit: an endless one would take all memory.
+//! Reads whole files that the user names, up to a size limit: an endless one would take all memory. Files that are
+//! found in a folder are read by [`crate::plain`].
 
 use std::fs::File;
 use std::io::{self, Read};
@@ -18,15 +19,28 @@ pub const IMAGE: u64 = 256 << 20;
 /// # Errors
 /// Those of the file, and [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
+    read_from(File::open(path)?, limit)
+}
+
+pub(crate) fn read_from(file: impl Read, limit: u64) -> io::Result<Vec<u8>> {
     let mut bytes = vec![];
     // Read one byte more than allowed, to detect a larger file.
-    File::open(path)?.take(limit + 1).read_to_end(&mut bytes)?;
+    file.take(limit + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit {
-        let kib = limit >> 10;
-        let why = format!("more than {kib} KiB, which no such file has");
-        return Err(io::Error::new(io::ErrorKind::FileTooLarge, why));
+        return Err(too_large(limit));
     }
     Ok(bytes)
+}
+
+pub(crate) fn too_large(limit: u64) -> io::Error {
+    let kib = limit >> 10;
+    let why = format!("more than {kib} KiB, which no such file has");
+    io::Error::new(io::ErrorKind::FileTooLarge, why)
+}
+
+pub(crate) fn text(bytes: Vec<u8>) -> io::Result<String> {
+    String::from_utf8(bytes)
+        .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text"))
 }
 
 /// Like [`read`], for text.
@@ -34,8 +48,7 @@ pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
 /// # Errors
 /// As [`read`], and [`io::ErrorKind::InvalidData`] if it is not UTF-8.
 pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
-    String::from_utf8(read(path, limit)?)
-        .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text"))
+    text(read(path, limit)?)
 }
 
 #[cfg(test)]

@@ -8,12 +8,12 @@ use std::path::Path;
 
 use client::identity::{Origin, kind_name};
 use client::limited;
+use client::plain::{self, replace};
 use client::subject::Subject;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 use trials::trial::{RecordError, json};
-use trials::writer::replace;
 
 /// Version of the format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
@@ -126,7 +126,7 @@ impl Commissioning {
             why,
             remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`",
         };
-        let text = match limited::read_text(path, limited::RECORD) {
+        let text = match plain::read_text(path, limited::RECORD) {
             Ok(text) => text,
             Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(io) => return Err(error(io.to_string())),

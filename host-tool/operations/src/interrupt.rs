@@ -4,7 +4,7 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use client::Interrupt;
+use client::{Interrupt, visible};
 use protocol::system::Urgent;
 
 const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
@@ -56,6 +56,6 @@ pub fn tell(text: &str) {
         ""
     };
     // Write in one piece: another thread draws the bar and would wipe an unfinished line.
-    let line = format!("{clear}{text}\n");
+    let line = format!("{clear}{}\n", visible::lines(text));
     let _ = io::stderr().write_all(line.as_bytes());
 }

@@ -6,10 +6,10 @@ use std::path::Path;
 use client::Device;
 use client::error::ClientError;
 use client::identity::IdentityRecord;
+use client::plain::replace;
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
 use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, RecordError, Status, Trial, json};
-use trials::writer::replace;
 
 /// Completes the record that was left on the line of `device`, if there is one and nothing moves any more. Returns a
 /// message for the user.

@@ -10,7 +10,7 @@ use client::door::lock::Doorway;
 use client::error::ClientError;
 use client::identity;
 use client::link::LinkError;
-use client::{Device, Interrupt, matches};
+use client::{Device, Interrupt, matches, visible};
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Identity, Urgent};
 
@@ -238,7 +238,7 @@ impl Places<'_> {
             && device.require(kind).is_ok()
             && let Some(said) = left::end_record(&mut device)?
         {
-            eprintln!("{said}");
+            eprintln!("{}", visible::lines(&said));
         }
         // A command that gives the machine a name does not need it to have one.
         if !matches!(need, Need::Name(_)) {

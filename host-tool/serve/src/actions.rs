@@ -11,7 +11,7 @@ use tokio::sync::watch;
 
 use operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
 
-/// Actions kept in memory; the oldest go first.
+/// Actions kept in memory; the oldest that are over go first.
 pub const KEPT: usize = 512;
 
 /// State of an action.
@@ -148,8 +148,10 @@ impl Actions {
             };
         }
         let number = list.back().map_or(1, |last| last.number + 1);
-        if list.len() == KEPT {
-            list.pop_front();
+        if list.len() >= KEPT {
+            // One that is under way stays: its result is still to come. Few are, so memory stays bounded.
+            let oldest = list.iter().position(|action| action.standing.is_over());
+            oldest.and_then(|oldest| list.remove(oldest));
         }
         list.push_back(Action {
             number,
@@ -294,11 +296,19 @@ mod tests {
         let actions = Actions::new("i".to_owned());
         for number in 0..=KEPT {
             let key = number.to_string();
-            actions.arrive(command(&key, 0), Timestamp::UNIX_EPOCH);
+            let arrived = actions.arrive(command(&key, 0), Timestamp::UNIX_EPOCH);
+            let Arrival::New(new) = arrived else {
+                panic!("{arrived:?}");
+            };
+            // The first one goes on.
+            if number > 0 {
+                actions.end(new, Value::Null, None, Timestamp::UNIX_EPOCH);
+            }
         }
         assert_eq!(actions.all().len(), KEPT);
-        assert!(actions.get(1).is_none());
-        let again = actions.arrive(command("1", 0), Timestamp::UNIX_EPOCH);
-        assert_eq!(again, Arrival::Again(2));
+        assert!(actions.get(1).is_some(), "it is under way");
+        assert!(actions.get(2).is_none());
+        let again = actions.arrive(command("2", 0), Timestamp::UNIX_EPOCH);
+        assert_eq!(again, Arrival::Again(3));
     }
 }

@@ -41,7 +41,7 @@ mod records;
 mod results;
 pub mod stream;
 
-use std::fs::{self, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -55,6 +55,7 @@ use client::Interrupt;
 use client::address::Address;
 use client::door::lock;
 use client::identity::kind_name;
+use client::{limited, plain};
 use protocol::system::DeviceKind;
 use serde_json::json;
 use tokio::net::{TcpListener, TcpSocket};
@@ -273,9 +274,21 @@ fn token_of(file: &Path) -> Result<String, Failure> {
         path: file.to_owned(),
         io,
     };
-    match fs::read_to_string(file) {
+    match limited::read_text(file, limited::BY_HAND) {
         Ok(text) => {
             let token = text.trim();
+            if is_open_to_others(file).map_err(failed)? {
+                return Err(Failure::Input {
+                    why: format!(
+                        "{}: other users can read or change this file",
+                        file.display()
+                    ),
+                    help: format!(
+                        "`chmod 600 {0}`; if somebody may have read it, remove {0}: a new one is made",
+                        file.display()
+                    ),
+                });
+            }
             if token.len() < LEAST_TOKEN || !token.chars().all(|c| c.is_ascii_alphanumeric()) {
                 return Err(Failure::Input {
                     why: format!(
@@ -296,6 +309,17 @@ fn token_of(file: &Path) -> Result<String, Failure> {
     }
 }
 
+/// Whether other users can read or change a file.
+fn is_open_to_others(file: &Path) -> io::Result<bool> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        Ok(fs::metadata(file)?.mode() & 0o077 != 0)
+    }
+    #[cfg(not(unix))]
+    fs::metadata(file).map(|_| false)
+}
+
 /// Creates a file that only this user can read.
 fn private(file: &Path, text: &str) -> io::Result<()> {
     let mut options = OpenOptions::new();
@@ -312,18 +336,36 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
 struct Plate {
     file: PathBuf,
     text: String,
+    /// Held for its lock: there is one plate, and it stays that of the server that was first.
+    _lock: File,
 }
 
 impl Plate {
     fn put_up(content: &serde_json::Value) -> Result<Self, String> {
-        let folder = lock::folder()?;
+        Self::within(&lock::folder()?, content)
+    }
+
+    fn within(folder: &Path, content: &serde_json::Value) -> Result<Self, String> {
+        let lock = plain::open_or_create(&folder.join("serve.lock"));
+        let lock = lock.map_err(|why| why.to_string())?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err("they find the server that was started before".to_owned());
+            }
+            Err(TryLockError::Error(why)) => return Err(why.to_string()),
+        }
         let (new, file) = (folder.join("serve.new"), folder.join("serve.json"));
         let text = content.to_string();
         let _ = fs::remove_file(&new);
         private(&new, &text)
             .and_then(|()| fs::rename(&new, &file))
             .map_err(|why| format!("{}: {why}", file.display()))?;
-        Ok(Self { file, text })
+        Ok(Self {
+            file,
+            text,
+            _lock: lock,
+        })
     }
 }
 
@@ -376,11 +418,34 @@ mod tests {
             let mode = fs::metadata(&file).expect("there").mode();
             assert_eq!(mode & 0o077, 0);
         }
+        #[cfg(unix)]
+        for mode in [0o640, 0o604, 0o620, 0o602] {
+            use std::os::unix::fs::PermissionsExt;
+            fs::set_permissions(&file, fs::Permissions::from_mode(mode)).expect("mine");
+            let why = token_of(&file).expect_err("open to others").to_string();
+            assert!(why.contains("other users"), "{why}");
+            fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).expect("mine");
+        }
         for bad in ["", "short", "with spaces in it, and long enough"] {
             fs::write(&file, bad).expect("written");
             let why = token_of(&file).expect_err("bad").to_string();
             assert!(why.contains("at least 16 letters"), "{why}");
         }
+    }
+
+    #[test]
+    fn the_first_servers_plate_stays() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("serve.json");
+        let first = Plate::within(folder.path(), &json!({"url": "first"})).expect("free");
+        let second = Plate::within(folder.path(), &json!({"url": "second"}));
+        assert!(second.is_err());
+        drop(second);
+        let text = fs::read_to_string(&file).expect("still there");
+        assert_eq!(text, first.text);
+        drop(first);
+        assert!(!file.exists());
+        drop(Plate::within(folder.path(), &json!({"url": "third"})).expect("free again"));
     }
 
     #[test]

@@ -3,7 +3,9 @@
 use std::path::{Path as FilePath, PathBuf};
 
 use campaign::catalogue::{self, Kind, Wanted};
+use client::plain;
 use serde_json::{Value, json};
+use trials::trial::Trial;
 
 /// Lists the records in a folder.
 pub fn list(folder: &FilePath) -> Value {
@@ -27,7 +29,7 @@ pub fn list(folder: &FilePath) -> Value {
                 "note": entry.specimen,
                 "outcome": entry.outcome,
                 "origin": entry.origin,
-                "csv": csv.is_file().then(|| name(&csv)),
+                "csv": plain::is_file(&csv).then(|| name(&csv)),
             })
         })
         .collect();
@@ -42,12 +44,32 @@ pub fn is_record(name: &str) -> bool {
         && (name.ends_with(".csv") || name.ends_with(".json"))
 }
 
-/// Opens the file of a record.
+/// Opens a file of a trial's record. Other files in the folder are not for everybody who can reach the server.
 pub async fn open(path: PathBuf) -> Option<std::fs::File> {
-    let opened = tokio::task::spawn_blocking(move || {
-        // Do not follow links: they could lead out of the folder.
-        let found = std::fs::symlink_metadata(&path).ok()?;
-        found.is_file().then(|| std::fs::File::open(&path).ok())?
-    });
+    let opened = tokio::task::spawn_blocking(move || of_trial(&path));
     opened.await.ok()?
+}
+
+fn of_trial(path: &FilePath) -> Option<std::fs::File> {
+    let sidecar = path.with_extension("json");
+    let trial = Trial::read(&sidecar).ok()?;
+    let is_part = path == sidecar || *path.file_name()? == *trial.telemetry;
+    is_part.then(|| plain::open(path).ok())?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn only_files_of_a_trial_are_handed_out() {
+        let place = tempfile::tempdir().expect("a folder");
+        let file = |name: &str| place.path().join(name);
+        fs::write(file("secret.json"), "{\"password\": 1}").expect("written");
+        fs::write(file("secret.csv"), "password\n1\n").expect("written");
+        for name in ["secret.json", "secret.csv", "none.json"] {
+            assert!(of_trial(&file(name)).is_none(), "{name}");
+        }
+    }
 }

@@ -276,13 +276,21 @@ fn resume(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     admit(session, screen)?;
-    let folder = open(path, places, screen)?;
+    let folder = open(path, session.yes, places, screen)?;
     carry_out(command, folder, session, places, screen)
 }
 
-/// Opens a folder for writing. Reports the leftovers of a crash.
-fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
-    let (folder, told) = Folder::resume(path, places.connector.now()).map_err(Own::from)?;
+/// Opens a folder for writing. Reports the leftovers of a crash, and asks about a row among them unless nobody is to be
+/// asked.
+fn open(
+    path: &Path,
+    yes: bool,
+    places: &Places<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Folder, Failure> {
+    let now = places.connector.now();
+    let mut accepts = |question: &str| yes || screen.confirms(question);
+    let (folder, told) = Folder::resume(path, now, &mut accepts).map_err(Own::from)?;
     for line in told {
         screen.say(&line);
     }
@@ -552,7 +560,7 @@ fn summary(campaign: &Campaign) -> Value {
 // Edits.
 
 fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut folder = open(&args.folder, places, screen)?;
+    let mut folder = open(&args.folder, false, places, screen)?;
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::Input {
             why: "the campaign has not begun, so there is nothing to edit".to_owned(),

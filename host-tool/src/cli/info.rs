@@ -1,7 +1,7 @@
 //! `info`: identity, state and last fault of the machines.
 
 use client::identity::{self, IdentityRecord};
-use client::{decimal, matches};
+use client::{decimal, matches, visible};
 use operations::arguments::Which;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
@@ -30,12 +30,14 @@ pub(crate) fn info(
         ));
         let last_words = device.last_words()?;
         if !last_words.is_empty() {
-            screen.say(&format!("  last words: {last_words}"));
+            screen.say(&format!("  last words: {}", visible::line(&last_words)));
         }
-        if last_words.contains(" 0x") {
+        let places = addresses(&last_words);
+        if !places.is_empty() {
             screen.say(&format!(
-                "  places in the source: `cargo xtask where {} \"{last_words}\"`, built from this firmware's commit",
-                identity::kind_name(kind)
+                "  places in the source: `cargo xtask where {} {}`, built from this firmware's commit",
+                identity::kind_name(kind),
+                places.join(" ")
             ));
         }
         let status = if !matches(&identity) {
@@ -77,6 +79,15 @@ pub(crate) fn info(
         );
     }
     Ok(Value::Object(all))
+}
+
+/// The addresses in a machine's last words. Nothing else of them may be part of a command: whoever pastes it would run
+/// what the machine says.
+fn addresses(last_words: &str) -> Vec<String> {
+    let words = last_words.split(|c: char| !c.is_ascii_alphanumeric());
+    let digits = words.filter_map(|word| word.strip_prefix("0x"));
+    let values = digits.filter_map(|digits| u32::from_str_radix(digits, 16).ok());
+    values.map(|value| format!("0x{value:08x}")).collect()
 }
 
 /// Clock, supply and option bytes in one line.

@@ -1,7 +1,9 @@
 //! Output of a command. Results and progress go to standard output; with `--json` progress goes to standard error.
+//! All text passes [`visible`] here, whoever wrote it.
 
 use std::io::{self, BufRead, Write};
 
+use client::visible;
 use operations::failure::{DONE, Failure};
 use serde_json::Value;
 use trials::progress::Live;
@@ -32,7 +34,7 @@ impl Screen<'_> {
     /// Prints a line. A failing output must not end the supervision of a machine, so the command continues and fails
     /// at its end.
     pub(crate) fn say(&mut self, text: &str) {
-        let written = writeln!(self.stream(), "{text}");
+        let written = writeln!(self.stream(), "{}", visible::lines(text));
         if !self.json {
             self.note(written);
         }
@@ -40,6 +42,7 @@ impl Screen<'_> {
 
     /// Prints a line; false if no reader is left.
     pub(crate) fn tell(&mut self, text: &str) -> bool {
+        let text = visible::lines(text);
         let written = writeln!(self.stream(), "{text}").and_then(|()| self.stream().flush());
         let taken = written.is_ok();
         if !self.json {
@@ -59,7 +62,7 @@ impl Screen<'_> {
 
     /// Prints a hint that is not part of the output.
     pub(crate) fn hint(&mut self, text: &str) {
-        let _ = writeln!(self.err, "{text}");
+        let _ = writeln!(self.err, "{}", visible::lines(text));
     }
 
     /// Asks for confirmation; false if no person can answer.
@@ -67,6 +70,7 @@ impl Screen<'_> {
         let Some(keyboard) = &mut self.keyboard else {
             return false;
         };
+        let question = visible::lines(question);
         let _ = writeln!(self.err, "{question} Type yes and Enter.");
         let mut answer = String::new();
         keyboard.read_line(&mut answer).is_ok()
@@ -87,7 +91,8 @@ impl Screen<'_> {
                     if let Some(object) = value.as_object_mut() {
                         object.shift_insert(0, "ok".to_owned(), Value::Bool(true));
                     }
-                    let written = writeln!(self.out, "{value:#}");
+                    let text = format!("{value:#}");
+                    let written = writeln!(self.out, "{}", visible::json(&text));
                     self.note(written);
                 }
                 let flushed = self.out.flush();
@@ -96,16 +101,17 @@ impl Screen<'_> {
                     None => DONE,
                     Some(io) => {
                         let failure = Failure::Output { io };
-                        let _ = writeln!(self.err, "{}", failure.text());
+                        self.hint(&failure.text());
                         failure.exit_code()
                     }
                 }
             }
             Err(failure) => {
                 if self.json {
-                    let _ = writeln!(self.out, "{:#}", failure.json());
+                    let text = format!("{:#}", failure.json());
+                    let _ = writeln!(self.out, "{}", visible::json(&text));
                 }
-                let _ = writeln!(self.err, "{}", failure.text());
+                self.hint(&failure.text());
                 failure.exit_code()
             }
         }

@@ -11,7 +11,6 @@ use std::time::{Duration, Instant};
 
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::tool::Memory;
-use analysis::report::check;
 use analysis::science::observations;
 use calibration::observation::Kind as Observed;
 use campaign::contents::Campaign;
@@ -26,6 +25,7 @@ use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, VIRTUAL_UID, World};
+use trials::check;
 use trials::trial::{Action, Moved, RigSample, Trial};
 
 /// The paper's plan with fewer trials, shorter runs and these changes.

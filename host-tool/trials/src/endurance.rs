@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use client::error::ClientError;
 use client::identity::Origin;
+use client::plain::replace;
 use client::{Device, Observer};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, ActuationRecord, GetTrace, KEPT_TRACE_POINTS};
@@ -13,7 +14,6 @@ use serde::Serialize;
 use crate::experiment::ExperimentError;
 use crate::force::UM_MS2_PER_MA;
 use crate::trial::{RecordError, Status, create_new, json};
-use crate::writer::replace;
 
 /// Range of a fold in which the thread is slack and the motor is at speed, um; the firmware measures in the same
 /// range.

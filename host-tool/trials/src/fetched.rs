@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use client::Device;
 use client::error::ClientError;
 use client::identity::{IdentityRecord, Origin, kind_name};
+use client::plain::create;
 use client::subject::Subject;
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, ActuationRecord};
@@ -17,7 +18,6 @@ use protocol::system::{DeviceKind, Event};
 use serde::Serialize;
 
 use crate::trial::{Executed, RecordError, Status, json};
-use crate::writer::create;
 
 /// Version of the format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;

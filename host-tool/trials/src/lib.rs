@@ -1,7 +1,8 @@
 //! Actions that are executed once and recorded.
 //!
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
-//! * [`writer`]: writes files on a thread of its own, or replaces them as a whole.
+//! * [`writer`]: writes files on a thread of its own.
+//! * [`check`]: whether a record contradicts itself.
 //! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
 //! * [`coordination`]: an actuation that begins at a position of a run, its [`cue`].
@@ -13,6 +14,7 @@
 //! * [`identify`]: a capsule's parameters, from its recordings.
 #![forbid(unsafe_code)]
 
+pub mod check;
 pub mod coordination;
 pub mod cue;
 pub mod endurance;

@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use client::decimal;
-use client::{Begun, Observer, Pace, Progress, homing_limit_us};
+use client::{Begun, Observer, Pace, Progress, homing_limit_us, visible};
 use indicatif::{ProgressBar, ProgressStyle};
 use protocol::capsule::CapsuleEvent;
 use protocol::error::Refusal;
@@ -39,8 +39,9 @@ impl<'a> Live<'a> {
     }
 
     fn line(&mut self, text: &str) {
+        let text = visible::lines(text);
         match &self.bar {
-            Some(bar) => bar.println(text),
+            Some(bar) => bar.println(text.as_ref()),
             // Ignore the error: a closed pipe must not stop the machine's supervision.
             None => drop(writeln!(self.out, "{text}")),
         }

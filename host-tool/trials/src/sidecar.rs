@@ -4,6 +4,7 @@ use std::path::Path;
 
 use client::decimal;
 use client::limited;
+use client::plain;
 use protocol::capsule::ActuationKind;
 use serde_json::Value;
 
@@ -35,7 +36,7 @@ pub fn heading(trial: &Trial) -> String {
 
 /// Description of a JSON file of this program that is no trial; none if it is none of ours.
 pub fn other(file: &Path) -> Option<String> {
-    let text = limited::read_text(file, limited::RECORD).ok()?;
+    let text = plain::read_text(file, limited::RECORD).ok()?;
     let value: Value = serde_json::from_str(&text).ok()?;
     let what = if value.get("drift").is_some() && value.get("asked").is_some() {
         "an endurance run"
@@ -51,6 +52,6 @@ pub fn other(file: &Path) -> Option<String> {
 /// telemetry beside them.
 #[must_use]
 pub fn unreadable(file: &Path, error: RecordError) -> Option<String> {
-    let told = file.with_extension("csv").exists() && other(file).is_none();
+    let told = plain::is_file(&file.with_extension("csv")) && other(file).is_none();
     told.then(|| error.to_string())
 }

@@ -9,6 +9,7 @@ use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 
 use client::identity::{IdentityRecord, Origin};
+use client::plain::{self, replace};
 use client::{Begun, Observer, Progress, decimal, limited};
 use jiff::Timestamp;
 use miette::Diagnostic;
@@ -21,7 +22,7 @@ use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
 
 use crate::cue::Coordination;
-use crate::writer::{Appender, Writer, replace};
+use crate::writer::{Appender, Writer};
 
 /// A folder that contains this file belongs to a campaign. The campaign completes its own records.
 pub const CAMPAIGN_PLAN: &str = "plan.toml";
@@ -392,11 +393,18 @@ impl Trial {
     /// It cannot be read or is not a sidecar of this format.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let text =
-            limited::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
+            plain::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
         let mut trial: Self =
             serde_json::from_str(&text).map_err(|json| RecordError::read(path, json))?;
         if trial.format != FORMAT {
             let why = format!("format {}, this tool reads {FORMAT}", trial.format);
+            return Err(RecordError::read(path, why));
+        }
+        if !plain::is_name(&trial.telemetry) {
+            let why = format!(
+                "its telemetry is `{}`, and telemetry lies beside its sidecar",
+                trial.telemetry
+            );
             return Err(RecordError::read(path, why));
         }
         let IdentityRecord { origin, uid, .. } = &trial.device;
@@ -413,8 +421,8 @@ impl Trial {
         sidecar: &Path,
     ) -> Result<Vec<T>, RecordError> {
         let path = sidecar.with_file_name(&self.telemetry);
-        let mut reader =
-            csv::Reader::from_path(&path).map_err(|error| RecordError::read(&path, error))?;
+        let file = plain::rows(&path).map_err(|error| RecordError::read(&path, error))?;
+        let mut reader = csv::Reader::from_reader(file);
         let mut samples = vec![];
         let mut cut = None;
         for row in reader.deserialize() {

@@ -1,11 +1,13 @@
 //! Writes a record's files on a thread of its own, so that a slow disk delays neither the link nor a stop.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
+
+use client::plain::replace;
 
 /// A task of the writing thread; tasks run in order.
 enum Job {
@@ -56,7 +58,7 @@ impl Writer {
         Appender(self.jobs.clone())
     }
 
-    /// Replaces another file as [`replace`] does.
+    /// Replaces another file as [`client::plain::replace`] does.
     pub(crate) fn replace(&self, path: PathBuf, bytes: Vec<u8>) {
         let _ = self.jobs.send(Job::Replace(path, bytes));
     }
@@ -113,41 +115,11 @@ fn write(path: &Path, mut file: File, jobs: Receiver<Job>, failed: &OnceLock<Wri
     }
 }
 
-/// Replaces a file by renaming: a reader finds the old one or the new one, never a part of it.
-///
-/// # Errors
-/// It cannot be written; the old one is still there.
-pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    fs::rename(written(path, bytes)?, path)
-}
-
-/// As [`replace`], for a file that must not exist yet.
-///
-/// # Errors
-/// As [`replace`]; with [`io::ErrorKind::AlreadyExists`] the existing file is unchanged.
-pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    // The first process to create the name keeps it. Until the rename the file is empty, and no reader takes it for
-    // complete.
-    drop(File::create_new(path)?);
-    replace(path, bytes).inspect_err(|_| drop(fs::remove_file(path)))
-}
-
-/// Writes the bytes to a file beside `path`.
-fn written(path: &Path, bytes: &[u8]) -> io::Result<PathBuf> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(".part");
-    let part = path.with_file_name(name);
-    let mut file = File::create(&part)?;
-    file.write_all(bytes)
-        .and_then(|()| file.sync_all())
-        // Remove the part, because nothing will complete it.
-        .inspect_err(|_| drop(fs::remove_file(&part)))?;
-    Ok(part)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use client::plain::create;
+    use std::fs;
     use std::time::{Duration, Instant};
 
     #[test]

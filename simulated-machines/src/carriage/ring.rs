@@ -322,7 +322,10 @@ impl Ring for Slots {
         count < at_most as usize
     }
 
-    fn timed(&self) -> Timed {
-        self.timing.timed()
+    fn timed(&self, whole: bool) -> Timed {
+        match whole {
+            true => self.timing.timed_whole(&self.line),
+            false => self.timing.timed(),
+        }
     }
 }

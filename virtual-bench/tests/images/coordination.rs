@@ -1,10 +1,10 @@
 //! Both images together: a fold at a place in a run, from the rig's STEP pin to the capsule's bridge.
 
-use analysis::report::check;
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;
+use trials::check;
 use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::Cue;
 use trials::experiment::PAPER_RUN;

@@ -6,7 +6,7 @@
 
 use std::fmt::Display;
 use std::fs;
-use std::io::ErrorKind;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use campaign::CampaignError;
@@ -16,6 +16,7 @@ use campaign::plan::Purpose;
 use campaign::readings::Quantity;
 use client::decimal;
 use client::identity::Origin;
+use client::plain;
 use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
 use serde::Serialize;
@@ -26,7 +27,7 @@ use crate::report::campaign_band::{BandSource, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
 use crate::report::section::{reasons, status};
-use crate::report::{Existing, ReportError, page, put};
+use crate::report::{Existing, ReportError, not_written, page};
 use crate::science::table;
 
 /// Why a campaign's report was not written.
@@ -63,6 +64,9 @@ pub struct Written {
     pub origin: Origin,
 }
 
+/// File name of the page.
+const PAGE: &str = "report.html";
+
 /// Folder of a campaign's reports; `verify` ignores it.
 #[must_use]
 pub fn report_folder(campaign: &Path) -> PathBuf {
@@ -80,8 +84,8 @@ pub fn write(
     model: &BandSource,
 ) -> Result<Written, CampaignReportError> {
     let into = report_folder(folder);
-    let page_path = into.join("report.html");
-    if existing == Existing::Keep && page_path.exists() {
+    let page_path = into.join(PAGE);
+    if existing == Existing::Keep && fs::symlink_metadata(&page_path).is_ok() {
         return Err(ReportError::Exists { path: page_path }.into());
     }
     let evaluation = evaluate(folder)?;
@@ -92,12 +96,16 @@ pub fn write(
         passes: Drawings::of(passes(&evaluation))?,
     };
     let html = html(&evaluation, &figures, band.as_ref())?;
+    let failed = |name: &str| {
+        let path = into.join(name);
+        move |io: io::Error| not_written(&path, &io)
+    };
+    let target = plain::Folder::below(folder, manifest::NOT_COVERED).map_err(failed(""))?;
     let mut files = vec![];
     let mut keep = |name: &str, bytes: &[u8]| {
-        let path = into.join(name);
         // Figures and tables belong to their page, so they are replaced with it.
-        put(&path, bytes, Existing::Replace)?;
-        files.push(path);
+        target.replace(name, bytes).map_err(failed(name))?;
+        files.push(into.join(name));
         Ok::<_, ReportError>(())
     };
     for (name, drawings) in [
@@ -112,8 +120,9 @@ pub fn write(
                 keep(&pdf, &drawings.pdf)?;
             }
             None => {
-                remove_stale(&into.join(svg))?;
-                remove_stale(&into.join(pdf))?;
+                // An earlier report drew it of trials that no longer count.
+                target.remove(&svg).map_err(failed(&svg))?;
+                target.remove(&pdf).map_err(failed(&pdf))?;
             }
         }
     }
@@ -129,7 +138,11 @@ pub fn write(
             .map_err(|error| ReportError::from(RecordError::write(&into.join(name), error)))?;
         keep(name, &bytes)?;
     }
-    put(&page_path, html.as_bytes(), existing)?;
+    match existing {
+        Existing::Replace => target.replace(PAGE, html.as_bytes()),
+        Existing::Keep => target.create(PAGE, html.as_bytes()),
+    }
+    .map_err(failed(PAGE))?;
     files.push(page_path.clone());
     let left_out = evaluation
         .trials
@@ -153,14 +166,6 @@ pub fn write(
             .collect(),
         origin: evaluation.origin,
     })
-}
-
-/// Removes a figure that an earlier report drew of trials that no longer count.
-fn remove_stale(path: &Path) -> Result<(), ReportError> {
-    match fs::remove_file(path) {
-        Err(io) if io.kind() != ErrorKind::NotFound => Err(RecordError::write(path, io).into()),
-        _ => Ok(()),
-    }
 }
 
 /// A figure in its two formats.

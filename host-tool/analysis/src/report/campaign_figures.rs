@@ -5,6 +5,7 @@ use campaign::form::Form;
 use campaign::order::doing;
 use campaign::plan::{Lubrication, Purpose};
 use plotters::style::RGBColor;
+use trials::check;
 use trials::trial::{Action, RigSample, Screw};
 
 use crate::figures::palette::{BAND, DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
@@ -12,7 +13,6 @@ use crate::figures::{
     Chart, Curve, Figure, FigureError, Heading, Mark, Source, figure, planned, sampled, thinned,
 };
 use crate::report::campaign_band::ModelBand;
-use crate::report::check;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
 
 /// Points of a band's edge.

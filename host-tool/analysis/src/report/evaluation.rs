@@ -2,7 +2,6 @@
 //! rig and capsule for each trial. Its rows are the tables of the report.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use campaign::CampaignError;
@@ -19,12 +18,12 @@ use campaign::readings::{Quantity, Summary};
 use campaign::statistics::{Line, Spread};
 use campaign::verify;
 use client::identity::{IdentityRecord, Origin};
-use client::limited;
+use client::{limited, plain};
 use serde::{Serialize, Serializer};
-use trials::trial::{Action, CapsuleSample, RigSample, Trial};
+use trials::check;
+use trials::trial::{Action, RigSample, Trial};
 
 use crate::figures::position_at;
-use crate::report::check;
 
 /// A number printed with `DECIMALS` decimals, the same on the page and in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -316,30 +315,14 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
         return vec![];
     };
     let folder = campaign.attempt_folder(state.planned.trial, attempt.number);
-    let mut files: Vec<PathBuf> = fs::read_dir(folder)
-        .map(|entries| entries.flatten().map(|entry| entry.path()).collect())
-        .unwrap_or_default();
+    let mut files = plain::files(&folder);
     files.retain(|file| file.extension().is_some_and(|kind| kind == "json"));
-    files.sort();
     let mut parts: Vec<Part> = files
         .into_iter()
         // Other JSON files are not records of a machine; `verify` checks them.
         .filter_map(|sidecar| Some((Trial::read(&sidecar).ok()?, sidecar)))
         .map(|(trial, sidecar)| {
-            let defects = match &trial.action {
-                Action::Run { .. } => {
-                    let (samples, unreadable) = check::read::<RigSample>(&sidecar, &trial);
-                    [unreadable, check::run(&trial, &samples)].concat()
-                }
-                Action::Move { .. } => {
-                    let (samples, unreadable) = check::read::<RigSample>(&sidecar, &trial);
-                    [unreadable, check::movement(&trial, &samples)].concat()
-                }
-                Action::Actuation { .. } => {
-                    let (samples, unreadable) = check::read::<CapsuleSample>(&sidecar, &trial);
-                    [unreadable, check::actuation(&trial, &samples)].concat()
-                }
-            };
+            let defects = check::record(&sidecar, &trial);
             Part {
                 sidecar,
                 trial,
@@ -443,14 +426,14 @@ impl Evaluation {
     fn record_defect(&self, state: &TrialState, parts: &[Part]) -> Option<String> {
         let attempt = state.attempt()?;
         let folder = format!(
-            "{ATTEMPTS}/{}/",
+            "{ATTEMPTS}/{}",
             Attempt::folder(state.planned.trial, attempt.number)
         );
-        if let Some(finding) = self
-            .findings
-            .iter()
-            .find(|finding| finding.path.starts_with(&folder))
-        {
+        let is_of = |path: &str| {
+            let rest = path.strip_prefix(&folder);
+            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+        };
+        if let Some(finding) = self.findings.iter().find(|finding| is_of(&finding.path)) {
             return Some(format!(
                 "left out, its record is not as it was written: {finding}"
             ));
@@ -675,7 +658,7 @@ impl Evaluation {
 
 /// The rig's state recorded before an attempt; none if it was not recorded.
 fn conditions(folder: &Path) -> Option<[String; 3]> {
-    let text = limited::read_text(&folder.join("conditions.json"), limited::RECORD).ok()?;
+    let text = plain::read_text(&folder.join("conditions.json"), limited::RECORD).ok()?;
     let conditions: serde_json::Value = serde_json::from_str(&text).ok()?;
     let rig = conditions.get("machines")?.get("rig")?;
     let said = |name: &str| {

@@ -6,14 +6,15 @@ use client::decimal;
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunTiming, Stroke};
+use trials::check;
 use trials::sidecar::heading;
 use trials::trial::{
     Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
 };
 
 use crate::figures::{FigureError, actuation_figures, planned, run_figures};
+use crate::report::page;
 use crate::report::remark::Remark;
-use crate::report::{check, page};
 
 /// The section of a trial and the defects of its record.
 pub(crate) struct Section {
@@ -35,8 +36,7 @@ pub(crate) fn section<'a>(
             achieved,
             executed,
         } => {
-            let (samples, unreadable) = check::read::<RigSample>(sidecar, trial);
-            let defects = [unreadable, check::run(trial, &samples)].concat();
+            let (samples, defects) = check::rig(sidecar, trial);
             let (achieved, executed) = (achieved.as_ref(), executed.as_ref());
             let content = run(trial, &samples, screw, requested, achieved, executed)?;
             (defects, content)
@@ -47,8 +47,7 @@ pub(crate) fn section<'a>(
             accepted,
             moved,
         } => {
-            let (samples, unreadable) = check::read::<RigSample>(sidecar, trial);
-            let defects = [unreadable, check::movement(trial, &samples)].concat();
+            let (_, defects) = check::rig(sidecar, trial);
             let content = page::rows(move_rows(
                 screw,
                 requested,
@@ -60,8 +59,7 @@ pub(crate) fn section<'a>(
         Action::Actuation {
             actuation, record, ..
         } => {
-            let (samples, unreadable) = check::read::<CapsuleSample>(sidecar, trial);
-            let defects = [unreadable, check::actuation(trial, &samples)].concat();
+            let (samples, defects) = check::capsule(sidecar, trial);
             let content = actuation_section(trial, &samples, *actuation, record.as_ref())?;
             (defects, content)
         }
@@ -175,7 +173,9 @@ fn intervals(executed: &Executed) -> String {
     } = executed;
     match (edges_timed, executed.worst_interval_error_ticks) {
         (0, _) => "not timed".to_owned(),
-        (_, u32::MAX) => format!("{edges_timed} edges timed: more than steps"),
+        (_, u32::MAX) => {
+            format!("{edges_timed} edges timed, and not one for each of {counted_edges} steps")
+        }
         (_, worst) => format!(
             "{edges_timed} of {counted_edges} steps timed, {} ns off the plan at worst",
             u64::from(worst) * 10

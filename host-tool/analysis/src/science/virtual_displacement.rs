@@ -2,7 +2,6 @@
 //! telemetry drives the model, so it follows what the carriage really did.
 
 use std::error::Error;
-use std::fs;
 use std::path::Path;
 
 use campaign::chance::Chance;
@@ -11,6 +10,7 @@ use campaign::form::Form;
 use campaign::ledger::Source;
 use campaign::order::Planned;
 use campaign::plan::{Lubrication, Millimetres, Plan};
+use client::plain;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -268,16 +268,11 @@ struct Fold {
 
 /// The last completed fold of an attempt.
 fn last_fold(folder: &Path) -> Result<Fold, ModelError> {
-    let mut folds: Vec<_> = fs::read_dir(folder)
-        .map_err(|io| RecordError::read(folder, io))?
-        .flatten()
-        .map(|entry| entry.path())
-        .filter(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            name.starts_with("fold-") && name.ends_with(".json")
-        })
-        .collect();
-    folds.sort();
+    let mut folds = plain::files(folder);
+    folds.retain(|path| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with("fold-") && name.ends_with(".json")
+    });
     for path in folds.iter().rev() {
         let trial = Trial::read(path)?;
         if let (

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use client::Device;
 use client::identity::Origin;
+use client::plain::replace;
 use protocol::capsule::{ActuationKind, CapsuleState};
 use protocol::rig::{Direction, MoveTo, RigEvent};
 use protocol::system::What;
@@ -12,7 +13,6 @@ use serde_json::json;
 use trials::coordination::{self, Recordings, Shaping};
 use trials::experiment;
 use trials::trial::{RecordError, Recording, Status, json as json_text};
-use trials::writer::replace;
 
 use crate::conduct::{Broken, Conduct, Then};
 use crate::form::Form;

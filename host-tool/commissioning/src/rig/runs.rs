@@ -85,8 +85,8 @@ pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
     }
     if record.worst_interval_error_ticks == u32::MAX {
         return Err(Halt::Defect(format!(
-            "{} edges were captured, more than steps were made: noise on the wire from STEP to A1",
-            record.edges_timed
+            "{} edges were captured, and not one for each of {} steps: noise on the wire from STEP to A1, or a bad contact",
+            record.edges_timed, accepted.edges
         )));
     }
     if record.worst_interval_error_ticks > JITTER_TICKS {

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use client::{decimal, identity};
+use client::{decimal, identity, visible};
 use operations::panel::{Contact, Notice, Panel, left_text, millimetres, run_text};
 use protocol::capsule::{CapsuleState, CapsuleStatus};
 use protocol::rig::{RigState, RigStatus};
@@ -125,6 +125,7 @@ impl Sheet<'_> {
             let width = usize::from(self.area.width - x);
             let style = self.look.style(tone);
             let (x, y) = (self.area.x + x, self.area.y + y);
+            let text = visible::line(text);
             self.buffer.set_stringn(x, y, text, width, style);
         }
     }

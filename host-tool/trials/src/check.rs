@@ -1,16 +1,19 @@
 //! Checks a trial's telemetry against its sidecar, so that a contradictory record does not look complete.
 //!
-//! Pure, except for [`read`]. Each defect is a sentence with its numbers.
+//! `verify` and `report` both use [`record`]. Pure, except for it and [`read`]. Each defect is a sentence with its
+//! numbers.
 
 use std::path::Path;
 
 use client::decimal;
 use client::identity::Origin;
+use client::plain;
 use protocol::capsule::{ActuationRecord, CapsuleEvent};
 use protocol::rig::{RigEvent, Run};
 use protocol::system::What;
 use serde::Deserialize;
-use trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
+
+use crate::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial};
 
 /// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
 const LATE_US: u64 = 10_000;
@@ -80,14 +83,17 @@ impl Sample for CapsuleSample {
 pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
     let path = sidecar.with_file_name(&trial.telemetry);
     let name = &trial.telemetry;
-    let mut reader = match csv::Reader::from_path(&path) {
-        Ok(reader) => reader,
+    let mut reader = match plain::rows(&path) {
+        Ok(rows) => csv::Reader::from_reader(rows),
         Err(error) => return (vec![], vec![format!("{name} cannot be read: {error}")]),
     };
     let mut samples = vec![];
-    for row in reader.deserialize() {
+    let mut rows = reader.deserialize();
+    while let Some(row) = rows.next() {
         match row {
             Ok(sample) => samples.push(sample),
+            // The tool was killed while it wrote it.
+            Err(_) if trial.status == Status::Running && rows.next().is_none() => break,
             Err(error) => {
                 // Do not trust the rows after it.
                 let row = samples.len() + 1;
@@ -99,6 +105,64 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
         }
     }
     (samples, vec![])
+}
+
+/// All defects of a record: its sidecar, its telemetry, and the two together.
+#[must_use]
+pub fn record(sidecar: &Path, trial: &Trial) -> Vec<String> {
+    match trial.action {
+        Action::Run { .. } | Action::Move { .. } => rig(sidecar, trial).1,
+        Action::Actuation { .. } => capsule(sidecar, trial).1,
+    }
+}
+
+/// The readable telemetry of a record of the rig, and all defects of the record.
+#[must_use]
+pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Vec<String>) {
+    let (samples, unreadable) = read::<RigSample>(sidecar, trial);
+    let contradictions = match trial.action {
+        Action::Move { .. } => movement(trial, &samples),
+        _ => run(trial, &samples),
+    };
+    let defects = [misnamed(sidecar, trial), unreadable, contradictions].concat();
+    (samples, defects)
+}
+
+/// The readable telemetry of a record of the capsule, and all defects of the record.
+#[must_use]
+pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Vec<String>) {
+    let (samples, unreadable) = read::<CapsuleSample>(sidecar, trial);
+    let contradictions = actuation(trial, &samples);
+    let defects = [misnamed(sidecar, trial), unreadable, contradictions].concat();
+    (samples, defects)
+}
+
+/// Names that the record contradicts: that of its telemetry, and the start in its own.
+fn misnamed(sidecar: &Path, trial: &Trial) -> Vec<String> {
+    let beside = sidecar.with_extension("csv");
+    let other = beside
+        .file_name()
+        .is_none_or(|name| *name != *trial.telemetry);
+    let other = other.then(|| format!("the record names {} as its telemetry", trial.telemetry));
+    other
+        .into_iter()
+        .chain(begun_as_named(sidecar, trial))
+        .collect()
+}
+
+/// A start that is not the one in the file's name. Files with other names than this program gives are not judged.
+fn begun_as_named(sidecar: &Path, trial: &Trial) -> Option<String> {
+    let name = sidecar.file_stem()?.to_string_lossy();
+    let stamp = name.split('-').find(|part| {
+        let form = b"00000000T000000Z";
+        let fits = |(byte, like): (u8, &u8)| match like {
+            b'0' => byte.is_ascii_digit(),
+            like => byte == *like,
+        };
+        part.len() == form.len() && part.bytes().zip(form).all(fits)
+    })?;
+    let begun = trial.started_utc.strftime("%Y%m%dT%H%M%SZ").to_string();
+    (begun != stamp).then(|| format!("it began at {begun}, by its name at {stamp}"))
 }
 
 /// Defects of a rig's run.
@@ -128,8 +192,11 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
         defects.push("it is called complete, without what was planned or executed".to_owned());
     }
     if let Some(executed) = executed {
+        let says = Status::from(executed.outcome);
+        // A fault that was latched after the run had been stopped is in the sidecar only.
+        let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
         agree(
-            Status::from(executed.outcome) == trial.status,
+            says == trial.status || later && trial.error.is_some(),
             "the record's outcome and the sidecar's status differ",
             &mut defects,
         );
@@ -156,8 +223,10 @@ pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
         }
         return defects;
     };
+    let says = Status::from(moved.outcome);
+    let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
     agree(
-        Status::from(moved.outcome) == trial.status,
+        says == trial.status || later && trial.error.is_some(),
         "the outcome of the move and the sidecar's status differ",
         &mut defects,
     );
@@ -227,8 +296,10 @@ pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
         }
         return defects;
     };
+    let says = Status::from(record.outcome);
+    let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
     agree(
-        Status::from(record.outcome) == trial.status,
+        says == trial.status || later && trial.error.is_some(),
         "the record's outcome and the sidecar's status differ",
         &mut defects,
     );

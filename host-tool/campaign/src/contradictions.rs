@@ -1,0 +1,269 @@
+//! Contradictions between the files of a campaign: ledger, readings, plan, and the records of the attempts.
+
+use std::fs;
+use std::path::Path;
+
+use client::identity::Origin;
+use client::{limited, plain};
+use jiff::{SignedDuration, Timestamp};
+use protocol::rig::Direction;
+use serde::Deserialize;
+use trials::trial::{Action, Trial};
+
+use crate::contents::Campaign;
+use crate::differences::{COPY, Finding, UNKNOWN};
+use crate::files::{ATTEMPTS, READINGS, TRIALS};
+use crate::ledger::{Attempt, Outcome, TrialState};
+use crate::order::Planned;
+use crate::plan::Millimetres;
+use crate::readings::Readings;
+use crate::verify::{Verified, check_record};
+
+/// Greatest step of the computer's clock backwards between two rows: a clock that was set from local time to UTC steps
+/// by up to 14 hours.
+pub(crate) const CLOCK_STEP: SignedDuration = SignedDuration::from_hours(24);
+
+/// Greatest correction of the clock within an attempt.
+const CLOCK_DRIFT: SignedDuration = SignedDuration::from_secs(1);
+
+/// File of the conditions in the folder of an attempt.
+const CONDITIONS: &str = "conditions.json";
+
+/// Adds findings on contradictions between the files of a campaign.
+pub(crate) fn contradictions(folder: &Path, verified: &mut Verified) {
+    let campaign = match Campaign::read(folder) {
+        Ok(campaign) => campaign,
+        Err(error) => {
+            let path = error.path.strip_prefix(folder).unwrap_or(&error.path);
+            let path = path.to_string_lossy().into_owned();
+            // The manifest reports the change; this adds its consequence.
+            verified
+                .findings
+                .push(Finding::new(&path, error.why, &error.remedy));
+            return;
+        }
+    };
+    let rows = campaign.rows.iter().map(|row| row.time_utc);
+    times(TRIALS, rows, verified);
+    let rows = campaign.reading_rows.iter().map(|row| row.time_utc);
+    times(READINGS, rows, verified);
+    let mut known = vec![];
+    for trial in &campaign.state.trials {
+        for attempt in &trial.attempts {
+            known.push(Attempt::folder(trial.planned.trial, attempt.number));
+            check_attempt(&campaign, trial, attempt, verified);
+        }
+    }
+    for name in list(&folder.join(ATTEMPTS)) {
+        if !known.contains(&name) {
+            let path = format!("{ATTEMPTS}/{name}");
+            let what = format!("{TRIALS} knows no such attempt");
+            verified.findings.push(Finding::new(&path, what, UNKNOWN));
+        }
+    }
+}
+
+/// Rows whose time lies before that of the row above.
+fn times(name: &str, rows: impl Iterator<Item = Timestamp>, verified: &mut Verified) {
+    let mut before: Option<Timestamp> = None;
+    for (number, time) in (1..).zip(rows) {
+        if let Some(before) = before
+            && before.duration_since(time) > CLOCK_STEP
+        {
+            let what = format!("row {number} is of {time}, the row before it of {before}");
+            verified.findings.push(Finding::new(name, what, COPY));
+        }
+        before = Some(time);
+    }
+}
+
+/// Names in a folder; none if it cannot be read or is a link.
+fn list(folder: &Path) -> Vec<String> {
+    let entries = plain::is_folder(folder).then(|| fs::read_dir(folder).ok());
+    let entries = entries.flatten().into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+/// Checks the files of an attempt against each other, the ledger and the plan.
+fn check_attempt(
+    campaign: &Campaign,
+    state: &TrialState,
+    attempt: &Attempt,
+    verified: &mut Verified,
+) {
+    let planned = &state.planned;
+    let path = format!(
+        "{ATTEMPTS}/{}",
+        Attempt::folder(planned.trial, attempt.number)
+    );
+    let mut found = vec![];
+    let mut say = |what: String| found.push(Finding::new(&path, what, COPY));
+    let mut motions = vec![];
+    for name in list(&campaign.folder.join(&path)) {
+        let file = format!("{path}/{name}");
+        let Some(record) = check_record(&campaign.folder, &file, verified) else {
+            continue;
+        };
+        if let Some(what) = not_within(&record, attempt) {
+            say(format!("{name} {what}"));
+        }
+        if ["run-", "pass-"].iter().any(|stem| name.starts_with(stem)) {
+            motions.push((name, record));
+        }
+    }
+    match &motions[..] {
+        [] if attempt.outcome == Some(Outcome::Complete) => say(format!(
+            "{TRIALS} says that it was completed, and there is no record of it"
+        )),
+        [] => {}
+        [(name, record)] => {
+            let says = Outcome::from(record.status);
+            if attempt.outcome == Some(Outcome::Complete) && says != Outcome::Complete {
+                say(format!(
+                    "{TRIALS} says that it was completed, its record says {}",
+                    says.name()
+                ));
+            }
+            let origin = record.device.origin;
+            if campaign.origin().is_some_and(|of| of != origin) {
+                let of = campaign.origin().unwrap_or(Origin::Unknown);
+                say(format!("{name} is of origin {origin}, {TRIALS} of {of}"));
+            }
+            if let Some(what) = not_planned(campaign, planned, record) {
+                say(format!("{name} {what}"));
+            }
+        }
+        _ => say("has the records of several runs or passes".to_owned()),
+    }
+    if attempt.outcome.is_none() {
+        say("the attempt has not ended: `retrograde campaign resume` ends it".to_owned());
+    }
+    let conditions = campaign.folder.join(&path).join(CONDITIONS);
+    if fs::symlink_metadata(&conditions).is_ok()
+        && let Some(what) = conditions_differ(campaign, planned, attempt, &conditions)
+    {
+        say(format!("{CONDITIONS} {what}"));
+    }
+    if let Some(what) = indentation_differs(campaign, planned, attempt) {
+        say(what);
+    }
+    verified.findings.append(&mut found);
+}
+
+/// A start of a record that does not lie within its attempt.
+fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
+    let start = record.started_utc;
+    let early = attempt.began.duration_since(start) > CLOCK_DRIFT;
+    let late = attempt
+        .ended
+        .is_some_and(|ended| start.duration_since(ended) > CLOCK_DRIFT);
+    (early || late).then(|| {
+        format!(
+            "began at {start}, and by {TRIALS} the attempt lasted from {} to {}",
+            attempt.began,
+            attempt
+                .ended
+                .map_or_else(|| "now".to_owned(), |ended| ended.to_string())
+        )
+    })
+}
+
+/// A motion that is not the one of the plan.
+fn not_planned(campaign: &Campaign, planned: &Planned, record: &Trial) -> Option<String> {
+    let run = &campaign.plan.run;
+    let is_planned = match (&record.action, planned.purpose.pass()) {
+        (Action::Run { requested, .. }, None) => requested == run,
+        (Action::Move { requested, .. }, Some(Direction::Away)) => {
+            requested.position_um == run.stroke_um
+        }
+        (Action::Move { requested, .. }, Some(Direction::Home)) => requested.position_um == 0,
+        _ => false,
+    };
+    (!is_planned).then(|| "is not of the motion that the plan says".to_owned())
+}
+
+/// Conditions of an attempt, as far as the ledger and the plan say the same.
+#[derive(Deserialize)]
+struct Conditions {
+    origin: Origin,
+    campaign: String,
+    planned: Planned,
+    attempt: u32,
+    readings_set: Option<u32>,
+    indentation_mm: Option<Millimetres>,
+    camera_file: Option<String>,
+}
+
+/// A contradiction between the conditions of an attempt and ledger or plan.
+fn conditions_differ(
+    campaign: &Campaign,
+    planned: &Planned,
+    attempt: &Attempt,
+    path: &Path,
+) -> Option<String> {
+    let text = match plain::read_text(path, limited::RECORD) {
+        Ok(text) => text,
+        Err(io) => return Some(format!("cannot be read: {io}")),
+    };
+    let says: Conditions = match serde_json::from_str(&text) {
+        Ok(says) => says,
+        Err(json) => return Some(format!("cannot be read: {json}")),
+    };
+    let differs = |what: &str| Some(format!("and {TRIALS} differ in {what}"));
+    match () {
+        () if says.campaign != campaign.plan.name => differs("the campaign"),
+        () if says.planned != *planned || says.attempt != attempt.number => differs("the trial"),
+        () if Some(says.origin) != campaign.origin() => differs("the origin"),
+        () if says.readings_set != attempt.readings_set => differs("the readings"),
+        () if says.indentation_mm != attempt.indentation_mm => differs("a_n"),
+        () if says.camera_file.as_deref().map(crate::folder::in_a_line)
+            != attempt.camera_file.clone() =>
+        {
+            differs("the camera's file")
+        }
+        () => None,
+    }
+}
+
+/// An a_n that its readings do not give.
+fn indentation_differs(
+    campaign: &Campaign,
+    planned: &Planned,
+    attempt: &Attempt,
+) -> Option<String> {
+    let has = attempt.indentation_mm?;
+    let Some(number) = attempt.readings_set else {
+        return Some(format!("a_n is {has} mm, and no readings give it"));
+    };
+    // Only the readings before the attempt: D may have been measured again since.
+    let earlier = campaign.reading_rows.iter();
+    let earlier: Vec<_> = earlier
+        .take_while(|row| row.time_utc <= attempt.began)
+        .cloned()
+        .collect();
+    let readings = Readings::replay(&earlier).ok()?;
+    let set = (readings.sets.iter()).find(|set| set.number == number && set.accepted);
+    let Some(set) = set else {
+        return Some(format!(
+            "a_n is of the readings {number}, and {READINGS} has none accepted before it"
+        ));
+    };
+    if set.indentation.as_deref() != Some(&*planned.indentation) {
+        return Some(format!(
+            "a_n is of the readings {number}, which are not of {}",
+            planned.indentation
+        ));
+    }
+    let gives = readings.indentation_mm(set);
+    let gives = gives.map(|a_mm| Millimetres::from_um((a_mm * 1_000.0).round() as i64));
+    (gives != Some(has)).then(|| {
+        format!(
+            "a_n is {has} mm, the readings {number} give {}",
+            gives.map_or_else(|| "none".to_owned(), |a| format!("{a} mm"))
+        )
+    })
+}
