@@ -157,6 +157,10 @@ fn check_attempt(
 /// A start of a record that does not lie within its attempt.
 fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
     let start = record.started_utc;
+    if attempt.ended.is_some_and(|ended| ended < attempt.began) {
+        // The clock was set back during the attempt: it says nothing about the start.
+        return None;
+    }
     let early = attempt.began.duration_since(start) > CLOCK_DRIFT;
     let late = attempt
         .ended
@@ -247,6 +251,17 @@ fn indentation_differs(
         .collect();
     let readings = Readings::replay(&earlier).ok()?;
     let set = (readings.sets.iter()).find(|set| set.number == number && set.accepted);
+    if set.is_none() {
+        let all = Readings::replay(&campaign.reading_rows).ok()?;
+        if all
+            .sets
+            .iter()
+            .any(|set| set.number == number && set.accepted)
+        {
+            // They are there, by a clock that was set back since: which D belongs to them is not known.
+            return None;
+        }
+    }
     let Some(set) = set else {
         return Some(format!(
             "a_n is of the readings {number}, and {READINGS} has none accepted before it"

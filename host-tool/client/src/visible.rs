@@ -79,7 +79,10 @@ mod tests {
         let value = serde_json::json!({"a\u{202e}": "\u{9b}\u{e0041}\n\u{1b}µ\u{7f}"});
         let text = format!("{value:#}");
         let clean = json(&text);
-        assert!(clean.chars().all(|c| is_visible(c) || c == '\n'), "{clean:?}");
+        assert!(
+            clean.chars().all(|c| is_visible(c) || c == '\n'),
+            "{clean:?}"
+        );
         let again: serde_json::Value = serde_json::from_str(&clean).expect("JSON");
         assert_eq!(again, value);
     }

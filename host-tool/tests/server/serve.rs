@@ -963,8 +963,19 @@ fn an_address_that_is_taken_and_a_bad_token_file_are_said() {
     );
     let file = bench.folder.path().join("token");
     std::fs::write(&file, "short").expect("written");
-    let (code, _, err) =
-        bench.retrograde(&["serve", "--listen", "127.0.0.1:0", "--token-file", "token"]);
+    let serve = ["serve", "--listen", "127.0.0.1:0", "--token-file", "token"];
+    let open_to = |mode| {
+        let mode = std::os::unix::fs::PermissionsExt::from_mode(mode);
+        std::fs::set_permissions(&file, mode).expect("mine");
+        bench.retrograde(&serve)
+    };
+    let (code, _, err) = open_to(0o644);
+    assert_eq!(code, Some(2), "{err}");
+    assert!(
+        err.contains("other users can read or change this file"),
+        "{err}"
+    );
+    let (code, _, err) = open_to(0o600);
     assert_eq!(code, Some(2), "{err}");
     assert!(err.contains("at least 16 letters and digits"), "{err}");
     std::fs::write(&file, "0123456789abcdefghij\n").expect("written");

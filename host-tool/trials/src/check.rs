@@ -1,6 +1,6 @@
 //! Checks a trial's telemetry against its sidecar, so that a contradictory record does not look complete.
 //!
-//! `verify` and `report` both use [`record`]. Pure, except for it and [`read`]. Each defect is a sentence with its
+//! `report` uses [`record`], `verify` [`contradictions`]. Pure, except for it and [`read`]. Each defect is a sentence with its
 //! numbers.
 
 use std::path::Path;
@@ -107,22 +107,46 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
     (samples, vec![])
 }
 
+/// How strictly to judge a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Judged {
+    /// With telemetry that is missing.
+    All,
+    /// Only what contradicts itself. A machine may move on while nobody listens: its telemetry is missing then, and the
+    /// record of the motion is true all the same.
+    Contradictions,
+}
+
 /// All defects of a record: its sidecar, its telemetry, and the two together.
 #[must_use]
 pub fn record(sidecar: &Path, trial: &Trial) -> Vec<String> {
+    judge(sidecar, trial, Judged::All)
+}
+
+/// The defects of a record that missing telemetry does not explain.
+#[must_use]
+pub fn contradictions(sidecar: &Path, trial: &Trial) -> Vec<String> {
+    judge(sidecar, trial, Judged::Contradictions)
+}
+
+fn judge(sidecar: &Path, trial: &Trial, judged: Judged) -> Vec<String> {
     match trial.action {
-        Action::Run { .. } | Action::Move { .. } => rig(sidecar, trial).1,
-        Action::Actuation { .. } => capsule(sidecar, trial).1,
+        Action::Run { .. } | Action::Move { .. } => rig_of(sidecar, trial, judged).1,
+        Action::Actuation { .. } => capsule_of(sidecar, trial, judged).1,
     }
 }
 
 /// The readable telemetry of a record of the rig, and all defects of the record.
 #[must_use]
 pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Vec<String>) {
+    rig_of(sidecar, trial, Judged::All)
+}
+
+fn rig_of(sidecar: &Path, trial: &Trial, judged: Judged) -> (Vec<RigSample>, Vec<String>) {
     let (samples, unreadable) = read::<RigSample>(sidecar, trial);
     let contradictions = match trial.action {
-        Action::Move { .. } => movement(trial, &samples),
-        _ => run(trial, &samples),
+        Action::Move { .. } => movement_of(trial, &samples, judged),
+        _ => run_of(trial, &samples, judged),
     };
     let defects = [misnamed(sidecar, trial), unreadable, contradictions].concat();
     (samples, defects)
@@ -131,8 +155,12 @@ pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Vec<String>) {
 /// The readable telemetry of a record of the capsule, and all defects of the record.
 #[must_use]
 pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Vec<String>) {
+    capsule_of(sidecar, trial, Judged::All)
+}
+
+fn capsule_of(sidecar: &Path, trial: &Trial, judged: Judged) -> (Vec<CapsuleSample>, Vec<String>) {
     let (samples, unreadable) = read::<CapsuleSample>(sidecar, trial);
-    let contradictions = actuation(trial, &samples);
+    let contradictions = actuation_of(trial, &samples, judged);
     let defects = [misnamed(sidecar, trial), unreadable, contradictions].concat();
     (samples, defects)
 }
@@ -168,7 +196,11 @@ fn begun_as_named(sidecar: &Path, trial: &Trial) -> Option<String> {
 /// Defects of a rig's run.
 #[must_use]
 pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
-    let mut defects = telemetry(trial, samples);
+    run_of(trial, samples, Judged::All)
+}
+
+fn run_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<String> {
+    let mut defects = telemetry(trial, samples, judged);
     let Action::Run {
         screw,
         requested,
@@ -180,14 +212,16 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
     };
     if let (Some(achieved), Some(executed)) = (achieved, executed) {
         planned_and_done(trial, screw, requested, achieved, executed, &mut defects);
-        covers(
-            trial,
-            samples,
-            run_start_us(trial),
-            executed.ticks / 100,
-            &mut defects,
-        );
-        travelled(screw, achieved, executed, samples, &mut defects);
+        if judged == Judged::All {
+            covers(
+                trial,
+                samples,
+                run_start_us(trial),
+                executed.ticks / 100,
+                &mut defects,
+            );
+            travelled(screw, achieved, executed, samples, &mut defects);
+        }
     } else if trial.status == Status::Complete {
         defects.push("it is called complete, without what was planned or executed".to_owned());
     }
@@ -207,7 +241,11 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
 /// Defects of the record of a move.
 #[must_use]
 pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
-    let mut defects = telemetry(trial, samples);
+    movement_of(trial, samples, Judged::All)
+}
+
+fn movement_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<String> {
+    let mut defects = telemetry(trial, samples, judged);
     let Action::Move {
         screw,
         requested,
@@ -259,6 +297,9 @@ pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
         ));
     }
     // A move has no recorded duration: the samples have to span it, except for one interval at either end.
+    if judged == Judged::Contradictions {
+        return defects;
+    }
     if let [first, .., last] = samples {
         let lasted_us = last.time_us.saturating_sub(first.time_us);
         let every_us = samples
@@ -281,7 +322,11 @@ pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
 /// Defects of a capsule's trial.
 #[must_use]
 pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
-    let mut defects = telemetry(trial, samples);
+    actuation_of(trial, samples, Judged::All)
+}
+
+fn actuation_of(trial: &Trial, samples: &[CapsuleSample], judged: Judged) -> Vec<String> {
+    let mut defects = telemetry(trial, samples, judged);
     let Action::Actuation {
         actuation,
         accepted,
@@ -319,14 +364,16 @@ pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
             record.end_current_ma, record.peak_current_ma
         ));
     }
-    covers(
-        trial,
-        samples,
-        actuation_start_us(trial),
-        u64::from(record.duration_ms) * 1_000,
-        &mut defects,
-    );
-    ends_at(trial, record, samples, &mut defects);
+    if judged == Judged::All {
+        covers(
+            trial,
+            samples,
+            actuation_start_us(trial),
+            u64::from(record.duration_ms) * 1_000,
+            &mut defects,
+        );
+        ends_at(trial, record, samples, &mut defects);
+    }
     defects
 }
 
@@ -353,7 +400,7 @@ fn agree(holds: bool, otherwise: &str, defects: &mut Vec<String>) {
 }
 
 /// Checks that apply to the telemetry of both machines.
-fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Vec<String> {
+fn telemetry<T: Sample>(trial: &Trial, samples: &[T], judged: Judged) -> Vec<String> {
     let mut defects = vec![];
     let name = &trial.telemetry;
     // While a trial runs, its sidecar does not know the final number of samples.
@@ -401,7 +448,8 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Vec<String> {
             row + 1,
             row + 2
         )),
-        None => gaps(trial, samples, &mut defects),
+        None if judged == Judged::All => gaps(trial, samples, &mut defects),
+        None => {}
     }
     if trial.lost_events == 0
         && let Some(pair) = trial
