@@ -185,3 +185,12 @@ pub(crate) fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Resul
     }
     Ok(rows)
 }
+
+/// Removes line breaks from a text, because people may read the CSV files line by line.
+pub(crate) fn in_a_line(text: &str) -> String {
+    let text: String = text
+        .chars()
+        .map(|char| if char.is_control() { ' ' } else { char })
+        .collect();
+    text.trim().to_owned()
+}

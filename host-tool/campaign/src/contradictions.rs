@@ -8,16 +8,29 @@ use client::{limited, plain};
 use jiff::{SignedDuration, Timestamp};
 use protocol::rig::Direction;
 use serde::Deserialize;
+use trials::check;
 use trials::trial::{Action, Trial};
 
-use crate::contents::Campaign;
+use crate::contents::{Campaign, in_a_line};
 use crate::differences::{COPY, Finding, UNKNOWN};
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
 use crate::ledger::{Attempt, Outcome, TrialState};
 use crate::order::Planned;
 use crate::plan::Millimetres;
 use crate::readings::Readings;
-use crate::verify::{Verified, check_record};
+
+/// Result of a verification.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Verified {
+    /// Whether it is the folder of a campaign.
+    pub campaign: bool,
+    /// Number of files whose hashes were compared.
+    pub files: usize,
+    /// Number of trial records whose contents were checked.
+    pub records: usize,
+    /// All findings.
+    pub findings: Vec<Finding>,
+}
 
 /// Greatest step of the computer's clock backwards between two rows: a clock that was set from local time to UTC steps
 /// by up to 14 hours.
@@ -224,9 +237,7 @@ fn conditions_differ(
         () if Some(says.origin) != campaign.origin() => differs("the origin"),
         () if says.readings_set != attempt.readings_set => differs("the readings"),
         () if says.indentation_mm != attempt.indentation_mm => differs("a_n"),
-        () if says.camera_file.as_deref().map(crate::folder::in_a_line)
-            != attempt.camera_file.clone() =>
-        {
+        () if says.camera_file.as_deref().map(in_a_line) != attempt.camera_file.clone() => {
             differs("the camera's file")
         }
         () => None,
@@ -281,4 +292,42 @@ fn indentation_differs(
             gives.map_or_else(|| "none".to_owned(), |a| format!("{a} mm"))
         )
     })
+}
+
+/// Checks a trial's record; none if the path is not one.
+pub(crate) fn check_record(folder: &Path, path: &str, verified: &mut Verified) -> Option<Trial> {
+    let full = folder.join(path);
+    if !path.ends_with(".json") || fs::symlink_metadata(full.with_extension("csv")).is_err() {
+        return None;
+    }
+    match Trial::read(&full) {
+        Ok(trial) => {
+            verified.records += 1;
+            for what in check::contradictions(&full, &trial) {
+                verified.findings.push(Finding::new(path, what, COPY));
+            }
+            Some(trial)
+        }
+        // Summaries of other kinds also lie beside CSV files.
+        Err(_) if !is_trial(path) => None,
+        Err(error) => {
+            verified.findings.push(Finding::new(path, error.why, COPY));
+            None
+        }
+    }
+}
+
+/// Whether the name is one that `run`, `fold` and similar commands give.
+fn is_trial(path: &str) -> bool {
+    let name = path.rsplit('/').next().unwrap_or(path);
+    let stems = [
+        "run-",
+        "pass-",
+        "fold-",
+        "unfold-",
+        "reference-",
+        "calibrate-",
+        "check-folded-",
+    ];
+    stems.iter().any(|stem| name.starts_with(stem))
 }

@@ -17,7 +17,7 @@ use trials::trial::{Status, Trial};
 
 use crate::CampaignError;
 use crate::contents::{
-    Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, not_a_campaign, order_text,
+    Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, in_a_line, not_a_campaign, order_text,
 };
 use crate::contradictions::CLOCK_STEP;
 use crate::differences::{Differences, Left, read_manifest};
@@ -467,15 +467,6 @@ fn last_line(path: &Path) -> Result<String, CampaignError> {
         .map_err(|io| CampaignError::new(path, io, RESTORE))?;
     let whole = text.rfind('\n').map_or("", |end| &text[..end]);
     Ok(whole.rsplit('\n').next().unwrap_or_default().to_owned())
-}
-
-/// Removes line breaks from a text, because people may read the CSV files line by line.
-pub(crate) fn in_a_line(text: &str) -> String {
-    let text: String = text
-        .chars()
-        .map(|char| if char.is_control() { ' ' } else { char })
-        .collect();
-    text.trim().to_owned()
 }
 
 /// Takes the lock that lets one process write at a time. It is a file of its own, because some systems make a locked
