@@ -45,11 +45,7 @@ impl Campaign {
     /// The first file that cannot be read or contradicts the others. Does not compare hashes:
     /// [`crate::verify::verify`] does that.
     pub fn read(folder: &Path) -> Result<Self, CampaignError> {
-        let path = folder.join(ATTEMPTS);
-        if fs::symlink_metadata(&path).is_ok_and(|found| !found.is_dir()) {
-            let why = "it is a link or no folder, and nothing is read through it";
-            return Err(CampaignError::new(&path, why, RESTORE));
-        }
+        leads_nowhere_else(&folder.join(ATTEMPTS))?;
         let path = folder.join(PLAN);
         let text =
             plain::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
@@ -121,6 +117,22 @@ impl Campaign {
     pub fn origin(&self) -> Option<Origin> {
         (self.state.sequence.origin()).or(self.readings.sequence.origin())
     }
+}
+
+/// Refuses links where the folders of the attempts belong: only these are read.
+fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
+    let refused = |path: &Path| {
+        let why = "it is a link or no folder, and nothing is read through it";
+        CampaignError::new(path, why, RESTORE)
+    };
+    if fs::symlink_metadata(attempts).is_ok_and(|found| !found.is_dir()) {
+        return Err(refused(attempts));
+    }
+    let entries = fs::read_dir(attempts).into_iter().flatten().flatten();
+    let mut links = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_symlink()));
+    links
+        .next()
+        .map_or(Ok(()), |link| Err(refused(&link.path())))
 }
 
 /// The sidecar of the run or the pass in the folder of an attempt.

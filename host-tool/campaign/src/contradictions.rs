@@ -303,7 +303,7 @@ pub(crate) fn check_record(folder: &Path, path: &str, verified: &mut Verified) -
     match Trial::read(&full) {
         Ok(trial) => {
             verified.records += 1;
-            for what in check::contradictions(&full, &trial) {
+            for what in check::record(&full, &trial).contradictions {
                 verified.findings.push(Finding::new(path, what, COPY));
             }
             Some(trial)

@@ -18,7 +18,7 @@ pub const LINE: usize = 64 << 10;
 /// Suffix of a file that is about to replace another one.
 pub const PART: &str = ".part";
 
-/// What a path names that is no plain file.
+/// The error for a path that names something else than a plain file.
 fn not_plain() -> io::Error {
     let why = "it is no plain file, and links, pipes and devices are not opened here";
     io::Error::new(io::ErrorKind::InvalidInput, why)

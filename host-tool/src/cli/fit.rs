@@ -405,20 +405,12 @@ fn say_verdict(found: &Fit, screen: &mut Screen<'_>) {
         };
         screen.say(&folded(&format!("{word}: {}.", reason.sentence)));
     }
-    if verdict
-        .reasons
-        .iter()
-        .any(|one| one.check == Verdict::Mixing)
-    {
+    if verdict.says(Verdict::Mixing) {
         screen.say(
             "Try another --seed; give displacements that tell more, such as isolated passes\nboth ways.",
         );
     }
-    if verdict
-        .reasons
-        .iter()
-        .any(|one| one.check == Verdict::Table)
-    {
+    if verdict.says(Verdict::Table) {
         screen.say(
             "Is the stated uncertainty smaller than what the model's ripple of some\nhundredths of a millimetre allows?",
         );

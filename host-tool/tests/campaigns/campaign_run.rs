@@ -305,7 +305,7 @@ fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
             let record = Trial::read(&sidecar).expect("a record");
             let rows: Vec<RigSample> = record.samples(&sidecar).expect("telemetry");
             assert!(rows.len() > 100, "{}", rows.len());
-            assert_eq!(check::movement(&record, &rows), Vec::<String>::new());
+            assert_eq!(check::movement(&record, &rows).all(), Vec::<String>::new());
             contradicted(&record, &rows);
             let Action::Move {
                 accepted: Some(accepted),
@@ -336,7 +336,7 @@ fn contradicted(record: &Trial, rows: &[RigSample]) {
     let with = |change: &dyn Fn(&mut Trial, &mut Vec<RigSample>)| {
         let (mut record, mut rows) = (record.clone(), rows.to_vec());
         change(&mut record, &mut rows);
-        check::movement(&record, &rows).join("; ")
+        check::movement(&record, &rows).all().join("; ")
     };
     type Parts<'a> = (&'a mut MoveTo, &'a mut MoveAccepted, &'a mut Moved);
     fn parts(record: &mut Trial) -> Parts<'_> {

@@ -4,21 +4,12 @@ use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::support::offline::retrograde;
+use crate::support::offline::{self, retrograde, text};
 use calibration::chance::{normal, stream};
 use calibration::prior::{Point, Values};
 
 fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
-        .join("plan-experiment")
-        .join(name);
-    let _ = fs::remove_dir_all(&folder);
-    fs::create_dir_all(&folder).expect("a folder");
-    folder
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8")
+    offline::folder("plan-experiment", name)
 }
 
 /// Writes a small plan into a folder.

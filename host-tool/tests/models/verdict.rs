@@ -4,25 +4,16 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::plan_experiment::posterior_with;
-use crate::support::offline::retrograde;
+use crate::support::offline::{self, retrograde, text};
 
 const REASON: &str = "the readings at 3 mm do not fit";
 const DOUBT: &str = "the net at 2 mm is odd";
 
 fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"))
-        .join("verdict")
-        .join(name);
-    let _ = fs::remove_dir_all(&folder);
-    fs::create_dir_all(&folder).expect("a folder");
-    folder
+    offline::folder("verdict", name)
 }
 
-fn text(path: &Path) -> &str {
-    path.to_str().expect("UTF-8")
-}
-
-/// What a command prints on both outputs.
+/// The text of a command on both outputs.
 fn said(args: &[&str], out: &Path) -> String {
     let (code, said, err) = retrograde(&[args, &["--out", text(out)]].concat());
     assert_eq!(code, 0, "{args:?}: {err}");

@@ -1,7 +1,6 @@
 //! Checks a trial's telemetry against its sidecar, so that a contradictory record does not look complete.
 //!
-//! `report` uses [`record`], `verify` [`contradictions`]. Pure, except for it and [`read`]. Each defect is a sentence with its
-//! numbers.
+//! Each defect is a sentence with its numbers. Pure, except for [`read`] and what reads by it.
 
 use std::path::Path;
 
@@ -107,61 +106,82 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
     (samples, vec![])
 }
 
-/// How strictly to judge a record.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Judged {
-    /// With telemetry that is missing.
-    All,
-    /// Only what contradicts itself. A machine may move on while nobody listens: its telemetry is missing then, and the
-    /// record of the motion is true all the same.
-    Contradictions,
+/// Defects of a record.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Defects {
+    /// What contradicts itself.
+    pub contradictions: Vec<String>,
+    /// Telemetry that is missing. A machine may move on while nobody listens, and the record of the motion is true all
+    /// the same.
+    pub gaps: Vec<String>,
 }
 
-/// All defects of a record: its sidecar, its telemetry, and the two together.
-#[must_use]
-pub fn record(sidecar: &Path, trial: &Trial) -> Vec<String> {
-    judge(sidecar, trial, Judged::All)
-}
+impl Defects {
+    /// All of them.
+    #[must_use]
+    pub fn all(self) -> Vec<String> {
+        [self.contradictions, self.gaps].concat()
+    }
 
-/// The defects of a record that missing telemetry does not explain.
-#[must_use]
-pub fn contradictions(sidecar: &Path, trial: &Trial) -> Vec<String> {
-    judge(sidecar, trial, Judged::Contradictions)
-}
+    fn say(&mut self, contradiction: impl Into<String>) {
+        self.contradictions.push(contradiction.into());
+    }
 
-fn judge(sidecar: &Path, trial: &Trial, judged: Judged) -> Vec<String> {
-    match trial.action {
-        Action::Run { .. } | Action::Move { .. } => rig_of(sidecar, trial, judged).1,
-        Action::Actuation { .. } => capsule_of(sidecar, trial, judged).1,
+    fn lack(&mut self, gap: impl Into<String>) {
+        self.gaps.push(gap.into());
+    }
+
+    fn agree(&mut self, holds: bool, otherwise: &str) {
+        if !holds {
+            self.say(otherwise);
+        }
+    }
+
+    /// Compares the outcome by the machine's record with the sidecar's status.
+    fn ends_alike(&mut self, says: Status, trial: &Trial, of: &str) {
+        // A fault that was latched after the motion had been stopped is in the sidecar only.
+        let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
+        if says != trial.status && !(later && trial.error.is_some()) {
+            self.say(format!("{of} and the sidecar's status differ"));
+        }
+    }
+
+    /// Those of the files themselves come first.
+    fn after(self, files: Vec<String>) -> Self {
+        Self {
+            contradictions: [files, self.contradictions].concat(),
+            ..self
+        }
     }
 }
 
-/// The readable telemetry of a record of the rig, and all defects of the record.
+/// The defects of a record: its sidecar, its telemetry, and the two together.
 #[must_use]
-pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Vec<String>) {
-    rig_of(sidecar, trial, Judged::All)
+pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
+    match trial.action {
+        Action::Run { .. } | Action::Move { .. } => rig(sidecar, trial).1,
+        Action::Actuation { .. } => capsule(sidecar, trial).1,
+    }
 }
 
-fn rig_of(sidecar: &Path, trial: &Trial, judged: Judged) -> (Vec<RigSample>, Vec<String>) {
+/// The readable telemetry of a record of the rig, and the defects of the record.
+#[must_use]
+pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Defects) {
     let (samples, unreadable) = read::<RigSample>(sidecar, trial);
-    let contradictions = match trial.action {
-        Action::Move { .. } => movement_of(trial, &samples, judged),
-        _ => run_of(trial, &samples, judged),
+    let defects = match trial.action {
+        Action::Move { .. } => movement(trial, &samples),
+        _ => run(trial, &samples),
     };
-    let defects = [misnamed(sidecar, trial), unreadable, contradictions].concat();
-    (samples, defects)
+    let files = [misnamed(sidecar, trial), unreadable].concat();
+    (samples, defects.after(files))
 }
 
-/// The readable telemetry of a record of the capsule, and all defects of the record.
+/// The readable telemetry of a record of the capsule, and the defects of the record.
 #[must_use]
-pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Vec<String>) {
-    capsule_of(sidecar, trial, Judged::All)
-}
-
-fn capsule_of(sidecar: &Path, trial: &Trial, judged: Judged) -> (Vec<CapsuleSample>, Vec<String>) {
+pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Defects) {
     let (samples, unreadable) = read::<CapsuleSample>(sidecar, trial);
-    let contradictions = actuation_of(trial, &samples, judged);
-    let defects = [misnamed(sidecar, trial), unreadable, contradictions].concat();
+    let files = [misnamed(sidecar, trial), unreadable].concat();
+    let defects = actuation(trial, &samples).after(files);
     (samples, defects)
 }
 
@@ -195,12 +215,8 @@ fn begun_as_named(sidecar: &Path, trial: &Trial) -> Option<String> {
 
 /// Defects of a rig's run.
 #[must_use]
-pub fn run(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
-    run_of(trial, samples, Judged::All)
-}
-
-fn run_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<String> {
-    let mut defects = telemetry(trial, samples, judged);
+pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
+    let mut defects = telemetry(trial, samples);
     let Action::Run {
         screw,
         requested,
@@ -212,40 +228,27 @@ fn run_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<String> {
     };
     if let (Some(achieved), Some(executed)) = (achieved, executed) {
         planned_and_done(trial, screw, requested, achieved, executed, &mut defects);
-        if judged == Judged::All {
-            covers(
-                trial,
-                samples,
-                run_start_us(trial),
-                executed.ticks / 100,
-                &mut defects,
-            );
-            travelled(screw, achieved, executed, samples, &mut defects);
-        }
-    } else if trial.status == Status::Complete {
-        defects.push("it is called complete, without what was planned or executed".to_owned());
-    }
-    if let Some(executed) = executed {
-        let says = Status::from(executed.outcome);
-        // A fault that was latched after the run had been stopped is in the sidecar only.
-        let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
-        agree(
-            says == trial.status || later && trial.error.is_some(),
-            "the record's outcome and the sidecar's status differ",
+        covers(
+            trial,
+            samples,
+            run_start_us(trial),
+            executed.ticks / 100,
             &mut defects,
         );
+        travelled(screw, achieved, executed, samples, &mut defects);
+    } else if trial.status == Status::Complete {
+        defects.say("it is called complete, without what was planned or executed");
+    }
+    if let Some(executed) = executed {
+        defects.ends_alike(executed.outcome.into(), trial, "the record's outcome");
     }
     defects
 }
 
 /// Defects of the record of a move.
 #[must_use]
-pub fn movement(trial: &Trial, samples: &[RigSample]) -> Vec<String> {
-    movement_of(trial, samples, Judged::All)
-}
-
-fn movement_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<String> {
-    let mut defects = telemetry(trial, samples, judged);
+pub fn movement(trial: &Trial, samples: &[RigSample]) -> Defects {
+    let mut defects = telemetry(trial, samples);
     let Action::Move {
         screw,
         requested,
@@ -257,33 +260,25 @@ fn movement_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<Stri
     };
     let (Some(accepted), Some(moved)) = (accepted, moved) else {
         if trial.status == Status::Complete {
-            defects.push("it is called complete, without what was accepted or done".to_owned());
+            defects.say("it is called complete, without what was accepted or done");
         }
         return defects;
     };
-    let says = Status::from(moved.outcome);
-    let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
-    agree(
-        says == trial.status || later && trial.error.is_some(),
-        "the outcome of the move and the sidecar's status differ",
-        &mut defects,
-    );
-    agree(
+    defects.ends_alike(moved.outcome.into(), trial, "the outcome of the move");
+    defects.agree(
         screw.steps(requested.position_um) == accepted.to_steps,
         "the rig accepted another place than was requested",
-        &mut defects,
     );
     let (from, to) = (i64::from(accepted.from_steps), i64::from(accepted.to_steps));
-    agree(
+    defects.agree(
         (to - from).unsigned_abs() == u64::from(accepted.stroke.steps),
         "the steps that were accepted are not those between the two places",
-        &mut defects,
     );
     if trial.status != Status::Complete {
         return defects;
     }
     if moved.position_steps != accepted.to_steps {
-        defects.push(format!(
+        defects.say(format!(
             "it is called complete at {} steps, and {to} were to be reached",
             moved.position_steps
         ));
@@ -291,15 +286,12 @@ fn movement_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<Stri
     let (least, most) = (from.min(to), from.max(to));
     let outside = |sample: &&RigSample| !(least..=most).contains(&i64::from(sample.position_steps));
     if let Some(sample) = samples.iter().find(outside) {
-        defects.push(format!(
+        defects.say(format!(
             "a sample is at {} steps, outside of {least} to {most}",
             sample.position_steps
         ));
     }
     // A move has no recorded duration: the samples have to span it, except for one interval at either end.
-    if judged == Judged::Contradictions {
-        return defects;
-    }
     if let [first, .., last] = samples {
         let lasted_us = last.time_us.saturating_sub(first.time_us);
         let every_us = samples
@@ -309,24 +301,20 @@ fn movement_of(trial: &Trial, samples: &[RigSample], judged: Judged) -> Vec<Stri
             .unwrap_or(0);
         let least_us = accepted.stroke.duration_ticks / 100;
         if lasted_us.saturating_add(every_us.saturating_mul(2) + LATE_US) < least_us {
-            defects.push(format!(
+            defects.lack(format!(
                 "the telemetry lasts {lasted_us} us, and the move took {least_us} us"
             ));
         }
     } else if samples.is_empty() {
-        defects.push("the move has no telemetry".to_owned());
+        defects.lack("the move has no telemetry");
     }
     defects
 }
 
 /// Defects of a capsule's trial.
 #[must_use]
-pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Vec<String> {
-    actuation_of(trial, samples, Judged::All)
-}
-
-fn actuation_of(trial: &Trial, samples: &[CapsuleSample], judged: Judged) -> Vec<String> {
-    let mut defects = telemetry(trial, samples, judged);
+pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Defects {
+    let mut defects = telemetry(trial, samples);
     let Action::Actuation {
         actuation,
         accepted,
@@ -337,43 +325,33 @@ fn actuation_of(trial: &Trial, samples: &[CapsuleSample], judged: Judged) -> Vec
     };
     let Some(record) = record else {
         if trial.status == Status::Complete {
-            defects.push("it is called complete, without the capsule's record".to_owned());
+            defects.say("it is called complete, without the capsule's record");
         }
         return defects;
     };
-    let says = Status::from(record.outcome);
-    let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
-    agree(
-        says == trial.status || later && trial.error.is_some(),
-        "the record's outcome and the sidecar's status differ",
-        &mut defects,
-    );
-    agree(
+    defects.ends_alike(record.outcome.into(), trial, "the record's outcome");
+    defects.agree(
         record.kind == *actuation,
         "the record is that of another kind of actuation",
-        &mut defects,
     );
-    agree(
+    defects.agree(
         accepted.is_none_or(|accepted| accepted.actuation == record.actuation),
         "the record is that of another actuation than was accepted",
-        &mut defects,
     );
     if record.end_current_ma > record.peak_current_ma {
-        defects.push(format!(
+        defects.say(format!(
             "the current at the end, {} mA, is above the largest one, {} mA",
             record.end_current_ma, record.peak_current_ma
         ));
     }
-    if judged == Judged::All {
-        covers(
-            trial,
-            samples,
-            actuation_start_us(trial),
-            u64::from(record.duration_ms) * 1_000,
-            &mut defects,
-        );
-        ends_at(trial, record, samples, &mut defects);
-    }
+    covers(
+        trial,
+        samples,
+        actuation_start_us(trial),
+        u64::from(record.duration_ms) * 1_000,
+        &mut defects,
+    );
+    ends_at(trial, record, samples, &mut defects);
     defects
 }
 
@@ -393,20 +371,14 @@ pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
     Some(event.time_us)
 }
 
-fn agree(holds: bool, otherwise: &str, defects: &mut Vec<String>) {
-    if !holds {
-        defects.push(otherwise.to_owned());
-    }
-}
-
 /// Checks that apply to the telemetry of both machines.
-fn telemetry<T: Sample>(trial: &Trial, samples: &[T], judged: Judged) -> Vec<String> {
-    let mut defects = vec![];
+fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
+    let mut defects = Defects::default();
     let name = &trial.telemetry;
     // While a trial runs, its sidecar does not know the final number of samples.
     if trial.status != Status::Running {
         if samples.len() as u64 != trial.samples {
-            defects.push(format!(
+            defects.say(format!(
                 "{name} has {} rows, {} were recorded",
                 samples.len(),
                 trial.samples
@@ -417,7 +389,7 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T], judged: Judged) -> Vec<Str
             .map(|sample| u64::from(sample.missed()))
             .sum();
         if missed != trial.missed_samples {
-            defects.push(format!(
+            defects.say(format!(
                 "by the rows of {name} {missed} samples were lost, by the sidecar {}",
                 trial.missed_samples
             ));
@@ -428,12 +400,12 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T], judged: Judged) -> Vec<Str
         .enumerate()
         .find_map(|(index, sample)| Some((index + 1, sample.wrong(trial)?)));
     if let Some((row, why)) = wrong {
-        defects.push(format!("row {row} of {name}: {why}"));
+        defects.say(format!("row {row} of {name}: {why}"));
     }
     let other =
         |sample: &T| sample.origin() != Origin::Unknown && sample.origin() != trial.device.origin;
     if let Some(sample) = samples.iter().find(|sample| other(sample)) {
-        defects.push(format!(
+        defects.say(format!(
             "{name} is of origin {}, the sidecar of origin {}",
             sample.origin(),
             trial.device.origin
@@ -443,13 +415,12 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T], judged: Judged) -> Vec<Str
         .windows(2)
         .position(|pair| pair[1].time_us() <= pair[0].time_us());
     match back {
-        Some(row) => defects.push(format!(
+        Some(row) => defects.say(format!(
             "time does not go on between rows {} and {} of {name}",
             row + 1,
             row + 2
         )),
-        None if judged == Judged::All => gaps(trial, samples, &mut defects),
-        None => {}
+        None => gaps(trial, samples, &mut defects),
     }
     if trial.lost_events == 0
         && let Some(pair) = trial
@@ -457,7 +428,7 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T], judged: Judged) -> Vec<Str
             .windows(2)
             .find(|pair| pair[1].index != pair[0].index.wrapping_add(1))
     {
-        defects.push(format!(
+        defects.say(format!(
             "event {} follows event {}",
             pair[1].index, pair[0].index
         ));
@@ -482,7 +453,7 @@ fn longest_us(interval_us: u64, missed: u16) -> u64 {
     missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
 }
 
-fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Vec<String>) {
+fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Defects) {
     let Some(interval_us) = interval_us(samples) else {
         return;
     };
@@ -491,7 +462,7 @@ fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Vec<String>) {
     };
     let gaps: Vec<_> = samples.windows(2).filter(is_gap).collect();
     if let Some(first) = gaps.first() {
-        defects.push(format!(
+        defects.lack(format!(
             "{} gaps in {} that no lost samples explain, the first of {} s at {} us",
             gaps.len(),
             trial.telemetry,
@@ -507,14 +478,14 @@ fn covers<T: Sample>(
     samples: &[T],
     start_us: Option<u64>,
     duration_us: u64,
-    defects: &mut Vec<String>,
+    defects: &mut Defects,
 ) {
     if trial.status != Status::Complete {
         return;
     }
     let name = &trial.telemetry;
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        defects.push(format!("{name} is empty"));
+        defects.lack(format!("{name} is empty"));
         return;
     };
     let start_us = start_us.unwrap_or(first.time_us());
@@ -523,7 +494,7 @@ fn covers<T: Sample>(
         .saturating_add(longest_us(interval_us, first.missed()))
         .saturating_add(interval_us);
     if first.time_us() > begins_us {
-        defects.push(format!(
+        defects.lack(format!(
             "{name} begins {} s after the motion",
             seconds(first.time_us() - start_us)
         ));
@@ -531,7 +502,7 @@ fn covers<T: Sample>(
     let end_us = start_us.saturating_add(duration_us);
     // No row reports samples that the link lost after the last row.
     if last.time_us().saturating_add(longest_us(interval_us, 2)) < end_us {
-        defects.push(format!(
+        defects.lack(format!(
             "{name} ends {} s before the motion",
             seconds(end_us - last.time_us())
         ));
@@ -545,12 +516,12 @@ fn planned_and_done(
     requested: &Run,
     achieved: &Achieved,
     executed: &Executed,
-    defects: &mut Vec<String>,
+    defects: &mut Defects,
 ) {
     let cycle_steps = u64::from(achieved.forward.steps) + u64::from(achieved.back.steps);
     let planned = u64::from(requested.cycles) * cycle_steps;
     if planned != achieved.edges {
-        defects.push(format!(
+        defects.say(format!(
             "{} cycles of {cycle_steps} steps are {planned}, the plan says {}",
             requested.cycles, achieved.edges
         ));
@@ -558,42 +529,41 @@ fn planned_and_done(
     let stroke_nm = screw.nm(achieved.forward.steps.into());
     let step_nm = screw.nm(1).max(1);
     if (stroke_nm - i64::from(requested.stroke_um) * 1_000).abs() > step_nm {
-        defects.push(format!(
+        defects.say(format!(
             "{} steps are {} mm, and {} mm were asked for",
             achieved.forward.steps,
             decimal::write_signed(stroke_nm, 6),
             decimal::write(requested.stroke_um.into(), 3)
         ));
     }
-    agree(
+    defects.agree(
         executed.plan_hash == achieved.plan_hash,
         "the executed plan has another fingerprint than the accepted one",
-        defects,
     );
     if trial.status != Status::Complete {
         return;
     }
     if executed.counted_edges != executed.commanded_edges {
-        defects.push(format!(
+        defects.say(format!(
             "{} steps were commanded, {} were seen at the pin",
             executed.commanded_edges, executed.counted_edges
         ));
     }
     if executed.commanded_edges != achieved.edges {
-        defects.push(format!(
+        defects.say(format!(
             "it is called complete with {} of {} steps",
             executed.commanded_edges, achieved.edges
         ));
     }
     let strokes = u32::from(requested.cycles) * 2;
     if executed.strokes != strokes {
-        defects.push(format!(
+        defects.say(format!(
             "it is called complete with {} of {strokes} strokes",
             executed.strokes
         ));
     }
     if executed.holds == 0 && executed.ticks != achieved.total_ticks {
-        defects.push(format!(
+        defects.say(format!(
             "it took {} s, the plan {} s",
             decimal::seconds(executed.ticks),
             decimal::seconds(achieved.total_ticks)
@@ -606,7 +576,7 @@ fn planned_and_done(
         .filter(|event| done(&event.what))
         .count();
     if trial.lost_events == 0 && done as u64 != u64::from(executed.strokes) {
-        defects.push(format!(
+        defects.say(format!(
             "{} strokes have an event of their end, {} were counted",
             done, executed.strokes
         ));
@@ -620,7 +590,7 @@ fn travelled(
     achieved: &Achieved,
     executed: &Executed,
     samples: &[RigSample],
-    defects: &mut Vec<String>,
+    defects: &mut Defects,
 ) {
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
         return;
@@ -630,7 +600,7 @@ fn travelled(
         .map(|pair| u64::from(pair[1].position_steps.abs_diff(pair[0].position_steps)))
         .sum();
     if seen > executed.counted_edges {
-        defects.push(format!(
+        defects.say(format!(
             "the telemetry goes {seen} steps, {} were counted",
             executed.counted_edges
         ));
@@ -652,7 +622,7 @@ fn travelled(
     let most = (f64::from(executed.strokes) + 2.0) * hidden + ends as f64;
     let missing = executed.counted_edges.saturating_sub(seen);
     if missing as f64 > most {
-        defects.push(format!(
+        defects.lack(format!(
             "the telemetry goes {seen} steps, {} were counted; its reversals hide at most {most:.0}",
             executed.counted_edges
         ));
@@ -661,7 +631,7 @@ fn travelled(
         !(executed.min_steps..=executed.max_steps).contains(&sample.commanded_steps)
     });
     if let Some(sample) = out {
-        defects.push(format!(
+        defects.say(format!(
             "the telemetry is at {} steps, the record says {} to {}",
             sample.commanded_steps, executed.min_steps, executed.max_steps
         ));
@@ -672,13 +642,13 @@ fn ends_at(
     trial: &Trial,
     record: &ActuationRecord,
     samples: &[CapsuleSample],
-    defects: &mut Vec<String>,
+    defects: &mut Defects,
 ) {
     if let Some(last) = samples.last()
         && trial.status == Status::Complete
         && last.thread_um.abs_diff(record.thread_um) > SETTLES_UM
     {
-        defects.push(format!(
+        defects.lack(format!(
             "the telemetry ends at {} mm of thread, the record says {} mm",
             decimal::fixed(last.thread_um.into(), 3),
             decimal::fixed(record.thread_um.into(), 3)

@@ -202,6 +202,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
             let table_error = worst(&errors_mm(read, &converged, &tried)?);
             if table_error <= WANTED_TABLE_ERROR || level + 1 == LEVELS.len() {
                 let mixing = draws.mixing();
+                let has_mixed = mixing.iter().all(Mixing::is_enough);
                 let exact = |body: &Parts| converged.displacements_mm(body);
                 let mut verdict = judge(&target, &draws, &exact)?;
                 if let (Some(one), Some(whole)) = (verdict.chi_square, &whole)
@@ -210,7 +211,6 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
                 {
                     return Err(Unfit::Mistaken(mistake.what));
                 }
-                let has_mixed = mixing.iter().all(Mixing::is_enough);
                 of_sampling(&mut verdict, has_mixed, table_error, GREATEST_TABLE_ERROR);
                 return Ok(Fit {
                     verdict,
@@ -242,18 +242,6 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
 }
 
 impl Fit {
-    /// Whether all unknowns are sampled well enough.
-    #[must_use]
-    pub fn has_mixed(&self) -> bool {
-        self.mixing.iter().all(Mixing::is_enough)
-    }
-
-    /// Whether the tables were accurate enough.
-    #[must_use]
-    pub fn is_accurate(&self) -> bool {
-        self.table_error <= GREATEST_TABLE_ERROR
-    }
-
     /// A quantile of an unknown, `0..=1`.
     #[must_use]
     pub fn quantile(&self, unknown: usize, part: f64) -> f64 {

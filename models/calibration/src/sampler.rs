@@ -62,8 +62,7 @@ impl Effort {
     pub fn text(&self) -> String {
         format!(
             "{} ensembles of {} walkers, stretch and differential-evolution moves (hammer-and-sample), likelihood \
-             brought in \
-             over {} stages of {} steps from {} points of the prior each, as many steps thrown away as kept",
+             brought in over {} stages of {} steps from {} points of the prior each, as many steps thrown away as kept",
             self.ensembles, self.walkers, self.stages, self.stage_steps, self.starts
         )
     }

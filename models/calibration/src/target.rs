@@ -42,7 +42,7 @@ pub struct Without {
     pub log_density: f64,
 }
 
-/// What a family of conditions adds up to, per mm^2 and per mm.
+/// Sums over a family of conditions, 1/mm^2 and 1/mm.
 #[derive(Clone, Copy, Debug, Default)]
 struct Family {
     /// `A^T S^-1 A`: antegrade, both, returning.

@@ -31,7 +31,7 @@ const CERTAIN: f64 = 4.0;
 /// Draws that leave one condition out by their weights.
 const WEIGHTED: usize = 4_000;
 
-/// What a check looks at.
+/// The subject of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
     /// Whether the chains have mixed.
@@ -96,6 +96,12 @@ impl Verdict {
     #[must_use]
     pub fn is_doubted(&self) -> bool {
         !self.reasons.is_empty()
+    }
+
+    /// Whether this check gives a reason, if only a doubt.
+    #[must_use]
+    pub fn says(&self, check: Check) -> bool {
+        self.reasons.iter().any(|reason| reason.check == check)
     }
 
     /// Adds a reason in its place.
@@ -216,8 +222,7 @@ fn chi_square(verdict: &mut Verdict, residuals: &[f64]) {
     verdict.chi_square = Some(ChiSquare { value, degrees, p });
     verdict.weigh(Check::ChiSquare, p, || {
         format!(
-            "without tau the nearest body misses the displacements by a chi-square of {value:.1} at {degrees} \
-             degrees of \
+            "without tau the nearest body misses the displacements by a chi-square of {value:.1} at {degrees} degrees of \
              freedom, p {}: tau absorbs what the model does not explain",
             probability(p)
         )
@@ -233,8 +238,7 @@ fn discrepancy(verdict: &mut Verdict, draws: &Draws) {
     let limit_mm = unknown.shape.quantile(0.95);
     if *median_mm > limit_mm {
         let sentence = format!(
-            "{DISCREPANCY} has a median of {median_mm:.2} mm, beyond 95 % of its prior, {limit_mm:.2} mm: the model \
-             is wrong \
+            "{DISCREPANCY} has a median of {median_mm:.2} mm, beyond 95 % of its prior, {limit_mm:.2} mm: the model is wrong \
              by more than was thought possible"
         );
         verdict.add(Check::Discrepancy, true, sentence);
@@ -257,8 +261,7 @@ fn bounds(verdict: &mut Verdict, draws: &Draws) {
         };
         if share > AT_BOUND {
             let sentence = format!(
-                "{} lies at the {end} end of its prior, {bound}, with {:.0} % of the draws in the last twentieth of \
-                 it: the \
+                "{} lies at the {end} end of its prior, {bound}, with {:.0} % of the draws in the last twentieth of it: the \
                  prior decides, not the trials",
                 unknown.key,
                 100.0 * share
@@ -303,8 +306,7 @@ fn trends(verdict: &mut Verdict, conditions: &[Condition], residuals: &[f64]) {
     verdict.weigh(Check::Trend, p, || {
         let rises = if steep > 0.0 { "rises" } else { "falls" };
         format!(
-            "without tau the residual of the {kind}, {lubrication}, {rises} with the indentation by {:.1} standard \
-             deviations, \
+            "without tau the residual of the {kind}, {lubrication}, {rises} with the indentation by {:.1} standard deviations, \
              p {} among {count} series: a parameter that the model keeps changes with the indentation",
             libm::fabs(steep),
             probability(p)
@@ -346,9 +348,8 @@ fn left_out(verdict: &mut Verdict, target: &Target<'_>, draws: &Draws) {
         let among = (count as f64 * p).min(1.0);
         verdict.weigh(Check::LeftOut, among, || {
             format!(
-                "the other conditions do not predict the {}, p {} among {count} conditions: the readings there are \
-                 wrong, or \
-                 the model is",
+                "the other conditions do not predict the {}, p {} among {count} conditions: the readings there are wrong, or the \
+                 model is",
                 name(&target.conditions[place]),
                 probability(among)
             )
@@ -416,8 +417,7 @@ fn net_and_passes(verdict: &mut Verdict, conditions: &[Condition]) {
         );
         if one || other {
             let sentence = format!(
-                "the {} is {:.1} mm, and {cycles} times its antegrade and returning pass together {sum_mm:.1} mm: \
-                 signs, units \
+                "the {} is {:.1} mm, and {cycles} times its antegrade and returning pass together {sum_mm:.1} mm: signs, units \
                  or cycles of one of them are wrong",
                 name(net),
                 net.mean_mm
@@ -431,8 +431,7 @@ fn net_and_passes(verdict: &mut Verdict, conditions: &[Condition]) {
 /// The reasons of the sampling itself.
 pub(crate) fn of_sampling(verdict: &mut Verdict, has_mixed: bool, table_error: f64, greatest: f64) {
     if !has_mixed {
-        let sentence = "the chains have not mixed: R-hat above 1.01, or fewer than 400 effective draws in the bulk \
-        or in \
+        let sentence = "the chains have not mixed: R-hat above 1.01, or fewer than 400 effective draws in the bulk or in \
                         the tails";
         verdict.add(Check::Mixing, true, sentence.to_owned());
     }

@@ -107,7 +107,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         assert!(actuation.is_ok(), "{what}: {:?}", actuation.err());
         let fold = actuation.expect("it is recorded");
         let (samples, mut defects) = check::read::<CapsuleSample>(&fold.sidecar, &fold.trial);
-        defects.extend(check::actuation(&fold.trial, &samples));
+        defects.extend(check::actuation(&fold.trial, &samples).all());
         assert!(defects.is_empty(), "{what}: {defects:?}");
         let edges = rig.look(move |rig| rig.edges().since(before));
         assert_eq!(edges.len(), 6 * STEPS, "{what}");

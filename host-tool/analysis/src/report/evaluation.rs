@@ -322,7 +322,7 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
         // Other JSON files are not records of a machine; `verify` checks them.
         .filter_map(|sidecar| Some((Trial::read(&sidecar).ok()?, sidecar)))
         .map(|(trial, sidecar)| {
-            let defects = check::record(&sidecar, &trial);
+            let defects = check::record(&sidecar, &trial).all();
             Part {
                 sidecar,
                 trial,

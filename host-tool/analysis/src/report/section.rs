@@ -29,7 +29,7 @@ pub(crate) fn section<'a>(
     trial: &Trial,
     remarks: impl Iterator<Item = &'a Remark>,
 ) -> Result<Section, FigureError> {
-    let (mut defects, content) = match &trial.action {
+    let (defects, content) = match &trial.action {
         Action::Run {
             screw,
             requested,
@@ -64,6 +64,7 @@ pub(crate) fn section<'a>(
             (defects, content)
         }
     };
+    let mut defects = defects.all();
     defects.dedup();
     let device = &trial.device;
     let body = html! {

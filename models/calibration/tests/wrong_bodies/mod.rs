@@ -6,7 +6,7 @@ use locomotion::kinematics::Design;
 use locomotion::model::Model;
 use locomotion::roller::{Params, wall_mm};
 
-/// What is unlike the model.
+/// Differences from the model.
 #[derive(Clone, Copy, Debug)]
 pub struct Unlike {
     /// Travel of the rollers in which a wing that the wave has left recovers to 1/e, mm; 0 as in the model.
