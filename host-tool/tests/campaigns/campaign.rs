@@ -678,12 +678,12 @@ fn readings_that_cannot_be_are_refused_and_odd_ones_questioned() {
 
 // Folders.
 
-fn at(second: i64) -> Timestamp {
+pub(crate) fn at(second: i64) -> Timestamp {
     Timestamp::from_second(1_769_000_000 + second).expect("a time")
 }
 
 /// A campaign with real records in which some trials are done.
-fn campaign(path: &Path) -> Folder {
+pub(crate) fn campaign(path: &Path) -> Folder {
     let mut folder = Folder::create(path, SMALL, Path::new("small.toml")).expect("made");
     let mut second = 0;
     let mut now = || {
@@ -735,7 +735,7 @@ fn resume(path: &Path, now: Timestamp) -> Result<(Folder, Vec<String>), Campaign
     Folder::resume(path, now, &mut |_| true)
 }
 
-fn findings(folder: &Path) -> Vec<String> {
+pub(crate) fn findings(folder: &Path) -> Vec<String> {
     let verified = verify(folder).expect("a folder");
     verified.findings.iter().map(ToString::to_string).collect()
 }

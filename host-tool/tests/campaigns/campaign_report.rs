@@ -195,7 +195,7 @@ fn campaign(path: &Path) -> Folder {
 }
 
 /// A copy of the campaign for each test.
-fn made() -> (tempfile::TempDir, PathBuf) {
+pub(crate) fn made() -> (tempfile::TempDir, PathBuf) {
     static MADE: OnceLock<PathBuf> = OnceLock::new();
     let made = MADE.get_or_init(|| {
         let made = Path::new(env!("CARGO_TARGET_TMPDIR")).join("campaign-report");

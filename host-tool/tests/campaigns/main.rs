@@ -6,3 +6,5 @@ mod support;
 mod campaign;
 mod campaign_report;
 mod campaign_run;
+#[cfg(unix)]
+mod hostile;

@@ -1,0 +1,387 @@
+//! Folders of campaigns that somebody else made: nothing outside of them is read or written, nothing that was forged is
+//! taken up or missed, and no command hangs.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::os::unix::fs::symlink;
+use std::path::{Path, PathBuf};
+use std::sync::{Barrier, mpsc};
+use std::thread;
+use std::time::Duration;
+
+use crate::campaign::{SMALL, at, campaign, findings};
+use crate::campaign_report::made;
+use crate::support::offline::{retrograde, text};
+use campaign::chance::Chance;
+use campaign::contents::Campaign;
+use campaign::files::{ATTEMPTS, TRIALS};
+use campaign::folder::Folder;
+use campaign::manifest;
+use jiff::Timestamp;
+
+/// A word that stands in every file outside of the folder.
+const SECRET: &str = "not-for-the-folder";
+/// Time for a command that must not hang.
+const SOON: Duration = Duration::from_secs(120);
+
+fn seal(folder: &Path) {
+    let new = manifest::of_folder(folder).expect("read").text();
+    fs::write(folder.join(manifest::NAME), new).expect("written");
+}
+
+fn edit(file: &Path, change: impl Fn(&str) -> String) {
+    let before = fs::read_to_string(file).expect("there");
+    let after = change(&before);
+    assert_ne!(after, before, "{}", file.display());
+    fs::write(file, after).expect("written");
+}
+
+// Creation.
+
+#[test]
+fn three_that_make_one_campaign_at_once_make_one() {
+    for _ in 0..20 {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("small");
+        let together = Barrier::new(3);
+        let new = || {
+            together.wait();
+            Folder::create(&path, SMALL, Path::new("small.toml"))
+        };
+        let made: Vec<_> = thread::scope(|scope| {
+            let all = [(); 3].map(|()| scope.spawn(new));
+            all.map(|one| one.join().expect("no panic")).into()
+        });
+        let refused: Vec<_> = made.iter().filter_map(|one| one.as_ref().err()).collect();
+        assert_eq!(refused.len(), 2, "{refused:?}");
+        for error in refused {
+            assert!(error.why.contains("it exists already"), "{error:?}");
+        }
+        drop(made);
+        assert_eq!(findings(&path), Vec::<String>::new());
+        let left = fs::read_dir(place.path()).expect("there").count();
+        assert_eq!(left, 1, "no part is left");
+    }
+}
+
+// Forgeries.
+
+/// Resumes at the given time, and tells what was asked.
+fn resumed(path: &Path, now: Timestamp, accepts: bool) -> (Result<(), String>, Vec<String>) {
+    let mut asked = vec![];
+    let mut answer = |question: &str| {
+        asked.push(question.to_owned());
+        accepts
+    };
+    let result = Folder::resume(path, now, &mut answer);
+    (result.map(drop).map_err(|error| error.why), asked)
+}
+
+#[test]
+fn a_row_without_a_hash_is_asked_about_and_more_are_refused() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let ledger = path.join(TRIALS);
+    let sealed = fs::read_to_string(&ledger).expect("there");
+    let last = sealed.lines().last().expect("a row");
+    let number: u32 = last
+        .split(',')
+        .next()
+        .expect("a number")
+        .parse()
+        .expect("one");
+    let row = |more: u32, year: &str| {
+        let time = last.split(',').nth(1).expect("a time");
+        let row = last.replacen(&number.to_string(), &(number + more).to_string(), 1);
+        row.replace(time, &time.replace("2026", year)) + "\n"
+    };
+    let after = at(1_000);
+    for (rows, accepts, why) in [
+        (
+            row(1, "2026") + &row(2, "2026"),
+            true,
+            "2 rows are not in SHA256SUMS",
+        ),
+        (
+            row(1, "1999"),
+            true,
+            "a row that is not in SHA256SUMS is of 1999",
+        ),
+        (row(1, "2031"), true, "its last row is of 2031"),
+        (
+            row(1, "2026"),
+            false,
+            "it has a row that is not in SHA256SUMS",
+        ),
+    ] {
+        let forged = sealed.clone() + &rows;
+        fs::write(&ledger, &forged).expect("written");
+        let (result, _) = resumed(&path, after, accepts);
+        let refused = result.expect_err(why);
+        assert!(refused.contains(why), "{refused}");
+        assert_eq!(fs::read_to_string(&ledger).expect("there"), forged);
+    }
+    fs::write(&ledger, sealed.clone() + &row(1, "2026")).expect("written");
+    let (result, asked) = resumed(&path, after, true);
+    result.expect("accepted");
+    assert_eq!(asked.len(), 1);
+    assert!(asked[0].contains(row(1, "2026").trim()), "{asked:?}");
+    assert_eq!(findings(&path), Vec::<String>::new());
+    // A clock that is far behind would write rows in the wrong order.
+    let (result, _) = resumed(&path, at(-200_000), true);
+    assert!(
+        result
+            .expect_err("behind")
+            .contains("this computer's clock says")
+    );
+}
+
+/// Each forgery is sealed with a new manifest, so that only the files themselves tell.
+#[test]
+fn what_was_forged_and_sealed_is_found() {
+    type Forge = fn(&Path);
+    let run_of = |folder: &Path, trial: u32| -> PathBuf {
+        let campaign = Campaign::read(folder).expect("read");
+        campaign.run_sidecar(trial, 1).expect("a run")
+    };
+    let cases: [(&str, Forge); 5] = [
+        ("two attempts exchanged", |folder| {
+            let [one, other, aside] =
+                ["001-1", "002-1", "aside"].map(|name| folder.join(ATTEMPTS).join(name));
+            fs::rename(&one, &aside).expect("moved");
+            fs::rename(&other, &one).expect("moved");
+            fs::rename(&aside, &other).expect("moved");
+        }),
+        ("a displacement's readings", |folder| {
+            edit(&folder.join("readings.csv"), |text| {
+                text.replace("22.4", "22.8")
+            });
+        }),
+        ("a last row of the year 1999", |folder| {
+            edit(&folder.join(TRIALS), |text| {
+                let last = text.rfind("2026-").expect("a time");
+                text[..last].to_owned() + &text[last..].replacen("2026-", "1999-", 1)
+            });
+        }),
+        ("a start in 1999", |folder| {
+            let file = Campaign::read(folder)
+                .expect("read")
+                .run_sidecar(1, 1)
+                .expect("a run");
+            edit(&file, |text| {
+                text.replacen("\"started_utc\": \"2026", "\"started_utc\": \"1999", 1)
+            });
+        }),
+        ("another origin", |folder| {
+            let file = Campaign::read(folder)
+                .expect("read")
+                .run_sidecar(1, 1)
+                .expect("a run");
+            edit(&file, |text| {
+                text.replace("\"origin\": \"board\"", "\"origin\": \"virtual\"")
+            });
+        }),
+    ];
+    for (what, forge) in cases {
+        let (_place, folder) = made();
+        assert_eq!(findings(&folder), Vec::<String>::new());
+        forge(&folder);
+        seal(&folder);
+        assert_ne!(findings(&folder), Vec::<String>::new(), "{what}");
+    }
+    // Places in the telemetry that the counted and the commanded steps do not reach.
+    let places: [&[(usize, &str)]; 2] = [&[(2, "50.000000"), (5, "40000")], &[(6, "40000")]];
+    for place in places {
+        let (_place, folder) = made();
+        let csv = run_of(&folder, 1).with_extension("csv");
+        edit(&csv, |text| {
+            let mut rows: Vec<Vec<&str>> =
+                text.lines().map(|line| line.split(',').collect()).collect();
+            let middle = rows.len() / 2;
+            for (column, value) in place {
+                rows[middle][*column] = value;
+            }
+            rows.iter().map(|row| row.join(",") + "\n").collect()
+        });
+        seal(&folder);
+        assert_ne!(findings(&folder), Vec::<String>::new(), "{place:?}");
+    }
+}
+
+// Links, pipes and devices.
+
+fn fifo(path: &Path) {
+    let mode = rustix::fs::Mode::from_raw_mode(0o600);
+    rustix::fs::mkfifoat(rustix::fs::CWD, path, mode).expect("a pipe");
+}
+
+/// Entries of a folder and below, files and folders.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let mut all = vec![];
+    for entry in fs::read_dir(folder).expect("there").flatten() {
+        all.push(entry.path());
+        if entry.file_type().expect("a kind").is_dir() {
+            all.extend(entries(&entry.path()));
+        }
+    }
+    all.sort();
+    all
+}
+
+/// Contents of all plain files below a folder.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let plain = |path: &PathBuf| path.symlink_metadata().is_ok_and(|found| found.is_file());
+    let files = entries(folder).into_iter().filter(plain);
+    files
+        .map(|path| (path.clone(), fs::read(path).expect("read")))
+        .collect()
+}
+
+fn remove(path: &Path) {
+    match path.symlink_metadata().expect("there").is_dir() {
+        true => fs::remove_dir_all(path).expect("removed"),
+        false => fs::remove_file(path).expect("removed"),
+    }
+}
+
+/// Puts something in the place of an entry that no tool of ours puts there. Returns the change in words.
+fn spoil(chance: &mut Chance, folder: &Path, outside: &Path) -> String {
+    let all = entries(folder);
+    let path = all[chance.below(all.len())].clone();
+    let name = path
+        .strip_prefix(folder)
+        .expect("below")
+        .display()
+        .to_string();
+    let was_folder = path.is_dir();
+    let kind = chance.below(7);
+    let what = match kind {
+        // What stands there is copied outside, so that a reader that follows the link is content.
+        0 | 1 => {
+            let copy = outside.join("copy");
+            if was_folder {
+                fs::rename(&path, &copy).expect("moved");
+                fs::write(
+                    copy.join("conditions.json"),
+                    format!("{{\"note\": \"{SECRET}\"}}"),
+                )
+                .expect("written");
+            } else {
+                fs::rename(&path, &copy).expect("moved");
+            }
+            symlink(&copy, &path).expect("a link");
+            "a link to its copy outside"
+        }
+        2 => {
+            remove(&path);
+            symlink(outside.join("secret.json"), &path).expect("a link");
+            "a link to a file outside"
+        }
+        3 => {
+            remove(&path);
+            symlink("/dev/zero", &path).expect("a link");
+            "a link to a device"
+        }
+        4 => {
+            remove(&path);
+            fifo(&path);
+            "a pipe"
+        }
+        5 => {
+            remove(&path);
+            File::create_new(&path)
+                .expect("new")
+                .set_len(1 << 40)
+                .expect("set");
+            "a file of 1 TiB"
+        }
+        _ => {
+            for part in [
+                "report.html.part",
+                "report",
+                "SHA256SUMS.part",
+                "trials.csv.part",
+            ] {
+                let link = folder.join(part);
+                if !link.exists() && symlink(outside.join("secret.json"), &link).is_err() {
+                    continue;
+                }
+            }
+            return "links with names of ours".to_owned();
+        }
+    };
+    format!("{name}: {what}")
+}
+
+/// Runs a command; fails if it hangs or panics. Returns its code and all that it printed.
+fn run(args: Vec<String>) -> (u8, String) {
+    let (done, wait) = mpsc::channel();
+    let line = args.clone();
+    thread::spawn(move || {
+        let args: Vec<&str> = line.iter().map(String::as_str).collect();
+        let (code, out, err) = retrograde(&args);
+        let _ = done.send((code, out + &err));
+    });
+    wait.recv_timeout(SOON)
+        .unwrap_or_else(|_| panic!("it hangs or panics: {args:?}"))
+}
+
+#[test]
+fn a_hundred_hostile_folders_lead_nowhere_and_hang_nothing() {
+    let mut chance = Chance::new(20_261_125);
+    let mut refused = 0;
+    for number in 0..100 {
+        let (place, folder) = made();
+        let outside = place.path().join("outside");
+        fs::create_dir(&outside).expect("a folder");
+        fs::write(outside.join("secret.json"), format!("{{\"{SECRET}\": 1}}")).expect("written");
+        let mut what = spoil(&mut chance, &folder, &outside);
+        if chance.below(2) == 0 {
+            // Rebuilt by somebody who has the tool, as far as it can be.
+            if let Ok(new) = manifest::of_folder(&folder) {
+                let list = folder.join(manifest::NAME);
+                if list.symlink_metadata().is_ok_and(|found| found.is_file()) {
+                    fs::write(list, new.text()).expect("written");
+                    what += ", sealed";
+                }
+            }
+        }
+        let before = contents(&outside);
+        let at = text(&folder).to_owned();
+        let mut commands = vec![
+            vec!["verify".to_owned(), at.clone()],
+            vec!["list".to_owned(), at.clone()],
+            vec!["campaign".to_owned(), "status".to_owned(), at.clone()],
+        ];
+        // Figures take longest.
+        if number % 4 == 0 {
+            commands.push(vec!["report".to_owned(), at.clone(), "--force".to_owned()]);
+        }
+        let mut codes = vec![];
+        for command in commands {
+            let name = command[0].clone();
+            let (code, said) = run(command);
+            assert!(!said.contains(SECRET), "{number}, {what}, {name}: {said}");
+            codes.push(code);
+        }
+        // `report/` is not covered by the manifest, and a folder without it is whole.
+        let harmless = what.starts_with("report") || what.starts_with("links");
+        assert!(
+            codes[0] != 0 || harmless,
+            "{number}, {what}: verify is content"
+        );
+        refused += u32::from(codes[0] != 0);
+        assert_eq!(contents(&outside), before, "{number}, {what}");
+        let report = folder.join("report");
+        let is_folder = report.symlink_metadata().is_ok_and(|found| found.is_dir());
+        let pages = is_folder.then(|| contents(&report)).unwrap_or_default();
+        for (path, bytes) in pages {
+            let leaked = bytes
+                .windows(SECRET.len())
+                .any(|part| part == SECRET.as_bytes());
+            assert!(!leaked, "{number}, {what}: {}", path.display());
+        }
+    }
+    assert!(refused >= 70, "{refused}");
+}
