@@ -191,7 +191,7 @@ fn what_was_forged_and_sealed_is_found() {
         assert_ne!(findings(&folder), Vec::<String>::new(), "{what}");
     }
     // Places in the telemetry that the counted and the commanded steps do not reach.
-    let places: [&[(usize, &str)]; 2] = [&[(2, "50.000000"), (5, "40000")], &[(6, "40000")]];
+    let places: [&[(usize, &str)]; 2] = [&[(2, "50"), (5, "40000")], &[(6, "40000")]];
     for place in places {
         let (_place, folder) = made();
         let csv = run_of(&folder, 1).with_extension("csv");
@@ -210,6 +210,33 @@ fn what_was_forged_and_sealed_is_found() {
 }
 
 // Links, pipes and devices.
+
+/// The folder of an attempt may be complete elsewhere: it is still not this campaign's.
+#[test]
+fn an_attempt_that_is_a_link_is_not_read() {
+    let (place, folder) = made();
+    let attempt = folder.join(ATTEMPTS).join("001-1");
+    let elsewhere = place.path().join("elsewhere");
+    fs::rename(&attempt, &elsewhere).expect("moved");
+    symlink(&elsewhere, &attempt).expect("a link");
+    seal(&folder);
+    let error = Campaign::read(&folder).expect_err("a link");
+    assert!(error.path.ends_with("trials/001-1"), "{error:?}");
+    for command in [
+        &["verify"][..],
+        &["report", "--force"],
+        &["fit"],
+        &["campaign", "status"],
+    ] {
+        let args = [command, &[text(&folder)]].concat();
+        let (code, _, err) = retrograde(&args);
+        assert_ne!(code, 0, "{args:?}");
+        assert!(
+            ["verify", "fit"].contains(&command[0]) || err.contains("nothing is read through it"),
+            "{args:?}: {err}"
+        );
+    }
+}
 
 fn fifo(path: &Path) {
     let mode = rustix::fs::Mode::from_raw_mode(0o600);
