@@ -291,6 +291,37 @@ fn says_what_the_plant_did(options: Parameters) -> Vec<f64> {
     drawn
 }
 
+/// With more friction in the worm than at its calibration a fold needs more current, which is no jam.
+#[test]
+fn a_fold_with_more_friction_than_at_its_calibration_is_no_jam() {
+    for (seed, times) in [(1, 1.1), (2, 1.2), (3, 1.3)] {
+        let mut capsule = referenced_with(Parameters::lifelike(seed));
+        assert_eq!(
+            capsule.fold().outcome,
+            ActuationOutcome::Complete,
+            "seed {seed}"
+        );
+        assert_eq!(
+            capsule.unfold().outcome,
+            ActuationOutcome::Complete,
+            "seed {seed}"
+        );
+        capsule.look(move |capsule| capsule.suffer(Defect::Friction(times)));
+        for _ in 0..3 {
+            let what = format!("seed {seed}, friction x {times}");
+            assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete, "{what}");
+            assert_eq!(
+                capsule.unfold().outcome,
+                ActuationOutcome::Complete,
+                "{what}"
+            );
+        }
+        let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
+        assert!(least_mm >= -0.05, "seed {seed}: {least_mm} mm");
+        capsule.check_clean();
+    }
+}
+
 #[test]
 fn a_jam_is_found_where_it_is_and_latched() {
     let mut capsule = referenced();

@@ -159,8 +159,13 @@ fn a_run_that_is_cut_is_timed_up_to_the_cut() {
 
 /// A run in which `fault` hits the pulse of its 5,000th step on the wire; the steps themselves stay right.
 fn with(fault: Fault) -> RunRecord {
+    with_at(5_000, fault)
+}
+
+/// The same at step `number`.
+fn with_at(number: u64, fault: Fault) -> RunRecord {
     let mut rig = timed_rig();
-    let at = rig.edge_count() as u64 + 5_000;
+    let at = rig.edge_count() as u64 + number;
     // Trigger it at the step before.
     rig.look(move |rig| rig.plan(When::Edge(at - 1), Action::Capture(fault)));
     let (_, record) = execute(&mut rig, short());
@@ -245,6 +250,12 @@ fn a_step_that_is_left_out_is_found() {
     assert_eq!(timed, 15_999);
     // From there on each interval is compared with its predecessor, and those at the turn differ most.
     assert!(worst >= INTERVAL, "{worst}");
+}
+
+/// No interval ends there, so the rig looks for it when all steps have left.
+#[test]
+fn a_last_step_that_is_left_out_is_found() {
+    assert_eq!(found(&with_at(16_000, Fault::Skip)), (15_999, u32::MAX));
 }
 
 /// A run with a spike of this width on the wire, midway between two pulses at cruise.

@@ -1,11 +1,12 @@
 //! The rig's limit switches: a real opening stops the rig, a disturbance does not.
 
 use client::Unobserved;
+use client::error::ClientError;
 
 use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quickly_homed, trials};
 use protocol::{
     error::Refusal,
-    rig::{RigFault, RunOutcome},
+    rig::{Direction, Jog, MoveTo, RigFault, RunOutcome},
 };
 use virtual_bench::{
     faults::When,
@@ -39,6 +40,42 @@ fn the_far_limit_ends_the_pulses_within_50_us() {
         rig.device.acknowledge().expect("it can be acknowledged");
         rig.home();
     }
+    rig.check_clean(0);
+}
+
+/// With an open far limit the only way is home. That is a refusal and no fault: nothing has happened.
+#[test]
+fn nothing_moves_toward_an_open_far_limit() {
+    let mut rig = quickly_homed();
+    let to = |position_um| MoveTo {
+        position_um,
+        speed_um_s: 10_000,
+    };
+    rig.device.call(to(5_000)).expect("accepted");
+    rig.idle(1_500_000);
+    let edges = rig.edge_count();
+    rig.act(Action::Stick(Switch::Far, Some(true)));
+    rig.idle(100_000);
+    let jog = Jog {
+        sense: Direction::Away,
+        speed_um_s: 10_000,
+    };
+    for refused in [
+        rig.device.call(to(6_000)).map(drop),
+        rig.device.call(jog).map(drop),
+    ] {
+        match refused {
+            Err(ClientError::Refused { refusal, .. }) => {
+                assert_eq!(refusal, Refusal::FarLimitOpen);
+            }
+            other => panic!("{other:?}\n{}", rig.log()),
+        }
+    }
+    assert_eq!(rig.edge_count(), edges, "it moved");
+    assert_eq!(rig.device.rig_status().expect("a status").fault, None);
+    rig.device.call(to(4_000)).expect("away from it");
+    rig.idle(1_500_000);
+    assert_eq!(rig.edge_count(), edges + 800);
     rig.check_clean(0);
 }
 
@@ -84,7 +121,7 @@ fn both_switches_open_is_an_unplugged_cable() {
     });
     rig.idle(10_000);
     match rig.device.home() {
-        Err(client::error::ClientError::Refused { refusal, .. }) => {
+        Err(ClientError::Refused { refusal, .. }) => {
             assert_eq!(refusal, Refusal::BothSwitchesOpen);
         }
         other => panic!("{other:?}"),

@@ -9,7 +9,10 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{GetRigHardware, GetRigHealth, Hold, RigFault, RigState, Run, RunOutcome},
+    rig::{
+        Direction, GetRigHardware, GetRigHealth, Hold, Home, Jog, MoveTo, Resume, RigFault,
+        RigState, Run, RunOutcome,
+    },
     settings::{FactoryReset, GetSetting, Name, Setting, SettingKey},
     system::{BrownOut, Clock, GetChip, Urgent},
     table::{Endpoint, Telemetry},
@@ -450,6 +453,47 @@ fn nothing_is_stored_while_the_supply_is_low() {
     rig.bench.advance_us(300_000).expect("the bench runs");
     rig.device.hello(2).expect("it answers again");
     assert_eq!(kept(&mut rig).value, 12_000);
+    rig.check_clean(0);
+}
+
+/// Below 2.7 V a reset may come at any moment: no motion begins. The one that is under way goes on, and can be held.
+#[test]
+fn no_motion_begins_while_the_supply_is_low() {
+    let mut rig = quickly_homed();
+    let supply = |rig: &RigRun, mv| {
+        let set = rig.bench.visit(move |visit| visit.set_supply_mv(mv));
+        set.expect("the bench runs");
+    };
+    let far = MoveTo {
+        position_um: 5_000,
+        speed_um_s: 10_000,
+    };
+    let jog = Jog {
+        sense: Direction::Away,
+        speed_um_s: 10_000,
+    };
+    rig.device.run(paper(1)).expect("accepted");
+    rig.idle(500_000);
+    supply(&rig, 2_760);
+    let edges = rig.edge_count();
+    rig.idle(500_000);
+    assert!(rig.edge_count() > edges, "the run goes on");
+    rig.device.call(Hold).expect("a hold is accepted");
+    rig.idle(1_000_000);
+    assert_eq!(state(&mut rig), RigState::Held);
+    refused(&mut rig, Resume);
+    rig.device.urgent(Urgent::Stop).expect("a stop is accepted");
+    rig.idle(100_000);
+    let edges = rig.edge_count();
+    refused(&mut rig, Home);
+    refused(&mut rig, far);
+    refused(&mut rig, jog);
+    rig.idle(100_000);
+    assert_eq!(rig.edge_count(), edges, "it moved");
+    supply(&rig, 3_300);
+    rig.device.call(far).expect("accepted");
+    rig.idle(1_000_000);
+    assert!(rig.edge_count() > edges);
     rig.check_clean(0);
 }
 
