@@ -148,3 +148,16 @@ fn capsule_text(status: &CapsuleStatus) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::addresses;
+
+    #[test]
+    fn only_addresses_of_the_last_words_are_part_of_a_command() {
+        let words =
+            "panic; called from 0x080012ab 0x8001f3c `rm -r x`; $(0xzz) 0x123456789 \u{1b}[2J";
+        assert_eq!(addresses(words), ["0x080012ab", "0x08001f3c"]);
+        assert!(addresses("watchdog").is_empty());
+    }
+}
