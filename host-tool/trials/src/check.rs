@@ -109,7 +109,7 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
 /// Defects of a record.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Defects {
-    /// What contradicts itself.
+    /// The contradictions within it.
     pub contradictions: Vec<String>,
     /// Telemetry that is missing. A machine may move on while nobody listens, and the record of the motion is true all
     /// the same.
