@@ -402,7 +402,10 @@ fn a_hundred_hostile_folders_lead_nowhere_and_hang_nothing() {
         assert_eq!(contents(&outside), before, "{number}, {what}");
         let report = folder.join("report");
         let is_folder = report.symlink_metadata().is_ok_and(|found| found.is_dir());
-        let pages = is_folder.then(|| contents(&report)).unwrap_or_default();
+        let pages = match is_folder {
+            true => contents(&report),
+            false => BTreeMap::new(),
+        };
         for (path, bytes) in pages {
             let leaked = bytes
                 .windows(SECRET.len())
