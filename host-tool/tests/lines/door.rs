@@ -320,7 +320,10 @@ fn a_stop_from_another_process_stops_the_run_and_the_owner_records_it() {
         assert!(out.contains(&bench.address), "{out}");
         let (code, _, err) = end(run);
         assert_eq!(code, Some(ends), "{stop}: {err}");
-        assert_eq!((bench.count("Run"), bench.connections()), (1, 1));
+        assert_eq!(bench.count("Run"), 1);
+        // The owner has noticed the stop, so it came through its door. A stop that a busy computer does not answer
+        // within 250 ms goes the direct way as well.
+        assert!(bench.connections() <= 2, "{}", bench.connections());
         let status = if stop == "stop" { "stopped" } else { "faulted" };
         assert_eq!(bench.trial()["status"], status);
     }
