@@ -171,37 +171,39 @@ impl Chain {
     /// A shape that is negative, NaN or would push a crescent past its core; the body then stays unchanged.
     pub fn step(&mut self, wall_mm: impl Fn(f64) -> f64) -> Result<(), OutOfRange> {
         let m = self.m();
-        let mut indentation_mm = [0.0; LINKS];
+        // First the indentation and the link of each crescent, kept apart until all of them are known to be possible;
+        // then, in their place, how far each is shifted and how hard it holds.
+        let mut pairs = [(0.0, 0.0); LINKS];
+        let pairs = &mut pairs[..m];
         let mut changed = false;
-        let before = self.middle_mm[..m].iter().zip(&self.indentation_mm[..m]);
-        for (a, (middle_mm, was)) in indentation_mm[..m].iter_mut().zip(before) {
-            *a = self.params.coupling * wall_mm(self.core_tail_mm + middle_mm);
-            changed |= *a != *was;
+        let before = (self.middle_mm[..m].iter())
+            .zip(&self.indentation_mm)
+            .zip(&self.link_mm);
+        for (next, ((middle_mm, was), link_mm)) in pairs.iter_mut().zip(before) {
+            let a = self.params.coupling * wall_mm(self.core_tail_mm + middle_mm);
+            *next = if a == *was {
+                (a, *link_mm)
+            } else {
+                changed = true;
+                (a, self.params.design.squeezed_spacing_mm(a)?)
+            };
         }
         if !changed {
             return Ok(()); // every delta is 0, so `S` is 0
         }
-        let mut link_mm = self.link_mm;
-        let before = &self.indentation_mm[..m];
-        for ((link_mm, a), was) in link_mm[..m].iter_mut().zip(&indentation_mm).zip(before) {
-            if a != was {
-                *link_mm = self.params.design.squeezed_spacing_mm(*a)?;
-            }
+        let mut end_mm = 0.0;
+        let places = (self.middle_mm[..m].iter_mut())
+            .zip(&mut self.indentation_mm)
+            .zip(&mut self.link_mm);
+        for (pair, ((middle_mm, was), link_mm)) in pairs.iter_mut().zip(places) {
+            let (a, link) = *pair;
+            let middle = end_mm + link / 2.0;
+            end_mm += link;
+            let hold = self.params.preload_mm + (*was + a) / 2.0;
+            *pair = (middle - *middle_mm, self.params.friction * hold);
+            (*middle_mm, *was, *link_mm) = (middle, a, link);
         }
-        let middle_mm = middles(&link_mm[..m]);
-        let mut shift = [(0.0, 0.0); LINKS];
-        let places = middle_mm[..m].iter().zip(&self.middle_mm);
-        let indentations = indentation_mm[..m].iter().zip(before);
-        for ((shift, (middle_mm, was_mm)), (a, was)) in
-            shift[..m].iter_mut().zip(places).zip(indentations)
-        {
-            let hold = self.params.preload_mm + (was + a) / 2.0;
-            *shift = (middle_mm - was_mm, self.params.friction * hold);
-        }
-        self.core_tail_mm += least_work_shift(&mut shift[..m], self.ratio);
-        self.indentation_mm = indentation_mm;
-        self.link_mm = link_mm;
-        self.middle_mm = middle_mm;
+        self.core_tail_mm += least_work_shift(pairs, self.ratio);
         Ok(())
     }
 
@@ -253,28 +255,33 @@ pub(crate) fn middles(links_mm: &[f64]) -> [f64; LINKS] {
 
 /// The `S` that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.
 ///
-/// The sum is convex in `S` and its slope changes only at `S = -delta`. The slope begins at `-r sum(w)` and grows by
-/// `(1+r) w` at each of these points; the minimum is where it stops being negative. Sorts the pairs by falling delta.
-fn least_work_shift(pairs: &mut [(f64, f64)], ratio: f64) -> f64 {
-    // Insertion sort: the pairs are few and nearly sorted by the geometry, and it is stable.
-    for i in 1..pairs.len() {
-        let (before, rest) = pairs.split_at_mut(i);
-        let moved = rest[0];
-        let smaller = before.iter().rev().take_while(|pair| moved.0 > pair.0);
-        let place = i - smaller.count();
-        pairs.copy_within(place..i, place + 1);
-        pairs[place] = moved;
-    }
-    let mut slope = -ratio * pairs.iter().map(|(_, w)| w).sum::<f64>();
-    let mut shift = 0.0;
-    for (delta, w) in pairs {
-        shift = -*delta;
-        slope += (1.0 + ratio) * *w;
-        if slope >= 0.0 {
-            break;
+/// The sum is convex in `S` and its slope changes only at `S = -delta`. Just above that place it is
+/// `sum(w) - (1+r) * (the weight of all pairs with a smaller delta)`. The minimum is at the greatest delta with which
+/// this is not negative. Looks for it from the smallest delta on, because r is large and only a few lie below it.
+fn least_work_shift(pairs: &[(f64, f64)], ratio: f64) -> f64 {
+    let most_below = pairs.iter().map(|(_, w)| w).sum::<f64>() / (1.0 + ratio);
+    let mut below = 0.0;
+    let mut passed = f64::NEG_INFINITY;
+    loop {
+        let mut least = f64::INFINITY;
+        let mut weight = 0.0;
+        for &(delta, w) in pairs {
+            if delta > passed && delta < least {
+                (least, weight) = (delta, w);
+            } else if delta == least {
+                weight += w;
+            }
+        }
+        if least == f64::INFINITY {
+            // Reached only if all weights are 0.
+            return -passed;
+        }
+        below += weight;
+        passed = least;
+        if below > most_below {
+            return -least;
         }
     }
-    shift
 }
 
 #[cfg(test)]
@@ -300,8 +307,7 @@ mod tests {
             pairs in prop::collection::vec((-2.0..2.0f64, 0.001..5.0f64), 1..20),
             ratio in 1.0..30.0f64,
         ) {
-            let mut sorted = pairs.clone();
-            let shift = least_work_shift(&mut sorted, ratio);
+            let shift = least_work_shift(&pairs, ratio);
             let least = work(&pairs, ratio, shift);
             let others: Vec<f64> = pairs.iter().map(|(d, _)| -d).chain([shift - 1e-3, shift + 1e-3]).collect();
             for other in others {
