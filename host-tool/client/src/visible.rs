@@ -1,4 +1,4 @@
-//! Text as it may reach a terminal. What a device, a record or another person wrote may hold sequences that a terminal
+//! Text as it may reach a terminal or a page. What a device, a record or another person wrote may hold sequences that a terminal
 //! obeys, and characters that turn the order of the others around.
 
 use std::borrow::Cow;
@@ -39,6 +39,13 @@ pub fn lines(text: &str) -> Cow<'_, str> {
 #[must_use]
 pub fn line(text: &str) -> Cow<'_, str> {
     replaced(text, is_visible, |code| format!("<U+{code:04X}>"))
+}
+
+/// An HTML document: what a reader would not see is shown by its number, as in [`lines`].
+#[must_use]
+pub fn html(document: &str) -> Cow<'_, str> {
+    let stays = |c| is_visible(c) || matches!(c, '\n' | '\t');
+    replaced(document, stays, |code| format!("&lt;U+{code:04X}&gt;"))
 }
 
 /// A JSON document that means the same and holds nothing that a terminal would obey.

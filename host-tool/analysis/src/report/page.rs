@@ -1,6 +1,7 @@
 //! The page around a report: style for light and dark, telephone and print, and the banner on the origin of the data.
 
 use client::identity::Origin;
+use client::visible;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 /// Each colour appears twice: the figures' colours are attributes of their elements, so the dark page changes them by
@@ -32,9 +33,9 @@ figure,tr,.banner,li,.trial{break-inside:avoid}.trial{font-size:8.5pt;grid-templ
 .banner{-webkit-print-color-adjust:exact;print-color-adjust:exact}a{color:inherit;text-decoration:none}\
 section>p,section>ul{break-after:avoid}figure{grid-template-columns:minmax(0,1fr) minmax(0,1fr)}figure.one{grid-template-columns:1fr;max-width:150mm}}";
 
-/// A complete page that loads nothing.
+/// A complete page that loads nothing, and that no text from elsewhere turns around.
 pub(crate) fn page(title: &str, body: &Markup) -> String {
-    html! {
+    let page = html! {
         (DOCTYPE)
         html lang="en" {
             head {
@@ -45,8 +46,8 @@ pub(crate) fn page(title: &str, body: &Markup) -> String {
             }
             body { (body) }
         }
-    }
-    .into_string()
+    };
+    visible::html(&page.into_string()).into_owned()
 }
 
 /// The banner on the origins of everything on the page; empty if all of it is measured.
@@ -90,6 +91,22 @@ pub(crate) fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> Mar
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn no_character_turns_a_page_around() {
+        let page = page(
+            "rig \u{202e}gpj",
+            &html! { p { "a note\u{2066}\u{7} <b>" } },
+        );
+        assert!(
+            page.contains("<title>rig &lt;U+202E&gt;gpj</title>"),
+            "{page}"
+        );
+        assert!(
+            page.contains("<p>a note&lt;U+2066&gt;&lt;U+0007&gt; &lt;b&gt;</p>"),
+            "{page}"
+        );
+    }
 
     #[test]
     fn a_banner_is_there_for_everything_that_is_no_measurement() {
