@@ -47,8 +47,6 @@ pub(crate) fn test() -> Tests {
     accept_this_rust(&mut cargo);
     programs::test(Selection {
         cargo,
-        program: &[],
-        only: &[],
         examples: false,
         // One at a time: a bench uses all cores it can get.
         lanes: 1,

@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::thread;
 use std::time::SystemTime;
 
 use crate::process::{Failure, Result, host_cargo, root, run};
@@ -14,13 +15,8 @@ use crate::{bench, dependencies, images, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
-    "the programs of plain `cargo test`, which needs nothing installed, side by side",
+    "the programs of plain `cargo test`, which needs nothing installed, side by side, with slices of the long series",
     host_tests,
-);
-const LONG_TESTS: Step = Step::tests(
-    "long tests",
-    "slices of the long series that plain `cargo test` leaves out: random commands, corrupted frames, noisy lines",
-    long_tests,
 );
 const IMAGES: Step = Step::new(
     "images",
@@ -29,15 +25,8 @@ const IMAGES: Step = Step::new(
 );
 const BENCH_TESTS: Step = Step::tests(
     "bench tests",
-    "boots the images on the virtual bench and judges them from their pins",
-    bench::test,
-)
-.after("images");
-
-const PYTHON: Step = Step::tests(
-    "python",
-    "the Python package against `retrograde serve` and the images",
-    python::test,
+    "boots the images on the virtual bench and judges them from their pins; beside it, the Python package and them",
+    bench_tests,
 )
 .after("images");
 
@@ -76,12 +65,12 @@ const DEMO: Step = Step::new(
 
 /// Runs every test, with all set-up.
 pub(crate) fn test() -> ExitCode {
-    steps::run(&[IMAGES, HOST_TESTS, LONG_TESTS, BENCH_TESTS, PYTHON])
+    steps::run(&[IMAGES, HOST_TESTS, BENCH_TESTS])
 }
 
 /// Runs the tests that need no image.
 pub(crate) fn test_host() -> ExitCode {
-    steps::run(&[HOST_TESTS, LONG_TESTS])
+    steps::run(&[HOST_TESTS])
 }
 
 /// Runs the checks that execute no code of ours.
@@ -106,11 +95,9 @@ pub(crate) fn ci() -> ExitCode {
         LINT_HOST,
         DOCS,
         DEPENDENCIES,
-        LONG_TESTS,
         IMAGES,
         LINT_IMAGES,
         BENCH_TESTS,
-        PYTHON,
         DEMO,
     ])
 }
@@ -118,25 +105,20 @@ pub(crate) fn ci() -> ExitCode {
 fn host_tests() -> Tests {
     programs::test(Selection {
         cargo: host_cargo("test"),
-        program: &[],
-        only: &[],
         examples: true,
         lanes: programs::cores(),
     })
 }
 
-fn long_tests() -> Tests {
-    programs::test(Selection {
-        // The same build as for the host tests, so that nothing is built again.
-        cargo: host_cargo("test"),
-        program: &["--ignored"],
-        only: &[
-            ("firmware-rig", "sequences"),
-            ("protocol", "fuzz"),
-            ("protocol", "link"),
-        ],
-        examples: false,
-        lanes: programs::cores(),
+/// Python waits for its machines in real time, the bench computes: each leaves the other its share.
+fn bench_tests() -> Tests {
+    thread::scope(|scope| {
+        let python = scope.spawn(python::test);
+        let bench = bench::test();
+        let python = python.join().unwrap_or_else(|_| {
+            Tests::failed(Failure::new("the Python step panicked", "see above"))
+        });
+        bench.and(python)
     })
 }
 

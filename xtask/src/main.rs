@@ -52,7 +52,7 @@ cargo xtask <command>
 
   demo [OPTIONS]    build the images and run the paper's experiment on the virtual bench;
                     leaves data and a report (options go to the bench: `cargo xtask demo --help`)
-  test [host]       build the images, run the host tests, long ones too, and the tests of the images
+  test [host]       build the images, run the host tests with slices of the long series, and the tests of the images
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
   lint [structure]  format, structure, licences, clippy for host and chip, documentation; no warning allowed

@@ -17,15 +17,27 @@ use crate::steps::{Clock, Counts, Ran, Tests};
 
 /// Package and name of the slowest programs, longest first: they start early, so that none is left at the end. The
 /// order of the others does not matter.
-const LONG: [(&str, &str); 8] = [
-    ("calibration", "recovery"),
+const LONG: [(&str, &str); 13] = [
     ("host-tool", "models"),
-    ("calibration", "simulation_based"),
-    ("calibration", "closed_loop"),
+    ("calibration", "verdict"),
+    ("calibration", "recovery"),
     ("firmware-rig", "sequences"),
+    ("calibration", "strokes"),
+    ("calibration", "simulation_based"),
     ("firmware-capsule", "scenarios"),
+    ("host-tool", "commands"),
+    ("calibration", "closed_loop"),
+    ("host-tool", "campaigns"),
     ("locomotion", "comparison"),
+    ("calibration", "closed_forms"),
     ("fuzz", "bounded"),
+];
+
+/// Programs that also run what plain `cargo test` leaves out: the slice of a long series.
+const SLICES: [(&str, &str); 3] = [
+    ("firmware-rig", "sequences"),
+    ("protocol", "fuzz"),
+    ("protocol", "link"),
 ];
 
 /// Programs that wait for a line in real time and compute little: they run beside those that compute.
@@ -44,13 +56,9 @@ const WAITING_LANES: usize = 2;
 const STILL: Duration = Duration::from_secs(60);
 
 /// The programs to run, and how.
-pub(crate) struct Selection<'a> {
+pub(crate) struct Selection {
     /// `cargo test` with packages and targets; without these, the default packages.
     pub(crate) cargo: Command,
-    /// Arguments for the programs, as after `--`.
-    pub(crate) program: &'a [&'a str],
-    /// Run only these of the built programs, by package and name; empty for all.
-    pub(crate) only: &'a [(&'a str, &'a str)],
     /// Whether the examples in the documentation run too.
     pub(crate) examples: bool,
     /// Number of computing programs that run at a time.
@@ -78,6 +86,8 @@ struct Program {
     kind: String,
     manifest: PathBuf,
     executable: PathBuf,
+    /// Arguments for it, as after `--`.
+    arguments: Vec<String>,
 }
 
 impl Job {
@@ -106,30 +116,32 @@ impl Job {
         }
     }
 
-    /// The command that runs it alone.
+    /// The command that runs one of its tests alone.
     fn alone(&self) -> String {
-        match self {
-            Self::Program(Program {
-                package,
-                name,
-                kind,
-                ..
-            }) => match kind.as_str() {
-                "lib" => format!("cargo test -p {package} --lib"),
-                kind => format!("cargo test -p {package} --{kind} {name}"),
-            },
-            Self::Examples => "cargo test --doc".to_owned(),
+        let Self::Program(program) = self else {
+            return "cargo test --doc NAME".to_owned();
+        };
+        let Program { package, name, .. } = program;
+        let target = match program.kind.as_str() {
+            "lib" => "--lib".to_owned(),
+            kind => format!("--{kind} {name}"),
+        };
+        let mut words = vec![format!("cargo test -p {package} {target} NAME")];
+        if !program.arguments.is_empty() {
+            words.push("--".to_owned());
+            words.extend_from_slice(&program.arguments);
         }
+        words.join(" ")
     }
 
-    fn command(&self, arguments: &[&str]) -> Command {
+    fn command(&self) -> Command {
         match self {
             Self::Program(program) => {
                 let folder = program.manifest.parent().unwrap_or(Path::new("."));
                 // The environment already has the settings of `.cargo/config.toml`, among them the seed of the random
                 // tests.
                 let mut command = Command::new(&program.executable);
-                command.args(arguments).current_dir(folder);
+                command.args(&program.arguments).current_dir(folder);
                 command.env("CARGO_MANIFEST_DIR", folder);
                 command.env("CARGO_PKG_NAME", &program.package);
                 command
@@ -154,11 +166,9 @@ struct Ended {
 }
 
 /// Builds the chosen programs and runs all of them, even after a failure.
-pub(crate) fn test(selection: Selection<'_>) -> Tests {
+pub(crate) fn test(selection: Selection) -> Tests {
     let Selection {
         cargo,
-        program,
-        only,
         examples,
         lanes,
     } = selection;
@@ -168,7 +178,6 @@ pub(crate) fn test(selection: Selection<'_>) -> Tests {
         Err(failure) => return Tests::failed(failure),
     };
     println!("built in {}", Clock(begin.elapsed()));
-    jobs.retain(|job| only.is_empty() || job.place_in(only).is_some());
     if examples {
         jobs.push(Job::Examples);
     }
@@ -178,7 +187,7 @@ pub(crate) fn test(selection: Selection<'_>) -> Tests {
         return Tests::failed(Failure::new(what, "make room, or set CARGO_TARGET_DIR"));
     }
     let begin = Instant::now();
-    let ended = run_all(jobs, program, &folder, lanes);
+    let ended = run_all(jobs, &folder, lanes);
     let mut tests = Tests::default();
     for one in &ended {
         tests.counts.add(&one.counts);
@@ -203,13 +212,13 @@ pub(crate) fn test(selection: Selection<'_>) -> Tests {
                 ended.len(),
                 names.join(", ")
             ),
-            format!("run the failing test alone: `{} NAME`", first.job.alone()),
+            format!("run the failing test alone: `{}`", first.job.alone()),
         ));
     }
     tests
 }
 
-fn run_all(jobs: Vec<Job>, arguments: &[&str], folder: &Path, lanes: usize) -> Vec<Ended> {
+fn run_all(jobs: Vec<Job>, folder: &Path, lanes: usize) -> Vec<Ended> {
     let (waiting, mut computing): (Vec<_>, Vec<_>) = jobs
         .into_iter()
         .partition(|job| lanes > 1 && job.place_in(&WAITING).is_some());
@@ -230,7 +239,7 @@ fn run_all(jobs: Vec<Job>, arguments: &[&str], folder: &Path, lanes: usize) -> V
                     while let Some(job) = { lock(queue).pop_front() } {
                         let shown = job.shown();
                         lock(running).insert(shown.clone(), Instant::now());
-                        let ended = carry_out(job, arguments, folder);
+                        let ended = carry_out(job, folder);
                         lock(running).remove(&shown);
                         // Fails only if this program ends, and then the result is not needed.
                         let _ = sender.send(ended);
@@ -276,11 +285,11 @@ fn report(ended: &Ended, number: usize, of: usize) {
     }
 }
 
-fn carry_out(job: Job, arguments: &[&str], folder: &Path) -> Ended {
+fn carry_out(job: Job, folder: &Path) -> Ended {
     let begin = Instant::now();
     // Use a file, not a pipe: a child process left behind by a test would hold a pipe open.
     let file = folder.join(format!("{}.txt", job.shown().replace(' ', "-")));
-    let mut command = job.command(arguments);
+    let mut command = job.command();
     let status = File::create(&file).and_then(|output| {
         command.stdin(Stdio::null());
         command.stdout(output.try_clone()?).stderr(output);
@@ -358,12 +367,18 @@ fn program(message: &str) -> Option<Job> {
     let folder = manifest.parent()?;
     // A package of ours has the name of its folder, even a nested one.
     let package = folder.strip_prefix(root()).ok()?.file_name()?;
+    let (package, name) = (package.to_str()?, text(target, r#""name":"#)?);
+    let has_slice = SLICES.contains(&(package, &name));
     Some(Job::Program(Program {
-        package: package.to_str()?.to_owned(),
-        name: text(target, r#""name":"#)?,
+        package: package.to_owned(),
+        name,
         kind,
         executable: PathBuf::from(executable),
         manifest,
+        arguments: has_slice
+            .then(|| "--include-ignored".to_owned())
+            .into_iter()
+            .collect(),
     }))
 }
 
@@ -401,12 +416,16 @@ mod tests {
     fn a_message_of_cargo_names_a_program() {
         let job = program(&message(r#""test":true"#, r#""/a \"b\"/t""#)).expect("a program");
         assert_eq!(job.shown(), "calibration recovery");
-        assert_eq!(job.alone(), "cargo test -p calibration --test recovery");
+        assert_eq!(
+            job.alone(),
+            "cargo test -p calibration --test recovery NAME"
+        );
         let Job::Program(found) = &job else {
             panic!("{job:?}")
         };
         assert_eq!(found.executable, Path::new(r#"/a "b"/t"#));
         assert_eq!(found.manifest, root().join("models/calibration/Cargo.toml"));
+        assert!(found.arguments.is_empty());
         assert_eq!(job.place_in(&[("motion", "recovery")]), None);
         assert_eq!(
             job.place_in(&[("motion", "x"), ("calibration", "recovery")]),
@@ -443,8 +462,9 @@ mod tests {
             kind: "test".to_owned(),
             manifest: root().join("xtask/Cargo.toml"),
             executable: PathBuf::from("/bin/sh"),
+            arguments: vec!["-c".to_owned(), script.to_owned()],
         });
-        carry_out(job, &["-c", script], &folder)
+        carry_out(job, &folder)
     }
 
     #[test]

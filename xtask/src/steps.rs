@@ -117,6 +117,14 @@ impl Tests {
             ..Self::default()
         }
     }
+
+    /// These and others; the first failure is the one of both.
+    pub(crate) fn and(mut self, others: Self) -> Self {
+        self.counts.add(&others.counts);
+        self.programs.extend(others.programs);
+        self.outcome = self.outcome.and(others.outcome);
+        self
+    }
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -357,6 +365,24 @@ mod tests {
             assert!(table.lines().any(|other| other == line), "{line}\n{table}");
         }
         assert!(!table.contains("program 2 "), "{table}");
+    }
+
+    #[test]
+    fn both_of_two_kinds_of_tests_have_to_pass() {
+        let of = |passed, outcome| Tests {
+            counts: Counts {
+                passed,
+                ..Counts::default()
+            },
+            outcome,
+            ..Tests::default()
+        };
+        let bad = || Err(Failure::new("on purpose", "none"));
+        let both = of(2, Ok(())).and(of(3, Ok(())));
+        assert!(both.counts.passed == 5 && both.outcome.is_ok());
+        for (one, other) in [(bad(), Ok(())), (Ok(()), bad())] {
+            assert!(of(2, one).and(of(3, other)).outcome.is_err());
+        }
     }
 
     #[test]
