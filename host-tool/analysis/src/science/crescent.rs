@@ -1,7 +1,7 @@
 //! The crescent as a beam: force against indentation, the least alpha, displacement against thread with its band.
 
 use locomotion::beam::NoAnswer;
-use locomotion::beam::band::{INPUTS, Row, Uncertain, band};
+use locomotion::beam::band::{BandRow, INPUTS, Uncertain, band};
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::roller;
 use serde::Serialize;
@@ -105,7 +105,7 @@ pub fn threads_mm() -> Vec<f64> {
 #[must_use]
 pub fn thread_rows(curves: &[Vec<f64>]) -> Vec<ThreadRow> {
     let rows = band(&threads_mm(), curves);
-    let row = |row: Row| ThreadRow {
+    let row = |row: BandRow| ThreadRow {
         thread_mm: row.thread_mm,
         low_mm: row.low_mm,
         median_mm: row.median_mm,
