@@ -17,7 +17,7 @@ use client::door::stream::read_line;
 use client::link::owner::Owner;
 use client::link::owner::Question;
 
-/// What was written to the line.
+/// The bytes written to the line.
 #[derive(Clone, Default)]
 struct Line(Arc<Mutex<Vec<u8>>>);
 
@@ -70,7 +70,7 @@ impl Door {
         }
     }
 
-    /// Lets a guest in that begins with these bytes: its welcome, and what it has said after its greeting. `None` if it is not
+    /// Lets a guest in that begins with these bytes: its welcome, and the bytes after its greeting. `None` if it is not
     /// let in.
     #[must_use]
     pub fn greet<'a>(&self, mut bytes: &'a [u8]) -> Option<(Guest, Vec<u8>, &'a [u8])> {
@@ -91,7 +91,7 @@ impl Door {
         ))
     }
 
-    /// What was written to the line since the last call.
+    /// The bytes written to the line since the last call.
     #[must_use]
     pub fn written(&self) -> Vec<u8> {
         std::mem::take(&mut *self.line.bytes())
@@ -153,7 +153,7 @@ impl Guest {
         self.visit.take(bytes, now)
     }
 
-    /// What it has been told since the last call.
+    /// The bytes that it was sent since the last call.
     #[must_use]
     pub fn told(&self) -> Vec<u8> {
         self.waiting.try_iter().flatten().collect()

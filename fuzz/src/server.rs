@@ -126,7 +126,7 @@ struct EndingLink {
 
 impl Drop for EndingLink {
     fn drop(&mut self) {
-        // Nobody waits here for another attempt.
+        // There is no second attempt here to wait for.
         self.leaving.store(true, Ordering::SeqCst);
     }
 }
@@ -213,7 +213,7 @@ pub fn with<R>(
     act(&mut server)
 }
 
-/// What waiting and files of the requests need.
+/// The runtime in which requests wait and read files.
 fn runtime() -> &'static Runtime {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();
     RUNTIME.get_or_init(|| {

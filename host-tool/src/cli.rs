@@ -151,12 +151,12 @@ pub struct Cli {
     /// Print one JSON object on standard output; everything else goes to standard error.
     #[arg(long, global = true)]
     pub json: bool,
-    /// What to do.
+    /// The subcommand.
     #[command(subcommand)]
     pub subcommand: Subcommand,
 }
 
-/// What to do.
+/// The subcommands.
 #[derive(Debug, clap::Subcommand)]
 pub enum Subcommand {
     /// List ports and the machines at them. Moves nothing.

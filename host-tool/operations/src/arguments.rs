@@ -76,7 +76,7 @@ pub struct RunArgs {
     pub record: RecordArgs,
 }
 
-/// What the rig does when it no longer hears from the host.
+/// Reaction of the rig to a silent host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnLinkLoss {
     /// Decelerate, keep the position.

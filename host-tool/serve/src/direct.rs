@@ -1,6 +1,5 @@
-//! Direct requests: requests that bypass the worker, each on a thread of its own. These are stops, which wait for nothing, and
-//! questions. Questions go through the door like those of other processes, so they are answered while the worker
-//! works.
+//! Direct requests bypass the worker, each on a thread of its own: stops, which wait for nothing, and questions.
+//! Questions go through the door like those of other processes, so they are answered while the worker works.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};

@@ -199,7 +199,7 @@ pub fn serve(
     Ok(url)
 }
 
-/// Ends workers and direct requests when dropped.
+/// Ends the workers and the thread of direct requests when dropped.
 struct Leave<'a>(&'a AtomicBool, mpsc::Sender<DirectRequest>);
 
 impl Drop for Leave<'_> {

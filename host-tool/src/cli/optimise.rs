@@ -24,12 +24,12 @@ use crate::cli::calculation::Calculation;
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
-/// What the displacement is counted for.
+/// The unit of a displacement.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum Goal {
-    /// A wave and its way back.
+    /// Displacement of one wave, there and back.
     Wave,
-    /// The same for each crescent.
+    /// The same, divided by the number of crescents.
     Crescent,
 }
 

@@ -23,7 +23,7 @@ use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 
-/// What the plan begins with.
+/// Knowledge of the body before the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Begin {
     /// Nothing but the prior.
@@ -32,7 +32,7 @@ pub enum Begin {
     Posterior,
 }
 
-/// What may be measured.
+/// Kinds of trial that may be planned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 pub enum Measured {
