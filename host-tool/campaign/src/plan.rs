@@ -8,6 +8,7 @@ use client::decimal;
 use client::wording;
 use locomotion::roller;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
+use protocol::system::SetTelemetry;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use trials::cue::Cue;
@@ -614,9 +615,10 @@ fn run(table: &RunTable) -> Result<(Run, u16), String> {
         link_loss: LinkLossPolicy::Stop,
     };
     plan::check(&run).map_err(|error| format!("run: {}", wording::infeasible(&error)))?;
-    if !(5..=1_000).contains(&table.telemetry_ms) {
+    let (least, most) = SetTelemetry::PERIOD_MS;
+    if !(least..=most).contains(&table.telemetry_ms) {
         return Err(format!(
-            "run.telemetry_ms: {}; use 5 to 1000",
+            "run.telemetry_ms: {}; use {least} to {most}",
             table.telemetry_ms
         ));
     }

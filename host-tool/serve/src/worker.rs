@@ -14,7 +14,7 @@ use commissioning::warning;
 use operations::arguments::{DATA_FOLDER, RecordArgs};
 use operations::connector::Purpose;
 use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
-use operations::panel::{self, Contact, MOVES_ALREADY, Notice};
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use operations::places::Places;
 use operations::{ending, left, reached};
 use protocol::error::Refusal;
@@ -30,9 +30,6 @@ use crate::board::{Board, Lease, Machine, Order};
 use crate::orders::Work;
 use crate::results::server_ends;
 use crate::results::{ended, files, lost, overtaken, place};
-
-/// Telemetry interval while nothing is recorded, ms.
-const TELEMETRY_MS: u16 = 50;
 
 /// Interval between status requests, us.
 const ASK_US: u64 = 250_000;

@@ -7,7 +7,7 @@ use locomotion::roller;
 use serde::Serialize;
 
 /// Frictions for the least alpha: the ends of the paper's range, and its middle, which the forces use.
-pub const FRICTIONS: [f64; 3] = [0.08, 0.15, 0.20];
+const FRICTIONS: [f64; 3] = [0.08, 0.15, 0.20];
 
 /// Print error for the least alpha, mm (section II.D).
 pub const PRINT_MM: f64 = 0.15;

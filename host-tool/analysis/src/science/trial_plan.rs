@@ -14,9 +14,9 @@ use serde::Serialize;
 /// Cycles of the paper's run.
 pub const PAPER_CYCLES: u16 = 5;
 /// Repeats of each of the paper's conditions.
-pub const PAPER_REPEATS: usize = 10;
+const PAPER_REPEATS: usize = 10;
 /// Mean correction of a gain, nats, above which the trials are too exact for the number of draws.
-pub const GREATEST_CORRECTION: f64 = 0.1;
+const GREATEST_CORRECTION: f64 = 0.1;
 
 /// Kind, indentation and wall of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]

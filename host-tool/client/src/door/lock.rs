@@ -26,7 +26,7 @@ use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 
 /// Environment variable that names another folder for locks and doors.
-pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
+const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
 /// Description that the owner leaves for others.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -174,7 +174,7 @@ impl Doorway {
 
     /// The last stops on the line.
     #[must_use]
-    pub fn stop_mark(&self) -> StopMark {
+    fn stop_mark(&self) -> StopMark {
         let changed = |urgent| {
             let found = fs::metadata(self.file(stop_file(urgent)));
             found.and_then(|found| found.modified()).ok()
