@@ -4,7 +4,7 @@ use crate::retained::EStop;
 use protocol::{
     error::{Field, Refusal},
     events::EventRing,
-    system::{Chip, Done, Event, LastWords},
+    system::{Chip, Done, Event, LastWords, SetTelemetry},
     table::{Reply, Request, Response},
 };
 
@@ -68,9 +68,6 @@ impl<A, C> Executed<A, C> {
     }
 }
 
-/// Shortest and longest interval of telemetry, ms.
-pub const TELEMETRY_MS: (u16, u16) = (5, 1_000);
-
 /// Data for answering the common requests.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
@@ -94,7 +91,7 @@ impl About<'_> {
                 text: self.last_words.try_into().unwrap_or_default(),
             }),
             Request::SetTelemetry(set) => {
-                let (period_ms, (min, max)) = (set.period_ms, TELEMETRY_MS);
+                let (period_ms, (min, max)) = (set.period_ms, SetTelemetry::PERIOD_MS);
                 if period_ms != 0 && !(min..=max).contains(&period_ms) {
                     return Err(Refusal::OutOfRange {
                         field: Field::PeriodMs,

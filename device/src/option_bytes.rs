@@ -12,14 +12,3 @@ pub const fn brown_out(option_bytes: u32) -> BrownOut {
         _ => BrownOut::Off,
     }
 }
-
-/// The brown-out level of an STM32L4: BOR_LEV, bits 10 to 8 of FLASH_OPTR (RM0394). Its levels are about 1.7, 2.0,
-/// 2.2, 2.5 and 2.8 V. Each is reported as the highest STM32F411 level that it reaches.
-pub const fn stm32l4_brown_out(option_bytes: u32) -> BrownOut {
-    match option_bytes >> 8 & 7 {
-        0 | 1 => BrownOut::Off,
-        2 => BrownOut::Level1,
-        3 => BrownOut::Level2,
-        _ => BrownOut::Level3,
-    }
-}

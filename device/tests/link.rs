@@ -2,7 +2,7 @@
 //! device answers in the same way.
 
 use device::{
-    common::{About, Effect, Executed, TELEMETRY_MS},
+    common::{About, Effect, Executed},
     identity::identity,
     service::{Answers, Inbound, Incoming, Return, Service},
 };
@@ -513,7 +513,7 @@ fn the_interval_of_telemetry_has_bounds() {
         last_words: "",
         chip: CHIP,
     };
-    assert_eq!(TELEMETRY_MS, (5, 1_000));
+    assert_eq!(SetTelemetry::PERIOD_MS, (5, 1_000));
     for period_ms in [0, 5, 6, 999, 1_000] {
         let response = Response::SetTelemetry(SetTelemetry { period_ms });
         let effect = Effect::<()>::Telemetry { period_ms };

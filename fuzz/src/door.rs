@@ -10,14 +10,14 @@ use jiff::Timestamp;
 use protocol::system::{Identity, Urgent};
 
 use client::door::LONGEST_LINE;
-use client::door::lock::Plate;
-use client::door::server::{Core, Visit, WAITING_FRAMES, knocked};
+use client::door::lock::OwnerFile;
+use client::door::server::{Core, Visit, WAITING_FRAMES, read_greeting};
 use client::door::shared::Pump;
 use client::door::stream::read_line;
 use client::link::owner::Owner;
 use client::link::owner::Question;
 
-/// What was written to the line.
+/// The bytes written to the line.
 #[derive(Clone, Default)]
 struct Line(Arc<Mutex<Vec<u8>>>);
 
@@ -42,7 +42,7 @@ impl Write for Line {
 pub struct Door {
     core: Arc<Core>,
     line: Line,
-    plate: Plate,
+    owner_file: OwnerFile,
     pump: Pump,
     start: Instant,
 }
@@ -55,7 +55,7 @@ impl Door {
         Self {
             core: Core::new(Box::new(line.clone()), yields, None),
             line,
-            plate: Plate {
+            owner_file: OwnerFile {
                 owner: Owner {
                     pid: 1,
                     command: "retrograde run".to_owned(),
@@ -70,15 +70,15 @@ impl Door {
         }
     }
 
-    /// Lets a guest in that begins with these bytes: its welcome, and what it has said after its knock. `None` if it is not
+    /// Lets a guest in that begins with these bytes: its welcome, and the bytes after its greeting. `None` if it is not
     /// let in.
     #[must_use]
-    pub fn knock<'a>(&self, mut bytes: &'a [u8]) -> Option<(Guest, Vec<u8>, &'a [u8])> {
+    pub fn greet<'a>(&self, mut bytes: &'a [u8]) -> Option<(Guest, Vec<u8>, &'a [u8])> {
         let line = read_line(&mut bytes, LONGEST_LINE).ok()?;
-        let knock = knocked(&line, &self.plate).ok()?;
+        let greeting = read_greeting(&line, &self.owner_file).ok()?;
         let (frames, waiting) = sync_channel(WAITING_FRAMES);
         let visit = Visit::new(&self.core, Box::new(|| {}), frames)?;
-        let welcome = visit.welcome(&knock, &self.plate).ok()?;
+        let welcome = visit.welcome(&greeting, &self.owner_file).ok()?;
         let start = self.start;
         Some((
             Guest {
@@ -91,7 +91,7 @@ impl Door {
         ))
     }
 
-    /// What was written to the line since the last call.
+    /// The bytes written to the line since the last call.
     #[must_use]
     pub fn written(&self) -> Vec<u8> {
         std::mem::take(&mut *self.line.bytes())
@@ -153,7 +153,7 @@ impl Guest {
         self.visit.take(bytes, now)
     }
 
-    /// What it has been told since the last call.
+    /// The bytes that it was sent since the last call.
     #[must_use]
     pub fn told(&self) -> Vec<u8> {
         self.waiting.try_iter().flatten().collect()

@@ -1,4 +1,4 @@
-//! Target: anything a device might send, right or wrong, into the host tool's client and the server's keeper.
+//! Target: anything a device might send, right or wrong, into the host tool's client and the server's worker.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 

@@ -1,4 +1,4 @@
-//! Target: HTTP requests into the real router, orders and keepers of `retrograde serve`, with two machines that log
+//! Target: HTTP requests into the real router, orders and workers of `retrograde serve`, with two machines that log
 //! what reaches them. Without the token, nothing that moves or changes anything may reach them.
 
 use std::collections::BTreeSet;
@@ -15,6 +15,7 @@ use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serve::http::ROUTES;
+use serve::orders::RUN;
 use simulated_machines::link::Memory;
 use tempfile::TempDir;
 
@@ -118,25 +119,8 @@ pub enum Field {
     Any(String),
 }
 
-const FIELDS: [&str; 17] = [
-    "cycles",
-    "stroke_mm",
-    "duration_s",
-    "speed_mm_s",
-    "return_speed_mm_s",
-    "waves_per_minute",
-    "preset",
-    "accel_mm_s2",
-    "far_dwell_s",
-    "home_dwell_s",
-    "start_delay_s",
-    "on_link_loss",
-    "telemetry_ms",
-    "note",
-    "position_mm",
-    "direction",
-    "machine",
-];
+/// Fields of other commands than the run.
+const OTHER_FIELDS: [&str; 3] = ["position_mm", "direction", "machine"];
 
 /// The value of a field.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -366,7 +350,10 @@ fn body(body: &Body) -> Vec<u8> {
         Body::Fields(fields) => {
             let fields = fields.iter().map(|(field, content)| {
                 let name = match field {
-                    Field::Known(index) => FIELDS[usize::from(*index) % FIELDS.len()],
+                    Field::Known(index) => {
+                        let known = [&RUN[..], &OTHER_FIELDS].concat();
+                        known[usize::from(*index) % known.len()]
+                    }
                     Field::Any(name) => name,
                 };
                 (name.to_owned(), value(content))

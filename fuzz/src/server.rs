@@ -1,5 +1,5 @@
 //! The server in this process, without sockets and threads, for tests: requests go through the router, orders and stops through
-//! the real keepers and errands, each to its end before the answer is read. Time is that of the links.
+//! the real workers and direct requests, each to its end before the answer is read. Time is that of the links.
 
 use std::collections::BTreeMap;
 use std::future::{Future, poll_fn};
@@ -29,9 +29,9 @@ use operations::places::Places;
 use serve::ORDERS;
 use serve::access::{Access, Peer};
 use serve::board::{Board, Machine};
-use serve::errands::{self, Errand};
+use serve::direct::{self, DirectRequest};
 use serve::http::{self, App};
-use serve::keeper::Keeper;
+use serve::worker::Worker;
 
 /// The instance of this server: what keys of its commands begin with.
 pub const INSTANCE: &str = "i";
@@ -70,12 +70,12 @@ pub struct Server<'a> {
     router: Router,
     board: &'a Board,
     places: &'a Places<'a>,
-    keepers: Vec<Keeper<'a>>,
-    errands: Receiver<Errand>,
+    workers: Vec<Worker<'a>>,
+    direct: Receiver<DirectRequest>,
     leaving: &'a AtomicBool,
 }
 
-/// Ends the keeper when nothing is ordered any more.
+/// Ends the worker when nothing is ordered any more.
 struct Ends<'a> {
     connector: &'a dyn Connector,
     board: Arc<Board>,
@@ -126,7 +126,7 @@ struct EndingLink {
 
 impl Drop for EndingLink {
     fn drop(&mut self) {
-        // Nobody waits here for another attempt.
+        // There is no second attempt here to wait for.
         self.leaving.store(true, Ordering::SeqCst);
     }
 }
@@ -183,12 +183,12 @@ pub fn with<R>(
         baud: DEFAULT_BAUD,
         connector: &connector,
     };
-    let (sender, errands) = channel();
-    let keepers = board
+    let (sender, direct) = channel();
+    let workers = board
         .machines
         .iter()
         .zip(orders)
-        .map(|(machine, orders)| Keeper {
+        .map(|(machine, orders)| Worker {
             places: &places,
             board: &board,
             machine,
@@ -200,20 +200,20 @@ pub fn with<R>(
         router: http::router(Arc::new(App {
             board: Arc::clone(&board),
             access: Access::new(token.to_owned(), vec![]),
-            errands: sender,
+            direct: sender,
             listing: Semaphore::new(1),
             planning: Semaphore::new(1),
         })),
         board: &board,
         places: &places,
-        keepers: keepers.collect(),
-        errands,
+        workers: workers.collect(),
+        direct,
         leaving: &leaving,
     };
     act(&mut server)
 }
 
-/// What waiting and files of the requests need.
+/// The runtime in which requests wait and read files.
 fn runtime() -> &'static Runtime {
     static RUNTIME: OnceLock<Runtime> = OnceLock::new();
     RUNTIME.get_or_init(|| {
@@ -272,30 +272,30 @@ impl Server<'_> {
     /// Does what was asked for; false if that was nothing.
     fn work(&self) -> bool {
         let mut worked = false;
-        for errand in self.errands.try_iter() {
+        for request in self.direct.try_iter() {
             worked = true;
-            match errand {
-                Errand::Stop {
+            match request {
+                DirectRequest::Stop {
                     machine,
                     urgent,
                     wait,
                 } => {
                     if let Some(machine) = self.board.machine(machine) {
-                        errands::stop(self.places, self.board, machine, urgent, vec![wait]);
+                        direct::stop(self.places, self.board, machine, urgent, vec![wait]);
                     }
                 }
-                Errand::Ask { question, reply } => {
-                    let _ = reply.send(errands::ask(self.places, self.board, question));
+                DirectRequest::Ask { question, reply } => {
+                    let _ = reply.send(direct::ask(self.places, self.board, question));
                 }
-                Errand::End => {}
+                DirectRequest::End => {}
             }
         }
-        for keeper in &self.keepers {
-            let is_over = || self.board.actions.are_over(keeper.machine.kind);
+        for worker in &self.workers {
+            let is_over = || self.board.actions.are_over(worker.machine.kind);
             if !is_over() {
                 worked = true;
                 self.leaving.store(false, Ordering::SeqCst);
-                keeper.keep();
+                worker.work();
                 assert!(is_over(), "an order that nobody takes");
             }
         }

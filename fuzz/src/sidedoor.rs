@@ -25,9 +25,9 @@ const BREATH_US: u64 = 10_000;
 /// A step of a script.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
-    /// Somebody knocks with these bytes.
-    Knock(Vec<u8>),
-    /// A guest knocks properly; true if it wants the line.
+    /// Somebody greets with these bytes.
+    Greeting(Vec<u8>),
+    /// A guest greets properly; true if it wants the line.
     Come(bool),
     /// A guest leaves.
     Leave(u8),
@@ -91,7 +91,7 @@ pub fn target(data: &[u8]) {
     hall.still_stops();
 }
 
-fn knock(wants_line: bool) -> Vec<u8> {
+fn greeting(wants_line: bool) -> Vec<u8> {
     let text = format!(
         "{{\"retrograde_window\":{VERSION},\"token\":\"{TOKEN}\",\"wants_line\":{wants_line}}}\n"
     );
@@ -119,8 +119,8 @@ impl Hall {
 
     fn take(&mut self, step: Step) {
         match step {
-            Step::Knock(bytes) => self.come(&bytes),
-            Step::Come(wants_line) => self.come(&knock(wants_line)),
+            Step::Greeting(bytes) => self.come(&bytes),
+            Step::Come(wants_line) => self.come(&greeting(wants_line)),
             Step::Leave(at) => {
                 if let Some(at) = self.seat(at) {
                     drop(self.seats.remove(at));
@@ -183,7 +183,7 @@ impl Hall {
         if self.seats.len() == GUESTS {
             return;
         }
-        let guest = self.door.knock(bytes);
+        let guest = self.door.greet(bytes);
         let knows = String::from_utf8_lossy(bytes).contains(TOKEN)
             || bytes.windows(2).any(|pair| pair == b"\\u");
         let Some((guest, welcome, rest)) = guest else {
@@ -283,7 +283,7 @@ impl Hall {
     /// Checks that a new guest's stop still reaches the line at once, and its question the owner.
     fn still_stops(&mut self) {
         self.seats.clear();
-        self.come(&knock(false));
+        self.come(&greeting(false));
         let body = postcard::to_stdvec(&Urgent::EStop).expect("short");
         self.say(0, &model::frame(Kind::Urgent as u8, 9, 9, &body));
         self.take(Step::Notice);

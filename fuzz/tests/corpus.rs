@@ -540,7 +540,7 @@ fn far_away() -> protocol::rig::RigStatus {
 
 fn of_sidedoor() -> Vec<Example> {
     use sidedoor::Step::{
-        Again, Answer, Come, Confirm, Frame, Hello, Knock, Leave, Machine, Noise, Notice, Order,
+        Again, Answer, Come, Confirm, Frame, Greeting, Hello, Leave, Machine, Noise, Notice, Order,
         Request as Ask, Tell, Urgent as Stop, Wait,
     };
     let status = || Ask(0, 1, GetRigStatus.into_request());
@@ -622,8 +622,8 @@ fn of_sidedoor() -> Vec<Example> {
         example(
             "wrong-token",
             &[
-                Knock(b"{\"retrograde_window\":1,\"token\":\"x\"}\n".to_vec()),
-                Knock(
+                Greeting(b"{\"retrograde_window\":1,\"token\":\"x\"}\n".to_vec()),
+                Greeting(
                     b"{\"retrograde_window\":1,\"token\":\"secret\",\"more\":[1]}\n\x00\x01"
                         .to_vec(),
                 ),

@@ -54,7 +54,7 @@ use std::sync::LazyLock;
 
 use clap::builder::{OsStr, Resettable};
 use clap::error::ErrorKind;
-use clap::{CommandFactory, Parser};
+use clap::{CommandFactory, FromArgMatches, Parser};
 use client::address::Address;
 use client::link::serial::DEFAULT_BAUD;
 use client::visible;
@@ -105,6 +105,33 @@ Examples:
 
 `retrograde man run | man -l -` shows the manual page of a subcommand.";
 
+/// Subcommands as `--help` shows them: a heading, and what stands below it.
+const GROUPS: [(&str, &[&str]); 5] = [
+    (
+        "Look",
+        &["devices", "doctor", "info", "health", "watch", "serve"],
+    ),
+    (
+        "Move",
+        &[
+            "home", "run", "move", "jog", "hold", "resume", "fold", "unfold", "capsule", "stop",
+            "estop", "ack",
+        ],
+    ),
+    (
+        "Trials",
+        &["campaign", "list", "records", "verify", "report"],
+    ),
+    (
+        "Model",
+        &["plan", "design", "simulate", "fit", "plan-experiment"],
+    ),
+    (
+        "Set up",
+        &["commission", "settings", "flash", "completions", "man"],
+    ),
+];
+
 /// Peristaltic waves on the rig, a folding capsule, and the data of both.
 ///
 /// Ctrl-C stops in a controlled way and keeps the position; twice is the emergency stop. This is not a certified
@@ -124,26 +151,31 @@ pub struct Cli {
     /// Print one JSON object on standard output; everything else goes to standard error.
     #[arg(long, global = true)]
     pub json: bool,
-    /// What to do.
+    /// The subcommand.
     #[command(subcommand)]
     pub subcommand: Subcommand,
 }
 
-/// What to do.
+/// The subcommands.
 #[derive(Debug, clap::Subcommand)]
 pub enum Subcommand {
     /// List ports and the machines at them. Moves nothing.
     Devices,
-    /// Find out what is wrong with ports and machines, and what to do about it, within a second or so. Moves nothing.
+    /// Find out what is wrong with ports and machines, and what to do about it.
+    ///
+    /// Takes a second or so. Moves nothing.
     Doctor(Which),
     /// Show identity, state and last fault of the machines. Moves nothing.
     Info(Which),
     /// Find the rig's position: two passes over the home flag, then to 0.
     Home,
-    /// Run the waves: cycles away from home and back, recorded. The rig must be homed. At a terminal, the key h holds
-    /// the run, r resumes it, s stops it.
+    /// Run the waves: cycles away from home and back, recorded.
+    ///
+    /// The rig must be homed. At a terminal, the key h holds the run, r resumes it, s stops it.
     Run(Box<RunArgs>),
-    /// A campaign: a plan of trials with readings, displacements and records, which can be left and resumed at any time.
+    /// A campaign: a plan of trials with readings, displacements and records.
+    ///
+    /// It can be left and resumed at any time.
     Campaign {
         /// What to do with it.
         #[command(subcommand)]
@@ -157,14 +189,22 @@ pub enum Subcommand {
         #[command(subcommand)]
         subcommand: RecordsSubcommand,
     },
-    /// Find every change of a campaign's folder since it was written: bits, lines, files. Changes nothing.
+    /// Find every change of a campaign's folder since it was written.
+    ///
+    /// Finds changed bits, lines and files. Changes nothing.
     Verify(VerifyArgs),
-    /// Take a new board into service: switches, pulses, travel and stops, measured step by step and recorded. It can be
-    /// left at any time; the same command goes on where it was left.
+    /// Take a new board into service, step by step.
+    ///
+    /// Switches, pulses, travel and stops are measured and recorded. It can be left at any time; the same command goes
+    /// on where it was left.
     Commission(Box<CommissionArgs>),
-    /// Stop: the rig decelerates and keeps its position, the capsule is held by its worm gear.
+    /// Stop: the rig decelerates and keeps its position, the capsule stands.
+    ///
+    /// Its worm gear holds it.
     Stop(Which),
-    /// Emergency stop: cut pulses and motor current at once. It is latched, and the rig's position is lost.
+    /// Emergency stop: cut pulses and motor current at once.
+    ///
+    /// It is latched, and the rig's position is lost.
     Estop(Which),
     /// Acknowledge a latched fault after its cause was removed. Moves nothing.
     Ack(Which),
@@ -178,7 +218,9 @@ pub enum Subcommand {
     Fold(PartialArgs),
     /// Unfold the capsule's origami, recorded.
     Unfold(FoldArgs),
-    /// Hold a run that goes on without its host: decelerate, keep the position, ready to resume.
+    /// Hold a run: decelerate, keep the position, ready to resume.
+    ///
+    /// For a run that goes on without its host.
     Hold,
     /// Resume a held run, exactly as planned.
     Resume,
@@ -186,10 +228,13 @@ pub enum Subcommand {
     Jog(JogArgs),
     /// Move the rig to a position.
     Move(MoveArgs),
-    /// Watch the machines on one screen, also while another `retrograde` works with them; keys hold, resume and stop.
+    /// Watch the machines on one screen, with keys that hold, resume and stop.
+    ///
+    /// It works beside another `retrograde` that has the machines.
     Watch(WatchArgs),
-    /// Serve both machines to browsers and programs: a page, and HTTP with JSON, on this computer only unless told
-    /// otherwise. Other commands keep working beside it.
+    /// Serve both machines to browsers and programs: a page, and HTTP with JSON.
+    ///
+    /// On this computer only unless told otherwise. Other commands keep working beside it.
     Serve(ServeArgs),
     /// Show the rig's counters: false pulses, serial errors, stack use, underruns.
     Health,
@@ -204,15 +249,23 @@ pub enum Subcommand {
     },
     /// Calculate a run without a rig: durations, speeds, edges as CSV, plot as SVG.
     Plan(Box<PlanArgs>),
-    /// Calculate an origami design: lengths, shortening, the paper's requirements; drawings as SVG.
+    /// Calculate an origami design: lengths, shortening, requirements, drawings.
+    ///
+    /// The requirements are the paper's, the drawings SVG.
     Design(Box<DesignArgs>),
     /// Simulate the paper's series and free sweeps: CSV and SVG.
     Simulate(Box<SimulateArgs>),
-    /// Calibrate the model's body from recorded trials: a posterior with its uncertainty, for `simulate --model`.
+    /// Calibrate the model's body from recorded trials.
+    ///
+    /// Gives a posterior with its uncertainty, for `simulate --model`.
     Fit(Box<FitArgs>),
-    /// Plan which trials tell most about the model's body, beside the paper's procedure.
+    /// Plan which trials tell most about the model's body.
+    ///
+    /// It compares them with the paper's procedure.
     PlanExperiment(Box<PlanExperimentArgs>),
-    /// Write an HTML report of recorded trials, or of a campaign with its figures and tables.
+    /// Write an HTML report of recorded trials or of a campaign.
+    ///
+    /// That of a campaign has its figures and tables.
     Report(ReportArgs),
     /// Flash a board through probe-rs.
     Flash(FlashArgs),
@@ -279,6 +332,21 @@ struct At {
     keyboard: Option<Keyboard>,
 }
 
+/// The command line, with its subcommands in groups.
+fn command() -> clap::Command {
+    let command = Cli::command();
+    let mut help = "{about-with-newline}\n{usage-heading} {usage}\n".to_owned();
+    for (heading, names) in GROUPS {
+        help += &format!("\n{heading}:\n");
+        for name in names {
+            let about = command.find_subcommand(name).and_then(|of| of.get_about());
+            help += &format!("  {name:<15}  {}\n", about.unwrap_or_default());
+        }
+    }
+    help += "  help             Print this, or the help of a subcommand\n\nOptions:\n{options}{after-help}";
+    command.help_template(help)
+}
+
 fn run_in(
     args: impl IntoIterator<Item = OsString>,
     connector: &dyn Connector,
@@ -287,7 +355,8 @@ fn run_in(
     at: At,
 ) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
-    let mut cli = match Cli::try_parse_from(&args) {
+    let parsed = command().try_get_matches_from(&args);
+    let mut cli = match parsed.and_then(|matches| Cli::from_arg_matches(&matches)) {
         Ok(cli) => cli,
         Err(error) => {
             let error = without_environment(error, &args);
@@ -335,7 +404,7 @@ fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
     if error.kind() != ErrorKind::MissingRequiredArgument {
         return error;
     }
-    let mut command = Cli::command();
+    let mut command = command();
     for place in ["rig", "capsule"] {
         let reset = Resettable::<OsStr>::Reset;
         command = command.mut_arg(place, |arg| arg.env(reset));
@@ -398,7 +467,41 @@ fn carry_out(
         Subcommand::List(args) => list::list(args, screen),
         Subcommand::Report(args) => report::report(args, screen),
         Subcommand::Flash(args) => flash::flash(args, places, screen),
-        Subcommand::Completions { shell } => man::completions(Cli::command(), *shell, screen),
-        Subcommand::Man { subcommand } => man::man(Cli::command(), subcommand, screen),
+        Subcommand::Completions { shell } => man::completions(command(), *shell, screen),
+        Subcommand::Man { subcommand } => man::man(command(), subcommand, screen),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_subcommand_is_in_one_group_and_on_one_line() {
+        let command = command();
+        let mut known: Vec<_> = command
+            .get_subcommands()
+            .map(|of| of.get_name().to_owned())
+            .collect();
+        let mut grouped: Vec<_> = GROUPS
+            .iter()
+            .flat_map(|(_, names)| names.iter().map(|name| (*name).to_owned()))
+            .collect();
+        known.sort();
+        grouped.sort();
+        assert_eq!(grouped, known);
+        let help = self::command().render_help().to_string();
+        for (_, names) in GROUPS {
+            for name in names {
+                let lines = help.lines().filter(|line| {
+                    line.strip_prefix("  ")
+                        .and_then(|line| line.strip_prefix(name))
+                        .is_some_and(|rest| rest.starts_with("  "))
+                });
+                let lines: Vec<_> = lines.collect();
+                assert_eq!(lines.len(), 1, "{name}");
+                assert!(lines[0].len() <= 100, "{name}: {}", lines[0]);
+            }
+        }
     }
 }

@@ -332,7 +332,7 @@ fn speeds(forward_um_s: u32, return_um_s: u32, accel_um_s2: u32) -> RunRequest {
     }
 }
 
-/// What equals a limit is allowed: cycles, speed, acceleration, step rate.
+/// A request that equals a limit is allowed: cycles, speed, acceleration, step rate.
 #[test]
 fn a_limit_may_be_reached() {
     assert!(

@@ -95,7 +95,7 @@ impl Place {
     }
 }
 
-/// What is taken at once: next to nothing, as the step generator does it, or all there is.
+/// Amounts taken at once: little, as the step generator does it, or everything.
 fn shares() -> impl Strategy<Value = (usize, Share)> {
     let count = || prop_oneof![0_u32..10, 0_u32..400, Just(u32::MAX)];
     let ticks = || prop_oneof![0_u32..5_000, 0_u32..1_000_000];

@@ -317,7 +317,7 @@ fn a_refusal_counts_in_the_steps_of_the_axis() {
     }
 }
 
-/// What the solver finds and no request above reaches, and numbers that a division would trip over.
+/// Values that the solver finds and no request above reaches, and divisors of 0.
 #[test]
 fn every_error_has_its_words() {
     let words = |error, run: &Run| refusal(&error, run, &AXIS, &LIMITS);
@@ -329,7 +329,7 @@ fn every_error_has_its_words() {
         minimal_total_us: 7,
         minimal_accel_um_s2,
     };
-    // Nobody asked for a total.
+    // This request has speeds and no total.
     assert_eq!(
         words(too_short(Some(9)), &paced),
         Refusal::TooFast {

@@ -228,7 +228,8 @@ fn is_newer(a: u16, b: u16) -> bool {
     matches!(a.wrapping_sub(b), 1..0x8000)
 }
 
-fn fnv1a(bytes: &[u8]) -> u64 {
+/// FNV-1a, 64 bits (Fowler, Noll, Vo).
+pub fn fnv1a(bytes: &[u8]) -> u64 {
     bytes.iter().fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
         (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01b3)
     })

@@ -109,6 +109,11 @@ pub struct SetTelemetry {
     pub period_ms: u16,
 }
 
+impl SetTelemetry {
+    /// Shortest and longest interval, ms.
+    pub const PERIOD_MS: (u16, u16) = (5, 1_000);
+}
+
 /// Tells the device that the host is still there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

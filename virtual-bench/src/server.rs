@@ -23,7 +23,7 @@ impl Server {
     pub(crate) fn start(rig: &Rig) -> Result<Self, DoorError> {
         let process = rig.spawn(&["retrograde", "serve", "--listen", "127.0.0.1:0"])?;
         let begin = Instant::now();
-        let plate: Value = loop {
+        let server_file: Value = loop {
             if let Ok(text) = std::fs::read(rig.folder.path().join("serve.json")) {
                 break serde_json::from_slice(&text).map_err(wrong)?;
             }
@@ -32,7 +32,7 @@ impl Server {
             }
             thread::sleep(Duration::from_millis(10));
         };
-        let text = |name: &str| plate[name].as_str().unwrap_or_default().to_owned();
+        let text = |name: &str| server_file[name].as_str().unwrap_or_default().to_owned();
         let url = text("url");
         let at = url.trim_start_matches("http://").trim_end_matches('/');
         let server = Self {

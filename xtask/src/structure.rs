@@ -49,7 +49,7 @@ const LONGER_FUNCTIONS: [(&str, &str, &str); 4] = [
 ];
 /// Crates that only test: they count as tests, not as source.
 const TESTING: [&str; 3] = ["exemplars", "fuzz", "simulated-machines"];
-/// What a crate must not import.
+/// Crates that a crate must not import, and why.
 const APART: [(&str, &[&str], &str); 4] = [
     (
         "virtual-bench",
@@ -586,7 +586,7 @@ fn edges(packages: &[Package]) -> BTreeMap<String, BTreeSet<String>> {
         .collect()
 }
 
-/// What the figure of the crates lacks or has too much: it draws every dependency that does not follow from others.
+/// The differences between the figure and the manifests. It draws every dependency that does not follow from others.
 fn figure(text: &str, packages: &[Package]) -> Vec<String> {
     let drawn: BTreeSet<_> = text
         .lines()

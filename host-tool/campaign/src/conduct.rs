@@ -16,7 +16,7 @@ use jiff::Timestamp;
 use protocol::capsule::CapsuleState;
 use protocol::rig::RigState;
 use protocol::settings::GetName;
-use protocol::system::{DeviceKind, Urgent};
+use protocol::system::Urgent;
 use serde_json::{Value, json};
 use trials::experiment::ExperimentError;
 use trials::trial::{RecordError, Status};
@@ -35,14 +35,14 @@ const COMPANY_US: u64 = 50_000;
 pub trait Desk {
     /// Shows a line.
     fn say(&mut self, text: &str);
-    /// Waits for an answer. Calls `company` several times a second meanwhile, to keep the links alive.
+    /// Waits for an answer. Calls `keep_alive` several times a second meanwhile.
     ///
     /// # Errors
     /// [`Halt`].
     fn answer(
         &mut self,
         question: &Question<'_>,
-        company: &mut dyn FnMut() -> Result<(), ClientError>,
+        keep_alive: &mut dyn FnMut() -> Result<(), ClientError>,
     ) -> Result<String, Halt>;
     /// Whether a person answers, who needs to see the question and the possible answers.
     fn is_person(&self) -> bool;
@@ -182,12 +182,6 @@ impl Machines {
         })
     }
 
-    /// Origin of the data: simulated if any of the machines is.
-    #[must_use]
-    pub fn origin(&self) -> Origin {
-        self.origin
-    }
-
     /// Stops every motion that is still going on. Such a motion belongs to an attempt that the tool has left, which
     /// the ledger lists as lost. Returns the machines stopped.
     ///
@@ -219,7 +213,7 @@ impl Machines {
         Ok(stopped)
     }
 
-    fn keep_company(&mut self) -> Result<(), ClientError> {
+    fn keep_alive(&mut self) -> Result<(), ClientError> {
         self.rig.idle(COMPANY_US, &mut Unobserved)?;
         if let Some(capsule) = &mut self.capsule {
             capsule.idle(0, &mut Unobserved)?;
@@ -341,8 +335,8 @@ impl<'a> Conduct<'a> {
         }
         loop {
             let machines = &mut *self.machines;
-            let mut company = || machines.keep_company();
-            let text = match self.desk.answer(question, &mut company) {
+            let mut keep_alive = || machines.keep_alive();
+            let text = match self.desk.answer(question, &mut keep_alive) {
                 Ok(text) => text,
                 Err(Halt::Left) => return Ok(None),
                 // The operator's stop also ends the waiting.
@@ -355,15 +349,5 @@ impl<'a> Conduct<'a> {
                 answer => return Ok(Some(answer)),
             }
         }
-    }
-}
-
-/// The kinds of machine that a plan needs.
-#[must_use]
-pub fn machines_of(needs_capsule: bool) -> &'static [DeviceKind] {
-    if needs_capsule {
-        &[DeviceKind::Rig, DeviceKind::Capsule]
-    } else {
-        &[DeviceKind::Rig]
     }
 }

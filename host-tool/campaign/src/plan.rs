@@ -8,6 +8,7 @@ use client::decimal;
 use client::wording;
 use locomotion::roller;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
+use protocol::system::SetTelemetry;
 use serde::de::{Error, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use trials::cue::Cue;
@@ -58,13 +59,7 @@ impl fmt::Display for Millimetres {
 impl std::str::FromStr for Millimetres {
     type Err = decimal::DecimalError;
     fn from_str(text: &str) -> Result<Self, Self::Err> {
-        let (negative, digits) = match text.strip_prefix('-') {
-            Some(digits) => (true, digits),
-            None => (false, text),
-        };
-        // Cannot overflow: far below 2^63.
-        let um = decimal::parse(digits, 3, 1_000_000_000_000)?.cast_signed();
-        Ok(Self::from_um(if negative { -um } else { um }))
+        parse_thousandths(text).map(Self::from_um)
     }
 }
 
@@ -76,28 +71,44 @@ impl Serialize for Millimetres {
 
 impl<'de> Deserialize<'de> for Millimetres {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Number;
-        impl Visitor<'_> for Number {
-            type Value = Millimetres;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a number, for example 130 or 12.5")
-            }
-            fn visit_str<E: Error>(self, text: &str) -> Result<Millimetres, E> {
-                text.parse().map_err(E::custom)
-            }
-            fn visit_i64<E: Error>(self, value: i64) -> Result<Millimetres, E> {
-                self.visit_str(&value.to_string())
-            }
-            fn visit_u64<E: Error>(self, value: u64) -> Result<Millimetres, E> {
-                self.visit_str(&value.to_string())
-            }
-            // The shortest text of this float is what the person wrote.
-            fn visit_f64<E: Error>(self, value: f64) -> Result<Millimetres, E> {
-                self.visit_str(&value.to_string())
-            }
-        }
-        deserializer.deserialize_any(Number)
+        thousandths(deserializer).map(Self::from_um)
     }
+}
+
+/// A number of at most three decimals, in thousandths: of millimetres, seconds or mm/s².
+fn parse_thousandths(text: &str) -> Result<i64, decimal::DecimalError> {
+    let (negative, digits) = match text.strip_prefix('-') {
+        Some(digits) => (true, digits),
+        None => (false, text),
+    };
+    // Cannot overflow: far below 2^63.
+    let count = decimal::parse(digits, 3, 1_000_000_000_000)?.cast_signed();
+    Ok(if negative { -count } else { count })
+}
+
+/// The same from a plan, where it may be a number or a text.
+fn thousandths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
+    struct Number;
+    impl Visitor<'_> for Number {
+        type Value = i64;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a number, for example 130 or 12.5")
+        }
+        fn visit_str<E: Error>(self, text: &str) -> Result<i64, E> {
+            parse_thousandths(text).map_err(E::custom)
+        }
+        fn visit_i64<E: Error>(self, value: i64) -> Result<i64, E> {
+            self.visit_str(&value.to_string())
+        }
+        fn visit_u64<E: Error>(self, value: u64) -> Result<i64, E> {
+            self.visit_str(&value.to_string())
+        }
+        // The shortest text of this float is what the person wrote.
+        fn visit_f64<E: Error>(self, value: f64) -> Result<i64, E> {
+            self.visit_str(&value.to_string())
+        }
+    }
+    deserializer.deserialize_any(Number)
 }
 
 /// State of the intestine's wall.
@@ -183,15 +194,20 @@ pub struct Metadata {
 struct RunTable {
     cycles: u16,
     stroke_mm: Millimetres,
-    duration_s: Millimetres,
-    #[serde(default = "default_acceleration")]
-    acceleration_mm_s2: Millimetres,
+    #[serde(rename = "duration_s", deserialize_with = "thousandths")]
+    duration_ms: i64,
+    #[serde(
+        rename = "acceleration_mm_s2",
+        default = "default_acceleration",
+        deserialize_with = "thousandths"
+    )]
+    acceleration_um_s2: i64,
     #[serde(default = "default_telemetry_ms")]
     telemetry_ms: u16,
 }
 
-const fn default_acceleration() -> Millimetres {
-    Millimetres::from_um(trials::experiment::DEFAULT_ACCEL_UM_S2 as i64)
+const fn default_acceleration() -> i64 {
+    trials::experiment::DEFAULT_ACCEL_UM_S2 as i64
 }
 
 const fn default_telemetry_ms() -> u16 {
@@ -580,17 +596,18 @@ fn check_metadata(metadata: &Metadata) -> Result<(), String> {
 }
 
 fn run(table: &RunTable) -> Result<(Run, u16), String> {
-    let field = |key: &str, value: Millimetres| {
-        u32::try_from(value.um)
-            .map_err(|_| format!("run.{key}: {value}; use 0 to {}", u32::MAX / 1_000))
+    let field = |key: &str, value: i64| {
+        u32::try_from(value).map_err(|_| {
+            let written = decimal::write_signed(value, 3);
+            format!("run.{key}: {written}; use 0 to {}", u32::MAX / 1_000)
+        })
     };
     let run = Run {
         cycles: table.cycles,
-        stroke_um: field("stroke_mm", table.stroke_mm)?,
+        stroke_um: field("stroke_mm", table.stroke_mm.um)?,
         timing: RunTiming::Total {
-            // Written in thousandths of a second.
-            total_us: u64::from(field("duration_s", table.duration_s)?) * 1_000,
-            accel_um_s2: field("acceleration_mm_s2", table.acceleration_mm_s2)?,
+            total_us: u64::from(field("duration_s", table.duration_ms)?) * 1_000,
+            accel_um_s2: field("acceleration_mm_s2", table.acceleration_um_s2)?,
         },
         far_dwell_us: 0,
         home_dwell_us: 0,
@@ -598,9 +615,10 @@ fn run(table: &RunTable) -> Result<(Run, u16), String> {
         link_loss: LinkLossPolicy::Stop,
     };
     plan::check(&run).map_err(|error| format!("run: {}", wording::infeasible(&error)))?;
-    if !(5..=1_000).contains(&table.telemetry_ms) {
+    let (least, most) = SetTelemetry::PERIOD_MS;
+    if !(least..=most).contains(&table.telemetry_ms) {
         return Err(format!(
-            "run.telemetry_ms: {}; use 5 to 1000",
+            "run.telemetry_ms: {}; use {least} to {most}",
             table.telemetry_ms
         ));
     }

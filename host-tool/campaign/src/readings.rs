@@ -238,7 +238,7 @@ impl Readings {
 
     /// The last accepted set of i_n for an indentation.
     #[must_use]
-    pub fn between_crests(&self, indentation: &str) -> Option<&Set> {
+    fn between_crests(&self, indentation: &str) -> Option<&Set> {
         self.sets
             .iter()
             .rfind(|set| set.accepted && set.indentation.as_deref() == Some(indentation))

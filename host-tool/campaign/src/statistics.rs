@@ -111,7 +111,7 @@ impl Line {
 /// The t for which Student's distribution with `degrees` degrees of freedom has [`CONFIDENCE`] within -t to t;
 /// infinite for 0.
 #[must_use]
-pub fn student_t(degrees: usize) -> f64 {
+fn student_t(degrees: usize) -> f64 {
     if degrees == 0 {
         return f64::INFINITY;
     }

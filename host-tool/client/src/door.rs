@@ -15,14 +15,14 @@
 //! # The door's protocol
 //!
 //! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a
-//! [`Knock`], the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
+//! [`Greeting`], the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
 //! and the door acts as the device's end of a separate session. It rejects requests that are not allowed with
 //! [`protocol::error::WireError::Malformed`]. A guest need not wait for the welcome before it sends a stop.
 //!
 //! Once the limit of guests is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says
 //! so.
 //!
-//! An owner that only looks at the machine offers its line. A guest that knocks with [`Knock::wants_line`] gets it:
+//! An owner that only looks at the machine offers its line. A guest that greets with [`Greeting::wants_line`] gets it:
 //! the owner closes line and door, the guest opens the line, and the former owner comes back as a guest.
 //!
 //! New versions only add fields to the two lines. Stops work between all versions.
@@ -48,7 +48,7 @@ pub const LONGEST_LINE: usize = 2_048;
 
 /// The guest's first line.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Knock {
+pub struct Greeting {
     /// [`VERSION`] of the guest.
     pub retrograde_window: u32,
     /// The token from the runtime directory; needed where the system's permissions do not guard the door.

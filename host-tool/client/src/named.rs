@@ -12,7 +12,7 @@ use crate::address::Address;
 use crate::limited;
 
 /// Environment variable that names another file.
-pub const FILE_VARIABLE: &str = "RETROGRADE_CONFIG";
+const FILE_VARIABLE: &str = "RETROGRADE_CONFIG";
 
 /// The reason why the file cannot be used.
 #[derive(Debug, thiserror::Error)]

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use client::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
-use protocol::system::DeviceKind;
+use protocol::system::{DeviceKind, SetTelemetry};
 
 /// Folder of all records, unless the user names another.
 pub const DATA_FOLDER: &str = "retrograde-data";
@@ -46,11 +46,16 @@ pub struct RecordArgs {
     #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
     pub out: PathBuf,
     /// Interval of telemetry in ms, 5 to 1000.
-    #[arg(long, value_name = "MS", default_value_t = 10, value_parser = clap::value_parser!(u16).range(5..=1000))]
+    #[arg(long, value_name = "MS", default_value_t = 10, value_parser = telemetry_interval())]
     pub telemetry_ms: u16,
     /// A note that is kept with the trial.
     #[arg(long)]
     pub note: Option<String>,
+}
+
+fn telemetry_interval() -> RangedU64ValueParser<u16> {
+    let (least, most) = SetTelemetry::PERIOD_MS;
+    RangedU64ValueParser::new().range(u64::from(least)..=u64::from(most))
 }
 
 /// Arguments of `run`.
@@ -76,7 +81,7 @@ pub struct RunArgs {
     pub record: RecordArgs,
 }
 
-/// What the rig does when it no longer hears from the host.
+/// Reaction of the rig to a silent host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum OnLinkLoss {
     /// Decelerate, keep the position.

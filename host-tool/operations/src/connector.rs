@@ -95,7 +95,7 @@ pub trait Connector: Sync {
 struct Patience {
     /// For a connection.
     connect: Duration,
-    /// For an owner with an open door to answer a knock.
+    /// For an owner with an open door to answer a greeting.
     answer: Duration,
     /// For a line that is taken but has no door: its owner is starting or leaving, and its disk may be slow.
     change: Duration,

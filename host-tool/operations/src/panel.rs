@@ -13,6 +13,9 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
 
+/// Interval of telemetry while a machine is watched and nothing is recorded: that of the drawings, ms.
+pub const TELEMETRY_MS: u16 = 50;
+
 /// Events kept for the screen.
 const KEPT_EVENTS: usize = 60;
 

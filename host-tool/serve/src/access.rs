@@ -99,12 +99,6 @@ impl Access {
         Self { token, hosts }
     }
 
-    /// The token that requests have to carry.
-    #[must_use]
-    pub fn token(&self) -> &str {
-        &self.token
-    }
-
     /// Checks whether this request may have the access that it needs.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! State shared by keepers, requests and readers, and its JSON form.
+//! State shared by workers, requests and readers, and its JSON form.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -34,7 +34,7 @@ const WAITING_SAMPLES: usize = 64;
 /// Latest events of a machine that the state lists.
 const SHOWN_EVENTS: usize = 12;
 
-/// An order for a keeper.
+/// An order for a worker.
 pub struct Order {
     pub action: u64,
     pub work: Work,
@@ -119,7 +119,7 @@ impl Machine {
         *lock(&self.doorway) = doorway;
     }
 
-    /// Requests a stop. The keeper sends it as soon as it sees the request: within 20 ms if there is a connection.
+    /// Requests a stop. The worker sends it as soon as it sees the request: within 20 ms if there is a connection.
     pub fn stop(&self, urgent: Urgent) -> Ask {
         if let Some(doorway) = &*lock(&self.doorway) {
             doorway.mark_stop(urgent);

@@ -41,7 +41,7 @@ use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, status}
 use crate::board::{Board, Machine, Order};
 use crate::bodies::{LONGEST_BODY, object};
 use crate::connections::{Connections, Doing};
-use crate::errands::{Errand, Question, Wait};
+use crate::direct::{DirectRequest, Question, Wait};
 use crate::orders::{self, Work};
 use crate::records::{is_record, list, open};
 
@@ -105,7 +105,7 @@ pub struct App {
     /// Decides who may do what.
     pub access: Access,
     /// Queue for stops and questions.
-    pub errands: Sender<Errand>,
+    pub direct: Sender<DirectRequest>,
     /// Allows one listing of records at a time.
     pub listing: Semaphore,
     /// Allows one plan at a time, beside the threads that answer.
@@ -395,7 +395,7 @@ async fn capsule_settings(State(app): Shared) -> Response {
 
 async fn ask(app: &App, question: Question) -> Response {
     let (reply, answered) = oneshot::channel();
-    let _ = app.errands.send(Errand::Ask { question, reply });
+    let _ = app.direct.send(DirectRequest::Ask { question, reply });
     match answered.await {
         Ok(Ok(value)) => good(value),
         Ok(Err(failure)) => failed(&failure),
@@ -518,13 +518,13 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
     let mut replies = vec![];
     for machine in kinds.iter().filter_map(|kind| app.board.machine(*kind)) {
         let (reply, told) = oneshot::channel();
-        // Stop in both ways at once: through the keeper and past it.
+        // Stop in both ways at once: through the worker and past it.
         let wait = Wait {
             ask: machine.stop(urgent),
             reply,
         };
         let machine = machine.kind;
-        let _ = app.errands.send(Errand::Stop {
+        let _ = app.direct.send(DirectRequest::Stop {
             machine,
             urgent,
             wait,
@@ -630,7 +630,7 @@ async fn order(
         .ok_or_else(unknown)?
         .map_err(|failure| Box::new(failed(&failure)))?;
     let board = &app.board;
-    let (Some(keeper), Some(after)) = (board.machine(kind), after) else {
+    let (Some(worker), Some(after)) = (board.machine(kind), after) else {
         return Err(Box::new(no_machine(kind)));
     };
     let print =
@@ -660,7 +660,7 @@ async fn order(
                 after,
             };
             if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
-                keeper.orders.try_send(order)
+                worker.orders.try_send(order)
             {
                 let failure = Failure::NothingFound {
                     there: format!("too many orders for the {machine} at once; nothing was sent"),

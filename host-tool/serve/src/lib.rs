@@ -1,10 +1,10 @@
 //! A long-lived owner of both machines, for browsers and for programs in any language. docs/serve.md is its manual.
 //!
 //! ```text
-//!  browser, program --HTTP--> http: access, orders --bounded channel--> keeper (one thread a machine) --> line
+//!  browser, program --HTTP--> http: access, orders --bounded channel--> worker (one thread a machine) --> line
 //!                                   |                                                                      ^
-//!                                   +-- a stop --> errands (a thread of its own) --> door of the line's owner
-//!  browser <--server-sent events-- stream (a ring of fixed size) <-- board <-- keeper
+//!                                   +-- a stop --> direct (a thread of its own) --> door of the line's owner
+//!  browser <--server-sent events-- stream (a ring of fixed size) <-- board <-- worker
 //! ```
 //!
 //! * [`access`]: decides who may do what.
@@ -12,14 +12,14 @@
 //! * `connections`: limits the connections, and decides which one to drop.
 //! * `orders`: turns the body of a request into an order, using the command line's arguments.
 //! * `actions`: commands and their results; each is executed once.
-//! * `keeper`: connection, orders and telemetry of one machine.
+//! * `worker`: connection, orders and telemetry of one machine.
 //! * `results`: the result of an order.
-//! * `errands`: stops and questions, which bypass the keeper.
+//! * `direct`: stops and questions, which bypass the worker.
 //! * `board`: the state that all of them share, and its JSON form.
 //! * `stream`: sends events to all readers.
 //! * `campaign`: the next step of a campaign that runs in a terminal.
 //!
-//! Fuzzing drives board, keeper and errands without sockets; that is why they are public.
+//! Fuzzing drives board, worker and direct requests without sockets; that is why they are public.
 
 pub mod access;
 #[doc(hidden)]
@@ -31,15 +31,15 @@ mod bodies;
 mod campaign;
 mod connections;
 #[doc(hidden)]
-pub mod errands;
+pub mod direct;
 pub mod http;
-#[doc(hidden)]
-pub mod keeper;
 #[doc(hidden)]
 pub mod orders;
 mod records;
 mod results;
 pub mod stream;
+#[doc(hidden)]
+pub mod worker;
 
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
@@ -65,13 +65,13 @@ use tokio::time::{interval, sleep, timeout};
 
 use crate::access::{Access, LEAST_TOKEN, new_token};
 use crate::board::{Board, Machine};
-use crate::errands::{Errand, Questions};
+use crate::direct::{DirectRequest, Questions};
 use crate::http::App;
-use crate::keeper::Keeper;
+use crate::worker::Worker;
 use operations::failure::Failure;
 use operations::places::Places;
 
-/// Orders that can wait for a keeper; more are refused.
+/// Orders that can wait for a worker; more are refused.
 pub const ORDERS: usize = 8;
 /// Send buffer in the system for a reader that does not read, bytes.
 const SEND_BUFFER: u32 = 64 * 1024;
@@ -135,22 +135,22 @@ pub fn serve(
         orders.push(receiver);
     }
     let board = Arc::new(Board::new(instance.clone(), machines, options.out));
-    let (errands, to_do) = channel();
+    let (direct, to_do) = channel();
     let app = Arc::new(App {
         board: Arc::clone(&board),
         access: Access::new(token.clone(), options.hosts),
-        errands: errands.clone(),
+        direct: direct.clone(),
         listing: Semaphore::new(1),
         planning: Semaphore::new(1),
     });
 
-    let plate = Plate::put_up(&json!({
+    let server_file = ServerFile::publish(&json!({
         "url": url, "token": token, "instance": instance, "pid": std::process::id(),
     }));
     for text in introduction(&options.machines, at, &url, &token) {
         say(&text);
     }
-    if let Err(why) = &plate {
+    if let Err(why) = &server_file {
         say(&format!(
             "programs will not find this server by themselves: {why}"
         ));
@@ -160,9 +160,9 @@ pub fn serve(
     let questions = Questions::default();
     thread::scope(|scope| {
         // Dropped on panic as well, so that the threads always end.
-        let leave = Leave(&leaving, errands);
+        let leave = Leave(&leaving, direct);
         for (machine, orders) in board.machines.iter().zip(orders) {
-            let keeper = Keeper {
+            let worker = Worker {
                 places,
                 board: &board,
                 machine,
@@ -170,14 +170,14 @@ pub fn serve(
                 leaving: &leaving,
                 pressed: Arc::clone(pressed),
             };
-            scope.spawn(move || keeper.keep());
+            scope.spawn(move || worker.work());
         }
         let (board, questions) = (&*board, &questions);
-        scope.spawn(move || errands::run(scope, places, board, questions, &to_do));
+        scope.spawn(move || direct::run(scope, places, board, questions, &to_do));
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
-        // Before the keepers leave, every moving machine has to come to rest; until then stops are still accepted.
+        // Before the workers leave, every moving machine has to come to rest; until then stops are still accepted.
         runtime.block_on(async {
             while pressed().is_none() {
                 sleep(LOOK).await;
@@ -195,17 +195,17 @@ pub fn serve(
         drop(leave);
     });
     runtime.shutdown_timeout(Duration::from_millis(500));
-    drop(plate);
+    drop(server_file);
     Ok(url)
 }
 
-/// Ends keepers and errands when dropped.
-struct Leave<'a>(&'a AtomicBool, mpsc::Sender<Errand>);
+/// Ends the workers and the thread of direct requests when dropped.
+struct Leave<'a>(&'a AtomicBool, mpsc::Sender<DirectRequest>);
 
 impl Drop for Leave<'_> {
     fn drop(&mut self) {
         self.0.store(true, Ordering::Relaxed);
-        let _ = self.1.send(Errand::End);
+        let _ = self.1.send(DirectRequest::End);
     }
 }
 
@@ -333,15 +333,15 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
 }
 
 /// A file in which programs of the same user find the address of the server.
-struct Plate {
+struct ServerFile {
     file: PathBuf,
     text: String,
-    /// Held for its lock: there is one plate, and it stays that of the server that was first.
+    /// Held for its lock: there is one server file, and it stays that of the server that was first.
     _lock: File,
 }
 
-impl Plate {
-    fn put_up(content: &serde_json::Value) -> Result<Self, String> {
+impl ServerFile {
+    fn publish(content: &serde_json::Value) -> Result<Self, String> {
         Self::within(&lock::folder()?, content)
     }
 
@@ -369,7 +369,7 @@ impl Plate {
     }
 }
 
-impl Drop for Plate {
+impl Drop for ServerFile {
     fn drop(&mut self) {
         // Another server may have replaced the file.
         if fs::read_to_string(&self.file).is_ok_and(|text| text == self.text) {
@@ -437,15 +437,15 @@ mod tests {
     fn the_first_servers_plate_stays() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("serve.json");
-        let first = Plate::within(folder.path(), &json!({"url": "first"})).expect("free");
-        let second = Plate::within(folder.path(), &json!({"url": "second"}));
+        let first = ServerFile::within(folder.path(), &json!({"url": "first"})).expect("free");
+        let second = ServerFile::within(folder.path(), &json!({"url": "second"}));
         assert!(second.is_err());
         drop(second);
         let text = fs::read_to_string(&file).expect("still there");
         assert_eq!(text, first.text);
         drop(first);
         assert!(!file.exists());
-        drop(Plate::within(folder.path(), &json!({"url": "third"})).expect("free again"));
+        drop(ServerFile::within(folder.path(), &json!({"url": "third"})).expect("free again"));
     }
 
     #[test]

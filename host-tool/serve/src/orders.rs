@@ -35,7 +35,8 @@ const FOLD: [&str; 5] = [
     "telemetry_ms",
     "note",
 ];
-const RUN: [&str; 14] = [
+/// Fields of a run.
+pub const RUN: [&str; 14] = [
     "cycles",
     "stroke_mm",
     "duration_s",

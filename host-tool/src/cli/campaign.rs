@@ -30,7 +30,7 @@ use serde_json::{Value, json};
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
-/// What to do with a campaign.
+/// Subcommands of `campaign`.
 #[derive(Debug, clap::Subcommand)]
 pub enum CampaignSubcommand {
     /// Make the folder of a new campaign from a plan. Moves nothing.
@@ -106,12 +106,12 @@ pub struct EditArgs {
     /// The campaign's folder.
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// What is added to the ledger.
+    /// The row that is added to the ledger.
     #[command(subcommand)]
     pub edit: Edit,
 }
 
-/// What is added to a ledger.
+/// Rows that a person adds to a ledger.
 #[derive(Debug, clap::Subcommand)]
 pub enum Edit {
     /// Correct the displacement of a trial; the former one stays in the ledger.

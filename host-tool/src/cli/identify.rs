@@ -46,7 +46,7 @@ pub(crate) fn identify(
     }
     screen.say("  95 of 100 capsules lie within; gears, spool and rotor are taken as designed.");
     let motions = [&fold, &unfold];
-    for Motion { csv, sidecar, .. } in motions {
+    for RecordedMotion { csv, sidecar, .. } in motions {
         screen.say(&format!("  {}\n  {}", csv.display(), sidecar.display()));
     }
     Ok(json!({
@@ -57,7 +57,7 @@ pub(crate) fn identify(
 }
 
 /// A motion with its recording.
-struct Motion {
+struct RecordedMotion {
     recorded: Recorded,
     csv: PathBuf,
     sidecar: PathBuf,
@@ -69,7 +69,7 @@ fn motion(
     args: &RecordArgs,
     places: &Places<'_>,
     screen: &mut Screen<'_>,
-) -> Result<Motion, Failure> {
+) -> Result<RecordedMotion, Failure> {
     let (stem, action) = match kind {
         ActuationKind::Unfold => ("identify-unfold", "unfolding"),
         _ => ("identify-fold", "folding"),
@@ -82,7 +82,7 @@ fn motion(
     );
     completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
     let (recorded, _) = fetch(capsule, &trial.record)?;
-    Ok(Motion {
+    Ok(RecordedMotion {
         csv: write_recorded(
             &args.out,
             places.connector.now(),

@@ -9,7 +9,7 @@ use analysis::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_M
 use analysis::science::optimise::bodies::{Bodies, Care, Per};
 use analysis::science::optimise::limits::Limits;
 use analysis::science::optimise::search::{self, FREE, Proposal};
-use analysis::science::optimise::{self, Row};
+use analysis::science::optimise::{self, DesignRow};
 use analysis::science::posterior::Posterior;
 use analysis::science::{charts, model_file};
 use campaign::chance::Chance;
@@ -24,12 +24,12 @@ use crate::cli::calculation::Calculation;
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
-/// What the displacement is counted for.
+/// The unit of a displacement.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum Goal {
-    /// A wave and its way back.
+    /// Displacement of one wave, there and back.
     Wave,
-    /// The same for each crescent.
+    /// The same, divided by the number of crescents.
     Crescent,
 }
 
@@ -162,7 +162,7 @@ pub(crate) fn optimise(
     };
     let needs = limits.needs(&design)?;
     let given = Proposal::given(design, &limits)?;
-    let own = Row::of(name, &given, &limits, needs, &bodies, per)?;
+    let own = DesignRow::of(name, &given, &limits, needs, &bodies, per)?;
     let search = Search {
         limits,
         width_mm: design.width_mm(),
@@ -174,7 +174,7 @@ pub(crate) fn optimise(
     let found = search.run(args.seed, args.tries, &work)?;
     let candidates = work.map(&found, |proposal| {
         let needs = limits.needs(&proposal.design)?;
-        Row::of("front", proposal, &limits, needs, &bodies, per)
+        DesignRow::of("front", proposal, &limits, needs, &bodies, per)
     })?;
     let rows = optimise::ranked(candidates, own);
     let which = match posterior {
@@ -334,7 +334,7 @@ fn nothing(tried: u32, broken: &BTreeMap<&'static str, u32>) -> Failure {
 }
 
 /// Compares the compared design with the front, in a sentence.
-fn verdict(rows: &[Row], per: Per, fitted: bool) -> String {
+fn verdict(rows: &[DesignRow], per: Per, fitted: bool) -> String {
     let Some((own, front)) = rows.split_last() else {
         return String::new();
     };
@@ -370,7 +370,13 @@ fn verdict(rows: &[Row], per: Per, fitted: bool) -> String {
     }
 }
 
-fn say(work: &mut Calculation<'_, '_>, rows: &[Row], verdict: &str, origin: &str, limits: &Limits) {
+fn say(
+    work: &mut Calculation<'_, '_>,
+    rows: &[DesignRow],
+    verdict: &str,
+    origin: &str,
+    limits: &Limits,
+) {
     let fitted = rows.iter().any(|row| row.posterior_5_mm.is_some());
     let band = if fitted {
         "posterior band/mm"

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use analysis::figures::ModelName;
 use analysis::science::charts::trial_plan::trial_plan;
 use analysis::science::posterior::Posterior;
-use analysis::science::trial_plan::{self, Asked, Plan, Series};
+use analysis::science::trial_plan::{self, Asked, Series, TrialPlan};
 use analysis::science::{model_file, table, values};
 use calibration::belief::{Belief, LEAST_SAMPLES};
 use calibration::design::{Effort, Estimate};
@@ -23,7 +23,7 @@ use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 
-/// What the plan begins with.
+/// Knowledge of the body before the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Begin {
     /// Nothing but the prior.
@@ -32,7 +32,7 @@ pub enum Begin {
     Posterior,
 }
 
-/// What may be measured.
+/// Kinds of trial that may be planned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[value(rename_all = "snake_case")]
 pub enum Measured {
@@ -344,7 +344,7 @@ fn with_error(estimate: &Estimate) -> String {
     format!("{:>6.2} +- {:.2}", estimate.mean, estimate.error)
 }
 
-fn say(work: &mut Calculation<'_, '_>, plan: &Plan, asked: &Asked) {
+fn say(work: &mut Calculation<'_, '_>, plan: &TrialPlan, asked: &Asked) {
     let each = match asked.repeats {
         1 => "1 displacement".to_owned(),
         repeats => format!("{repeats} displacements"),
@@ -411,7 +411,7 @@ fn series(one: &Series) -> Value {
 }
 
 /// Expected logarithm of the ratio of the 95 % to the 5 % quantile, for each unknown.
-fn widths(plan: &Plan) -> Vec<Value> {
+fn widths(plan: &TrialPlan) -> Vec<Value> {
     let [recommended, as_many, all] = &plan.series;
     let estimate = |one: Estimate| json!({ "mean": one.mean, "error": one.error });
     let row = |(place, unknown): (usize, &calibration::prior::Unknown)| {

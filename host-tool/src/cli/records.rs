@@ -13,7 +13,7 @@ use trials::fetched::{self, Fetched, Kept, Nothing};
 
 use crate::cli::screen::Screen;
 
-/// What to do with the machines' own records.
+/// Subcommands of `records`.
 #[derive(Debug, clap::Subcommand)]
 pub enum RecordsSubcommand {
     /// Write what a machine still knows of its last run or actuation into a file, for example after the computer died or

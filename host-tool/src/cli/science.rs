@@ -48,7 +48,7 @@ pub struct SimulateArgs {
     pub model: ModelArgs,
 }
 
-/// What to simulate.
+/// Subcommands of `simulate`.
 #[derive(Debug, Subcommand)]
 pub enum Simulation {
     /// The tube at friction 0.08 to 0.20 and 7000 Pa (Fig. 4a).

@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 use crate::cli::settings::values::{Key, checked_name, value_of};
 
-/// What to do with settings.
+/// Subcommands of `settings`.
 #[derive(Debug, clap::Subcommand)]
 pub enum SettingsSubcommand {
     /// Show all settings with unit and range.

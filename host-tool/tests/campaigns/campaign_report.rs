@@ -712,3 +712,21 @@ fn a_calibration_takes_what_counts_and_lists_what_does_not() {
     let error = observations::read(&path, Some(0.5)).expect_err("changed");
     assert!(matches!(error, TrialsError::Changed { .. }), "{error}");
 }
+
+/// Every colour that a drawing of the report has must have one for dark pages.
+#[test]
+fn every_colour_of_a_figure_changes_on_a_dark_page() {
+    let (_place, path) = made();
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let text = page(&written);
+    let (style, body) = text.split_once("</style>").expect("a style");
+    let mut count = 0;
+    for kind in ["fill", "stroke"] {
+        for part in body.split(&format!(" {kind}=\"#")).skip(1) {
+            let rule = format!("svg [{kind}='#{}' i]", &part[..6]);
+            assert!(style.contains(&rule), "{rule}");
+            count += 1;
+        }
+    }
+    assert!(count > 100, "{count}");
+}

@@ -284,7 +284,7 @@ fn spoil(chance: &mut Chance, folder: &Path, outside: &Path) -> String {
     let was_folder = path.is_dir();
     let kind = chance.below(7);
     let what = match kind {
-        // What stands there is copied outside, so that a reader that follows the link is content.
+        // A copy of the file lies outside, so that a reader that follows the link finds nothing wrong.
         0 | 1 => {
             let copy = outside.join("copy");
             if was_folder {

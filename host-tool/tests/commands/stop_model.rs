@@ -1,5 +1,5 @@
 //! An exhaustive model of stopping, with all interleavings of the steps up to a bounded depth. Its parts: a server's
-//! requests, courier and keeper around the real [`operations::stops::Book`], another process that begins a run and
+//! requests, courier and worker around the real [`operations::stops::Book`], another process that begins a run and
 //! dies, one that takes over its line, and a rig.
 //!
 //! Two simplifications: a frame reaches the rig as soon as it is written (in reality within a millisecond), and no
@@ -80,7 +80,7 @@ struct State {
     book: Book,
     presses: Vec<Press>,
     queue: Vec<Order>,
-    /// The keeper has taken this order and has not sent it yet.
+    /// The worker has taken this order and has not sent it yet.
     taken: Option<Order>,
     courier: Courier,
     /// The rig answers.
@@ -177,7 +177,7 @@ impl State {
         if let Courier::Failed(_) = self.courier {
             then(&|state| state.tell(mends));
         }
-        // Steps of the keeper: a stop first, then an order.
+        // Steps of the worker: a stop first, then an order.
         if self.alive && self.book.unconfirmed().is_some() && self.taken.is_none() {
             then(&|state| {
                 let asked = state.book.asked();

@@ -248,7 +248,7 @@ fn whoever_does_not_keep_the_rules_harms_nobody() {
         .map(|entry| entry.expect("an entry").path())
         .find(|path| path.extension().is_some_and(|kind| kind == "door"))
         .expect("a door");
-    let knock = b"{\"retrograde_window\":1}\n";
+    let greeting = b"{\"retrograde_window\":1}\n";
     let mut visitors = vec![];
     // Visitors: silent ones, other protocols, endless lines, one that never reads, and more of them than are let in.
     for words in [
@@ -264,7 +264,7 @@ fn whoever_does_not_keep_the_rules_harms_nobody() {
     }
     for _ in 0..40 {
         let mut visitor = UnixStream::connect(&door).expect("open");
-        let _ = visitor.write_all(knock);
+        let _ = visitor.write_all(greeting);
         let _ = visitor.write_all(&[0xa5; 300]);
         visitors.push(visitor);
     }

@@ -441,7 +441,7 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
 /// Cleaners of `/tmp` delete old files: the file with the owner's name, or its lock. Without the lock, a later command
 /// once made a new one for itself and removed the door. A serial port has no second way in.
 #[test]
-fn a_stop_finds_the_door_without_its_plate() {
+fn a_stop_finds_the_door_without_its_owner_file() {
     for gone in ["owner", "lock"] {
         let bench = Bench::at_a_port(DeviceKind::Rig);
         let mut run = bench.run(&[]);

@@ -339,11 +339,12 @@ fn the_page_is_one_file_that_loads_nothing_and_may_not_be_framed() {
     }
     let other = server.get("/");
     assert!(!other.body.contains(nonce), "each page has its own");
-    // Programs of the same user find the server by its plate.
-    let plate = std::fs::read_to_string(bench.locks().join("serve.json")).expect("a plate");
-    let plate: Value = serde_json::from_str(&plate).expect("JSON");
-    assert_eq!(plate["token"], server.token.as_str());
-    assert_eq!(plate["url"], format!("http://{}/", server.at));
+    // Programs of the same user find the server by its file.
+    let server_file =
+        std::fs::read_to_string(bench.locks().join("serve.json")).expect("a server file");
+    let server_file: Value = serde_json::from_str(&server_file).expect("JSON");
+    assert_eq!(server_file["token"], server.token.as_str());
+    assert_eq!(server_file["url"], format!("http://{}/", server.at));
     let locks = bench.locks();
     assert_eq!(server.interrupt(), Some(0));
     assert!(!locks.join("serve.json").exists());

@@ -174,7 +174,7 @@ fn refused_text(pace: Pace, refusal: &Refusal) -> String {
 
 /// The action that has begun and its duration, in words.
 #[must_use]
-pub fn begun_text(begun: &Begun) -> String {
+fn begun_text(begun: &Begun) -> String {
     match begun {
         Begun::Homing(homing) => format!(
             "Homing: to the flag at {} mm/s, again at {} mm/s, then to 0; at most {} s.",

@@ -1,4 +1,4 @@
-//! What a fit of the paper's campaign costs: 2 x 5 x 10 synthetic net displacements of the default body.
+//! The cost of a fit of the paper's campaign: 2 x 5 x 10 synthetic net displacements of the default body.
 //! `cargo run --release -p calibration --example campaign`
 
 #![allow(clippy::print_stdout, clippy::unwrap_used)]

@@ -72,7 +72,7 @@ pub struct Step {
     pub ties: Vec<usize>,
 }
 
-/// The value of a sequence of trials.
+/// The information that a sequence of trials is expected to give.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judged {
     /// Gain of each trial after those before, nats.

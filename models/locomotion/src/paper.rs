@@ -1,4 +1,4 @@
-//! What the paper's experiments set: indentations and pressures.
+//! Indentations and pressures of the paper's experiments.
 
 /// The pressures of section II.B, Pa: 3000, 3400 ... 7000.
 pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {

@@ -155,7 +155,7 @@ impl Picture {
     }
 }
 
-/// What stands in a board's row.
+/// A row of a board.
 pub(super) struct Row {
     pub(super) y: i32,
     pub(super) name: &'static str,

@@ -1,20 +1,42 @@
-//! The colours of all charts.
+//! The colours of all charts, by what they mean, on a light page and on a dark one.
 
 use plotters::style::RGBColor;
 
-/// Measurements; in a chart without measurements, the model.
-pub(crate) const MEASURED: RGBColor = RGBColor(0x1f, 0x5a, 0xa8);
-/// Plans; in a chart of two models, the second one.
-pub(crate) const PLANNED: RGBColor = RGBColor(0xf0, 0xa0, 0x30);
-/// Axes and text.
-pub(crate) const INK: RGBColor = RGBColor(0x33, 0x33, 0x33);
-/// Marks data that cannot be relied on.
-pub(crate) const WARNING: RGBColor = RGBColor(0xb0, 0x1c, 0x1c);
-/// The spread over several bodies.
-pub(crate) const BAND: RGBColor = RGBColor(0x4a, 0x4a, 0x4a);
-/// Values printed in the paper.
-pub(crate) const PAPER: RGBColor = RGBColor(0xc2, 0x1f, 0x26);
-/// Trials with dry walls.
-pub(crate) const DRY: RGBColor = RGBColor(0xc0, 0x6a, 0x10);
-/// A body that folds within its run.
-pub(crate) const IN_RUN: RGBColor = RGBColor(0x3a, 0x8a, 0x4c);
+macro_rules! palette {
+    ($($(#[doc = $doc:literal])* $name:ident: $light:expr, dark $dark:expr;)*) => {
+        $($(#[doc = $doc])* pub(crate) const $name: RGBColor = $light;)*
+
+        /// Each colour, and what a dark page shows instead.
+        const ON_DARK: &[(RGBColor, RGBColor)] = &[$(($light, $dark)),*];
+    };
+}
+
+palette! {
+    /// Measurements; in a chart without measurements, the model.
+    MEASURED: RGBColor(0x1f, 0x5a, 0xa8), dark RGBColor(0x7f, 0xb2, 0xf0);
+    /// Plans; in a chart of two models, the second one.
+    PLANNED: RGBColor(0xf0, 0xa0, 0x30), dark RGBColor(0xf0, 0xa0, 0x30);
+    /// Axes and text.
+    INK: RGBColor(0x33, 0x33, 0x33), dark RGBColor(0xe6, 0xe6, 0xe6);
+    /// Marks data that cannot be relied on.
+    WARNING: RGBColor(0xb0, 0x1c, 0x1c), dark RGBColor(0xff, 0x8f, 0x8a);
+    /// The spread over several bodies.
+    BAND: RGBColor(0x4a, 0x4a, 0x4a), dark RGBColor(0xb8, 0xb8, 0xb8);
+    /// Values printed in the paper.
+    PAPER: RGBColor(0xc2, 0x1f, 0x26), dark RGBColor(0xff, 0x86, 0x8c);
+    /// Trials with dry walls.
+    DRY: RGBColor(0xc0, 0x6a, 0x10), dark RGBColor(0xe6, 0x9c, 0x4c);
+    /// A body that folds within its run.
+    IN_RUN: RGBColor(0x3a, 0x8a, 0x4c), dark RGBColor(0x74, 0xc8, 0x88);
+}
+
+/// The rules that change the drawings on a dark page. The colours are attributes of their elements, so a rule finds
+/// them by value.
+pub(crate) fn dark_style() -> String {
+    let hex = |RGBColor(r, g, b): RGBColor| format!("{r:02X}{g:02X}{b:02X}");
+    let rules = ON_DARK.iter().flat_map(|(light, dark)| {
+        let (light, dark) = (hex(*light), hex(*dark));
+        ["fill", "stroke"].map(|kind| format!("svg [{kind}='#{light}' i]{{{kind}:#{dark}}}"))
+    });
+    rules.collect()
+}

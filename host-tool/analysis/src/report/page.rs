@@ -4,14 +4,13 @@ use client::identity::Origin;
 use client::visible;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
-/// Each colour appears twice: the figures' colours are attributes of their elements, so the dark page changes them by
-/// value.
+use crate::figures::palette;
+
+/// The page without its drawings: [`palette::dark_style`] has their colours.
 const STYLE: &str = "\
 :root{color-scheme:light;--ink:#222;--soft:#555;--line:#ddd;--page:#fff;--ok:#176b2c;--bad:#a51d1d;--link:#1f5aa8;--alarm:#a51d1d}\
 @media screen and (prefers-color-scheme:dark){:root{color-scheme:dark;--ink:#e6e6e6;--soft:#a9adb5;--line:#3a3e45;--page:#15171a;\
---ok:#6fd38a;--bad:#ff8f8a;--link:#8db9f5;--alarm:#8e1b1b}\
-svg [fill='#FFFFFF' i]{fill:#15171a}svg [fill='#333333' i]{fill:#e6e6e6}svg [stroke='#333333' i]{stroke:#e6e6e6}\
-svg [fill='#1F5AA8' i]{fill:#7fb2f0}svg [stroke='#1F5AA8' i]{stroke:#7fb2f0}svg [fill='#B01C1C' i]{fill:#ff8f8a}}\
+--ok:#6fd38a;--bad:#ff8f8a;--link:#8db9f5;--alarm:#8e1b1b}}\
 *{box-sizing:border-box}\
 body{font:15px/1.45 system-ui,sans-serif;color:var(--ink);background:var(--page);max-width:66rem;margin:1.5rem auto 4rem;padding:0 1rem;overflow-wrap:anywhere}\
 h1{font-size:1.6rem;margin:.6rem 0}h2{font-size:1.2rem;margin:2.4rem 0 .4rem;border-top:1px solid var(--line);padding-top:1.2rem}\
@@ -42,7 +41,10 @@ pub(crate) fn page(title: &str, body: &Markup) -> String {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
                 title { (title) }
-                style { (PreEscaped(STYLE)) }
+                style {
+                    (PreEscaped(STYLE))
+                    "@media screen and (prefers-color-scheme:dark){" (PreEscaped(palette::dark_style())) "}"
+                }
             }
             body { (body) }
         }

@@ -14,7 +14,7 @@ use crate::science::bands::Bands;
 use crate::science::crescent::{ForceRow, ThreadRow};
 use crate::science::design::{Curves, Maps};
 use crate::science::drawing::KINEMATICS;
-use crate::science::optimise::Row;
+use crate::science::optimise::DesignRow;
 use crate::science::optimise::bodies::Per;
 use crate::science::series::{
     FRICTION_SERIES_PA, FoldTest, IsolatedRow, PAPER_ON_FRICTION_MM, RollerRow, TubeRow, TubeRun,
@@ -520,7 +520,7 @@ pub fn sweep(
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn designs(model: ModelName, per: Per, rows: &[Row]) -> Result<String, FigureError> {
+pub fn designs(model: ModelName, per: Per, rows: &[DesignRow]) -> Result<String, FigureError> {
     let Some((own, front)) = rows.split_last() else {
         return figure(&Heading::of_model("Designs", model), vec![]);
     };

@@ -1,13 +1,13 @@
 //! The crescent as a beam: force against indentation, the least alpha, displacement against thread with its band.
 
 use locomotion::beam::NoAnswer;
-use locomotion::beam::band::{INPUTS, Row, Uncertain, band};
+use locomotion::beam::band::{BandRow, INPUTS, Uncertain, band};
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::roller;
 use serde::Serialize;
 
 /// Frictions for the least alpha: the ends of the paper's range, and its middle, which the forces use.
-pub const FRICTIONS: [f64; 3] = [0.08, 0.15, 0.20];
+const FRICTIONS: [f64; 3] = [0.08, 0.15, 0.20];
 
 /// Print error for the least alpha, mm (section II.D).
 pub const PRINT_MM: f64 = 0.15;
@@ -105,7 +105,7 @@ pub fn threads_mm() -> Vec<f64> {
 #[must_use]
 pub fn thread_rows(curves: &[Vec<f64>]) -> Vec<ThreadRow> {
     let rows = band(&threads_mm(), curves);
-    let row = |row: Row| ThreadRow {
+    let row = |row: BandRow| ThreadRow {
         thread_mm: row.thread_mm,
         low_mm: row.low_mm,
         median_mm: row.median_mm,

@@ -341,7 +341,8 @@ pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String
     Ok(trials)
 }
 
-struct Row {
+/// A trial as it was read.
+struct ReadTrial {
     used: Result<Observation, String>,
     origin: Origin,
 }
@@ -444,7 +445,7 @@ impl<'a> Fields<'a> {
     }
 }
 
-fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<Row, String> {
+fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<ReadTrial, String> {
     let kind = fields.kind()?;
     let lubrication = fields.lubrication()?;
     let origin = fields.origin()?;
@@ -475,7 +476,7 @@ fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<Row, String> 
             uncertainty_mm,
         }),
     };
-    Ok(Row { used, origin })
+    Ok(ReadTrial { used, origin })
 }
 
 #[cfg(test)]

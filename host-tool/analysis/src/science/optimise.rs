@@ -20,7 +20,7 @@ use crate::science::optimise::search::Proposal;
 
 /// A design with its requirements and its displacement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Row {
+pub struct DesignRow {
     /// `front`, or the name of the design that the front is compared with.
     pub design: &'static str,
     /// Angle of the short side from the transverse axis, degrees.
@@ -62,7 +62,7 @@ pub struct Row {
     pub each_mm: Vec<f64>,
 }
 
-impl Row {
+impl DesignRow {
     /// Evaluates a design with all bodies.
     ///
     /// # Errors
@@ -135,8 +135,8 @@ impl Row {
 /// The designs that no other one dominates, sorted by length, then the compared one. Fills in how they compare with
 /// each other.
 #[must_use]
-pub fn ranked(candidates: Vec<Row>, compared: Row) -> Vec<Row> {
-    let places: Vec<_> = candidates.iter().map(Row::place).collect();
+pub fn ranked(candidates: Vec<DesignRow>, compared: DesignRow) -> Vec<DesignRow> {
+    let places: Vec<_> = candidates.iter().map(DesignRow::place).collect();
     let kept = search::front(&places);
     let mut rows: Vec<_> = kept
         .into_iter()
@@ -163,7 +163,7 @@ pub fn mean(values: &[f64]) -> f64 {
 
 /// The design of the front to use instead of the compared one: the farthest moving that is no longer.
 #[must_use]
-pub fn instead_of<'a>(front: &'a [Row], compared: &Row) -> Option<&'a Row> {
+pub fn instead_of<'a>(front: &'a [DesignRow], compared: &DesignRow) -> Option<&'a DesignRow> {
     front
         .iter()
         .filter(|row| row.length_mm <= compared.length_mm)

@@ -14,9 +14,9 @@ use serde::Serialize;
 /// Cycles of the paper's run.
 pub const PAPER_CYCLES: u16 = 5;
 /// Repeats of each of the paper's conditions.
-pub const PAPER_REPEATS: usize = 10;
+const PAPER_REPEATS: usize = 10;
 /// Mean correction of a gain, nats, above which the trials are too exact for the number of draws.
-pub const GREATEST_CORRECTION: f64 = 0.1;
+const GREATEST_CORRECTION: f64 = 0.1;
 
 /// Kind, indentation and wall of a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,7 +84,7 @@ impl Series {
 
 /// The recommended trials, and others for comparison.
 #[derive(Clone, Debug)]
-pub struct Plan {
+pub struct TrialPlan {
     /// All candidates.
     pub candidates: Vec<Condition>,
     /// The choice, step by step.
@@ -143,7 +143,7 @@ fn candidates(asked: &Asked) -> Vec<Condition> {
 ///
 /// # Errors
 /// An indentation or a body that the model does not cover.
-pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Plan>, OutOfRange> {
+pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<TrialPlan>, OutOfRange> {
     let candidates = candidates(asked);
     let displacements = asked.trials * asked.repeats;
     let whole = PAPER_REPEATS * paper(usize::MAX).len();
@@ -200,7 +200,7 @@ pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Plan>
     let [Some(recommended), Some(as_many), Some(all)] = series else {
         return Ok(None);
     };
-    Ok(Some(Plan {
+    Ok(Some(TrialPlan {
         candidates,
         steps,
         series: [recommended, as_many, all],
@@ -213,7 +213,7 @@ const AFRESH: u64 = 1 << 62;
 
 /// A row of the table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Row {
+pub struct TrialRow {
     /// Name of the series.
     pub series: &'static str,
     /// Number in it, from 1.
@@ -255,7 +255,7 @@ pub fn columns(kind: Kind) -> (&'static str, Option<u16>, Option<u16>) {
     }
 }
 
-impl Plan {
+impl TrialPlan {
     /// The candidates with as much information as the one of a step, within the error.
     #[must_use]
     pub fn ties(&self, step: usize) -> Vec<String> {
@@ -273,13 +273,13 @@ impl Plan {
 
     /// All series as rows.
     #[must_use]
-    pub fn rows(&self, uncertainty_mm: f64) -> Vec<Row> {
+    pub fn rows(&self, uncertainty_mm: f64) -> Vec<TrialRow> {
         let mut rows = vec![];
         for (number, series) in self.series.iter().enumerate() {
             for (place, planned) in series.trials.iter().enumerate() {
                 let (kind, cycles, stroke) = columns(planned.condition.case.kind);
                 let (gain, sum) = (series.judged.gains[place], series.judged.sums[place]);
-                rows.push(Row {
+                rows.push(TrialRow {
                     series: series.name,
                     trial: place + 1,
                     kind,

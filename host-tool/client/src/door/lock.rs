@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
+use protocol::session::fnv1a;
 use protocol::system::Urgent;
 use serde::{Deserialize, Serialize};
 
@@ -25,11 +26,11 @@ use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 
 /// Environment variable that names another folder for locks and doors.
-pub const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
+const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
 /// Description that the owner leaves for others.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Plate {
+pub struct OwnerFile {
     /// The process that owns the line.
     pub owner: Owner,
     /// Port of a loopback door.
@@ -54,7 +55,7 @@ pub struct Doorway {
 #[derive(Debug)]
 pub struct Lock {
     doorway: Doorway,
-    plate: Mutex<Plate>,
+    owner_file: Mutex<OwnerFile>,
     /// The record of an owner that was killed.
     left: Mutex<Option<PathBuf>>,
     // The system releases the lock when the file is closed, however the process ends.
@@ -100,10 +101,8 @@ impl Doorway {
 
     /// The doorway of a line, with its lock in this folder.
     pub fn new(folder: PathBuf, line: &str, place: String) -> Self {
-        // FNV-1a: the same in every build, and short, because the path of a socket may have at most 107 bytes.
-        let hash = line.bytes().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x100_0000_01b3)
-        });
+        // A hash that is the same in every build, and short: the path of a socket may have at most 107 bytes.
+        let hash = fnv1a(line.as_bytes());
         Self {
             folder,
             key: format!("{hash:016x}"),
@@ -148,9 +147,11 @@ impl Doorway {
             Ok(()) if cfg!(unix) && self.connect(None).is_ok() => Ok(None),
             Ok(()) => {
                 // Left by an owner that was killed.
-                let left = self.plate().and_then(|plate| plate.recording);
+                let left = self
+                    .owner_file()
+                    .and_then(|owner_file| owner_file.recording);
                 let _ = fs::remove_file(self.file("door"));
-                let plate = Plate {
+                let owner_file = OwnerFile {
                     owner: Owner::this_process(),
                     port: None,
                     token: String::new(),
@@ -161,7 +162,7 @@ impl Doorway {
                 }
                 Ok(Some(Lock {
                     doorway: self.clone(),
-                    plate: Mutex::new(plate),
+                    owner_file: Mutex::new(owner_file),
                     left: Mutex::new(left),
                     _file: file,
                 }))
@@ -173,7 +174,7 @@ impl Doorway {
 
     /// The last stops on the line.
     #[must_use]
-    pub fn stop_mark(&self) -> StopMark {
+    fn stop_mark(&self) -> StopMark {
         let changed = |urgent| {
             let found = fs::metadata(self.file(stop_file(urgent)));
             found.and_then(|found| found.modified()).ok()
@@ -198,14 +199,14 @@ impl Doorway {
     }
 
     /// The owner's description, as far as it was written.
-    pub fn plate(&self) -> Option<Plate> {
+    pub fn owner_file(&self) -> Option<OwnerFile> {
         serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
     }
 
     /// The owner of the line, as far as it was written.
     #[must_use]
     pub fn owner(&self) -> Option<Owner> {
-        self.plate().map(|plate| plate.owner)
+        self.owner_file().map(|owner_file| owner_file.owner)
     }
 
     /// Whether the owner seems to listen. It does not if there is a description but no door: the owner is setting up
@@ -214,22 +215,26 @@ impl Doorway {
         if cfg!(unix) {
             self.file("door").exists()
         } else {
-            self.plate().is_some_and(|plate| plate.port.is_some())
+            self.owner_file()
+                .is_some_and(|owner_file| owner_file.port.is_some())
         }
     }
 
-    /// Connects to the door. A socket has a fixed path: it works even if somebody has removed the plate.
-    pub fn connect(&self, plate: Option<&Plate>) -> io::Result<Stream> {
-        if plate.is_none() && !cfg!(unix) {
+    /// Connects to the door. A socket has a fixed path: it works even if somebody has removed the owner file.
+    pub fn connect(&self, owner_file: Option<&OwnerFile>) -> io::Result<Stream> {
+        if owner_file.is_none() && !cfg!(unix) {
             return Err(io::ErrorKind::NotFound.into());
         }
-        Stream::connect(&self.file("door"), plate.and_then(|plate| plate.port))
+        Stream::connect(
+            &self.file("door"),
+            owner_file.and_then(|owner_file| owner_file.port),
+        )
     }
 }
 
 impl Lock {
     /// Opens the door and publishes its owner.
-    pub fn listen(&self) -> Result<(Listener, Plate), OpenError> {
+    pub fn listen(&self) -> Result<(Listener, OwnerFile), OpenError> {
         let doorway = &self.doorway;
         #[cfg(unix)]
         let listener = Listener::unix(&doorway.file("door"));
@@ -238,24 +243,26 @@ impl Lock {
         let listener = listener.map_err(|why| doorway.error(why))?;
         let port = listener.port();
         let random = || RandomState::new().hash_one(port);
-        let mut plate = self.plate();
-        plate.port = port;
-        plate.token = port.map_or(String::new(), |_| {
+        let mut owner_file = self.owner_file();
+        owner_file.port = port;
+        owner_file.token = port.map_or(String::new(), |_| {
             format!("{:016x}{:016x}", random(), random())
         });
-        self.put_up(&plate)?;
-        Ok((listener, plate.clone()))
+        self.publish(&owner_file)?;
+        Ok((listener, owner_file.clone()))
     }
 
-    fn plate(&self) -> MutexGuard<'_, Plate> {
-        self.plate.lock().unwrap_or_else(PoisonError::into_inner)
+    fn owner_file(&self) -> MutexGuard<'_, OwnerFile> {
+        self.owner_file
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn put_up(&self, plate: &Plate) -> Result<(), OpenError> {
+    fn publish(&self, owner_file: &OwnerFile) -> Result<(), OpenError> {
         let doorway = &self.doorway;
         // Write and rename, so that a reader finds the old file or the new one, never a part.
         let (new, file) = (doorway.file("new"), doorway.file("owner"));
-        let text = serde_json::to_vec(plate).map_err(|why| doorway.error(why))?;
+        let text = serde_json::to_vec(owner_file).map_err(|why| doorway.error(why))?;
         fs::write(&new, text)
             .and_then(|()| fs::rename(&new, &file))
             .map_err(|why| doorway.error(why))
@@ -264,9 +271,9 @@ impl Lock {
     /// Publishes the record that the owner now writes; `None` when it is complete. Errors are ignored: on a full disk
     /// the record itself reports one.
     pub fn records(&self, sidecar: Option<&Path>) {
-        let mut plate = self.plate();
-        plate.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
-        let _ = self.put_up(&plate);
+        let mut owner_file = self.owner_file();
+        owner_file.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
+        let _ = self.publish(&owner_file);
         *self.left() = None;
     }
 
@@ -283,7 +290,7 @@ impl Lock {
     pub fn announce(&self) -> Result<(), OpenError> {
         // Remove the door of an owner that was killed: nobody answers there.
         let _ = fs::remove_file(self.doorway.file("door"));
-        self.put_up(&self.plate())
+        self.publish(&self.owner_file())
     }
 
     /// Lock and door of the line.
@@ -297,7 +304,7 @@ impl Drop for Lock {
         // The lock itself stays: another process may be about to take it.
         let _ = fs::remove_file(self.doorway.file("door"));
         // Keep the description of an unfinished record, for the next owner.
-        if self.plate().recording.is_none() {
+        if self.owner_file().recording.is_none() {
             let _ = fs::remove_file(self.doorway.file("owner"));
         }
     }
@@ -404,10 +411,10 @@ mod tests {
         let other = doorway(folder.path(), "other");
         assert!(other.claim().expect("possible").is_some());
         owned.announce().expect("possible");
-        let pid = one.plate().expect("announced").owner.pid;
+        let pid = one.owner_file().expect("announced").owner.pid;
         assert_eq!(pid, std::process::id());
         drop(owned);
-        assert!(one.plate().is_none());
+        assert!(one.owner_file().is_none());
         assert!(one.claim().expect("possible").is_some());
     }
 

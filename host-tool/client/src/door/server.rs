@@ -14,9 +14,9 @@ use protocol::session::{Decision, Session, Ticket};
 use protocol::system::{Done, Identity, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 
-use crate::door::lock::{Doorway, Plate};
+use crate::door::lock::{Doorway, OwnerFile};
 use crate::door::stream::{Listener, Stream, read_line};
-use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome, admits};
+use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome, admits};
 use crate::link::owner::{Question, StopMark};
 
 /// Buffer for an owner that does not read, bytes: 90 s of a full line. Beyond that new bytes are lost.
@@ -35,7 +35,7 @@ pub const GUESTS: usize = 32;
 pub const WAITING_FRAMES: usize = 512;
 
 /// Time for a guest to introduce itself, and longest silence of a guest that can only stop.
-const KNOCKING: Duration = Duration::from_secs(2);
+const GREETING_TIME: Duration = Duration::from_secs(2);
 
 /// Stack of a guest's thread, bytes; small, because many guests may come at once.
 const GUEST_STACK: usize = 256 * 1024;
@@ -445,7 +445,7 @@ impl Write for Closed {
 }
 
 /// Accepts guests until the core closes.
-pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
+pub fn serve(listener: &Listener, owner_file: &OwnerFile, core: &Arc<Core>) {
     loop {
         let stream = listener.accept();
         if core.is_closing() {
@@ -456,29 +456,29 @@ pub fn serve(listener: &Listener, plate: &Plate, core: &Arc<Core>) {
             thread::sleep(Duration::from_millis(50));
             continue;
         };
-        let (core, plate) = (Arc::clone(core), plate.clone());
+        let (core, owner_file) = (Arc::clone(core), owner_file.clone());
         let host = thread::Builder::new()
             .name("guest".to_owned())
             .stack_size(GUEST_STACK);
         // If there is no thread for it, the guest finds its connection closed.
         let _ = host.spawn(move || {
             // A guest that leaves or breaks the rules affects nobody else.
-            let _ = receive_guest(stream, &plate, &core);
+            let _ = receive_guest(stream, &owner_file, &core);
         });
     }
 }
 
-fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Result<()> {
-    stream.set_read_timeout(Some(KNOCKING))?;
-    stream.set_write_timeout(Some(KNOCKING))?;
-    let knock = knocked(&read_line(&mut stream, LONGEST_LINE)?, plate)?;
+fn receive_guest(mut stream: Stream, owner_file: &OwnerFile, core: &Arc<Core>) -> io::Result<()> {
+    stream.set_read_timeout(Some(GREETING_TIME))?;
+    stream.set_write_timeout(Some(GREETING_TIME))?;
+    let greeting = read_greeting(&read_line(&mut stream, LONGEST_LINE)?, owner_file)?;
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
     let shut = stream.try_clone()?;
     // Admit the guest before the welcome: once welcomed, it has to be able to stop the machine.
     let Some(mut visit) = Visit::new(core, Box::new(move || shut.shut()), frames) else {
         return Ok(());
     };
-    stream.write_all(&visit.welcome(&knock, plate)?)?;
+    stream.write_all(&visit.welcome(&greeting, owner_file)?)?;
     if visit.looks {
         stream.set_read_timeout(None)?;
     }
@@ -505,12 +505,12 @@ fn receive_guest(mut stream: Stream, plate: &Plate, core: &Arc<Core>) -> io::Res
 }
 
 /// Parses a guest's first line and checks whether the guest may enter.
-pub fn knocked(line: &[u8], plate: &Plate) -> io::Result<Knock> {
-    let knock: Knock = serde_json::from_slice(line)?;
-    if knock.token != plate.token {
+pub fn read_greeting(line: &[u8], owner_file: &OwnerFile) -> io::Result<Greeting> {
+    let greeting: Greeting = serde_json::from_slice(line)?;
+    if greeting.token != owner_file.token {
         return Err(io::ErrorKind::PermissionDenied.into());
     }
-    Ok(knock)
+    Ok(greeting)
 }
 
 /// A guest's session with the door.
@@ -562,13 +562,13 @@ impl Visit {
     }
 
     /// The first line sent to the guest.
-    pub fn welcome(&self, knock: &Knock, plate: &Plate) -> io::Result<Vec<u8>> {
-        if knock.wants_line {
+    pub fn welcome(&self, greeting: &Greeting, owner_file: &OwnerFile) -> io::Result<Vec<u8>> {
+        if greeting.wants_line {
             self.core.want_line();
         }
         let welcome = Welcome {
             retrograde_door: VERSION,
-            owner: plate.owner.clone(),
+            owner: owner_file.owner.clone(),
             yields: self.core.yields.load(Ordering::Relaxed),
             full: !self.looks,
         };

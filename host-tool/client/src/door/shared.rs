@@ -32,7 +32,7 @@ impl Shared {
     pub fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
         let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
-        let (listener, plate) = lock.listen()?;
+        let (listener, owner_file) = lock.listen()?;
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
             reason: Reason::Other,
@@ -55,7 +55,7 @@ impl Shared {
         };
         thread::Builder::new()
             .name("door".to_owned())
-            .spawn(move || serve(&listener, &plate, &served))
+            .spawn(move || serve(&listener, &owner_file, &served))
             .map_err(failed)?;
         Ok(shared)
     }
@@ -73,7 +73,7 @@ impl Drop for Shared {
         self.core.close();
         // Wake the door's thread with a connection; otherwise it would not see the end until somebody connects.
         let doorway = self.lock.doorway();
-        let _ = doorway.connect(doorway.plate().as_ref());
+        let _ = doorway.connect(doorway.owner_file().as_ref());
         if let Some(pump) = self.pump.take() {
             let _ = pump.join();
         }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::door::lock::Doorway;
 use crate::door::stream::{Stream, read_line};
-use crate::door::{Knock, LONGEST_LINE, VERSION, Welcome};
+use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome};
 use crate::link::owner::Owner;
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError};
@@ -30,20 +30,20 @@ impl Window {
     /// # Errors
     /// There is no door, nobody answers, or something else than a door answers.
     pub fn open(doorway: &Doorway, limit: Duration) -> io::Result<Self> {
-        Self::knock(doorway, limit, false)
+        Self::greet(doorway, limit, false)
     }
 
-    fn knock(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
-        let plate = doorway.plate();
-        let mut stream = doorway.connect(plate.as_ref())?;
+    fn greet(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
+        let owner_file = doorway.owner_file();
+        let mut stream = doorway.connect(owner_file.as_ref())?;
         stream.set_read_timeout(Some(limit))?;
         stream.set_write_timeout(Some(limit))?;
-        let knock = Knock {
+        let greeting = Greeting {
             retrograde_window: VERSION,
-            token: plate.map_or_else(String::new, |plate| plate.token),
+            token: owner_file.map_or_else(String::new, |owner_file| owner_file.token),
             wants_line,
         };
-        let mut line = serde_json::to_vec(&knock)?;
+        let mut line = serde_json::to_vec(&greeting)?;
         line.push(b'\n');
         stream.write_all(&line)?;
         let welcome = read_line(&mut stream, LONGEST_LINE)?;
@@ -106,7 +106,7 @@ impl Link for Window {
     fn want_line(&mut self) -> bool {
         // An owner that has ended has also given the line up.
         if self.yields {
-            let _ = Self::knock(&self.doorway, Duration::from_secs(1), true);
+            let _ = Self::greet(&self.doorway, Duration::from_secs(1), true);
         }
         self.yields
     }

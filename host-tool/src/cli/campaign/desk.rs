@@ -98,7 +98,7 @@ impl Desk for Counter<'_, '_> {
     fn answer(
         &mut self,
         question: &Question<'_>,
-        company: &mut dyn FnMut() -> Result<(), ClientError>,
+        keep_alive: &mut dyn FnMut() -> Result<(), ClientError>,
     ) -> Result<String, Halt> {
         let lines = match &self.who {
             Who::Nobody(_) if (self.interrupt)().is_some() => return Err(Halt::Left),
@@ -117,7 +117,7 @@ impl Desk for Counter<'_, '_> {
                 Ok(line) => return Ok(line),
                 Err(TryRecvError::Disconnected) => return Err(Halt::Left),
                 Err(TryRecvError::Empty) => {
-                    company().map_err(Halt::Client)?;
+                    keep_alive().map_err(Halt::Client)?;
                     thread::sleep(TURN);
                 }
             }

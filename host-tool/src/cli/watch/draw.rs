@@ -11,7 +11,7 @@ use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Style};
 
 /// Minimum columns and rows.
-pub const LEAST: (u16, u16) = (80, 24);
+const LEAST: (u16, u16) = (80, 24);
 
 /// Help on the keys.
 pub(crate) const KEYS: &str = " h hold   r resume   s STOP   e EMERGENCY STOP   q leave";

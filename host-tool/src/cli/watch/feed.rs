@@ -14,16 +14,13 @@ use operations::connector::Purpose;
 use operations::delivery::DO_NOW;
 use operations::failure::Failure;
 use operations::left;
-use operations::panel::{self, Contact, MOVES_ALREADY, Notice, Panel};
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice, Panel, TELEMETRY_MS};
 use operations::places::{Places, Target};
 use operations::stops::{Ask, Stops};
 use protocol::error::Refusal;
 use protocol::rig;
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::Telemetry;
-
-/// Interval of telemetry if this process owns the line: that of the drawings.
-const TELEMETRY_MS: u16 = 50;
 
 /// Interval between two status requests, us. Each goes through the owner of the line.
 const ASK_US: u64 = 250_000;

@@ -157,7 +157,7 @@ pub fn curve(
 
 /// The band at one length of thread.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Row {
+pub struct BandRow {
     /// Thread drawn in, mm.
     pub thread_mm: f64,
     /// 5 % of the kept draws lie below, mm.
@@ -171,14 +171,14 @@ pub struct Row {
 }
 
 /// The band of the kept curves. Each curve is one draw, with a value for each length of thread. Empty without curves.
-pub fn band(threads_mm: &[f64], curves: &[Vec<f64>]) -> Modelled<Vec<Row>> {
+pub fn band(threads_mm: &[f64], curves: &[Vec<f64>]) -> Modelled<Vec<BandRow>> {
     let rows = threads_mm.iter().enumerate().filter_map(|(i, thread_mm)| {
         let mut values: Vec<f64> = curves.iter().map(|curve| curve[i]).collect();
         values.sort_unstable_by(f64::total_cmp);
         let last = values.len().checked_sub(1)?;
         let at = |part: f64| values[libm::round(part * last as f64) as usize];
         let reversed = values.iter().filter(|value| **value < -1.0).count();
-        Some(Row {
+        Some(BandRow {
             thread_mm: *thread_mm,
             low_mm: at(0.05),
             median_mm: at(0.5),

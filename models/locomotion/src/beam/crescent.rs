@@ -143,8 +143,7 @@ impl Wing {
         let sin = libm::sin(root_rad);
         let mut law = Law {
             step_mm: deepest_mm / f64::from(steps.max(1)),
-            // Small deflection: V0 = 3 B e / (L^3 sin^2), T = tan.
-            stiffness_n_mm: 3.0 * bending / (length * length * length * sin * sin),
+            // Small deflection: T = tan.
             force_n: Vec::from([0.0]),
             lever: Vec::from([libm::tan(root_rad)]),
             lock_n: CLAMPED_PINNED * bending / (length * length) * sin,
@@ -330,7 +329,6 @@ pub struct Squeezed {
 #[derive(Clone, Debug)]
 pub struct Law {
     step_mm: f64,
-    stiffness_n_mm: f64,
     force_n: Vec<f64>,
     lever: Vec<f64>,
     lock_n: f64,
@@ -345,11 +343,6 @@ impl Law {
     /// The lever T at an indentation within the law.
     pub fn lever(&self, indentation_mm: f64) -> f64 {
         self.between(&self.lever, indentation_mm)
-    }
-
-    /// Force over indentation at first touch, N/mm.
-    pub fn stiffness_n_mm(&self) -> f64 {
-        self.stiffness_n_mm
     }
 
     /// Axial force at which a locked wing buckles, N: that of a clamped and pinned strut.

@@ -4,7 +4,7 @@ use plotters::style::RGBColor;
 
 use crate::figures::{Curve, FigureError, Heading, Mark, ModelName, figure};
 use crate::science::charts::{BAND, MODEL, PAPER, chart, curve, family};
-use crate::science::trial_plan::{Plan, Series};
+use crate::science::trial_plan::{Series, TrialPlan};
 
 /// Joint information over the number of displacements, from zero, with its standard errors.
 fn sums(series: &Series) -> Vec<(f64, f64, f64)> {
@@ -26,7 +26,7 @@ fn line(series: &Series, label: &str, colour: RGBColor) -> Curve {
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn trial_plan(model: ModelName, plan: &Plan) -> Result<String, FigureError> {
+pub fn trial_plan(model: ModelName, plan: &TrialPlan) -> Result<String, FigureError> {
     let [recommended, as_many, _] = &plan.series;
     let ends = sums(recommended);
     let low = ends.iter().map(|(x, y, error)| (*x, y - 2.0 * error));

@@ -12,9 +12,9 @@ use crate::science::optimise::limits::{Limits, MOST_ALPHA_DEG, MOST_CORE_RATIO};
 /// Free numbers of a design.
 pub const FREE: usize = 4;
 /// Largest beta of the search, degrees.
-pub const MOST_BETA_DEG: f64 = 70.0;
+const MOST_BETA_DEG: f64 = 70.0;
 /// Least difference of beta and alpha, degrees: below it the crescents are thinner than a printer can print.
-pub const LEAST_BETWEEN_DEG: f64 = 2.0;
+const LEAST_BETWEEN_DEG: f64 = 2.0;
 
 /// A design to be tried.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,7 +128,7 @@ pub fn dominates(one: (f64, f64), other: (f64, f64)) -> bool {
 }
 
 /// Displacements below this count as none, mm: the ripple of the model.
-pub const NOWHERE_MM: f64 = 0.05;
+const NOWHERE_MM: f64 = 0.05;
 
 /// Indices of the designs that move at all and that no other one dominates, from short to long. Of equal designs it
 /// keeps the first.

@@ -151,20 +151,20 @@ fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_
 fn at_a_loopback_door_the_token_decides() {
     let (core, written) = core();
     let listener = Listener::loopback().expect("a free port");
-    let plate = Plate {
+    let owner_file = OwnerFile {
         owner: crate::link::owner::Owner::this_process(),
         port: listener.port(),
         token: "secret".to_owned(),
         recording: None,
     };
-    let (served, shown) = (Arc::clone(&core), plate.clone());
+    let (served, shown) = (Arc::clone(&core), owner_file.clone());
     thread::spawn(move || serve(&listener, &shown, &served));
     let visit = |token: &str| {
-        let mut stream = Stream::connect("".as_ref(), plate.port).expect("open");
-        let knock = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
+        let mut stream = Stream::connect("".as_ref(), owner_file.port).expect("open");
+        let greeting = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
         let stop = encode(STOP, &Urgent::EStop).expect("fits");
         // The guest does not wait for the welcome.
-        stream.write_all(knock.as_bytes()).expect("sent");
+        stream.write_all(greeting.as_bytes()).expect("sent");
         let _ = stream.write_all(&stop);
         read_line(&mut stream, LONGEST_LINE)
     };
@@ -174,7 +174,7 @@ fn at_a_loopback_door_the_token_decides() {
     }
     let welcome = visit("secret").expect("welcome");
     let welcome: Welcome = serde_json::from_slice(&welcome).expect("JSON");
-    assert_eq!(welcome.owner, plate.owner);
+    assert_eq!(welcome.owner, owner_file.owner);
     let sent = written.recv_timeout(Duration::from_secs(2)).expect("sent");
     assert_eq!(header(&sent).expect("a frame").kind, Kind::Urgent);
     core.close();

@@ -14,7 +14,7 @@ use commissioning::warning;
 use operations::arguments::{DATA_FOLDER, RecordArgs};
 use operations::connector::Purpose;
 use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
-use operations::panel::{self, Contact, MOVES_ALREADY, Notice};
+use operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use operations::places::Places;
 use operations::{ending, left, reached};
 use protocol::error::Refusal;
@@ -30,9 +30,6 @@ use crate::board::{Board, Lease, Machine, Order};
 use crate::orders::Work;
 use crate::results::server_ends;
 use crate::results::{ended, files, lost, overtaken, place};
-
-/// Telemetry interval while nothing is recorded, ms.
-const TELEMETRY_MS: u16 = 50;
 
 /// Interval between status requests, us.
 const ASK_US: u64 = 250_000;
@@ -75,7 +72,7 @@ impl From<Value> for Outcome {
 /// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
 type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
 
-pub struct Keeper<'a> {
+pub struct Worker<'a> {
     pub places: &'a Places<'a>,
     pub board: &'a Board,
     pub machine: &'a Machine,
@@ -85,9 +82,9 @@ pub struct Keeper<'a> {
     pub pressed: Interrupt,
 }
 
-impl Keeper<'_> {
+impl Worker<'_> {
     /// Keeps the machine until the server shuts down, and reconnects whenever the line is lost.
-    pub fn keep(&self) {
+    pub fn work(&self) {
         // An order that waits until this server owns the line.
         let mut waiting = None;
         while !self.is_leaving() {
@@ -364,7 +361,7 @@ impl Keeper<'_> {
             }));
         }
         let mut busy = Busy {
-            keeper: self,
+            worker: self,
             action,
             kind: work.kind(),
             pacing: Pacing::default(),
@@ -598,7 +595,7 @@ fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>> {
 }
 
 /// Handles what the machine sends while no order is executed.
-struct Seen<'a>(&'a Keeper<'a>);
+struct Seen<'a>(&'a Worker<'a>);
 
 impl Observer for Seen<'_> {
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
@@ -611,7 +608,7 @@ impl Observer for Seen<'_> {
 
 /// Handles what the machine sends during an action, and takes orders meanwhile.
 struct Busy<'a> {
-    keeper: &'a Keeper<'a>,
+    worker: &'a Worker<'a>,
     action: u64,
     kind: &'static str,
     pacing: Pacing,
@@ -620,8 +617,8 @@ struct Busy<'a> {
 impl Busy<'_> {
     /// Takes orders during an action: a hold or a resume of a run, and nothing else.
     fn look(&mut self) {
-        let keeper = self.keeper;
-        while let Ok(order) = keeper.orders.try_recv() {
+        let worker = self.worker;
+        while let Ok(order) = worker.orders.try_recv() {
             let pace = match order.work {
                 Work::Hold => Some(Pace::Hold),
                 Work::Resume => Some(Pace::Resume),
@@ -634,17 +631,17 @@ impl Busy<'_> {
                 }
                 _ => {
                     drop(pacing);
-                    let machine = client::identity::kind_name(keeper.machine.kind);
+                    let machine = client::identity::kind_name(worker.machine.kind);
                     let failure = Failure::Refused {
                         why: format!("the {machine} is busy: `{}` is under way", self.kind),
                         help: "nothing was moved by this request; wait for the end, or stop it"
                             .to_owned(),
                     };
-                    keeper.refuse(&order, &failure);
+                    worker.refuse(&order, &failure);
                 }
             }
         }
-        keeper.board.flush(keeper.machine, false);
+        worker.board.flush(worker.machine, false);
     }
 
     /// Reports the end of the hold or resume that is waiting for it.
@@ -652,12 +649,12 @@ impl Busy<'_> {
         let Some((action, pace, _)) = held(&self.pacing).take() else {
             return;
         };
-        let board = self.keeper.board;
+        let board = self.worker.board;
         match end(pace) {
             Ok(result) => board.ended(action, result, None),
             Err(failure) => {
                 board.ended(action, Value::Null, Some(failure));
-                board.notice(self.keeper.machine, Notice::Bad(failure.in_one_line()));
+                board.notice(self.worker.machine, Notice::Bad(failure.in_one_line()));
             }
         }
     }
@@ -665,7 +662,7 @@ impl Busy<'_> {
 
 impl Observer for Busy<'_> {
     fn begun(&mut self, begun: &Begun) {
-        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.keeper.machine.panel().rig)
+        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.worker.machine.panel().rig)
         {
             // The panel is otherwise stale until the next status request.
             status.run = accepted.run;
@@ -678,18 +675,18 @@ impl Observer for Busy<'_> {
             Begun::Actuation(accepted) => json!(accepted),
             Begun::Move(accepted) => json!(accepted),
         };
-        self.keeper.board.accepted(self.action, accepted);
+        self.worker.board.accepted(self.action, accepted);
     }
 
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
-        self.keeper
+        self.worker
             .board
-            .sample(self.keeper.machine, sample, missed);
+            .sample(self.worker.machine, sample, missed);
     }
 
     fn event(&mut self, event: &Event) {
-        self.keeper.board.event(self.keeper.machine, event);
-        let at = |steps: i32| json!({ "position_steps": steps, "position_um": self.keeper.machine.panel().rig.map(|status| status.position_um) });
+        self.worker.board.event(self.worker.machine, event);
+        let at = |steps: i32| json!({ "position_steps": steps, "position_um": self.worker.machine.panel().rig.map(|status| status.position_um) });
         let waiting = held(&self.pacing).map(|(_, pace, _)| pace);
         match (event.what, waiting) {
             (What::Rig(RigEvent::Held { position_steps }), Some(Pace::Hold)) => {
@@ -698,7 +695,7 @@ impl Observer for Busy<'_> {
             }
             (What::Rig(RigEvent::Resumed), Some(Pace::Resume)) => {
                 let steps = self
-                    .keeper
+                    .worker
                     .machine
                     .panel()
                     .rig
@@ -739,14 +736,14 @@ impl Observer for Busy<'_> {
                 "elapsed_us": elapsed_us, "total_us": at_most_us, "thread_um": thread_um, "current_ma": current_ma,
             }),
         };
-        let keeper = self.keeper;
-        keeper
+        let worker = self.worker;
+        worker
             .board
             .actions
             .update(self.action, |action| action.progress = shown);
         {
             // The wait has asked for the status; copy to the panel what telemetry does not contain.
-            let mut panel = keeper.machine.panel();
+            let mut panel = worker.machine.panel();
             if let (
                 Progress::Run {
                     elapsed_us,
@@ -765,14 +762,14 @@ impl Observer for Busy<'_> {
 
     fn unrecorded(&mut self, why: &str) {
         let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
-        self.keeper
+        self.worker
             .board
-            .notice(self.keeper.machine, Notice::Bad(notice));
+            .notice(self.worker.machine, Notice::Bad(notice));
     }
 
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         let failure = Failure::Client(ClientError::Refused {
-            place: self.keeper.machine.address.to_string(),
+            place: self.worker.machine.address.to_string(),
             request: match pace {
                 Pace::Hold => "Hold",
                 Pace::Resume => "Resume",

@@ -1,6 +1,5 @@
-//! Errands: requests that bypass the keeper, each on a thread of its own. These are stops, which wait for nothing, and
-//! questions. Questions go through the door like those of other processes, so they are answered while the keeper
-//! works.
+//! Direct requests bypass the worker, each on a thread of its own: stops, which wait for nothing, and questions.
+//! Questions go through the door like those of other processes, so they are answered while the worker works.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -26,8 +25,8 @@ use operations::stops::Ask;
 /// Maximum questions in progress.
 const QUESTIONS: usize = 4;
 
-/// Time for the keeper to confirm a stop that failed on its direct way.
-const KEEPERS: Duration = Duration::from_secs(1);
+/// Time for the worker to confirm a stop that failed on its direct way.
+const WORKER_TIME: Duration = Duration::from_secs(1);
 
 /// A question to a machine.
 #[derive(Clone, Copy, Debug)]
@@ -53,8 +52,8 @@ pub struct Wait {
     pub reply: oneshot::Sender<Told>,
 }
 
-/// A task that bypasses the keeper.
-pub enum Errand {
+/// A task that bypasses the worker.
+pub enum DirectRequest {
     Stop {
         machine: DeviceKind,
         urgent: Urgent,
@@ -91,13 +90,13 @@ impl Drop for Counted<'_> {
     }
 }
 
-/// Dispatches errands until the server shuts down.
+/// Dispatches direct requests until the server shuts down.
 pub fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
     places: &'scope Places<'scope>,
     board: &'scope Board,
     questions: &'scope Questions,
-    errands: &Receiver<Errand>,
+    direct: &Receiver<DirectRequest>,
 ) {
     // One courier per kind of stop, so that an emergency stop never waits for an ordinary one.
     let mut couriers = vec![];
@@ -113,10 +112,10 @@ pub fn run<'scope>(
             });
         }
     }
-    for errand in errands {
-        match errand {
-            Errand::End => return,
-            Errand::Stop {
+    for request in direct {
+        match request {
+            DirectRequest::End => return,
+            DirectRequest::Stop {
                 machine,
                 urgent,
                 wait,
@@ -129,7 +128,7 @@ pub fn run<'scope>(
                     let _ = waits.send(wait);
                 }
             }
-            Errand::Ask { question, reply } => match Counted::take(questions) {
+            DirectRequest::Ask { question, reply } => match Counted::take(questions) {
                 None => {
                     let _ = reply.send(Err(Failure::NothingFound {
                         there: "too many questions at once: ask again".to_owned(),
@@ -148,7 +147,7 @@ pub fn run<'scope>(
 }
 
 /// Stops a machine once for everybody who waits for it. The stop goes through the door of the line's owner (usually
-/// the keeper) or over a line of its own. If that fails, it waits for the keeper, which sends the stop as well.
+/// the worker) or over a line of its own. If that fails, it waits for the worker, which sends the stop as well.
 pub fn stop(
     places: &Places<'_>,
     board: &Board,
@@ -169,7 +168,7 @@ pub fn stop(
     } else {
         let begin = Instant::now();
         let is_open = |wait: &Wait| !stops.is_confirmed(wait.ask);
-        while begin.elapsed() < KEEPERS && waits.iter().any(is_open) {
+        while begin.elapsed() < WORKER_TIME && waits.iter().any(is_open) {
             thread::sleep(Duration::from_millis(5));
         }
         if waits.iter().any(is_open) {
