@@ -252,6 +252,7 @@ impl Capsule {
         if actuation.taut.count == 0 && actuation.prolongations > 0 && to < further {
             // A motor that starts too fast is braked, and its current does not count for a while: extend the zone.
             actuation.prolongations -= 1;
+            actuation.governor.hold_less();
             actuation.leg = Leg::PayOut {
                 taut_to: Some(further),
                 to,
@@ -259,7 +260,6 @@ impl Capsule {
             return Ok(());
         }
         actuation.leg = Leg::PayOut { taut_to: None, to };
-        // No verdict without steady readings: the next fold will find a broken thread.
         let tension_ma = actuation
             .winding_ma
             .zip(actuation.taut.mean())
@@ -272,7 +272,10 @@ impl Capsule {
             _ => 0,
         };
         let least_ma = least_ma.max(LEAST_TENSION_MA);
-        if tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
+        // Without steady readings nothing shows that the thread holds. Only a partial unfolding may be too short for
+        // them; it does not end at an end.
+        let told = tension_ma.is_some() || actuation.kind == ActuationKind::FoldTo;
+        if !told || tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
             return Err(CapsuleFault::SlipOrBreak);
         }
         let back_emf_uv_cps = actuation.back_emf_uv_cps;
