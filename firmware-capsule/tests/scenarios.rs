@@ -313,6 +313,22 @@ fn zero_is_not_passed_after_a_reset() {
     }
 }
 
+/// A cut of the power, a watchdog, an emergency stop or a silent host, at any instant: the manual's way out leads to an
+/// unfolded capsule, or says that it needs a hand. 68 and 176 are those of the first 300 whose reference run finds
+/// another rise than their calibration.
+#[test]
+fn there_is_a_way_out_of_every_state() {
+    for seed in (0..40).chain([68, 176]) {
+        let (end, least_mm, left_mm) = cases::rescued(seed);
+        assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
+        match end.as_str() {
+            "Unfolded" => assert!(left_mm < 1.75, "seed {seed}: {left_mm} mm"),
+            "a hand: NotCalibrated" => {}
+            _ => assert!([68, 176].contains(&seed), "seed {seed}: {end}"),
+        }
+    }
+}
+
 #[test]
 fn the_motor_sleeps_in_every_resting_state() {
     let mut sim = nominal();
