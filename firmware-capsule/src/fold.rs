@@ -497,7 +497,7 @@ impl Capsule {
             self.zero,
             load,
             stopping,
-            (calibration, &self.settings),
+            (calibration, &actuation.settings),
         );
         // Accept no end that was found by current or counts which contradict each other.
         let ends = matches!(
