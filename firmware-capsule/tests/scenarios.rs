@@ -561,11 +561,11 @@ fn the_folded_end_stays_where_it_was_while_the_friction_changes() {
 #[test]
 fn more_friction_is_no_jam() {
     for times in [1.1, 1.2, 1.3, 1.4] {
-        let jammed = match times {
-            1.4 => &[39, 70, 87, 176, 178, 192, 237, 240, 243, 288][..],
-            _ => &[243],
+        let (some, jammed) = match times {
+            1.4 => (2, &[39, 70, 87, 176, 178, 192, 237, 240, 243, 288][..]),
+            _ => (30, &[243][..]),
         };
-        for seed in (0..30).chain(jammed.iter().copied()) {
+        for seed in (0..some).chain(jammed.iter().copied()) {
             let changes = [Defect::Friction(times)];
             let (name, least_mm, _) =
                 cases::lives_on_with(Parameters::lifelike(seed), seed, &changes);
