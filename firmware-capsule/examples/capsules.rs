@@ -146,6 +146,12 @@ fn lives(count: u64) {
             counted(found.iter().map(|f| &f.0))
         );
     }
+    let found = verdict::all(count, cases::rescued);
+    let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+    println!(
+        "| the way out after a cut, a watchdog, an emergency stop or a silent host | {count} | {} | {least:.3} | - |",
+        counted(found.iter().map(|f| &f.0))
+    );
 }
 
 /// Each effect alone, as large as it is and twice as large: what it does to healthy capsules, and to the names of the others.

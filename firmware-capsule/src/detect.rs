@@ -120,6 +120,8 @@ pub struct Load {
     pub resisted: bool,
     /// The motor is losing speed suddenly: its momentum pulls until it stands.
     pub struck: bool,
+    /// The motor has made no progress for 40 ms although it is driven.
+    pub stands: bool,
     /// The last readings show no current although some was ordered.
     pub silent: bool,
 }
@@ -299,6 +301,7 @@ impl Detector {
         // A surplus may be a short circuit, which has its own debounce. It is not an end force.
         load.end_force &= !surplus;
         let stands = self.stands_still(now_us, counts);
+        load.stands = stands;
         if load.end_force {
             // A motor whose encoder is lost reads as standing here, and would go on pulling.
             let name = self.counts_nothing().then(|| self.name_of_standstill());
@@ -368,6 +371,7 @@ impl Detector {
             long_rise_from,
             resisted: slowed || above(settings.resisted_ma),
             struck: slowed,
+            stands: false,
             silent: self.window.is_driven(SILENT_READINGS) && self.draws_nothing(SILENT_READINGS),
         }
     }

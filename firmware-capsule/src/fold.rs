@@ -443,6 +443,7 @@ impl Capsule {
                 // The motor cannot wind the thread with all its current, so the thread pulls.
                 (Err(Trip::Blocked), Leg::Feel { .. }) => Load {
                     end_force: true,
+                    stands: true,
                     ..Load::default()
                 },
                 (checked, _) => checked.map_err(|trip| fault_of(trip, thread))?,
@@ -488,12 +489,15 @@ impl Capsule {
         };
         let stopping = actuation.detector.stopping_distance();
         let counts = self.sample.counts;
+        // A calibration that has found its end is not held to the end of the one before.
+        let found = actuation.found.is_some();
+        let calibration = self.calibration.as_ref().filter(|_| !found);
         let decided = actuation.leg.decide(
             counts,
             self.zero,
             load,
             stopping,
-            (self.calibration.as_ref(), &self.settings),
+            (calibration, &actuation.settings),
         );
         // Accept no end that was found by current or counts which contradict each other.
         let ends = matches!(
@@ -520,7 +524,7 @@ impl Capsule {
             }
             Decision::Reverse(leg) => leg,
             Decision::Felt(leg) => {
-                actuation.winding_ma = load.excess_ma.and(actuation.detector.mean_ma());
+                actuation.winding_ma = actuation.detector.mean_ma();
                 leg
             }
             Decision::EndFound {
@@ -646,9 +650,14 @@ impl Capsule {
         if matches!(purpose, Purpose::Check { .. }) {
             return Ok(None);
         }
-        Ok(Some(Leg::PayOut {
-            to: Thread(0),
-            taut_to: Some(self.taut_to()),
+        // A motor that was braked just now shows no pull: wind on from here, and feel it.
+        let reads = matches!(&self.mode, Mode::Moving(moving) if moving.winding_ma.is_some());
+        Ok(Some(match reads {
+            true => Leg::PayOut {
+                to: Thread(0),
+                taut_to: Some(self.taut_to()),
+            },
+            false => Leg::feel(self.sample.counts, Thread(0)),
         }))
     }
 

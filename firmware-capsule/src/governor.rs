@@ -56,6 +56,12 @@ impl Governor {
         self.ordered_ma
     }
 
+    /// Takes a third off the integral part. A motor whose load falls is braked again and again otherwise, and never
+    /// turns steadily.
+    pub fn hold_less(&mut self) {
+        self.integral_ua -= self.integral_ua / 3;
+    }
+
     /// Drives the motor against its direction, which brakes it harder than a short circuit.
     pub fn plug(&mut self, cps: i32, settings: &Settings) -> Effort {
         self.ordered_ma = None;

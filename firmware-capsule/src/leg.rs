@@ -81,7 +81,12 @@ pub enum Purpose {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
     /// Pay out to this thread length.
-    PayOut(Thread),
+    PayOut {
+        /// Where to stop.
+        to: Thread,
+        /// Tries left, should there be no reading.
+        left: u8,
+    },
     /// Back off further if the thread pulls; otherwise try again to find the end.
     BackOff {
         /// Where the reference run began.
@@ -135,14 +140,12 @@ pub enum Leg {
         /// Purpose of the run.
         purpose: Purpose,
     },
-    /// Pay out a little, to measure the rise on a second try.
+    /// Pay out a little, to have room for winding and feeling.
     BackOff {
         /// Where to stop.
         to: Counts,
-        /// Where the reference run began.
-        origin: Counts,
-        /// Back-offs left after this one.
-        left: u8,
+        /// Continuation once the pull is known.
+        then: Then,
     },
     /// Wind a little, to feel whether the thread pulls.
     Feel {
@@ -212,6 +215,12 @@ pub fn is_near(was: bool, excess_ma: u16, settings: &Settings) -> bool {
 }
 
 impl Leg {
+    /// Feels the pull, then pays out to `to`.
+    pub fn feel(from: Counts, to: Thread) -> Self {
+        let then = Then::PayOut { to, left: FEELS };
+        Self::Feel { from, then }
+    }
+
     /// Direction of the spool.
     pub fn spooling(self) -> Spooling {
         match self {
@@ -276,7 +285,7 @@ impl Leg {
     /// on if it is braked now.
     ///
     /// # Errors
-    /// A jam, or a thread that is broken or has slipped.
+    /// A jam, or a thread that is broken, has slipped, or cannot be felt.
     pub fn decide(
         self,
         counts: Counts,
@@ -297,8 +306,14 @@ impl Leg {
         };
         Ok(match self {
             Leg::Wind { end, .. } if load.end_force => {
-                if thread.0 < end.0 - settings.end_tolerance.0 {
+                let short_um = end.0 - thread.0;
+                if short_um > settings.end_tolerance.0 || short_um > SURELY_FOLDED.0 && load.stands
+                {
                     return Err(jam);
+                }
+                // More friction, or something hard just before the end: only the origami lets the thread on.
+                if short_um > SURELY_FOLDED.0 {
+                    return Ok(Decision::Continue);
                 }
                 Decision::Folded
             }
@@ -344,21 +359,27 @@ impl Leg {
                     // The thread pulls with the end force.
                     Decision::Reverse(Leg::BackOff {
                         to: counts.back(BACK_OFF.counts()),
-                        origin,
-                        left: BACK_OFFS,
+                        then: Then::BackOff {
+                            origin,
+                            left: BACK_OFFS,
+                        },
                     })
                 }
             }
             Leg::Feel { from, then } => {
                 let way = counts.since(from).thread();
-                let felt = load.excess_ma.is_some() && way >= FELT_AFTER;
+                // A standing motor takes more current than the thread pulls: read it once it turns. One that all its
+                // current cannot turn is pulled, too.
+                let blocked = load.end_force && load.stands;
+                let felt = load.excess_ma.is_some() && way >= FELT_AFTER || blocked;
                 let past = calibration.is_some_and(|calibration| {
                     thread.0 >= calibration.folded.0 + settings.end_overrun.0 - STOP_MARGIN.0
                 });
-                if !felt && !load.end_force && !past && way < FELT_AT_MOST {
+                if !felt && !past && way < FELT_AT_MOST {
                     return Ok(Decision::Continue);
                 }
-                self.felt(counts, thread, load.end_force || pulls(&load), then)
+                let pulls = blocked || pulls(&load);
+                return self.felt(counts, thread, (felt, pulls), then);
             }
             Leg::Seek {
                 origin,
@@ -371,8 +392,7 @@ impl Leg {
                 return Err(past_the_end);
             }
             Leg::Seek { .. } => Decision::Continue,
-            Leg::BackOff { to, origin, left } if counts.since(to).thread() <= stop_within => {
-                let then = Then::BackOff { origin, left };
+            Leg::BackOff { to, then } if counts.since(to).thread() <= stop_within => {
                 Decision::Reverse(Leg::Feel { from: counts, then })
             }
             Leg::PayOut { to, .. } if thread.0 - to.0 <= stop_within.0 => match to {
@@ -385,18 +405,34 @@ impl Leg {
 }
 
 impl Leg {
-    /// Chooses the next leg, now that it is known whether the thread `pulls`.
-    pub fn felt(self, counts: Counts, thread: Thread, pulls: bool, then: Then) -> Decision {
-        match then {
-            Then::PayOut(to) => Decision::Felt(Leg::PayOut {
+    /// Chooses the next leg after a [`Leg::Feel`]. `felt` and `pulls`: there is a reading, and the thread pulls.
+    ///
+    /// # Errors
+    /// There was no reading, however often it was tried, so nothing shows that the thread holds.
+    fn felt(
+        self,
+        counts: Counts,
+        thread: Thread,
+        (felt, pulls): (bool, bool),
+        then: Then,
+    ) -> Result<Decision, CapsuleFault> {
+        Ok(match then {
+            Then::PayOut { left: 0, .. } if !felt => return Err(CapsuleFault::SlipOrBreak),
+            Then::PayOut { to, left } if !felt => Decision::Reverse(Leg::BackOff {
+                to: counts.back(ROOM_TO_FEEL.counts()),
+                then: Then::PayOut { to, left: left - 1 },
+            }),
+            Then::PayOut { to, .. } => Decision::Felt(Leg::PayOut {
                 to,
                 taut_to: Some(Thread(thread.0.saturating_sub(TENSION_ZONE.0))),
             }),
             Then::BackOff { origin, left } if pulls && left > 0 => {
                 Decision::Reverse(Leg::BackOff {
                     to: counts.back(BACK_OFF.counts()),
-                    origin,
-                    left: left - 1,
+                    then: Then::BackOff {
+                        origin,
+                        left: left - 1,
+                    },
                 })
             }
             Then::BackOff { origin, .. } => Decision::Careful(Leg::Seek {
@@ -404,7 +440,7 @@ impl Leg {
                 second: true,
                 purpose: Purpose::Reference,
             }),
-        }
+        })
     }
 }
 
@@ -415,9 +451,16 @@ fn pulls(load: &Load) -> bool {
 
 /// Minimum current above the no-load current of a thread that pulls, mA: 0.5 N.
 const LOADED_MA: u16 = 12;
+/// Distance before the calibrated end from which on an end force is the folded end. Backlash and a stretched thread
+/// fold up to 0.13 mm less than the count says, and a fold must not be short by more than 0.3 mm.
+const SURELY_FOLDED: Thread = Thread(120);
 /// Distances after which the pull is judged: the first once the motor is steady, the second in any case.
 const FELT_AFTER: Thread = Thread(120);
 const FELT_AT_MOST: Thread = Thread(300);
+/// Thread that is paid out where there is no room to wind and feel.
+const ROOM_TO_FEEL: Thread = Thread(400);
+/// Further tries of a pull that gave no reading.
+const FEELS: u8 = 2;
 
 #[cfg(test)]
 #[path = "../tests/unit/leg.rs"]

@@ -99,7 +99,7 @@ fn every_defect_has_its_name() {
 /// The seeds of the first 500 that pull most: little friction in the worm, a stiff origami.
 #[test]
 fn a_jam_never_pulls_with_more_than_20_n() {
-    for seed in [5, 15, 32, 168, 240] {
+    for seed in [5, 15, 32, 168, 198, 240, 472] {
         let verdict = cases::try_case(Kind::LateJam, seed);
         assert_eq!(verdict.name, "Jam", "seed {seed}");
         assert!(verdict.peak_n < 20.0, "seed {seed}: {verdict:?}");
@@ -112,6 +112,37 @@ fn a_jam_never_pulls_with_more_than_20_n() {
 fn a_slip_that_leaves_most_of_the_tension_is_felt() {
     let verdict = cases::try_case(Kind::SlipFolded, 180);
     assert_eq!(verdict.name, "SlipOrBreak", "{verdict:?}");
+}
+
+/// Something hard 0.35 to 0.4 mm before the end: an early end force within the tolerance of a fold.
+#[test]
+fn something_hard_just_before_the_end_is_no_folded_end() {
+    for seed in [30, 126, 207, 357, 488] {
+        let verdict = cases::try_case(Kind::LateJam, seed);
+        assert_eq!(verdict.name, "Jam", "seed {seed}: {verdict:?}");
+    }
+}
+
+/// Three capsules without a verdict: a fold that ended as far as the thread may be wound, so that there was no room to
+/// wind and feel, and calibrations that ended while the motor was braked, without a pull to compare with.
+#[test]
+fn a_lost_thread_is_named_where_its_pull_is_hard_to_read() {
+    for seed in [70, 239, 44] {
+        for kind in [Kind::SnapFolded, Kind::SlipFolded] {
+            let verdict = cases::try_case(kind, seed);
+            assert_eq!(verdict.name, "SlipOrBreak", "{kind:?} {seed}: {verdict:?}");
+        }
+    }
+}
+
+/// Those of the first 500 whose calibration ended while the motor was braked.
+#[test]
+fn a_calibration_always_has_a_pull() {
+    for seed in [44, 239, 343, 365] {
+        let sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+        let found = sim.capsule.calibration().expect("calibrated");
+        assert!(found.tension_ma > 60, "seed {seed}: {found:?}");
+    }
 }
 
 /// The target speed falls near the end force. That must not be taken for a hard end: a calibration that did so ended
@@ -278,6 +309,22 @@ fn zero_is_not_passed_after_a_reset() {
                 found.unwrap_or_else(|| panic!("seed {seed} ends in a fault"));
             assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
             assert!(left_mm < 0.3, "seed {seed}: {left_mm} mm");
+        }
+    }
+}
+
+/// A cut of the power, a watchdog, an emergency stop or a silent host, at any instant: the manual's way out leads to an
+/// unfolded capsule, or says that it needs a hand. 68 and 176 are those of the first 300 whose reference run finds
+/// another rise than their calibration.
+#[test]
+fn there_is_a_way_out_of_every_state() {
+    for seed in (0..40).chain([68, 176]) {
+        let (end, least_mm, left_mm) = cases::rescued(seed);
+        assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
+        match end.as_str() {
+            "Unfolded" => assert!(left_mm < 1.75, "seed {seed}: {left_mm} mm"),
+            "a hand: NotCalibrated" => {}
+            _ => assert!([68, 176].contains(&seed), "seed {seed}: {end}"),
         }
     }
 }
@@ -509,11 +556,16 @@ fn the_folded_end_stays_where_it_was_while_the_friction_changes() {
     }
 }
 
-/// With more friction the plain end force stalls before the folded end: the fold needs the force of that friction.
+/// With more friction the plain end force comes before the folded end: the fold needs the force of that friction, and
+/// the way up to the end. Seeds above 30 are those of the first 300 that were called a jam.
 #[test]
 fn more_friction_is_no_jam() {
-    for times in [1.1, 1.2, 1.3] {
-        for seed in 0..30 {
+    for times in [1.1, 1.2, 1.3, 1.4] {
+        let (some, jammed) = match times {
+            1.4 => (2, &[39, 70, 87, 176, 178, 192, 237, 240, 243, 288][..]),
+            _ => (30, &[243][..]),
+        };
+        for seed in (0..some).chain(jammed.iter().copied()) {
             let changes = [Defect::Friction(times)];
             let (name, least_mm, _) =
                 cases::lives_on_with(Parameters::lifelike(seed), seed, &changes);

@@ -8,6 +8,7 @@ use crate::detect::Load;
 use crate::leg::{Leg, Purpose};
 use crate::mechanics::{Counts, MOST_NO_LOAD_MA, Thread};
 use crate::sample::Spooling;
+use crate::settings::Settings;
 use protocol::capsule::{ActuationKind, CapsuleEvent, CapsuleFault};
 
 /// Sum and number of some currents.
@@ -52,6 +53,8 @@ const LEAST_COMPARED: i32 = 8;
 const MOST_CREPT_UM: i32 = 800;
 /// Largest creep per cycle, um.
 const CREEPS_UM: i32 = 30;
+/// Largest distance by which friction may bring the end force forward, um.
+const MOST_EARLY_UM: i32 = 800;
 /// Range to which friction may scale the end force, in thousandths.
 pub(super) const FRICTION_FORCE: (i32, i32) = (600, 1_350);
 
@@ -145,9 +148,13 @@ impl Capsule {
         // Farther from the end the force doubles more slowly: between a quarter and a half of it, over this length.
         let flatter_um = (calibration.long_rise.0 - rise_um).max(rise_um);
         let earlier_um = end.0 - rise_um - from.since(self.zero).thread().0;
-        if (0..=flatter_um).contains(&earlier_um) {
+        if (0..=flatter_um * 5 / 4).contains(&earlier_um) {
             let more = grows(earlier_um, flatter_um) * SCATTERED / 1_000;
-            actuation.settings = self.settings.with_force(more.min(most));
+            let usual_um = self.settings.end_tolerance.0;
+            actuation.settings = Settings {
+                end_tolerance: Thread(usual_um + earlier_um.min(MOST_EARLY_UM)),
+                ..self.settings.with_force(more.min(most))
+            };
         }
     }
 
@@ -252,6 +259,7 @@ impl Capsule {
         if actuation.taut.count == 0 && actuation.prolongations > 0 && to < further {
             // A motor that starts too fast is braked, and its current does not count for a while: extend the zone.
             actuation.prolongations -= 1;
+            actuation.governor.hold_less();
             actuation.leg = Leg::PayOut {
                 taut_to: Some(further),
                 to,
@@ -259,7 +267,6 @@ impl Capsule {
             return Ok(());
         }
         actuation.leg = Leg::PayOut { taut_to: None, to };
-        // No verdict without steady readings: the next fold will find a broken thread.
         let tension_ma = actuation
             .winding_ma
             .zip(actuation.taut.mean())
@@ -272,7 +279,10 @@ impl Capsule {
             _ => 0,
         };
         let least_ma = least_ma.max(LEAST_TENSION_MA);
-        if tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
+        // Without steady readings nothing shows that the thread holds. Only a partial unfolding may be too short for
+        // them; it does not end at an end.
+        let told = tension_ma.is_some() || actuation.kind == ActuationKind::FoldTo;
+        if !told || tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
             return Err(CapsuleFault::SlipOrBreak);
         }
         let back_emf_uv_cps = actuation.back_emf_uv_cps;

@@ -5,7 +5,7 @@ use crate::{
     circuit::Circuit,
     detect::Detector,
     governor::{Effort, Governor},
-    leg::{Leg, MOST_MA, Purpose, STOP_MARGIN, TENSION_ZONE, Then},
+    leg::{Leg, MOST_MA, Purpose, STOP_MARGIN, TENSION_ZONE},
     mechanics::Thread,
     sense::MOST_OFFSET_MA,
 };
@@ -209,10 +209,7 @@ impl Capsule {
         let slack = calibrates || matches!(self.mode, Mode::Unfolded);
         let pay_out = |to: Thread| match self.mode {
             // Feel the pull first, unless the motion ends before the tension can be measured.
-            Mode::Folded if to < self.taut_to() => Leg::Feel {
-                from: origin,
-                then: Then::PayOut(to),
-            },
+            Mode::Folded if to < self.taut_to() => Leg::feel(origin, to),
             _ => Leg::PayOut { to, taut_to: None },
         };
         let wind = |end, careful, short| Leg::Wind {
@@ -227,10 +224,9 @@ impl Capsule {
             (ActuationKind::Fold, Some(end)) => wind(end, false, None),
             // At the folded end, the check pays out a little first. It then asks whether the end is where it should
             // be.
-            (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => Leg::Feel {
-                from: origin,
-                then: Then::PayOut(Thread(self.thread().0 - CHECKED.0)),
-            },
+            (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => {
+                Leg::feel(origin, Thread(self.thread().0 - CHECKED.0))
+            }
             (ActuationKind::CheckFolded, Some(end)) if self.referenced => wind(end, true, None),
             (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
                 believed: self.was_folded,

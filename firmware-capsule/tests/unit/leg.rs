@@ -47,6 +47,7 @@ const NONE: Load = Load {
     rise_from: None,
     resisted: false,
     struck: false,
+    stands: false,
     silent: false,
 };
 const END_FORCE: Load = Load {
@@ -68,13 +69,33 @@ fn decide(leg: Leg, counts: Counts, load: Load) -> Result<Decision, CapsuleFault
 
 #[test]
 fn a_fold_is_folded_at_its_calibrated_end_and_jammed_before() {
+    assert_eq!(
+        decide(WIND, after(ZERO, END.0), END_FORCE),
+        Ok(Decision::Folded)
+    );
     let end_um = END.0 - Settings::REFERENCE.end_tolerance.0;
-    let at = after(ZERO, end_um);
-    assert_eq!(decide(WIND, at, END_FORCE), Ok(Decision::Folded));
-    let before = Counts(at.0 - 2);
+    let before = Counts(after(ZERO, end_um).0 - 2);
     let thread_um = before.since(ZERO).thread().0;
     let jam = Err(CapsuleFault::Jam { thread_um });
     assert_eq!(decide(WIND, before, END_FORCE), jam);
+}
+
+/// Short of the end within the tolerance: more friction, or something hard, which the motor cannot wind past.
+#[test]
+fn an_early_end_force_winds_on_as_far_as_it_can() {
+    let early = after(ZERO, END.0 - SURELY_FOLDED.0 - 2);
+    assert_eq!(decide(WIND, early, END_FORCE), Ok(Decision::Continue));
+    let standing = Load {
+        stands: true,
+        ..END_FORCE
+    };
+    let thread_um = early.since(ZERO).thread().0;
+    let jam = Err(CapsuleFault::Jam { thread_um });
+    assert_eq!(decide(WIND, early, standing), jam);
+    let there = after(ZERO, END.0 - SURELY_FOLDED.0);
+    for load in [END_FORCE, standing] {
+        assert_eq!(decide(WIND, there, load), Ok(Decision::Folded));
+    }
 }
 
 #[test]
@@ -195,8 +216,10 @@ fn what_is_felt_decides_what_follows() {
     let further = decide(feel(back), at, load(LOADED_MA));
     let again = Leg::BackOff {
         to: at.back(BACK_OFF.counts()),
-        origin: ORIGIN,
-        left: 0,
+        then: Then::BackOff {
+            origin: ORIGIN,
+            left: 0,
+        },
     };
     assert_eq!(further, Ok(Decision::Reverse(again)));
     let slack = decide(feel(back), at, load(LOADED_MA - 1));
@@ -210,7 +233,8 @@ fn what_is_felt_decides_what_follows() {
         enough,
         Ok(Decision::Careful(seek(true, Purpose::Reference)))
     );
-    let paid_out = decide(feel(Then::PayOut(Thread(0))), at, load(60));
+    let to = Thread(0);
+    let paid_out = decide(feel(Then::PayOut { to, left: 1 }), at, load(60));
     assert!(matches!(
         paid_out,
         Ok(Decision::Felt(Leg::PayOut {
@@ -218,6 +242,18 @@ fn what_is_felt_decides_what_follows() {
             taut_to: Some(_)
         }))
     ));
+    // Without a reading it makes room and tries again, and in the end nothing shows that the thread holds.
+    let unread = |left| {
+        let from = Counts(at.0 - FELT_AT_MOST.counts().0 - 1);
+        let then = Then::PayOut { to, left };
+        decide(Leg::Feel { from, then }, at, untold)
+    };
+    let again = Leg::BackOff {
+        to: at.back(ROOM_TO_FEEL.counts()),
+        then: Then::PayOut { to, left: 0 },
+    };
+    assert_eq!(unread(1), Ok(Decision::Reverse(again)));
+    assert_eq!(unread(0), Err(CapsuleFault::SlipOrBreak));
 }
 
 /// A short rise is an obstacle, or an origami that was folded from the start.
@@ -234,8 +270,10 @@ fn a_short_rise_is_tried_again_by_a_reference_only() {
     let jam = Err(CapsuleFault::Jam { thread_um });
     let again = Ok(Decision::Reverse(Leg::BackOff {
         to: at.back(BACK_OFF.counts()),
-        origin: ORIGIN,
-        left: BACK_OFFS,
+        then: Then::BackOff {
+            origin: ORIGIN,
+            left: BACK_OFFS,
+        },
     }));
     assert_eq!(
         decide(seek(false, Purpose::Reference), at, risen(450)),

@@ -6,9 +6,11 @@ use capsule_plant::{
     cases::{Course, Kind, Motion},
     verdict::{Verdict, name},
 };
-use firmware_capsule::fold::{Command, Drive, Event};
+use firmware_capsule::fold::{Capsule, Command, Drive, Event};
+use firmware_capsule::mechanics::Thread;
+use firmware_capsule::settings::Settings;
 use protocol::{
-    capsule::{ActuationOutcome, CapsuleState},
+    capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
     error::Refusal,
 };
 
@@ -425,6 +427,100 @@ pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
     }
     let name = run(&mut sim, Command::Reference);
     (name, sim.plant.extremes_mm().0)
+}
+
+/// Ends a motion, or the second after it, at a random instant by a cut of the power, a watchdog, an emergency stop or a
+/// silent host, then follows the manual's way out. Returns its end, the least thread on the spool and the thread left
+/// on it, mm.
+pub fn rescued(seed: u64) -> (String, f64, f64) {
+    let mut random = Random::new(seed ^ 0x4E5C);
+    let parameters = Parameters::lifelike(seed);
+    let (mut sim, motion) = match random.unit() {
+        ..0.1 => (Simulation::new(parameters, seed), Command::Calibrate),
+        unit => {
+            let mut sim = Simulation::calibrated(parameters, seed);
+            if unit < 0.6 {
+                sim.run(Command::Fold);
+            } else if unit < 0.75 {
+                sim.run(Command::FoldTo(Thread(random.between(3e3, 15e3) as i32)));
+            }
+            let unfolded = sim.capsule.state() == CapsuleState::Unfolded;
+            let folded = sim.capsule.state() == CapsuleState::Folded;
+            let motion = match random.unit() {
+                ..0.4 if unfolded => Command::Fold,
+                ..0.4 => Command::Unfold,
+                ..0.7 => Command::CheckFolded,
+                ..0.85 if folded => Command::FoldTo(Thread(8_000)),
+                ..0.85 => Command::Fold,
+                _ => Command::Reference,
+            };
+            (sim, motion)
+        }
+    };
+    sim.order(motion);
+    let (at_ms, after_ms) = (random.between(0.0, 5_000.0), random.between(0.0, 1_000.0));
+    let (mut ms, mut rests_ms) = (0.0, 0.0);
+    while ms < at_ms && rests_ms < after_ms {
+        sim.tick();
+        ms += 1.0;
+        rests_ms += f64::from(u8::from(!sim.capsule.is_moving()));
+    }
+    let restart = match random.unit() {
+        ..0.4 => Some(None),
+        ..0.6 => Some(Some(CapsuleFault::Watchdog)),
+        ..0.8 => {
+            sim.give(Event::Command(Command::EStop));
+            None
+        }
+        _ => {
+            sim.give(Event::LinkSilent);
+            None
+        }
+    };
+    if let Some(fault) = restart {
+        // The flash knows of a folded end half a second after it.
+        let was_folded = rests_ms > 540.0 && sim.capsule.state() == CapsuleState::Folded;
+        sim.plant.set_bridge(Bridge::Coast);
+        sim.plant.advance(2.0, |_| ());
+        sim.reset(was_folded);
+        sim.capsule = Capsule::new(fault, sim.kept, was_folded, Settings::REFERENCE);
+        sim.tick();
+    } else {
+        sim.settle();
+    }
+    (
+        way_out(&mut sim),
+        sim.plant.extremes_mm().0,
+        sim.plant.wound_mm(),
+    )
+}
+
+/// The manual's way from any state to unfolded. Returns `Unfolded`, or the fault that needs a hand.
+pub fn way_out(sim: &mut Simulation) -> String {
+    let mut faults = 0;
+    loop {
+        let command = match sim.capsule.state() {
+            CapsuleState::Unfolded => return "Unfolded".to_owned(),
+            CapsuleState::Folded | CapsuleState::Stopped => Command::Unfold,
+            CapsuleState::WasFolded => Command::CheckFolded,
+            CapsuleState::Unreferenced if sim.capsule.calibration().is_none() => {
+                return "a hand: NotCalibrated".to_owned();
+            }
+            CapsuleState::Unreferenced => Command::Reference,
+            CapsuleState::Faulted => {
+                faults += 1;
+                if faults > 2 {
+                    return format!("a hand: {}", name_of(sim.capsule.record().outcome));
+                }
+                Command::Acknowledge
+            }
+            moving => panic!("{moving:?} at rest"),
+        };
+        if let Some(refusal) = sim.give(Event::Command(command)).refusal {
+            return format!("a hand: {}", name(&refusal));
+        }
+        sim.settle();
+    }
 }
 
 /// Gives a command and waits for its end. Returns the outcome or the refusal.
