@@ -39,7 +39,7 @@ fn y_of(pin: Pin) -> i32 {
 }
 
 pub(super) fn draw() -> String {
-    let mut picture = Picture::new(1_170, 1_130);
+    let mut picture = Picture::new(1_260, 1_130);
     picture.text((30, 34), Anchor::Start, "title", "Rig: every wire");
     let heads = [
         (14, "signal"),
