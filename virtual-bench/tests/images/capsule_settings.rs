@@ -103,7 +103,7 @@ fn settings_count_at_once_and_after_the_next_start() {
         capsule.log()
     );
     assert!(
-        slower.end_current_ma + 10 < usual.end_current_ma,
+        slower.end_current_ma + 15 < usual.end_current_ma,
         "{slower:?} {usual:?}"
     );
     assert!(
