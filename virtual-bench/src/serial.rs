@@ -36,9 +36,6 @@ pub struct Serial {
     /// Faults by the byte's number in its direction, from 0.
     faults_to_machine: Vec<(u64, ByteFault)>,
     faults_from_machine: Vec<(u64, ByteFault)>,
-    /// End of the machine's last byte, and the shortest time between two bytes, ns: it shows the true bit rate.
-    last_sent_ns: Option<u64>,
-    shortest_ns: Option<u64>,
 }
 
 impl Serial {
@@ -73,13 +70,6 @@ impl Serial {
         (self.taken, self.sent)
     }
 
-    /// The shortest time from one byte's end to the next, ns, or `None` before two bytes. 115200 baud with eight
-    /// data bits and no parity give 86.8 us.
-    #[must_use]
-    pub fn shortest_byte_ns(&self) -> Option<u64> {
-        self.shortest_ns
-    }
-
     /// When the start bit of the host's last byte reached the machine, ns.
     #[must_use]
     pub fn last_taken_ns(&self) -> u64 {
@@ -104,10 +94,6 @@ impl Serial {
     }
 
     fn receive(&mut self, byte: u8, at_ns: u64) {
-        if let Some(last) = self.last_sent_ns.replace(at_ns) {
-            let apart = at_ns - last;
-            self.shortest_ns = Some(self.shortest_ns.map_or(apart, |known| known.min(apart)));
-        }
         let number = self.sent;
         self.sent += 1;
         if !self.sends {

@@ -44,13 +44,6 @@ impl Encoder {
         }
     }
 
-    pub(crate) fn heal(&mut self) {
-        self.stuck = [None; 2];
-        self.swapped = false;
-        self.loses = 0.0;
-        self.lost = false;
-    }
-
     /// Turns the motor to this angle, in counts.
     pub(crate) fn turn(&mut self, counts: f64) {
         // A line begins at its first edge, which may come early.
