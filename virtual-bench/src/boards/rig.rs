@@ -9,7 +9,7 @@
 //! | PA0 | read-back | jumper from STEP, TIM2_ETR as AF1 |
 //! | PA1 | capture | jumper from STEP, TIM5_CH2 as AF2 |
 //! | PA8 | sync | TIM1_CH1 as AF1, or a plain output |
-//! | PC13 | button | the board's own; it pulls to ground against a resistor |
+//! | PC13, PA5 | button, LED | the board's own; the button pulls to ground against a resistor, the LED is not looked at |
 
 use std::path::PathBuf;
 
