@@ -9,7 +9,7 @@
 //! | PA0 | read-back | jumper from STEP, TIM2_ETR as AF1 |
 //! | PA1 | capture | jumper from STEP, TIM5_CH2 as AF2 |
 //! | PA8 | sync | TIM1_CH1 as AF1, or a plain output |
-//! | PC13, PA5 | button, LED | the board's own; the button pulls to ground against a resistor, the LED is not looked at |
+//! | PC13, PA5 | button, LED | the board's own; the button pulls to ground against a resistor |
 
 use std::path::PathBuf;
 
@@ -27,6 +27,7 @@ const READ_BACK: Pin = Pin::new('A', 0);
 const CAPTURE: Pin = Pin::new('A', 1);
 const SYNC: Pin = Pin::new('A', 8);
 const BUTTON: Pin = Pin::new('C', 13);
+const LED: Pin = Pin::new('A', 5);
 /// The alternate function for TIM1 and TIM2 (DS10314 table 9).
 const AF_TIMER: Option<u8> = Some(1);
 /// The alternate function for TIM5 (DS10314 table 9).
@@ -51,6 +52,7 @@ pub struct RigBoard {
     pub rig: Rig,
     step_high: bool,
     sync_high: bool,
+    led_high: bool,
     /// Levels that the board drove last; `None` after a reset.
     contacts: [Option<bool>; 3],
     button: Option<bool>,
@@ -71,6 +73,7 @@ impl RigBoard {
             rig,
             step_high: false,
             sync_high: false,
+            led_high: false,
             contacts: [None; 3],
             button: None,
             broken: None,
@@ -88,6 +91,12 @@ impl RigBoard {
     #[must_use]
     pub fn was_safe_before_clock(&self) -> Option<bool> {
         self.safe_before_clock
+    }
+
+    /// Whether the LED is lit.
+    #[must_use]
+    pub fn is_lit(&self) -> bool {
+        self.led_high
     }
 
     fn step(&mut self, high: bool, at_ns: u64, pads: &mut Pads<'_>) {
@@ -201,6 +210,7 @@ impl Wiring for RigBoard {
         } else if self.safe_before_clock.is_none() {
             self.safe_before_clock = Some(self.outputs_safe);
         }
+        self.led_high = pads.output(LED).unwrap_or(false);
         self.rig.advance(now_ns);
         self.drive(pads);
         if let Some(next_ns) = self.rig.next_ns() {
