@@ -36,6 +36,12 @@ fn edit(file: &Path, change: impl Fn(&str) -> String) {
     fs::write(file, after).expect("written");
 }
 
+/// Changes the record of the first trial's first run.
+fn edit_run(folder: &Path, change: impl Fn(&str) -> String) {
+    let campaign = Campaign::read(folder).expect("read");
+    edit(&campaign.run_sidecar(1, 1).expect("a run"), change);
+}
+
 // Creation.
 
 #[test]
@@ -165,20 +171,12 @@ fn what_was_forged_and_sealed_is_found() {
             });
         }),
         ("a start in 1999", |folder| {
-            let file = Campaign::read(folder)
-                .expect("read")
-                .run_sidecar(1, 1)
-                .expect("a run");
-            edit(&file, |text| {
+            edit_run(folder, |text| {
                 text.replacen("\"started_utc\": \"2026", "\"started_utc\": \"1999", 1)
             });
         }),
         ("another origin", |folder| {
-            let file = Campaign::read(folder)
-                .expect("read")
-                .run_sidecar(1, 1)
-                .expect("a run");
-            edit(&file, |text| {
+            edit_run(folder, |text| {
                 text.replace("\"origin\": \"board\"", "\"origin\": \"virtual\"")
             });
         }),

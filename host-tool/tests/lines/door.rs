@@ -193,28 +193,29 @@ fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
 
 #[test]
 fn the_capsule_has_a_door_of_its_own() {
-    let bench = Bench::on_tcp(DeviceKind::Capsule);
-    let cycles = bench.command(&["capsule", "cycle", "50"]).spawn();
-    let cycles = cycles.expect("starts");
-    bench.wait_for("Fold");
-    let (code, out, err) = bench.retrograde(&["info"]);
-    assert_eq!(code, Some(0), "{err}");
-    assert!(out.contains("olding, referenced"), "{out}");
-    for args in [
-        &["capsule", "reference"][..],
-        &["capsule", "calibrate"],
-        &["capsule", "trace"],
-        &["fold"],
-    ] {
-        let (code, _, err) = bench.retrograde(args);
-        assert_eq!(code, Some(3), "{err}");
-    }
-    assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
-    let (code, _, err) = end(cycles);
-    assert_eq!(code, Some(130), "{err}");
-    assert_eq!(bench.count("Calibrate"), 0);
-    // The second one, if any, is the stop: one that is answered late goes the direct way as well.
-    assert!(bench.connections() <= 2, "{}", bench.connections());
+    through_the_door_alone(|| {
+        let bench = Bench::on_tcp(DeviceKind::Capsule);
+        let cycles = bench.command(&["capsule", "cycle", "50"]).spawn();
+        let cycles = cycles.expect("starts");
+        bench.wait_for("Fold");
+        let (code, out, err) = bench.retrograde(&["info"]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(out.contains("olding, referenced"), "{out}");
+        for args in [
+            &["capsule", "reference"][..],
+            &["capsule", "calibrate"],
+            &["capsule", "trace"],
+            &["fold"],
+        ] {
+            let (code, _, err) = bench.retrograde(args);
+            assert_eq!(code, Some(3), "{err}");
+        }
+        assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
+        let (code, _, err) = end(cycles);
+        assert_eq!(code, Some(130), "{err}");
+        assert_eq!(bench.count("Calibrate"), 0);
+        bench
+    });
 }
 
 #[test]
@@ -311,23 +312,30 @@ fn what_moves_is_refused_and_names_the_owner() {
     bench.trial();
 }
 
+/// Tries until a stop has used the door alone. One that a busy computer does not answer within 250 ms also goes the
+/// direct way, as it should, and shows nothing of the door.
+fn through_the_door_alone(stopped: impl Fn() -> Bench) {
+    let alone = (0..5).any(|_| stopped().connections() == 1);
+    assert!(alone, "each of five stops went the direct way as well");
+}
+
 #[test]
 fn a_stop_from_another_process_stops_the_run_and_the_owner_records_it() {
     for (stop, ends) in [("stop", 130), ("estop", 6)] {
-        let bench = Bench::on_tcp(DeviceKind::Rig);
-        let run = bench.run(&SHORT);
-        thread::sleep(Duration::from_millis(300));
-        let (code, out, err) = bench.retrograde(&[stop]);
-        assert_eq!(code, Some(0), "{err}");
-        assert!(out.contains(&bench.address), "{out}");
-        let (code, _, err) = end(run);
-        assert_eq!(code, Some(ends), "{stop}: {err}");
-        assert_eq!(bench.count("Run"), 1);
-        // The owner has noticed the stop, so it came through its door. A stop that a busy computer does not answer
-        // within 250 ms goes the direct way as well.
-        assert!(bench.connections() <= 2, "{}", bench.connections());
-        let status = if stop == "stop" { "stopped" } else { "faulted" };
-        assert_eq!(bench.trial()["status"], status);
+        through_the_door_alone(|| {
+            let bench = Bench::on_tcp(DeviceKind::Rig);
+            let run = bench.run(&SHORT);
+            thread::sleep(Duration::from_millis(300));
+            let (code, out, err) = bench.retrograde(&[stop]);
+            assert_eq!(code, Some(0), "{err}");
+            assert!(out.contains(&bench.address), "{out}");
+            let (code, _, err) = end(run);
+            assert_eq!(code, Some(ends), "{stop}: {err}");
+            assert_eq!(bench.count("Run"), 1);
+            let status = if stop == "stop" { "stopped" } else { "faulted" };
+            assert_eq!(bench.trial()["status"], status);
+            bench
+        });
     }
 }
 
