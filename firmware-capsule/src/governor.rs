@@ -120,6 +120,12 @@ impl Governor {
         self.ordered_ma = Some((current_ua / 1_000) as u16);
         let drive_mv = drive_mv(current_ua as u32, least_cps, battery_mv, settings);
         self.saturated = drive_mv >= battery_mv;
+        if self.saturated && error < 0 {
+            // Keep no more than the battery gives, so that the drive falls with the aim.
+            let given_ua = given_ua(least_cps, battery_mv, settings);
+            let most_ua = given_ua.saturating_sub(proportional_ua).max(0);
+            self.integral_ua = self.integral_ua.min(most_ua);
+        }
         Effort::Millivolts(i16::try_from(drive_mv).unwrap_or(i16::MAX))
     }
 }
@@ -132,6 +138,14 @@ fn drive_mv(current_ua: u32, cps: i32, battery_mv: u16, settings: &Settings) -> 
     let resistive_mv = (current_ua / 4).saturating_mul(settings.loop_milliohm / 4) / 62_500;
     let drive_mv = back_mv.saturating_add(resistive_mv);
     drive_mv.min(battery_mv.into()) as u16
+}
+
+/// Mean current that all of the battery's voltage gives at this speed, uA.
+fn given_ua(cps: i32, battery_mv: u16, settings: &Settings) -> i32 {
+    let back_mv = i64::from(cps.max(0)) * i64::from(settings.back_emf_uv_per_cps) / 1_000;
+    let left_uv = (i64::from(battery_mv) - back_mv).max(0) * 1_000;
+    let ua = left_uv * 1_000 / i64::from(settings.loop_milliohm.max(1));
+    i32::try_from(ua).unwrap_or(i32::MAX)
 }
 
 #[cfg(test)]

@@ -147,3 +147,28 @@ fn a_motor_that_the_battery_cannot_speed_up_is_slowed_down_at_once() {
     let ordered_ma = governor.ordered_ma().expect("it is driven");
     assert!(ordered_ma < 40, "{ordered_ma} mA");
 }
+
+/// What a load needed on the way up must not drive on while the aim falls.
+#[test]
+fn a_current_that_the_battery_no_longer_gives_is_not_kept() {
+    let mut governor = Governor::default();
+    let mut step = |aim_cps, least_cps, cps| {
+        let aim = Aim {
+            cps: aim_cps,
+            ..FAST
+        };
+        let effort = governor.step(aim, (cps, least_cps), 3_300, &Settings::REFERENCE);
+        let Effort::Millivolts(drive_mv) = effort else {
+            panic!("{effort:?}")
+        };
+        (drive_mv, governor.integral_ua)
+    };
+    for _ in 0..800 {
+        step(17_100, 9_000, 16_900);
+    }
+    let (drive_mv, held_ua) = step(17_100, 15_500, 15_500);
+    assert!(drive_mv == 3_300 && held_ua > 30_000, "{held_ua} uA");
+    step(15_400, 15_500, 15_500);
+    let (drive_mv, _) = step(14_500, 15_500, 15_500);
+    assert!(drive_mv < 3_250, "{drive_mv} mV");
+}

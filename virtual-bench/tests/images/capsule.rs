@@ -4,7 +4,7 @@ use client::error::ClientError;
 use client::{Device, Observer, Unobserved};
 
 use crate::common::trials;
-use capsule_plant::cases::Kind;
+use capsule_plant::{Bridge, cases::Kind};
 use protocol::{
     capsule::{
         ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CheckFolded,
@@ -495,6 +495,36 @@ fn a_cut_of_the_power_never_pays_out_past_zero() {
         let lowest_mm = capsule.look(|capsule| capsule.extremes_mm().0);
         assert!(lowest_mm >= 0.0, "cut after {after_us} us: {lowest_mm} mm");
     }
+}
+
+/// The same at every fourth millisecond of one unfolding, in copies of the mechanics that coast. In the library this
+/// capsule was once the one that was too fast for longest.
+#[test]
+fn no_instant_of_an_unfolding_is_too_fast_for_a_cut() {
+    let mut capsule = referenced_with(Parameters::lifelike(78));
+    assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+    capsule.device.unfold().expect("it is accepted");
+    let mut looks = 0;
+    // The motor winds and stands before it pays out, all within 0.4 s.
+    while looks < 100 || capsule.look(|capsule| capsule.is_moving()) {
+        // Keep the link alive, but do not wait for its answers each time.
+        if looks % 50 == 49 {
+            capsule.idle(4_000);
+        } else {
+            capsule.bench.advance_us(4_000).expect("the bench runs");
+        }
+        let (left_mm, is_quiet) = capsule.look(|capsule| {
+            let mut without_power = capsule.plant().clone();
+            without_power.set_bridge(Bridge::Coast);
+            without_power.advance(0.6, |_| ());
+            (without_power.wound_mm(), without_power.is_quiet())
+        });
+        assert!(is_quiet && left_mm >= 0.0, "look {looks}: {left_mm} mm");
+        looks += 1;
+    }
+    capsule.idle(100_000);
+    assert_eq!(capsule.state().0, CapsuleState::Unfolded);
+    capsule.check_clean();
 }
 
 /// The manual's way out: the flash does not know yet that the capsule is folded, and a reference run unfolds it.
