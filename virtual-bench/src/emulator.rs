@@ -288,11 +288,13 @@ impl Pads<'_> {
             });
     }
 
-    /// Sets the level at TIM2's input `channel`, 1 or 2.
-    pub fn drive_tim2_input(&mut self, channel: u8, high: bool) {
+    /// Sets the level at TIM2's input `channel`, 1 or 2, at this instant of the bench's clock, or as soon after it as
+    /// the timer has not been looked at yet.
+    pub fn drive_tim2_input(&mut self, channel: u8, high: bool, at_ns: u64) {
         self.touched = true;
+        let at = VirtualNanos(at_ns.saturating_sub(self.epoch_ns)).max(self.tim2.seen());
         let bus = self.part.bus_mut();
-        let (registers, mut context) = bus.drive(self.at, self.slots.tim2);
+        let (registers, mut context) = bus.drive(at, self.slots.tim2);
         drive_input(self.tim2, channel, high, registers, &mut context);
     }
 
@@ -445,8 +447,7 @@ impl<W: Wiring> Chip<W> {
                 options.every_event,
             )
         };
-        let tim1 = *bus.slots()[slots.tim1].peripheral();
-        let nowhere = Bus::builder(bus.cpu(), &[], [tim1]).build()?;
+        let nowhere = nowhere(bus, slots.tim1)?;
         let mut chip = Self {
             asleep: None,
             bell: Bell::default(),
@@ -494,7 +495,12 @@ impl<W: Wiring> Chip<W> {
             quiet.replace(std::mem::replace(&mut part.tim[nth], hollow_general(nth)));
         }
         self.tim1 = Watched::new(tim1, &[1, 3], !self.options.every_event);
-        self.tim3 = Watched::new(tim3, &[1, 2], false);
+        let tim3 = Watched::new(tim3, &[1, 2], false);
+        let nowhere = nowhere(self.part.bus(), self.slots.tim3).ok();
+        self.tim3 = match nowhere.filter(|_| !self.options.every_event) {
+            Some(nowhere) => tim3.made_up_late(nowhere),
+            None => tim3,
+        };
         self.exti = Exti::default();
         self.wake = None;
         self.serial_pins();
@@ -544,6 +550,8 @@ impl<W: Wiring> Chip<W> {
     /// Shows the pins to the board until none changes any more: an input that the board drives may cut a pulse short.
     fn look(&mut self, at: VirtualNanos) -> bool {
         let mut touched = false;
+        let (registers, _) = self.part.bus_mut().drive(at, self.slots.tim3);
+        self.tim3.make_up(registers, at);
         self.wake.take_if(|wake| *wake <= at);
         loop {
             let looked = self.with_pads(at, |wiring, pads| {
@@ -599,6 +607,12 @@ impl<W: Wiring> Chip<W> {
 
 fn hollow_advanced() -> Tim<Advanced> {
     Tim::with_clock(0, ADVANCED_TIMERS[TIM1].counter)
+}
+
+/// A bus without listeners, for a timer whose events nobody shall hear.
+fn nowhere(bus: &Bus, slot: usize) -> Result<Bus, rigless::soc::Error> {
+    let peripheral = *bus.slots()[slot].peripheral();
+    Ok(Bus::builder(bus.cpu(), &[], [peripheral]).build()?)
 }
 
 /// Placeholder in the part for the clock tree. After a reset the part makes the next clock tree from it.

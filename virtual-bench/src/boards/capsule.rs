@@ -101,9 +101,9 @@ impl CapsuleBoard {
     /// Advances the mechanics to `at_ns` and passes the encoder's edges to the chip.
     fn advance(&mut self, at_ns: u64, pads: &mut Pads<'_>) {
         let (encoder, valid) = (&mut self.encoder, self.sensors.are_valid(at_ns));
-        self.capsule.advance(at_ns, |(a, b)| {
+        self.capsule.advance(at_ns, |(a, b), at_ns| {
             if valid {
-                drive_encoder(encoder, [a, b], pads);
+                drive_encoder(encoder, [a, b], at_ns, pads);
             }
         });
     }
@@ -113,13 +113,18 @@ impl CapsuleBoard {
     }
 }
 
-fn drive_encoder(driven: &mut [Option<bool>; 2], levels: [bool; 2], pads: &mut Pads<'_>) {
+fn drive_encoder(
+    driven: &mut [Option<bool>; 2],
+    levels: [bool; 2],
+    at_ns: u64,
+    pads: &mut Pads<'_>,
+) {
     for (channel, ((level, pin), known)) in
         (1_u8..).zip(levels.into_iter().zip(ENCODER).zip(driven))
     {
         let seen = level && pads.function(pin) == AF_ENCODER;
         if known.replace(seen) != Some(seen) {
-            pads.drive_tim2_input(channel, seen);
+            pads.drive_tim2_input(channel, seen, at_ns);
         }
     }
 }
@@ -164,7 +169,7 @@ impl Wiring for CapsuleBoard {
         } else {
             (true, true)
         };
-        drive_encoder(&mut self.encoder, [a, b], pads);
+        drive_encoder(&mut self.encoder, [a, b], now_ns, pads);
         let sound = self.capsule.fault_high();
         if self.fault.replace(sound) != Some(sound) {
             pads.drive(FAULT, (!sound).then_some(false));
@@ -213,11 +218,9 @@ pub fn image() -> PathBuf {
 /// The share of 16 MHz that a 100 MHz chip gets through its wait states.
 pub const INSTRUCTIONS_PER_SECOND: u64 = 10_400_000;
 
-/// Starts a capsule on the bench with the image that would be flashed.
-///
-/// # Errors
-/// A missing or unusable image.
-pub fn start(capsule: Parameters) -> Result<Bench<CapsuleBoard>, BenchError> {
+/// How the capsule's image runs.
+#[must_use]
+pub fn options() -> BenchOptions {
     let mut options = BenchOptions::new(image());
     // The capsule runs on the 16 MHz oscillator.
     options.chip = ChipOptions {
@@ -226,5 +229,13 @@ pub fn start(capsule: Parameters) -> Result<Bench<CapsuleBoard>, BenchError> {
         uid: *b"virtual caps",
         ..ChipOptions::default()
     };
-    Bench::start(CapsuleBoard::new(Capsule::new(capsule)), options)
+    options
+}
+
+/// Starts a capsule on the bench with the image that would be flashed.
+///
+/// # Errors
+/// A missing or unusable image.
+pub fn start(capsule: Parameters) -> Result<Bench<CapsuleBoard>, BenchError> {
+    Bench::start(CapsuleBoard::new(Capsule::new(capsule)), options())
 }

@@ -46,6 +46,8 @@ pub(super) struct Quiet {
     awaited: Option<(EventId, VirtualNanos)>,
     /// When the timer last asked to be woken.
     unheard: VirtualNanos,
+    /// When it was last called.
+    seen: VirtualNanos,
     /// When an input last rose, and its delay through the filter, ns.
     filtered: Option<(u64, u64)>,
 }
@@ -63,8 +65,14 @@ impl Quiet {
             every_event,
             awaited: None,
             unheard: VirtualNanos(0),
+            seen: VirtualNanos(0),
             filtered: None,
         })
+    }
+
+    /// When it was last called: its past is over.
+    pub(super) fn seen(&self) -> VirtualNanos {
+        self.seen
     }
 
     /// Replaces the timer, as a reset does.
@@ -72,6 +80,7 @@ impl Quiet {
         self.tim = tim;
         self.awaited = None;
         self.unheard = VirtualNanos(0);
+        self.seen = VirtualNanos(0);
         self.filtered = None;
     }
 
@@ -88,6 +97,7 @@ impl Quiet {
         context: &mut DeviceContext<'_>,
         change: impl FnOnce(&mut Tim<General>, &mut RegisterFile, &mut DeviceContext<'_>),
     ) {
+        self.seen = context.now();
         // While an event is awaited, this change may cause it. Then its events must reach the emulator.
         if self.every_event || self.awaited.is_some() {
             return change(&mut self.tim, registers, context);
@@ -242,6 +252,7 @@ impl Device for Quiet {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
+        self.seen = context.now();
         if register == Register::Sr {
             let seen = Device::peek(&self.tim, register, registers, context.now());
             return Some(seen.unwrap_or_else(|| registers.get(register)));
@@ -256,6 +267,7 @@ impl Device for Quiet {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
+        self.seen = context.now();
         Device::write(&mut self.tim, register, value, registers, context);
         // This write may make a pending event matter.
         let pending = self.awaited.is_none() && self.unheard > context.now();

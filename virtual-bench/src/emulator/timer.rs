@@ -35,6 +35,8 @@ pub(super) struct Watched<F: Family> {
     moe_was_set: bool,
     /// The shortcut for bursts; `None` disables it.
     burst: Option<Burst<F::Register>>,
+    /// The shortcut for pulses; `None` disables it.
+    late: Option<Late<F::Register>>,
     /// It stands still while its course is followed elsewhere, see [`super::course`].
     pub(super) parked: bool,
     /// An event scheduled for the timer without its knowledge.
@@ -82,19 +84,20 @@ struct Burst<R> {
     undisturbed: u64,
 }
 
+fn register_at<R: Layout>(offset: u32) -> Option<R> {
+    (0..)
+        .map_while(R::from_index)
+        .find(|register| register.spec().offset == offset)
+}
+
 impl<R: Layout> Burst<R> {
     fn new() -> Option<Self> {
-        let at = |offset: u32| {
-            (0..)
-                .map_while(R::from_index)
-                .find(|register| register.spec().offset == offset)
-        };
-        let target = |nth: u32| at(ARR + 4 * nth);
+        let target = |nth: u32| register_at(ARR + 4 * nth);
         Some(Self {
-            cr1: at(CR1)?,
-            ccmr1: at(CCMR1)?,
-            ccmr2: at(CCMR2)?,
-            dcr: at(DCR)?,
+            cr1: register_at(CR1)?,
+            ccmr1: register_at(CCMR1)?,
+            ccmr2: register_at(CCMR2)?,
+            dcr: register_at(DCR)?,
             targets: [target(0)?, target(1)?, target(2)?, target(3)?, target(4)?],
             next: 0,
             past: false,
@@ -137,6 +140,20 @@ impl<R: Layout> Burst<R> {
     }
 }
 
+/// Registers by which an event of the timer is noticed by anything but the board: interrupts and DMA requests, the
+/// trigger output, and the inputs that steer the counter.
+const CR2: u32 = 0x04;
+const SMCR: u32 = 0x08;
+const DIER: u32 = 0x0C;
+
+/// Pulses that only the board sees. Their events go to a bus without listeners, so the emulator does not stop for them;
+/// they are made up for, each at its exact instant, before anybody looks at the timer or its outputs.
+#[derive(Debug)]
+struct Late<R> {
+    nowhere: Bus,
+    cr1: R,
+}
+
 /// Offset of BDTR, and its bit MOE.
 const BDTR: u32 = 0x44;
 const MOE: u64 = 1 << 15;
@@ -151,6 +168,7 @@ impl<F: Family> Watched<F> {
     pub(super) fn new(tim: Tim<F>, watched: &'static [u8], shortens_bursts: bool) -> Self {
         Self {
             burst: shortens_bursts.then(Burst::new).flatten(),
+            late: None,
             tim,
             watched,
             high: [false; 4],
@@ -161,6 +179,48 @@ impl<F: Family> Watched<F> {
             awaited: None,
             missed: None,
         }
+    }
+
+    /// Makes up for its events when it is looked at. `nowhere` is a bus without listeners.
+    pub(super) fn made_up_late(mut self, nowhere: Bus) -> Self {
+        self.late = register_at(CR1).map(|cr1| Late { nowhere, cr1 });
+        self
+    }
+
+    /// Makes up for the events until `at`.
+    pub(super) fn make_up(&mut self, registers: &mut RegisterFile, at: VirtualNanos) {
+        while let Some(late) = &mut self.late
+            && let Some(due) = late.nowhere.next_event().filter(|due| *due <= at)
+        {
+            late.nowhere.reset();
+            let (_, mut unheard) = late.nowhere.drive(due, 0);
+            // Reading a register without side effects brings the timer up to date.
+            Device::read(&mut self.tim, late.cr1, registers, &mut unheard);
+            self.note(registers, due.0);
+        }
+    }
+
+    /// Lets its events reach the emulator from now on.
+    fn be_heard(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.make_up(registers, context.now());
+        if let Some(late) = self.late.take() {
+            self.awaited = late.nowhere.next_event().map(|at| context.schedule(at));
+        }
+    }
+
+    /// Calls the timer, after what it has to make up for, with the context that its events shall reach.
+    fn call<T>(
+        &mut self,
+        registers: &mut RegisterFile,
+        context: &mut DeviceContext<'_>,
+        call: impl FnOnce(&mut Tim<F>, &mut RegisterFile, &mut DeviceContext<'_>) -> T,
+    ) -> T {
+        self.make_up(registers, context.now());
+        let Some(late) = &mut self.late else {
+            return call(&mut self.tim, registers, context);
+        };
+        let (_, mut unheard) = late.nowhere.drive(context.now(), 0);
+        call(&mut self.tim, registers, &mut unheard)
     }
 
     pub(super) fn high(&self, channel: u8) -> bool {
@@ -399,7 +459,9 @@ impl<F: Family> Device for Watched<F> {
             // The firmware never reads DMAR. A read advances the burst, so the shortcut would lose step: drop it.
             self.burst = None;
         }
-        let value = Device::read(&mut self.tim, register, registers, context);
+        let value = self.call(registers, context, |tim, registers, context| {
+            Device::read(tim, register, registers, context)
+        });
         let now_ns = context.now().0;
         self.note(registers, now_ns);
         if now_ns < self.moe_reads_from_ns && is_bdtr(register) {
@@ -422,7 +484,12 @@ impl<F: Family> Device for Watched<F> {
             }
         } else {
             self.before_write(register, registers, context);
-            Device::write(&mut self.tim, register, value, registers, context);
+            if value != 0 && matches!(register.spec().offset, CR2 | SMCR | DIER) {
+                self.be_heard(registers, context);
+            }
+            self.call(registers, context, |tim, registers, context| {
+                Device::write(tim, register, value, registers, context);
+            });
         }
         let now_ns = context.now().0;
         self.note(registers, now_ns);
@@ -462,12 +529,16 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        Device::on_request(&mut self.tim, request, registers, context);
+        self.call(registers, context, |tim, registers, context| {
+            Device::on_request(tim, request, registers, context);
+        });
         self.note(registers, context.now().0);
     }
 
     fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::on_clock(&mut self.tim, hz, registers, context);
+        self.call(registers, context, |tim, registers, context| {
+            Device::on_clock(tim, hz, registers, context);
+        });
         self.note(registers, context.now().0);
     }
 
@@ -478,7 +549,9 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        Device::on_access(&mut self.tim, token, value, registers, context);
+        self.call(registers, context, |tim, registers, context| {
+            Device::on_access(tim, token, value, registers, context);
+        });
         self.note(registers, context.now().0);
     }
 
@@ -488,6 +561,9 @@ impl<F: Family> Device for Watched<F> {
         if let Some(burst) = &mut self.burst {
             burst.reset();
         }
+        if let Some(late) = &mut self.late {
+            late.nowhere.reset();
+        }
     }
 
     fn reset_line(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
@@ -495,7 +571,9 @@ impl<F: Family> Device for Watched<F> {
         if let Some(burst) = &mut self.burst {
             burst.reset();
         }
-        Device::reset_line(&mut self.tim, registers, context);
+        self.call(registers, context, |tim, registers, context| {
+            Device::reset_line(tim, registers, context);
+        });
         self.note(registers, context.now().0);
     }
 }

@@ -199,8 +199,9 @@ impl Capsule {
         });
     }
 
-    /// Advances to `until_ns`; calls `edge` with the encoder's outputs after each edge.
-    pub fn advance(&mut self, until_ns: u64, mut edge: impl FnMut((bool, bool))) {
+    /// Advances to `until_ns`; calls `edge` with the encoder's outputs after each edge, and the instant at which the
+    /// step ends that it falls into.
+    pub fn advance(&mut self, until_ns: u64, mut edge: impl FnMut((bool, bool), u64)) {
         loop {
             // Include defects due at the very end, because the next call only asks for later ones.
             for defect in self.faults.due_by(self.now_ns) {
@@ -219,11 +220,11 @@ impl Capsule {
             }
             let step_ns = STEP_NS.min(until_ns - self.now_ns);
             let step_s = step_ns as f64 * 1e-9;
-            let encoder = &mut self.encoder;
+            let (encoder, end_ns) = (&mut self.encoder, self.now_ns + step_ns);
             self.plant.advance(step_s, |plant| {
                 let levels = plant.encoder();
                 if std::mem::replace(encoder, levels) != levels {
-                    edge(levels);
+                    edge(levels, end_ns);
                 }
             });
             let settled = 1.0 - (-step_s / SUPPLY_FILTER).exp();
@@ -254,7 +255,7 @@ mod tests {
         let mut capsule = Capsule::new(Parameters::nominal());
         capsule.drive(true, true, false);
         let mut seen = Vec::new();
-        capsule.advance(20_000_000, |state| seen.push(state));
+        capsule.advance(20_000_000, |state, _| seen.push(state));
         assert_eq!(
             seen[..4],
             [(true, false), (true, true), (false, true), (false, false)]
@@ -266,7 +267,7 @@ mod tests {
         let mut capsule = Capsule::new(Parameters::nominal());
         capsule.plan(100_000_000, Defect::DriverFault);
         capsule.drive(true, true, false);
-        capsule.advance(400_000_000, |_| ());
+        capsule.advance(400_000_000, |_, _| ());
         assert!(!capsule.fault_high());
         assert!(!capsule.is_moving());
     }

@@ -33,7 +33,10 @@ fn start() -> CapsuleRun {
 }
 
 fn start_with(options: Parameters) -> CapsuleRun {
-    let bench = capsule::start(options).expect("the image boots");
+    connect(capsule::start(options).expect("the image boots"))
+}
+
+fn connect(bench: Bench<CapsuleBoard>) -> CapsuleRun {
     let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
     let device = Device::connect(link, DeviceKind::Capsule, 1).expect("the capsule answers");
     CapsuleRun { bench, device }
@@ -319,6 +322,39 @@ fn a_fold_with_more_friction_than_at_its_calibration_is_no_jam() {
         let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
         assert!(least_mm >= -0.05, "seed {seed}: {least_mm} mm");
         capsule.check_clean();
+    }
+}
+
+/// The bench does not stop for the bridge's pulses. A bench that stops for each of them looks at the motor a hundred
+/// thousand times a second more, and must find the same capsule.
+#[test]
+fn a_capsule_is_the_same_if_the_bench_stops_for_each_pulse() {
+    let [made_up, stopped] = [false, true].map(|every_event| {
+        let mut options = capsule::options();
+        options.chip.every_event = every_event;
+        let board = CapsuleBoard::new(Capsule::new(Parameters::nominal()));
+        let mut capsule = connect(Bench::start(board, options).expect("the image boots"));
+        let accepted = capsule.device.reference().expect("it is accepted");
+        let reference = capsule
+            .device
+            .wait_actuation(&accepted, &mut Unobserved)
+            .expect("it ends");
+        let records = [reference, capsule.fold(), capsule.unfold()];
+        for record in &records {
+            assert_eq!(record.outcome, ActuationOutcome::Complete);
+        }
+        let [reference_ms, fold_ms, unfold_ms] =
+            records.map(|record| f64::from(record.duration_ms));
+        let (force_n, energy_j) =
+            capsule.look(|capsule| (capsule.peak_force_n(), capsule.energy_j()));
+        [reference_ms, fold_ms, unfold_ms, force_n, energy_j]
+    });
+    // Noise, a look more or less: a fold differs as much from the next one.
+    for (made_up_for, stopped_for) in made_up.into_iter().zip(stopped) {
+        assert!(
+            (made_up_for / stopped_for - 1.0).abs() < 0.03,
+            "{made_up:?} {stopped:?}"
+        );
     }
 }
 
