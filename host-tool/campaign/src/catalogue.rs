@@ -15,7 +15,7 @@ use trials::trial::Trial;
 use crate::contents::Campaign;
 use crate::differences::read_manifest;
 use crate::files::{ORDER, PLAN};
-use crate::ledger::{Outcome, Standing, TrialState};
+use crate::ledger::{AttemptOutcome, Standing, TrialState};
 use crate::order::doing;
 
 /// Greatest depth of nested folders that are searched.
@@ -168,7 +168,7 @@ impl Catalogue {
         for state in all {
             let planned = &state.planned;
             for attempt in &state.attempts {
-                let outcome = attempt.outcome.map_or("under_way", Outcome::name);
+                let outcome = attempt.outcome.map_or("under_way", AttemptOutcome::name);
                 let displacement = attempt
                     .displacement
                     .map(|displacement| format!(", {} mm", displacement.value));

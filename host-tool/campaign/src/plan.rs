@@ -365,7 +365,7 @@ pub struct Group {
 
 /// A plan that can be carried out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Plan {
+pub struct CampaignPlan {
     /// Its name: letters, digits, `-` and `_`.
     pub name: String,
     /// Seed of the order.
@@ -392,7 +392,7 @@ pub struct Plan {
     pub virtual_bench: Virtual,
 }
 
-impl Plan {
+impl CampaignPlan {
     /// Reads the text of the file at `path`.
     ///
     /// # Errors

@@ -84,7 +84,7 @@ const CAMPAIGN: Duration = Duration::from_secs(5);
 const LOOK: Duration = Duration::from_millis(20);
 
 /// Reads the state of the campaign that runs in a terminal, as the page shows it; none if there is no campaign.
-pub type CampaignState = dyn Fn() -> Option<Value> + Send + Sync;
+pub type ReadCampaign = dyn Fn() -> Option<Value> + Send + Sync;
 
 /// Options of the server.
 pub struct Options {
@@ -97,7 +97,7 @@ pub struct Options {
     /// Folder for the records.
     pub out: PathBuf,
     /// The campaign that is shown; it is read again every few seconds.
-    pub campaign: Arc<CampaignState>,
+    pub campaign: Arc<ReadCampaign>,
     /// The machines.
     pub machines: Vec<(DeviceKind, Address)>,
 }
@@ -387,7 +387,7 @@ async fn tell_states(app: Arc<App>) {
     }
 }
 
-async fn look_at_campaign(app: Arc<App>, read: Arc<CampaignState>) {
+async fn look_at_campaign(app: Arc<App>, read: Arc<ReadCampaign>) {
     let mut looks = interval(CAMPAIGN);
     loop {
         looks.tick().await;
