@@ -418,7 +418,7 @@ fn a_cut_path_reports_what_left() {
             let place = bench.carriage.place;
             let what = format!("{count} pulses, dead counter: {counter_is_dead}: {report:?}");
             if counter_is_dead {
-                // Steps that had certainly left in the last round: 2.5 ms and a period before.
+                // Without a counter, only the steps of the last round are in doubt: 2.5 ms and one period.
                 let missing = report.commanded.distance_to(StepPosition(place)).0;
                 assert!(missing <= 200, "{missing}: {what}");
             } else {

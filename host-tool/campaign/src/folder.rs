@@ -70,7 +70,7 @@ impl Growing {
                 .write_all(line)
                 .and_then(|()| self.file.sync_data());
             if added.is_err() {
-                // Best effort: `resume` would take a partial line for the trace of a crash, and cut it off.
+                // If this fails, too, `resume` takes the partial line for the trace of a crash and cuts it off.
                 let _ = self.file.set_len(end);
             }
             added

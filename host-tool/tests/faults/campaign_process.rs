@@ -210,8 +210,8 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     assert_eq!(standing(), Standing::Done);
 }
 
-/// A stop during a pass leaves no half trial. An emergency stop before a pass begins nothing. After each, the rollers
-/// are homed again before the body is laid in.
+/// A trial that was stopped within a pass does not count, and after an emergency stop before a pass none begins. After
+/// either, the rollers are homed before the body is laid in.
 #[test]
 fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);

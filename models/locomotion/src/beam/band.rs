@@ -117,7 +117,7 @@ pub fn draw(base: Params, seed: u64, index: u64) -> Params {
 /// Whether the unfolded body behaves as in the paper: it moves headward, and hardly by the returning strokes.
 ///
 /// # Errors
-/// As [`ThreadedBody::new`]; a body that does not come to rest.
+/// Fails as [`ThreadedBody::new`] does, or if the body does not come to rest.
 pub fn does_as_the_paper_says(params: Params, indentation_mm: f64) -> Result<bool, NoAnswer> {
     let mut body = ThreadedBody::new(params, 0.0, indentation_mm)?;
     let (mut antegrade, mut returning) = (0.0, 0.0);
