@@ -951,6 +951,27 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
     assert!(state["machines"]["rig"].is_null());
 }
 
+/// The page shows the campaign of `--campaign`, and says why it cannot be read if its ledger is damaged.
+#[test]
+fn the_state_of_a_campaign_is_shown_until_it_cannot_be_read() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let folder = bench.folder.path().join("shown");
+    let folder = folder.to_str().expect("UTF-8");
+    let plan = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/paper.toml");
+    bench.retrograde(&["campaign", "new", plan, "--out", folder]);
+    let server = Server::start_with(&bench, &["--campaign", folder]);
+    let state = server.until("a campaign", |state| state["campaign"]["name"] == "paper");
+    let shown = &state["campaign"];
+    assert_eq!(shown["done"], 0);
+    assert!(shown["trials"].as_u64() > Some(0), "{shown}");
+    let next = shown["next"].as_str().expect("a step");
+    assert!(next.starts_with("trial 1: "), "{next}");
+    assert!(shown["left_text"].is_string(), "{shown}");
+    std::fs::write(format!("{folder}/trials.csv"), "damaged").expect("written");
+    let state = server.until("an error", |state| !state["campaign"]["error"].is_null());
+    assert_eq!(state["campaign"]["folder"], folder);
+}
+
 #[test]
 fn an_address_that_is_taken_and_a_bad_token_file_are_said() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
