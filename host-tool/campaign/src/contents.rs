@@ -179,7 +179,7 @@ pub(crate) fn rows<T: DeserializeOwned>(
     parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
 }
 
-pub(crate) fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
+fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
     let Some(body) = text.strip_prefix(header) else {
         return Err("its first line is not that of this format".to_owned());
     };

@@ -39,7 +39,7 @@ pub struct Estimate {
 }
 
 /// Two estimates differ if they are more than this many standard errors of the difference apart.
-pub const TELLING: f64 = 2.0;
+const TELLING: f64 = 2.0;
 
 impl Estimate {
     /// From at least two independent values.

@@ -20,7 +20,7 @@ pub struct Mistake {
 }
 
 /// The mistakes that are recognised.
-pub const MISTAKES: [Mistake; 4] = [
+const MISTAKES: [Mistake; 4] = [
     Mistake {
         factor: -1.0,
         what: "their signs are reversed: + is headward",
