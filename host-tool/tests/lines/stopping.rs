@@ -5,13 +5,14 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::panic::catch_unwind;
-use std::process::{Child, Stdio};
+use std::process::Child;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::bench::{Bench, ready};
+use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
 use client::door::lock::Doorway;
 use client::door::window::Window;
@@ -114,19 +115,12 @@ fn stop_of(kind: &str) -> String {
     )
 }
 
-/// A server process, killed when this is dropped.
+/// A server process.
 struct Server {
-    child: Child,
+    process: Killed,
     at: String,
     token: String,
     instance: String,
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 /// An order that the server has registered and whose body it waits for.
@@ -147,24 +141,11 @@ impl Order {
 
 impl Server {
     fn start(bench: &Bench) -> Self {
-        let args = ["serve", "--listen", "127.0.0.1:0"];
-        let mut child = bench
-            .command(&args)
-            .stderr(Stdio::inherit())
-            .spawn()
-            .expect("starts");
-        let mut said = BufReader::new(child.stdout.take().expect("piped"));
-        let mut url = String::new();
-        while !url.contains("#token=") {
-            url.clear();
-            assert_ne!(said.read_line(&mut url).expect("text"), 0, "no address");
-        }
-        thread::spawn(move || said.read_to_end(&mut vec![]));
-        let (at, token) = url.trim().split_once("/#token=").expect("an address");
+        let (process, at, token) = server::start(bench, &[]);
         let mut server = Self {
-            child,
-            at: at.trim_start_matches("http://").to_owned(),
-            token: token.to_owned(),
+            process,
+            at,
+            token,
             instance: String::new(),
         };
         let state = server.until("a connection", |rig| rig["contact"] != "lost");
@@ -194,9 +175,9 @@ impl Server {
 
     /// Sends these requests at once: the server is frozen, so it finds all of them when it continues.
     fn flood<'a>(&self, requests: impl Iterator<Item = &'a str>) -> Vec<TcpStream> {
-        kill(Signal::STOP, self.child.id());
+        kill(Signal::STOP, self.process.0.id());
         let asked = requests.map(|request| self.ask(request)).collect();
-        kill(Signal::CONT, self.child.id());
+        kill(Signal::CONT, self.process.0.id());
         asked
     }
 
@@ -694,7 +675,7 @@ fn scenario(seed: u64) -> (bool, bool) {
         }
         let is_served = !dice.one_in(5);
         if !is_served {
-            blow(&server.child, &mut dice);
+            blow(&server.process.0, &mut dice);
         }
         let far_ms = if dice.one_in(5) { 3_000 } else { 40 };
         wait(&mut dice, far_ms);
