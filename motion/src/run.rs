@@ -593,24 +593,7 @@ impl fmt::Display for RunError {
             Self::TotalTooShort {
                 minimal_total_us,
                 minimal_accel_um_s2,
-            } => {
-                write!(
-                    f,
-                    "too little time: allow at least {} s in total",
-                    Decimal::micro(minimal_total_us)
-                )?;
-                match minimal_accel_um_s2 {
-                    Some(um_s2) => write!(
-                        f,
-                        ", or accelerate with at least {} mm/s2",
-                        Decimal::milli(um_s2.into())
-                    ),
-                    None => write!(
-                        f,
-                        "; no acceleration within the limits does it in the requested time"
-                    ),
-                }
-            }
+            } => too_short(f, minimal_total_us, minimal_accel_um_s2),
             Self::AccelerationTooLow {
                 accel_um_s2,
                 minimal_um_s2,
@@ -669,6 +652,19 @@ impl fmt::Display for RunError {
             Self::Rate(error) => error.fmt(f),
             Self::Profile(error) => error.fmt(f),
         }
+    }
+}
+
+/// The text of [`RunError::TotalTooShort`].
+fn too_short(f: &mut fmt::Formatter<'_>, total_us: u64, accel_um_s2: Option<u32>) -> fmt::Result {
+    let total = Decimal::micro(total_us);
+    write!(f, "too little time: allow at least {total} s in total")?;
+    match accel_um_s2.map(|um_s2| Decimal::milli(um_s2.into())) {
+        Some(accel) => write!(f, ", or accelerate with at least {accel} mm/s2"),
+        None => write!(
+            f,
+            "; no acceleration within the limits does it in the requested time"
+        ),
     }
 }
 
