@@ -9,6 +9,7 @@
 pub mod chip;
 pub mod common;
 pub mod due;
+pub mod fingerprint;
 pub mod half_periods;
 pub mod identity;
 pub mod last_words;

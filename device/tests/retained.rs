@@ -163,15 +163,6 @@ fn last_words_are_put_together_and_cut_off() {
     }
 }
 
-/// A fixed seed: the same cases each time.
-fn config() -> ProptestConfig {
-    ProptestConfig {
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    }
-}
-
 /// The next image may be a different one: it has to find the words where this one left them.
 #[test]
 fn the_layout_stays() {
@@ -190,8 +181,6 @@ fn the_layout_stays() {
 }
 
 proptest! {
-    #![proptest_config(config())]
-
     #[test]
     fn addresses_are_hexadecimal(address in any::<u32>(), digits in 0..32_u32) {
         let address = address >> digits;

@@ -87,18 +87,7 @@ fn unit_in_name(key: SettingKey) -> String {
     }
 }
 
-/// A fixed seed: the same cases each time.
-fn config() -> ProptestConfig {
-    ProptestConfig {
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    }
-}
-
 proptest! {
-    #![proptest_config(config())]
-
     /// Whatever is written, and however often the rig restarts: the last record of each number is never old.
     #[test]
     fn nothing_that_is_needed_grows_old(

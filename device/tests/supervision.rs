@@ -5,18 +5,7 @@ use proptest::prelude::*;
 
 const CLIENTS: [Client; 3] = [Client::Motion, Client::Link, Client::Control];
 
-/// A fixed seed: the same cases each time.
-fn config() -> ProptestConfig {
-    ProptestConfig {
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    }
-}
-
 proptest! {
-    #![proptest_config(config())]
-
     #[test]
     fn everybody_has_to_check_in_each_time(
         events in prop::collection::vec(prop::option::of(prop::sample::select(&CLIENTS[..])), 0..60),

@@ -11,7 +11,8 @@ use protocol::{
     settings::{MAX_NAME, SettingKey as Key},
     system::DeviceKind,
 };
-use simulated_machines::chip::{Cut, Flash, Random};
+use simulated_machines::chip::{Cut, Flash};
+use simulated_machines::dice::Dice;
 
 type Store = SettingsStore<Flash, Kept>;
 
@@ -196,9 +197,9 @@ fn unreadable_after_what_is_there(flash: &Flash) -> Vec<u8> {
     let written = bytes.iter().rposition(|byte| *byte != 0xFF).unwrap();
     let next = (written + 1).next_multiple_of(4);
     let noisy = |seed| {
-        let mut random = Random(seed);
+        let mut dice = Dice(seed);
         let mut bytes = bytes.clone();
-        bytes[next..next + 64].fill_with(|| random.draw() as u8);
+        bytes[next..next + 64].fill_with(|| dice.bits() as u8);
         bytes
     };
     let mut noises = (0..10_000).map(noisy);

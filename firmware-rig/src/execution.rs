@@ -171,13 +171,13 @@ impl Pace {
 
 /// The motion task: takes an order, executes it and reports its end.
 #[derive(Debug, Default)]
-pub struct Motion {
+pub struct MotionTask {
     execution: Option<Execution>,
     /// The end of a path that control's queue had no room for yet.
     untold: Option<Event<'static>>,
 }
 
-impl Motion {
+impl MotionTask {
     /// How soon the next round has to come.
     pub fn pace(&self) -> Pace {
         match &self.execution {

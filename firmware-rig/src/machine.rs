@@ -131,7 +131,7 @@ pub enum Command {
     Resume,
     /// Move towards an end of the stroke until the dead-man time has passed without another jog.
     Jog {
-        /// Towards which end.
+        /// Away from home, or home.
         direction: Direction,
         /// Highest speed.
         speed: Speed,

@@ -869,17 +869,8 @@ fn records_last_words_and_events_are_reported() {
     assert_eq!((events.oldest, events.next, events.events.len()), (0, 1, 1));
 }
 
-fn config() -> ProptestConfig {
-    ProptestConfig {
-        cases: 2_000,
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    }
-}
-
 proptest! {
-    #![proptest_config(config())]
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     /// Any run is either refused without effect or stays within every limit.
     #[test]

@@ -464,6 +464,7 @@ mod settings {
                 SettingKey::StepPulseNs => 1_500,
                 SettingKey::MaxStepHz => 200_000,
                 SettingKey::SwitchFilterUs => 20,
+                _ if key.range().default == key.range().min => key.range().min + 1,
                 _ => key.range().default - 1,
             };
             let settings = settings(&[(key, value)]);

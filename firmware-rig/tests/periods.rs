@@ -207,18 +207,8 @@ fn any_path() -> impl Strategy<Value = Path> {
     ]
 }
 
-/// The generator is seeded: the same cases each time.
-fn config() -> ProptestConfig {
-    ProptestConfig {
-        cases: 384,
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    }
-}
-
 proptest! {
-    #![proptest_config(config())]
+    #![proptest_config(ProptestConfig::with_cases(384))]
 
     #[test]
     fn every_pulse_has_the_tick_of_its_step(path in any_path()) {
@@ -343,7 +333,7 @@ fn rest_of(plan: &RunPlan, stroke: u32, position: i32) -> Option<Path> {
 }
 
 proptest! {
-    #![proptest_config(config())]
+    #![proptest_config(ProptestConfig::with_cases(384))]
 
     /// Held at random, any number of times: every position once per stroke in its order, ticks that grow, no
     /// interval under the limit, no speed above the planned one.

@@ -16,45 +16,21 @@ use protocol::{
 use simulated_machines::carriage::{
     CLOSED, Rig, SMALL, flag_edge, now, path_ended, plan, settings, small, stroke_done,
 };
+use simulated_machines::dice::Dice;
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    fn below(&mut self, n: u64) -> u64 {
-        self.next() % n
-    }
-
-    fn one_in(&mut self, n: u64) -> bool {
-        self.below(n) == 0
-    }
-
-    fn pick<T: Copy>(&mut self, items: &[T]) -> T {
-        items[self.below(items.len() as u64) as usize]
-    }
+fn link_loss(dice: &mut Dice) -> LinkLossPolicy {
+    dice.pick(&[LinkLossPolicy::Stop, LinkLossPolicy::Finish])
 }
 
-fn link_loss(random: &mut Random) -> LinkLossPolicy {
-    random.pick(&[LinkLossPolicy::Stop, LinkLossPolicy::Finish])
-}
-
-fn jog(random: &mut Random, settings: &Settings) -> Command {
+fn jog(dice: &mut Dice, settings: &Settings) -> Command {
     Command::Jog {
-        direction: random.pick(&[Direction::Away, Direction::Home]),
-        speed: settings.speed(random.pick(&[5_000, 40_000])).unwrap(),
+        direction: dice.pick(&[Direction::Away, Direction::Home]),
+        speed: settings.speed(dice.pick(&[5_000, 40_000])).unwrap(),
     }
 }
 
-fn move_to(random: &mut Random, settings: &Settings) -> Command {
-    let to = Steps(random.below(81) as u32);
+fn move_to(dice: &mut Dice, settings: &Settings) -> Command {
+    let to = Steps(dice.below(81) as u32);
     Command::MoveTo {
         target: settings.axis.position(to).unwrap(),
         speed: settings.speed(40_000).unwrap(),
@@ -87,83 +63,83 @@ mod anything {
         Input::Event(1, event)
     }
 
-    fn position(random: &mut Random) -> i32 {
-        match random.below(4) {
-            0 => random.below(400) as i32 - 200,
-            1 => random.below(400_000) as i32 - 200_000,
+    fn position(dice: &mut Dice) -> i32 {
+        match dice.below(4) {
+            0 => dice.below(400) as i32 - 200,
+            1 => dice.below(400_000) as i32 - 200_000,
             _ => 0,
         }
     }
 
     /// The next input when nothing goes wrong.
-    fn expected(random: &mut Random, plan: RunPlan, state: RigState) -> Input {
-        let at = if random.one_in(4) { 20 } else { 0 };
-        let flag = event(flag_edge(random.one_in(2), 4));
-        let done = event(stroke_done(random.below(4) as u32, 0, 0));
+    fn expected(dice: &mut Dice, plan: RunPlan, state: RigState) -> Input {
+        let at = if dice.one_in(4) { 20 } else { 0 };
+        let flag = event(flag_edge(dice.one_in(2), 4));
+        let done = event(stroke_done(dice.below(4) as u32, 0, 0));
         let ended = |end| event(path_ended(end, at, at));
         match state {
-            RigState::Unhomed if random.one_in(4) => Input::Command(Command::Button(None), 0),
+            RigState::Unhomed if dice.one_in(4) => Input::Command(Command::Button(None), 0),
             RigState::Unhomed => Input::Command(Command::Home, 0),
-            RigState::Homing if random.one_in(3) => ended(PathEnd::Stopped),
+            RigState::Homing if dice.one_in(3) => ended(PathEnd::Stopped),
             RigState::Homing => flag,
-            RigState::Ready if random.one_in(3) => Input::Command(jog(random, &small()), 0),
-            RigState::Ready if random.one_in(3) => Input::Command(move_to(random, &small()), 0),
+            RigState::Ready if dice.one_in(3) => Input::Command(jog(dice, &small()), 0),
+            RigState::Ready if dice.one_in(3) => Input::Command(move_to(dice, &small()), 0),
             RigState::Ready => {
-                let link_loss = link_loss(random);
+                let link_loss = link_loss(dice);
                 Input::Command(Command::Run { plan, link_loss }, 0)
             }
-            RigState::Running => match random.below(6) {
+            RigState::Running => match dice.below(6) {
                 0 | 1 => flag,
                 2 => done,
                 3 | 4 => Input::Command(Command::Hold, 0),
                 _ => ended(PathEnd::Complete),
             },
             RigState::Held => {
-                let command = random.pick(&[Command::Resume, Command::Button(None)]);
+                let command = dice.pick(&[Command::Resume, Command::Button(None)]);
                 Input::Command(command, at)
             }
-            RigState::Moving if random.one_in(2) => Input::Command(jog(random, &small()), at),
+            RigState::Moving if dice.one_in(2) => Input::Command(jog(dice, &small()), at),
             RigState::Moving => ended(PathEnd::Complete),
             RigState::Stopping => ended(PathEnd::Stopped),
-            RigState::Faulted if random.one_in(2) => ended(PathEnd::Cut),
+            RigState::Faulted if dice.one_in(2) => ended(PathEnd::Cut),
             RigState::Faulted => Input::Command(Command::Acknowledge, 0),
         }
     }
 
-    fn input(random: &mut Random, plan: RunPlan, state: RigState) -> Input {
-        if !random.one_in(3) {
-            return expected(random, plan, state);
+    fn input(dice: &mut Dice, plan: RunPlan, state: RigState) -> Input {
+        if !dice.one_in(3) {
+            return expected(dice, plan, state);
         }
-        let position_now = position(random);
-        let other = if random.one_in(8) {
-            position(random)
+        let position_now = position(dice);
+        let other = if dice.one_in(8) {
+            position(dice)
         } else {
             position_now
         };
         let report = PathReport {
             commanded: StepPosition(position_now),
             counted: StepPosition(other),
-            last_tick: random.below(1 << 40),
-            min_queue: (!random.one_in(4)).then_some(random.next() as u16),
+            last_tick: dice.below(1 << 40),
+            min_queue: (!dice.one_in(4)).then_some(dice.bits() as u16),
             ..PathReport::default()
         };
-        match random.below(56) {
+        match dice.below(56) {
             40 => Input::Command(Command::Hold, position_now),
             41..44 => Input::Command(Command::Resume, position_now),
-            44..46 => Input::Command(jog(random, &small()), position_now),
-            46..48 => Input::Command(move_to(random, &small()), position_now),
+            44..46 => Input::Command(jog(dice, &small()), position_now),
+            46..48 => Input::Command(move_to(dice, &small()), position_now),
             48..50 => {
-                let plan = random.pick(&[Some(plan), None]);
+                let plan = dice.pick(&[Some(plan), None]);
                 Input::Command(Command::Button(plan), position_now)
             }
             50..54 => {
-                let time_us = random.pick(&[1, 300_001, 300_002, 60_000_001, 60_000_002]);
+                let time_us = dice.pick(&[1, 300_001, 300_002, 60_000_001, 60_000_002]);
                 Input::Event(time_us, Event::Tick)
             }
-            54 => Input::Flag(random.pick(&[1_000, 1_250])),
+            54 => Input::Flag(dice.pick(&[1_000, 1_250])),
             0..6 => Input::Command(Command::Home, position_now),
             6..12 => {
-                let link_loss = link_loss(random);
+                let link_loss = link_loss(dice);
                 Input::Command(Command::Run { plan, link_loss }, position_now)
             }
             12 => Input::Command(Command::Stop, position_now),
@@ -173,12 +149,12 @@ mod anything {
             18 => event(Event::LoopOpened),
             19 => event(Event::LinkSilent),
             20..28 => {
-                let count = if random.one_in(2) { 4 } else { other };
-                event(flag_edge(random.one_in(2), count))
+                let count = if dice.one_in(2) { 4 } else { other };
+                event(flag_edge(dice.one_in(2), count))
             }
-            28..30 => event(stroke_done(random.below(4) as u32, position_now, other)),
+            28..30 => event(stroke_done(dice.below(4) as u32, position_now, other)),
             _ => {
-                let end = match random.below(24) {
+                let end = match dice.below(24) {
                     0 => PathEnd::Cut,
                     1 => PathEnd::Underrun,
                     2 => PathEnd::Guard,
@@ -340,10 +316,10 @@ mod anything {
         let ready = Rig::homed(settings).machine;
         let mut reached = [0_u64; 8];
         for seed in 0..sequences {
-            let mut random = Random(seed);
+            let mut dice = Dice(seed);
             // From the start, after a bad end, or homed already.
-            let homed = !random.one_in(4);
-            let fault = random.one_in(8).then_some(RigFault::Watchdog);
+            let homed = !dice.one_in(4);
+            let fault = dice.one_in(8).then_some(RigFault::Watchdog);
             let fault = fault.filter(|_| !homed);
             let mut watch = Watch {
                 machine: if homed {
@@ -357,11 +333,11 @@ mod anything {
             };
             for _ in 0..40 {
                 let inputs = RigInputs {
-                    home_flag: random.one_in(3),
-                    far_limit: random.one_in(16),
-                    estop_loop: random.one_in(16),
+                    home_flag: dice.one_in(3),
+                    far_limit: dice.one_in(16),
+                    estop_loop: dice.one_in(16),
                 };
-                let input = input(&mut random, plan, watch.machine.state());
+                let input = input(&mut dice, plan, watch.machine.state());
                 watch.take(input, inputs);
                 reached[watch.machine.state() as usize] += 1;
             }
@@ -409,20 +385,20 @@ mod executed {
 
     /// The rig itself checks at every pulse: no pulse outside a moving state, none outside the stroke while the
     /// position is trusted, one path at a time. Here: what takes more than one pulse to see.
-    fn sequence(random: &mut Random, settings: Settings, ends: &mut Ends) {
-        let mut rig = Rig::new(settings, random.below(81) as i32);
+    fn sequence(dice: &mut Dice, settings: Settings, ends: &mut Ends) {
+        let mut rig = Rig::new(settings, dice.below(81) as i32);
         let (mut edges, mut sound) = (0, true);
         for _ in 0..30 {
             let (pulses, before, events) = (rig.pulses, rig.machine.state(), rig.events.len());
-            match random.below(32) {
+            match dice.below(32) {
                 0..4 => {
                     let _ = rig.command(Command::Home);
                 }
                 4..9 => {
-                    let stroke_um = 250 + random.below(19_751) as u32;
-                    let plan = plan(&settings, 1 + random.below(2) as u16, stroke_um, 40_000);
-                    let link_loss = link_loss(random);
-                    let command = if random.one_in(4) {
+                    let stroke_um = 250 + dice.below(19_751) as u32;
+                    let plan = plan(&settings, 1 + dice.below(2) as u16, stroke_um, 40_000);
+                    let link_loss = link_loss(dice);
+                    let command = if dice.one_in(4) {
                         Command::Button(Some(plan))
                     } else {
                         Command::Run { plan, link_loss }
@@ -436,7 +412,7 @@ mod executed {
                 }
                 9 => rig.command(Command::Stop).unwrap(),
                 10 => {
-                    if random.one_in(2) {
+                    if dice.one_in(2) {
                         rig.command(Command::EStop).unwrap();
                     } else {
                         rig.press();
@@ -448,17 +424,17 @@ mod executed {
                     let _ = rig.command(Command::Acknowledge);
                 }
                 13 => rig.event(Event::LinkSilent),
-                14 if random.one_in(4) => {
-                    rig.slipping = random.below(30) as u32;
+                14 if dice.one_in(4) => {
+                    rig.slipping = dice.below(30) as u32;
                 }
-                15 if random.one_in(4) => {
-                    rig.stuck_flag = random.pick(&[None, Some(true), Some(false)]);
+                15 if dice.one_in(4) => {
+                    rig.stuck_flag = dice.pick(&[None, Some(true), Some(false)]);
                 }
-                16 if random.one_in(8) => rig.jumper_cut = !rig.jumper_cut,
-                17 => rig.bounces = random.below(3) as u32,
+                16 if dice.one_in(8) => rig.jumper_cut = !rig.jumper_cut,
+                17 => rig.bounces = dice.below(3) as u32,
                 // Someone moves the carriage; the motor holds it while it moves.
-                18 if !rig.moving() && random.one_in(4) => {
-                    rig.place = random.below(81) as i32;
+                18 if !rig.moving() && dice.one_in(4) => {
+                    rig.place = dice.below(81) as i32;
                     sound = false;
                 }
                 19 | 20 => {
@@ -468,14 +444,14 @@ mod executed {
                     let _ = rig.command(Command::Resume);
                 }
                 23 => {
-                    let _ = rig.command(jog(random, &settings));
+                    let _ = rig.command(jog(dice, &settings));
                 }
                 24 => {
-                    let _ = rig.command(move_to(random, &settings));
+                    let _ = rig.command(move_to(dice, &settings));
                 }
-                25 if !rig.moving() => rig.wait(random.below(1_000_000_000)),
+                25 if !rig.moving() => rig.wait(dice.below(1_000_000_000)),
                 _ => {
-                    rig.pulses(random.below(200));
+                    rig.pulses(dice.below(200));
                     if matches!(
                         before,
                         RigState::Unhomed | RigState::Ready | RigState::Held | RigState::Faulted
@@ -520,7 +496,7 @@ mod executed {
         let half = |first: u64| {
             let mut ends = Ends::default();
             for seed in (first..sequences).step_by(2) {
-                sequence(&mut Random(seed), small(), &mut ends);
+                sequence(&mut Dice(seed), small(), &mut ends);
             }
             ends
         };

@@ -181,15 +181,6 @@ fn every_rule_refuses_at_its_boundary() {
     set(default, Key::TelemetryMs, 5);
 }
 
-fn config(cases: u32) -> ProptestConfig {
-    ProptestConfig {
-        cases,
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    }
-}
-
 fn any_change() -> impl Strategy<Value = (SettingKey, u32)> {
     (
         prop::sample::select(SettingKey::of(DeviceKind::Rig).collect::<Vec<_>>()),
@@ -210,7 +201,7 @@ fn any_change() -> impl Strategy<Value = (SettingKey, u32)> {
 }
 
 proptest! {
-    #![proptest_config(config(2_000))]
+    #![proptest_config(ProptestConfig::with_cases(2_000))]
 
     /// Any changes in any order: the settings in force keep ranges and rules, a refusal changes nothing, and the
     /// records restore the settings.
@@ -247,7 +238,7 @@ proptest! {
 }
 
 proptest! {
-    #![proptest_config(config(400))]
+    #![proptest_config(ProptestConfig::with_cases(400))]
 
     /// With any accepted settings homing finds 0, unless it times out or the carriage brakes too slowly to stop
     /// between flag and end of travel.

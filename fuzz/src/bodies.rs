@@ -16,7 +16,7 @@ use simulated_machines::link::{Memory, Peer};
 
 use crate::model::{self, Good, Once};
 use crate::script::steps;
-use simulated_machines::machine::{Left, Machine, Script, World};
+use simulated_machines::machine::{Left, Script, SimulatedMachine, World};
 
 /// Time to wait for the answer to a frame, us.
 const UNDER_WAY_US: u64 = 2_000;
@@ -86,7 +86,7 @@ pub enum Sensible {
 }
 
 struct Bench {
-    machine: Machine,
+    machine: SimulatedMachine,
     kind: DeviceKind,
     now_us: u64,
     once: Once,
@@ -127,7 +127,7 @@ impl Bench {
             script.left = Some(Arc::clone(FOLDED.get_or_init(|| Arc::new(folded()))));
         }
         Self {
-            machine: Machine::new(script).0,
+            machine: SimulatedMachine::new(script).0,
             kind,
             now_us: 0,
             once: Once::default(),
@@ -314,7 +314,7 @@ fn request(sensible: Sensible) -> Request {
 
 /// A capsule that was calibrated, folded and switched off.
 fn folded() -> Left {
-    let machine = Machine::new(Script::new(DeviceKind::Capsule)).0;
+    let machine = SimulatedMachine::new(Script::new(DeviceKind::Capsule)).0;
     let shared = Arc::new(std::sync::Mutex::new(machine));
     let line = simulated_machines::machine::Shared(Arc::clone(&shared));
     let mut host = Device::connect(Box::new(Memory::new("bench", line)), DeviceKind::Capsule, 1)

@@ -1,5 +1,5 @@
-//! A door in this process, without sockets and threads, for tests: what guests and machine say goes in, what reaches the line,
-//! the owner and the guests comes out. Time is the caller's.
+//! A door in this process, without sockets and threads, for tests. The test sends the bytes of guests and machine, and
+//! reads those for the line, the owner and the guests. The test sets the time, too.
 
 use std::io::{self, Write};
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -70,8 +70,8 @@ impl Door {
         }
     }
 
-    /// Lets a guest in that begins with these bytes: its welcome, and the bytes after its greeting. `None` if it is not
-    /// let in.
+    /// A guest that begins with these bytes: returns it with its welcome and the bytes after its greeting, or `None` if
+    /// the door refuses it.
     #[must_use]
     pub fn greet<'a>(&self, mut bytes: &'a [u8]) -> Option<(Guest, Vec<u8>, &'a [u8])> {
         let line = read_line(&mut bytes, LONGEST_LINE).ok()?;

@@ -4,7 +4,7 @@
 
 use core::fmt;
 
-use crate::units::{Micrometres, Nanometres, StepPosition, Steps, TICK_HZ, Window};
+use crate::units::{Decimal, Micrometres, Nanometres, StepPosition, Steps, TICK_HZ, Window};
 use crate::wide::{div_ceil, div_nearest};
 
 /// Longest stroke of any axis: 130 mm, the paper's.
@@ -501,7 +501,8 @@ impl fmt::Display for AxisError {
         match *self {
             Self::Lead { lead_um } => write!(
                 f,
-                "a lead of {lead_um} um is outside 500..=50000 um: enter the screw's travel per turn"
+                "a lead of {} mm is outside 0.5 to 50 mm: enter the screw's travel per turn",
+                Decimal::milli(lead_um.into())
             ),
             Self::FullSteps { full_steps_per_rev } => write!(
                 f,
@@ -513,15 +514,17 @@ impl fmt::Display for AxisError {
             ),
             Self::Stroke { stroke_um } => write!(
                 f,
-                "a stroke of {stroke_um} um is outside 1..=130000 um: enter the travel between the end stops"
+                "a stroke of {} mm is outside 0.001 to 130 mm: enter the travel between the end stops",
+                Decimal::milli(stroke_um.into())
             ),
             Self::StrokeBelowOneStep { stroke_um } => write!(
                 f,
-                "a stroke of {stroke_um} um is shorter than one step: use a longer stroke or more microsteps"
+                "a stroke of {} mm is shorter than one step: use a longer stroke or more microsteps",
+                Decimal::milli(stroke_um.into())
             ),
-            Self::NoSpeed => write!(f, "the speed is zero: use at least 1 um/s"),
+            Self::NoSpeed => write!(f, "the speed is zero: use at least 0.001 mm/s"),
             Self::NoAcceleration => {
-                write!(f, "the acceleration is zero: use at least 1 um/s^2")
+                write!(f, "the acceleration is zero: use at least 0.001 mm/s2")
             }
         }
     }

@@ -6,7 +6,7 @@ use core::fmt;
 
 use crate::axis::{Acceleration, Axis, AxisError, Direction, Speed};
 use crate::trapezoid::{StrokeError, StrokeProfile};
-use crate::units::{Micrometres, Steps, TICK_HZ, TICKS_PER_US, Ticks};
+use crate::units::{Decimal, Micrometres, Steps, TICK_HZ, TICKS_PER_US, Ticks};
 
 /// Maximum cycles of one run.
 pub const MAX_CYCLES: u16 = 10_000;
@@ -577,39 +577,32 @@ impl fmt::Display for RunError {
                 max_um_s2,
             } => write!(
                 f,
-                "an acceleration of {accel_um_s2} um/s^2 is above the limit: use at most {max_um_s2}"
+                "an acceleration of {} mm/s2 is above the limit: use at most {} mm/s2",
+                Decimal::milli(accel_um_s2.into()),
+                Decimal::milli(max_um_s2.into())
             ),
             Self::SpeedAboveLimit {
                 speed_um_s,
                 max_um_s,
             } => write!(
                 f,
-                "a speed of {speed_um_s} um/s is above the limit: use at most {max_um_s}"
+                "a speed of {} mm/s is above the limit: use at most {} mm/s",
+                Decimal::milli(speed_um_s.into()),
+                Decimal::milli(max_um_s.into())
             ),
             Self::TotalTooShort {
                 minimal_total_us,
                 minimal_accel_um_s2,
-            } => {
-                write!(
-                    f,
-                    "too little time: allow at least {} in total",
-                    Seconds(minimal_total_us)
-                )?;
-                match minimal_accel_um_s2 {
-                    Some(um_s2) => write!(f, ", or accelerate with at least {um_s2} um/s^2"),
-                    None => write!(
-                        f,
-                        "; no acceleration within the limits does it in the requested time"
-                    ),
-                }
-            }
+            } => too_short(f, minimal_total_us, minimal_accel_um_s2),
             Self::AccelerationTooLow {
                 accel_um_s2,
                 minimal_um_s2,
                 ..
             } => write!(
                 f,
-                "an acceleration of {accel_um_s2} um/s^2 is too low for exact step times: accelerate with at least {minimal_um_s2} um/s^2"
+                "an acceleration of {} mm/s2 is too low for exact step times: accelerate with at least {} mm/s2",
+                Decimal::milli(accel_um_s2.into()),
+                Decimal::milli(minimal_um_s2.into())
             ),
             Self::PeakAboveLimit {
                 peak_um_s,
@@ -618,13 +611,15 @@ impl fmt::Display for RunError {
             } => {
                 write!(
                     f,
-                    "this needs {peak_um_s} um/s at its peak and the limit is {max_um_s}: "
+                    "this needs {} mm/s at its peak and the limit is {} mm/s: ",
+                    Decimal::milli(peak_um_s.into()),
+                    Decimal::milli(max_um_s.into())
                 )?;
                 match minimal_total_us {
                     Some(us) => write!(
                         f,
-                        "allow at least {} in total, or accelerate harder",
-                        Seconds(us)
+                        "allow at least {} s in total, or accelerate harder",
+                        Decimal::micro(us)
                     ),
                     None => write!(f, "allow more time, or accelerate harder"),
                 }
@@ -635,8 +630,10 @@ impl fmt::Display for RunError {
                 max_um_s,
             } => write!(
                 f,
-                "steps would be {} ticks apart and the least is {}: stay below {max_um_s} um/s or use fewer microsteps",
-                interval.0, min_interval.0
+                "steps would be {} ticks apart and the least is {}: stay below {} mm/s or use fewer microsteps",
+                interval.0,
+                min_interval.0,
+                Decimal::milli(max_um_s)
             ),
             Self::Turnaround {
                 before,
@@ -644,11 +641,12 @@ impl fmt::Display for RunError {
                 minimal_dwell_us,
             } => write!(
                 f,
-                "a dwell of {dwell} at {} is too short to turn: use at least {minimal_dwell_us} us",
+                "a dwell of {dwell} at {} is too short to turn: use at least {} s",
                 match before {
                     Direction::Home => "the far end",
                     Direction::Away => "home",
-                }
+                },
+                Decimal::micro(minimal_dwell_us)
             ),
             Self::TooLong => write!(f, "the run is too long: use fewer cycles or less time"),
             Self::Rate(error) => error.fmt(f),
@@ -657,13 +655,17 @@ impl fmt::Display for RunError {
     }
 }
 
-impl core::error::Error for RunError {}
-
-/// Microseconds as seconds with six decimals.
-struct Seconds(u64);
-
-impl fmt::Display for Seconds {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{:06} s", self.0 / 1_000_000, self.0 % 1_000_000)
+/// The text of [`RunError::TotalTooShort`].
+fn too_short(f: &mut fmt::Formatter<'_>, total_us: u64, accel_um_s2: Option<u32>) -> fmt::Result {
+    let total = Decimal::micro(total_us);
+    write!(f, "too little time: allow at least {total} s in total")?;
+    match accel_um_s2.map(|um_s2| Decimal::milli(um_s2.into())) {
+        Some(accel) => write!(f, ", or accelerate with at least {accel} mm/s2"),
+        None => write!(
+            f,
+            "; no acceleration within the limits does it in the requested time"
+        ),
     }
 }
+
+impl core::error::Error for RunError {}

@@ -14,7 +14,7 @@
 use core::fmt;
 
 use crate::axis::{Acceleration, Axis, Speed};
-use crate::units::{Steps, TICK_HZ, Ticks};
+use crate::units::{Decimal, Steps, TICK_HZ, Ticks};
 use crate::wide::{div_ceil, isqrt};
 
 /// Maximum steps of one stroke. The finest axis has 26.6 M in 130 mm.
@@ -333,7 +333,8 @@ impl fmt::Display for StrokeError {
                 minimal_accel_um_s2,
             } => write!(
                 f,
-                "too little time: allow at least {minimal_duration} for the stroke, or accelerate with at least {minimal_accel_um_s2} um/s^2"
+                "too little time: allow at least {minimal_duration} for the stroke, or accelerate with at least {} mm/s2",
+                Decimal::milli(minimal_accel_um_s2)
             ),
         }
     }

@@ -109,6 +109,45 @@ impl Ticks {
     }
 }
 
+/// `value / 10^decimals`, written exactly and without trailing zeros; `decimals` is at most 19.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Decimal {
+    /// The number in its smallest unit.
+    pub value: u64,
+    /// Number of decimals that the smallest unit stands for.
+    pub decimals: u32,
+}
+
+impl Decimal {
+    /// Micrometres, with or without a time in their unit, as millimetres.
+    #[must_use]
+    pub const fn milli(value: u64) -> Self {
+        Self { value, decimals: 3 }
+    }
+
+    /// Microseconds as seconds.
+    #[must_use]
+    pub const fn micro(value: u64) -> Self {
+        Self { value, decimals: 6 }
+    }
+}
+
+impl fmt::Display for Decimal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let scale = 10_u64.pow(self.decimals);
+        let (whole, mut fraction) = (self.value / scale, self.value % scale);
+        if fraction == 0 {
+            return write!(f, "{whole}");
+        }
+        let mut width = self.decimals as usize;
+        while fraction.is_multiple_of(10) {
+            fraction /= 10;
+            width -= 1;
+        }
+        write!(f, "{whole}.{fraction:0width$}")
+    }
+}
+
 impl fmt::Display for Steps {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{} steps", self.0)

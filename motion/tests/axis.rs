@@ -55,14 +55,14 @@ fn an_axis_outside_its_bounds_is_refused_by_name() {
             200,
             16,
             1_000,
-            "a lead of 499 um is outside 500..=50000 um: enter the screw's travel per turn",
+            "a lead of 0.499 mm is outside 0.5 to 50 mm: enter the screw's travel per turn",
         ),
         (
             50_001,
             200,
             16,
             1_000,
-            "a lead of 50001 um is outside 500..=50000 um: enter the screw's travel per turn",
+            "a lead of 50.001 mm is outside 0.5 to 50 mm: enter the screw's travel per turn",
         ),
         (
             4_000,
@@ -97,21 +97,21 @@ fn an_axis_outside_its_bounds_is_refused_by_name() {
             200,
             16,
             0,
-            "a stroke of 0 um is outside 1..=130000 um: enter the travel between the end stops",
+            "a stroke of 0 mm is outside 0.001 to 130 mm: enter the travel between the end stops",
         ),
         (
             4_000,
             200,
             16,
             130_001,
-            "a stroke of 130001 um is outside 1..=130000 um: enter the travel between the end stops",
+            "a stroke of 130.001 mm is outside 0.001 to 130 mm: enter the travel between the end stops",
         ),
         (
             50_000,
             200,
             1,
             249,
-            "a stroke of 249 um is shorter than one step: use a longer stroke or more microsteps",
+            "a stroke of 0.249 mm is shorter than one step: use a longer stroke or more microsteps",
         ),
     ] {
         assert_eq!(
@@ -126,11 +126,11 @@ fn an_axis_outside_its_bounds_is_refused_by_name() {
     assert_eq!(axis.acceleration(0), Err(AxisError::NoAcceleration));
     assert_eq!(
         AxisError::NoSpeed.to_string(),
-        "the speed is zero: use at least 1 um/s"
+        "the speed is zero: use at least 0.001 mm/s"
     );
     assert_eq!(
         AxisError::NoAcceleration.to_string(),
-        "the acceleration is zero: use at least 1 um/s^2"
+        "the acceleration is zero: use at least 0.001 mm/s2"
     );
 }
 

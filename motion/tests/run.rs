@@ -232,7 +232,7 @@ fn refusals_say_what_to_do() {
     );
     paper(
         with(&PAPER, 40_000_000, 32_499),
-        "too little time: allow at least 40.000616 s in total, or accelerate with at least 32500 um/s^2",
+        "too little time: allow at least 40.000616 s in total, or accelerate with at least 32.5 mm/s2",
     );
     let resting = RunRequest {
         far_dwell_us: 8_000_000,
@@ -240,31 +240,31 @@ fn refusals_say_what_to_do() {
     };
     paper(
         resting,
-        "too little time: allow at least 63.000000 s in total; no acceleration within the limits does it in the requested time",
+        "too little time: allow at least 63 s in total; no acceleration within the limits does it in the requested time",
     );
     paper(
         with(&PAPER, 40_000_000, 2_000_001),
-        "an acceleration of 2000001 um/s^2 is above the limit: use at most 2000000",
+        "an acceleration of 2000.001 mm/s2 is above the limit: use at most 2000 mm/s2",
     );
     paper(
         with(&PAPER, 40_000_000, 0),
-        "the acceleration is zero: use at least 1 um/s^2",
+        "the acceleration is zero: use at least 0.001 mm/s2",
     );
     paper(
         speeds(100_001, 1_000, 100_000),
-        "a speed of 100001 um/s is above the limit: use at most 100000",
+        "a speed of 100.001 mm/s is above the limit: use at most 100 mm/s",
     );
     paper(
         speeds(1_000, 100_001, 100_000),
-        "a speed of 100001 um/s is above the limit: use at most 100000",
+        "a speed of 100.001 mm/s is above the limit: use at most 100 mm/s",
     );
     paper(
         speeds(1_000, 0, 100_000),
-        "the speed is zero: use at least 1 um/s",
+        "the speed is zero: use at least 0.001 mm/s",
     );
     paper(
         speeds(1_000, 1_000, 2_000_001),
-        "an acceleration of 2000001 um/s^2 is above the limit: use at most 2000000",
+        "an acceleration of 2000.001 mm/s2 is above the limit: use at most 2000 mm/s2",
     );
     paper(
         with(&PAPER, u64::MAX, 100_000),
@@ -281,7 +281,7 @@ fn refusals_say_what_to_do() {
     refused(
         &slow,
         PAPER,
-        "this needs 35683 um/s at its peak and the limit is 35000: allow at least 40.642858 s in total, or accelerate harder",
+        "this needs 35.683 mm/s at its peak and the limit is 35 mm/s: allow at least 40.642858 s in total, or accelerate harder",
     );
     // No stroke within 1 um/s has exact step times.
     let slowest = Limits {
@@ -291,7 +291,7 @@ fn refusals_say_what_to_do() {
     refused(
         &slowest,
         PAPER,
-        "this needs 35683 um/s at its peak and the limit is 1: allow more time, or accelerate harder",
+        "this needs 35.683 mm/s at its peak and the limit is 0.001 mm/s: allow more time, or accelerate harder",
     );
     let driver = Limits {
         min_interval_ticks: 4_000,
@@ -300,7 +300,7 @@ fn refusals_say_what_to_do() {
     refused(
         &driver,
         PAPER,
-        "steps would be 3503 ticks apart and the least is 4000: stay below 31250 um/s or use fewer microsteps",
+        "steps would be 3503 ticks apart and the least is 4000: stay below 31.25 mm/s or use fewer microsteps",
     );
     let turns = Limits {
         min_turnaround_ticks: 650_000,
@@ -309,7 +309,7 @@ fn refusals_say_what_to_do() {
     refused(
         &turns,
         PAPER,
-        "a dwell of 0.00000000 s at the far end is too short to turn: use at least 1500 us",
+        "a dwell of 0.00000000 s at the far end is too short to turn: use at least 0.0015 s",
     );
     refused(
         &turns,
@@ -317,7 +317,7 @@ fn refusals_say_what_to_do() {
             far_dwell_us: 10_000,
             ..speeds(30_000, 30_000, 100_000)
         },
-        "a dwell of 0.00000000 s at home is too short to turn: use at least 1500 us",
+        "a dwell of 0.00000000 s at home is too short to turn: use at least 0.0015 s",
     );
 }
 

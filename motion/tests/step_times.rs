@@ -112,8 +112,8 @@ fn shares() -> impl Strategy<Value = (usize, Share)> {
     )
 }
 
-/// Steps of a stroke and the fraction of a tick, in as many parts, that each of them takes: any, next to none, next
-/// to a half or to any other simple fraction, next to one.
+/// The number n of a stroke's steps, and how many n-ths of a tick each step takes beyond whole ticks: any number, or one
+/// close to a simple fraction of a tick, such as none, a half or a whole.
 fn fractions() -> impl Strategy<Value = (u32, u32)> {
     let simple = (1_u32..=12, 0_u32..=12, -3_i32..=3);
     (
@@ -669,7 +669,7 @@ fn a_refused_stroke_says_what_to_do() {
                 minimal_duration: Ticks(400_006_154),
                 minimal_accel_um_s2: 32_500,
             },
-            "too little time: allow at least 4.00006154 s for the stroke, or accelerate with at least 32500 um/s^2",
+            "too little time: allow at least 4.00006154 s for the stroke, or accelerate with at least 32.5 mm/s2",
         ),
     ] {
         assert_eq!(error.to_string(), text);

@@ -202,7 +202,7 @@ pub struct GetActuationRecord;
 pub struct ActuationRecord {
     /// Number of the actuation.
     pub actuation: u32,
-    /// What was asked for.
+    /// The requested actuation.
     pub kind: ActuationKind,
     /// How it ended, or that it goes on.
     pub outcome: ActuationOutcome,
@@ -268,7 +268,7 @@ pub struct Trace {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetCapsuleTotals;
 
-/// What the capsule keeps in flash.
+/// The totals that the capsule keeps in flash, and its calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleTotals {
@@ -276,11 +276,11 @@ pub struct CapsuleTotals {
     pub actuations: u32,
     /// Energy drawn by the motor so far.
     pub energy_mj: u64,
-    /// What was measured by [`Calibrate`], if it was.
+    /// Measured by [`Calibrate`]; none before.
     pub calibration: Option<CapsuleCalibration>,
 }
 
-/// What is known of one capsule.
+/// Properties of one capsule, as measured by [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleCalibration {
@@ -294,7 +294,7 @@ pub struct CapsuleCalibration {
     pub tension_ma: u16,
 }
 
-/// What happened on the capsule.
+/// An event on the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleEvent {
@@ -302,7 +302,7 @@ pub enum CapsuleEvent {
     Started {
         /// Number of the actuation.
         actuation: u32,
-        /// What was asked for.
+        /// The requested actuation.
         kind: ActuationKind,
     },
     /// An actuation ended.

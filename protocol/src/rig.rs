@@ -21,7 +21,7 @@ pub struct HomeAccepted {
     pub max_travel_um: u32,
 }
 
-/// What a run does when the host falls silent for longer than the link time-out.
+/// The reaction of a run when the host falls silent for longer than the link time-out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum LinkLossPolicy {
@@ -69,7 +69,7 @@ pub struct Run {
     pub home_dwell_us: u32,
     /// Between acceptance and the first stroke.
     pub start_delay_us: u32,
-    /// What to do if the host falls silent.
+    /// Reaction if the host falls silent.
     pub link_loss: LinkLossPolicy,
 }
 
@@ -210,7 +210,7 @@ pub struct RigHealth {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetRigHardware;
 
-/// What step timer, capture timer and pins have shown since the start of the device. The counters wrap.
+/// Counts of step timer, capture timer and pins since the start of the device. They wrap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigHardware {
@@ -446,7 +446,7 @@ pub struct RigStatus {
     pub needs_acknowledge: bool,
 }
 
-/// What happened on the rig.
+/// An event on the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RigEvent {

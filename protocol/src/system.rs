@@ -138,7 +138,7 @@ pub struct GetChip;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Chip {
-    /// What the processor's clock is made from.
+    /// Source of the processor's clock.
     pub clock: Clock,
     /// Supply below which the chip holds itself in reset, by its option bytes.
     pub brown_out: BrownOut,
@@ -207,7 +207,7 @@ pub struct Event {
     pub what: What,
 }
 
-/// What happened.
+/// Kind and content of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum What {

@@ -7,7 +7,7 @@ pub mod ring;
 
 use device::settings::Values;
 use firmware_rig::{
-    execution::{Mailbox, Motion, Order, Pace},
+    execution::{Mailbox, MotionTask, Order, Pace},
     machine::{Action, Actions, Command, Event, Machine, Now, PathEnd, PathReport},
     settings::Settings,
 };
@@ -127,7 +127,7 @@ pub struct Pulse {
 pub struct Carriage {
     /// Where the switches are mounted.
     pub mounted: Settings,
-    motion: Motion,
+    motion: MotionTask,
     pub mail: Mail,
     pub ring: Slots,
     /// When motion next services the ring, ticks of 10 ns.
@@ -165,7 +165,7 @@ impl Carriage {
     pub fn new(mounted: Settings, place: i32) -> Self {
         let mut carriage = Self {
             mounted,
-            motion: Motion::default(),
+            motion: MotionTask::default(),
             mail: Mail::default(),
             ring: Slots::new(),
             next_round: u64::MAX,

@@ -1,6 +1,7 @@
 //! The STM32F411's flash, modelled in memory: programs words, erases sectors, and can lose its supply in the middle
 //! of an operation.
 
+use crate::dice::Dice;
 use device::store::{SECTOR, SECTORS};
 use embedded_storage_async::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
@@ -9,24 +10,6 @@ use std::{
     ops::Range,
     sync::{Arc, Mutex, MutexGuard},
 };
-
-/// SplitMix64 (Steele, Lea, Flood 2014).
-#[derive(Clone, Debug)]
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn draw(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub fn below(&mut self, n: u64) -> u64 {
-        self.draw() % n
-    }
-}
 
 /// Where in an operation the supply fails.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,7 +66,7 @@ pub struct Supply {
     /// Operations requested since `fail`, and the range of them that fails.
     asked: usize,
     failing: Range<usize>,
-    pub noise: Random,
+    pub noise: Dice,
 }
 
 impl Default for Supply {
@@ -100,14 +83,14 @@ impl Supply {
             powered: true,
             asked: 0,
             failing: 0..0,
-            noise: Random(1),
+            noise: Dice(1),
         }
     }
 
     /// Makes the supply fail after `after` more operations.
     pub fn cut(&mut self, after: usize, cut: Cut, seed: u64) {
         self.cut = Some((self.operations.len() + after, cut));
-        self.noise = Random(seed);
+        self.noise = Dice(seed);
     }
 
     /// Makes these operations fail, counted from now on.
@@ -226,7 +209,7 @@ impl Array {
         if torn && done < words {
             // The torn word: some of its bits are already programmed to 0.
             for index in 4 * done..4 * done + 4 {
-                target[index] = bytes[index] | self.supply.noise.draw() as u8;
+                target[index] = bytes[index] | self.supply.noise.bits() as u8;
             }
         }
         self.supply.end()
@@ -242,17 +225,17 @@ impl Array {
             Cut::After => bytes.fill(0xFF),
             // Interrupted erasure: some bits are already back to 1.
             Cut::BlankAtBothEnds => {
-                bytes.fill_with(|| noise.draw() as u8);
+                bytes.fill_with(|| noise.bits() as u8);
                 bytes[..4].fill(0xFF);
                 bytes[SECTOR as usize - 4..].fill(0xFF);
             }
             Cut::Within { done, torn } => {
                 let done = done.min(4) * quarter;
                 for byte in &mut bytes[..done] {
-                    *byte |= if torn { noise.draw() as u8 } else { 0xFF };
+                    *byte |= if torn { noise.bits() as u8 } else { 0xFF };
                 }
                 for byte in &mut bytes[done..] {
-                    *byte |= noise.draw() as u8 & noise.draw() as u8;
+                    *byte |= noise.bits() as u8 & noise.bits() as u8;
                 }
             }
         }

@@ -2,6 +2,7 @@
 //! stand in for everything around them.
 //!
 //! * [`chip`]: the flash, with a supply that can fail.
+//! * [`dice`]: random choices from a seed.
 //! * [`carriage`]: the rig's screw, step ring and switches. [`plant`]: the capsule's bridge, motor and thread.
 //! * [`machine`]: a whole machine behind a bad line, with feature `links`; [`link`]: the host's end of it.
 //! * [`population`]: seeded capsules, folded, unfolded and identified.
@@ -10,6 +11,7 @@
 
 pub mod carriage;
 pub mod chip;
+pub mod dice;
 #[cfg(feature = "links")]
 pub mod link;
 #[cfg(feature = "links")]

@@ -220,7 +220,7 @@ trait Device: Send {
 }
 
 /// A machine and the line to it.
-pub struct Machine {
+pub struct SimulatedMachine {
     script: Script,
     line: Line,
     service: Service,
@@ -239,16 +239,16 @@ pub struct Machine {
 }
 
 /// A link to a new machine, and its log.
-pub fn link(script: Script) -> (Box<Memory<Machine>>, Arc<Mutex<Log>>) {
+pub fn link(script: Script) -> (Box<Memory<SimulatedMachine>>, Arc<Mutex<Log>>) {
     let place = match script.kind {
         DeviceKind::Rig => "test rig",
         DeviceKind::Capsule => "test capsule",
     };
-    let (machine, log) = Machine::new(script);
+    let (machine, log) = SimulatedMachine::new(script);
     (Box::new(Memory::new(place, machine)), log)
 }
 
-impl Machine {
+impl SimulatedMachine {
     /// A machine to which a host has just connected, and its log from that moment.
     pub fn new(script: Script) -> (Self, Arc<Mutex<Log>>) {
         let port = Port::new();
@@ -459,7 +459,7 @@ impl Machine {
     }
 }
 
-impl Peer for Machine {
+impl Peer for SimulatedMachine {
     fn take(&mut self, bytes: &[u8], now_us: u64) {
         self.live(self.connected_us + now_us);
         let mut heard = vec![];
@@ -515,10 +515,10 @@ fn make_ready(host: &mut client::Device, script: &Script) {
 }
 
 /// A machine that outlives its link.
-pub struct Shared(pub Arc<Mutex<Machine>>);
+pub struct Shared(pub Arc<Mutex<SimulatedMachine>>);
 
 impl Shared {
-    fn machine(&self) -> MutexGuard<'_, Machine> {
+    fn machine(&self) -> MutexGuard<'_, SimulatedMachine> {
         self.0.lock().expect("it has not panicked")
     }
 }

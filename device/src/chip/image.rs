@@ -1,6 +1,7 @@
 //! Facts from the linker's symbols: the fingerprint of the image in flash, the stack's size, use and guard.
 
 use super::stm32f411re::GUARD;
+use crate::fingerprint;
 use core::{
     ops::Range,
     ptr::{addr_of, read_volatile},
@@ -26,14 +27,12 @@ fn words(from: *const u32, to: *const u32) -> impl Iterator<Item = u32> {
     (0..count).map(move |index| unsafe { read_volatile(from.add(index)) })
 }
 
-/// FNV-1a, 32 bits, over code, constants and initial values as 32-bit words.
+/// The fingerprint of the image in flash.
 pub fn hash() -> u32 {
     let start = addr_of!(__stext);
     let data = addr_of!(__edata) as usize - addr_of!(__sdata) as usize;
     let end = addr_of!(__sidata).wrapping_byte_add(data);
-    words(start, end).fold(0x811C_9DC5, |hash: u32, word| {
-        (hash ^ word).wrapping_mul(0x0100_0193)
-    })
+    fingerprint::of(words(start, end))
 }
 
 /// The guard: the first place above the statics that is aligned to its size.

@@ -40,13 +40,13 @@ macro_rules! last_resort {
     };
 }
 
-/// The last words are kept already: what follows is a panic within that.
+/// Set once the last words are kept: a further panic comes from logging them, and must not replace them.
 static DYING: AtomicBool = AtomicBool::new(false);
 
-/// Keeps the last words and starts again. Whoever dies within a frame of the log finds it taken and panics once more:
+/// Keeps the last words and starts again. A panic within a frame of the log finds the log taken and panics once more:
 /// then the first words stand, and nothing is logged.
 pub(super) fn die(words: &Draft) -> ! {
-    // Interrupted by nobody who could die as well: panics and faults are not left.
+    // A panic or fault never returns, so none of them is resumed between this check and the store below.
     if DYING.load(Ordering::Relaxed) {
         cortex_m::peripheral::SCB::sys_reset();
     }

@@ -1,7 +1,7 @@
 //! The settings' log in flash: its content, and what a failing supply leaves of it. The supply is cut before, within
 //! and after every write and erasure of a change.
 
-use super::chip::{Cut, Flash, Operation, Random};
+use super::chip::{Cut, Flash, Operation};
 use device::{
     settings::{SettingsStore, Values},
     store::{self, NAME_RECORD, SECTOR, SECTORS, StorageFailed},
@@ -9,6 +9,7 @@ use device::{
 use embedded_storage_async::nor_flash::NorFlash as _;
 use proptest::prelude::*;
 use protocol::settings::{MAX_NAME, SettingKey};
+use simulated_machines::dice::Dice;
 use std::sync::LazyLock;
 
 pub type Store = SettingsStore<Flash>;
@@ -246,10 +247,10 @@ fn a_reset_ends_a_conflict() {
 fn a_flash_of_noise_can_be_reset() {
     let mut unreadable = 0;
     for seed in 0..40 {
-        let mut random = Random(seed);
+        let mut dice = Dice(seed);
         let mut bytes = Flash::blank().bytes();
         for byte in &mut bytes[SECTORS.start as usize..SECTORS.end as usize] {
-            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | random.draw() as u8;
+            *byte = if seed % 2 == 0 { 0 } else { 0x5A } | dice.bits() as u8;
         }
         // The marks at the start and the end of a sector by which the log recognises one in use.
         for (sector, marks) in (1..).zip([seed % 3, seed % 4, seed % 5]) {
@@ -374,12 +375,7 @@ fn any_step() -> impl Strategy<Value = Step> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig {
-        cases: 64,
-        failure_persistence: None,
-        rng_seed: prop::test_runner::RngSeed::Fixed(1),
-        ..ProptestConfig::default()
-    })]
+    #![proptest_config(ProptestConfig::with_cases(64))]
 
     /// Any changes with any cuts, even in the first change after a cut: each change leaves the old value or the new
     /// one. The log starts where sectors are dropped.

@@ -36,7 +36,7 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant, Ticker, with_timeout};
 use firmware_rig::{
     control::{self, Control, ROUND_US},
-    execution::{Motion, Order},
+    execution::{MotionTask, Order},
     machine::Now,
 };
 use motion::units::StepPosition;
@@ -50,7 +50,7 @@ use protocol::{
 /// it twice a round. While a turn or the end is awaited: every 0.1 ms.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGenerator) -> ! {
-    let mut motion = Motion::default();
+    let mut motion = MotionTask::default();
     loop {
         check_in(Client::Motion);
         let wait = Duration::from_micros(motion.pace().within_us());

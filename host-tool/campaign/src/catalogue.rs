@@ -1,6 +1,5 @@
 //! The catalogue: lists the campaigns and trials in folders by date, specimen and outcome. Only reads.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
@@ -9,13 +8,14 @@ use jiff::Timestamp;
 use jiff::civil::Date;
 use jiff::tz::TimeZone;
 use serde::Serialize;
-use trials::sidecar::{heading, unreadable};
-use trials::trial::{Status, Trial};
+use trials::listing::Listing;
+use trials::sidecar::heading;
+use trials::trial::Trial;
 
 use crate::contents::Campaign;
 use crate::differences::read_manifest;
 use crate::files::{ORDER, PLAN};
-use crate::ledger::{Outcome, Standing, TrialState};
+use crate::ledger::{AttemptOutcome, Standing, TrialState};
 use crate::order::doing;
 
 /// Greatest depth of nested folders that are searched.
@@ -119,31 +119,15 @@ impl Catalogue {
             }
             return;
         }
-        let mut within: Vec<PathBuf> = match fs::read_dir(folder) {
-            Ok(entries) => entries.flatten().map(|entry| entry.path()).collect(),
-            Err(io) => {
-                self.unreadable.push(format!("{}: {io}", folder.display()));
-                return;
-            }
-        };
-        within.sort();
-        let is_json = |path: &&PathBuf| path.extension().is_some_and(|kind| kind == "json");
-        for sidecar in within.iter().filter(is_json) {
-            match Trial::read(sidecar) {
-                Ok(trial) => self.entries.push(ordinary(sidecar, &trial)),
-                // Other JSON records are ignored; an unreadable trial is reported.
-                Err(error) => {
-                    if let Some(why) = unreadable(sidecar, error) {
-                        self.unreadable.push(why);
-                    }
-                }
-            }
-        }
+        let listing = Listing::read(folder);
+        let trials_here = listing.trials.iter();
+        self.entries
+            .extend(trials_here.map(|(sidecar, trial)| ordinary(sidecar, trial)));
+        self.unreadable.extend(listing.unreadable);
         if depth > 0 {
-            // Skip links, which could form a cycle, and campaigns that were never made whole.
+            // Skip campaigns that were never made whole.
             let is_part = |path: &Path| path.to_string_lossy().ends_with(plain::PART);
-            let is_folder = |path: &&PathBuf| plain::is_folder(path) && !is_part(path);
-            for folder in within.iter().filter(is_folder) {
+            for folder in listing.folders.iter().filter(|folder| !is_part(folder)) {
                 self.look(folder, depth - 1, trials);
             }
         }
@@ -184,7 +168,7 @@ impl Catalogue {
         for state in all {
             let planned = &state.planned;
             for attempt in &state.attempts {
-                let outcome = attempt.outcome.map_or("under_way", Outcome::name);
+                let outcome = attempt.outcome.map_or("under_way", AttemptOutcome::name);
                 let displacement = attempt
                     .displacement
                     .map(|displacement| format!(", {} mm", displacement.value));
@@ -217,21 +201,13 @@ impl Catalogue {
 }
 
 fn ordinary(sidecar: &Path, trial: &Trial) -> Entry {
-    let outcome = match trial.status {
-        Status::Running => "running",
-        Status::Complete => "complete",
-        Status::Stopped => "stopped",
-        Status::LinkLost => "link_lost",
-        Status::Faulted => "faulted",
-        Status::Unknown => "unknown",
-    };
     Entry {
         kind: Kind::Trial,
         path: sidecar.to_owned(),
         started_utc: Some(trial.started_utc),
         what: heading(trial),
         specimen: trial.note.clone(),
-        outcome: outcome.to_owned(),
+        outcome: trial.status.name().to_owned(),
         origin: trial.device.origin,
     }
 }

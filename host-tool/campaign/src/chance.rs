@@ -1,24 +1,21 @@
-//! Random numbers from a seed. The same seed gives the same order forever, which no general-purpose crate promises
-//! across its versions.
+//! Random choices from a seed.
 
-/// SplitMix64 (Steele, Lea, Flood 2014).
+use locomotion::chance::SplitMix64;
+
+/// Choices that depend on the seed alone, for ever.
 #[derive(Clone, Debug)]
-pub struct Chance(u64);
+pub struct Chance(SplitMix64);
 
 impl Chance {
-    /// A generator that depends on `seed` alone.
+    /// The choices of this seed.
     #[must_use]
     pub const fn new(seed: u64) -> Self {
-        Self(seed)
+        Self(SplitMix64::new(seed))
     }
 
     /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        z ^ (z >> 31)
+        self.0.bits()
     }
 
     /// A uniform number below `bound`; 0 if `bound` is 0.
@@ -46,7 +43,7 @@ impl Chance {
 
     /// A uniform number from 0 to below 1.
     pub fn part(&mut self) -> f64 {
-        (self.bits() >> 11) as f64 / (1_u64 << 53) as f64
+        self.0.part()
     }
 
     /// From the normal distribution with mean 0 and standard deviation 1 (Box and Muller).

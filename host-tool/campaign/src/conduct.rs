@@ -24,7 +24,7 @@ use trials::trial::{RecordError, Status};
 use crate::CampaignError;
 use crate::conduct::modelled::DisplacementModel;
 use crate::folder::Folder;
-use crate::ledger::{Outcome, Row, Standing};
+use crate::ledger::{AttemptOutcome, LedgerRow, Standing};
 use crate::prompts::{self, Answer, Halt, Question};
 use crate::readings::ReadingRow;
 
@@ -108,24 +108,28 @@ impl From<RecordError> for Broken {
 
 impl Broken {
     /// Outcome of the attempt in which it happened.
-    fn outcome(&self) -> Outcome {
+    fn outcome(&self) -> AttemptOutcome {
         match self {
-            Self::Campaign(_) => Outcome::Lost,
-            Self::NotReady { .. } => Outcome::Refused,
-            Self::Ended { status, .. } => Outcome::from(*status),
+            Self::Campaign(_) => AttemptOutcome::Lost,
+            Self::NotReady { .. } => AttemptOutcome::Refused,
+            Self::Ended { status, .. } => AttemptOutcome::from(*status),
             Self::Experiment(ExperimentError::Client(error)) => match error {
                 ClientError::Refused { .. }
                 | ClientError::Rejected { .. }
-                | ClientError::Owned { .. } => Outcome::Refused,
-                ClientError::Interrupted { .. } => Outcome::Stopped,
-                ClientError::NotHomed { fault: None } => Outcome::Stopped,
-                ClientError::NotHomed { .. } | ClientError::Overdue { .. } => Outcome::Faulted,
-                _ => Outcome::Lost,
+                | ClientError::Owned { .. } => AttemptOutcome::Refused,
+                ClientError::Interrupted { .. } => AttemptOutcome::Stopped,
+                ClientError::NotHomed { fault: None } => AttemptOutcome::Stopped,
+                ClientError::NotHomed { .. } | ClientError::Overdue { .. } => {
+                    AttemptOutcome::Faulted
+                }
+                _ => AttemptOutcome::Lost,
             },
-            Self::Experiment(ExperimentError::Incomplete { status, .. }) => Outcome::from(*status),
+            Self::Experiment(ExperimentError::Incomplete { status, .. }) => {
+                AttemptOutcome::from(*status)
+            }
             // The attempt counts as lost: without its record it cannot be checked.
             Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. }) => {
-                Outcome::Lost
+                AttemptOutcome::Lost
             }
         }
     }
@@ -310,7 +314,7 @@ impl<'a> Conduct<'a> {
 
     // Rows.
 
-    fn row(&mut self, row: Row) -> Result<(), Broken> {
+    fn row(&mut self, row: LedgerRow) -> Result<(), Broken> {
         let (now, origin) = (self.desk.now(), self.machines.origin);
         Ok(self.folder.append(row, now, origin)?)
     }

@@ -9,9 +9,9 @@ use serde::de::DeserializeOwned;
 
 use crate::CampaignError;
 use crate::files::{ATTEMPTS, ORDER, PLAN, READINGS, TRIALS};
-use crate::ledger::{Attempt, Row, State};
+use crate::ledger::{Attempt, CampaignState, LedgerRow};
 use crate::order::{Planned, order};
-use crate::plan::{Millimetres, Plan};
+use crate::plan::{CampaignPlan, Millimetres};
 use crate::readings::{ReadingRow, Readings};
 
 pub(crate) const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome,displacement_mm,source,readings_set,indentation_mm,camera_file,text,origin\n";
@@ -24,13 +24,13 @@ pub struct Campaign {
     /// Its folder.
     pub folder: PathBuf,
     /// The plan as the user wrote it.
-    pub plan: Plan,
+    pub plan: CampaignPlan,
     /// The planned trials in the order of execution.
     pub order: Vec<Planned>,
     /// Rows of the ledger.
-    pub rows: Vec<Row>,
+    pub rows: Vec<LedgerRow>,
     /// State of the trials, derived from `rows`.
-    pub state: State,
+    pub state: CampaignState,
     /// Rows of the caliper's readings.
     pub reading_rows: Vec<ReadingRow>,
     /// The readings in force, derived from `reading_rows`.
@@ -49,7 +49,7 @@ impl Campaign {
         let path = folder.join(PLAN);
         let text =
             plain::read_text(&path, limited::BY_HAND).map_err(|io| not_a_campaign(&path, io))?;
-        let plan = Plan::parse(&text, &path)?;
+        let plan = CampaignPlan::parse(&text, &path)?;
         let order = order(&plan);
         let path = folder.join(ORDER);
         let found =
@@ -59,8 +59,8 @@ impl Campaign {
             return Err(CampaignError::new(&path, why, RESTORE));
         }
         let path = folder.join(TRIALS);
-        let rows: Vec<Row> = rows(&path, TRIALS_HEADER)?;
-        let state = State::replay(&order, &rows)
+        let rows: Vec<LedgerRow> = rows(&path, TRIALS_HEADER)?;
+        let state = CampaignState::replay(&order, &rows)
             .map_err(|error| CampaignError::new(&path, error, RESTORE))?;
         let path = folder.join(READINGS);
         let reading_rows: Vec<ReadingRow> = self::rows(&path, READINGS_HEADER)?;
@@ -179,7 +179,7 @@ pub(crate) fn rows<T: DeserializeOwned>(
     parse_rows(&text, header).map_err(|why| CampaignError::new(path, why, RESTORE))
 }
 
-pub(crate) fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
+fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
     let Some(body) = text.strip_prefix(header) else {
         return Err("its first line is not that of this format".to_owned());
     };

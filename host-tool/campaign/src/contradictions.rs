@@ -14,7 +14,7 @@ use trials::trial::{Action, Trial};
 use crate::contents::{Campaign, in_a_line};
 use crate::differences::{COPY, Finding, UNKNOWN};
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
-use crate::ledger::{Attempt, Outcome, TrialState};
+use crate::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::order::Planned;
 use crate::plan::Millimetres;
 use crate::readings::Readings;
@@ -129,13 +129,14 @@ fn check_attempt(
         }
     }
     match &motions[..] {
-        [] if attempt.outcome == Some(Outcome::Complete) => say(format!(
+        [] if attempt.outcome == Some(AttemptOutcome::Complete) => say(format!(
             "{TRIALS} says that it was completed, and there is no record of it"
         )),
         [] => {}
         [(name, record)] => {
-            let says = Outcome::from(record.status);
-            if attempt.outcome == Some(Outcome::Complete) && says != Outcome::Complete {
+            let says = AttemptOutcome::from(record.status);
+            if attempt.outcome == Some(AttemptOutcome::Complete) && says != AttemptOutcome::Complete
+            {
                 say(format!(
                     "{TRIALS} says that it was completed, its record says {}",
                     says.name()

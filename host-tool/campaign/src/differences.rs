@@ -269,7 +269,7 @@ impl Differences {
 /// The attempt may lack an entry in the manifest: only the last one made can.
 fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     let began = campaign.rows.iter().rev().find_map(|row| {
-        (row.event == crate::ledger::Event::Began)
+        (row.event == crate::ledger::LedgerEvent::Began)
             .then(|| Attempt::folder(row.trial.unwrap_or(0), row.attempt.unwrap_or(0)))
     });
     began.as_deref() == Some(attempt)

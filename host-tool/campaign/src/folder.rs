@@ -22,10 +22,10 @@ use crate::contents::{
 use crate::contradictions::CLOCK_STEP;
 use crate::differences::{Differences, Left, read_manifest};
 use crate::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
-use crate::ledger::{Attempt, Event, Outcome, Row};
+use crate::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow};
 use crate::manifest::{self, Manifest};
 use crate::order::order;
-use crate::plan::Plan;
+use crate::plan::CampaignPlan;
 use crate::readings::ReadingRow;
 
 /// Formats a row as a line.
@@ -70,7 +70,7 @@ impl Growing {
                 .write_all(line)
                 .and_then(|()| self.file.sync_data());
             if added.is_err() {
-                // Best effort: `resume` would take a partial line for the trace of a crash, and cut it off.
+                // If this fails, too, `resume` takes the partial line for the trace of a crash and cuts it off.
                 let _ = self.file.set_len(end);
             }
             added
@@ -109,7 +109,7 @@ impl Folder {
     /// # Errors
     /// The plan cannot be carried out, or something cannot be written.
     pub fn create(folder: &Path, plan_text: &str, plan_path: &Path) -> Result<Self, CampaignError> {
-        let plan = Plan::parse(plan_text, plan_path)?;
+        let plan = CampaignPlan::parse(plan_text, plan_path)?;
         if fs::symlink_metadata(folder).is_ok() {
             return Err(exists(folder));
         }
@@ -251,13 +251,13 @@ impl Folder {
             let sidecar = self.campaign.run_sidecar(trial, attempt);
             let record = sidecar.and_then(|path| Trial::read(&path).ok());
             let folder = Attempt::folder(trial, attempt);
-            let mut row = Row::of(Event::Ended, trial, Some(attempt));
+            let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(attempt));
             let (outcome, text) = match record.map(|record| record.status) {
                 Some(Status::Complete) => (
-                    Outcome::Complete,
+                    AttemptOutcome::Complete,
                     "the tool ended after the motion; its record says that it was completed",
                 ),
-                _ => (Outcome::Lost, "the tool ended within it"),
+                _ => (AttemptOutcome::Lost, "the tool ended within it"),
             };
             row.outcome = Some(outcome);
             told.push(format!("{folder}: {text}: {}", outcome.name()));
@@ -279,7 +279,7 @@ impl Folder {
     /// It contradicts the earlier rows, or cannot be written; then the ledger is unchanged.
     pub fn append(
         &mut self,
-        mut row: Row,
+        mut row: LedgerRow,
         now: Timestamp,
         origin: Origin,
     ) -> Result<(), CampaignError> {

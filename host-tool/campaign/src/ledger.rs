@@ -17,7 +17,7 @@ use crate::plan::Millimetres;
 /// Kind of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Event {
+pub enum LedgerEvent {
     /// An attempt at a trial begins; nothing has moved yet.
     Began,
     /// It ended, as `outcome` says.
@@ -46,7 +46,7 @@ pub enum Event {
 /// How an attempt ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Outcome {
+pub enum AttemptOutcome {
     /// As planned.
     Complete,
     /// The machine refused it.
@@ -61,7 +61,7 @@ pub enum Outcome {
     Lost,
 }
 
-impl Outcome {
+impl AttemptOutcome {
     /// Name in the ledger.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -76,7 +76,7 @@ impl Outcome {
     }
 }
 
-impl From<Status> for Outcome {
+impl From<Status> for AttemptOutcome {
     fn from(status: Status) -> Self {
         match status {
             Status::Complete => Self::Complete,
@@ -102,19 +102,19 @@ pub enum Source {
 
 /// A row of `trials.csv`. Columns that do not apply to the event are empty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Row {
+pub struct LedgerRow {
     /// From 1, without gaps.
     pub row: u32,
     /// Time by the computer's clock.
     pub time_utc: Timestamp,
     /// Kind of event.
-    pub event: Event,
+    pub event: LedgerEvent,
     /// The trial; empty for a note on the whole campaign.
     pub trial: Option<u32>,
     /// The attempt at it, from 1.
     pub attempt: Option<u32>,
     /// With `ended`: how it ended.
-    pub outcome: Option<Outcome>,
+    pub outcome: Option<AttemptOutcome>,
     /// With `displacement` and `stroke`: of the tail since the beginning, + headward.
     pub displacement_mm: Option<Millimetres>,
     /// With `displacement` and `stroke`: its origin.
@@ -131,10 +131,10 @@ pub struct Row {
     pub origin: Origin,
 }
 
-impl Row {
+impl LedgerRow {
     /// A row about a trial; the ledger adds its number.
     #[must_use]
-    pub fn of(event: Event, trial: u32, attempt: Option<u32>) -> Self {
+    pub fn of(event: LedgerEvent, trial: u32, attempt: Option<u32>) -> Self {
         Self {
             row: 0,
             time_utc: Timestamp::UNIX_EPOCH,
@@ -191,7 +191,7 @@ pub struct Attempt {
     /// When it ended.
     pub ended: Option<Timestamp>,
     /// How it ended; none while it goes on.
-    pub outcome: Option<Outcome>,
+    pub outcome: Option<AttemptOutcome>,
     /// Why it did not end as planned.
     pub reason: Option<String>,
     /// The net displacement.
@@ -216,7 +216,7 @@ impl Attempt {
     /// Whether it was completed and is not given up.
     #[must_use]
     pub fn stands(&self) -> bool {
-        self.outcome == Some(Outcome::Complete) && self.given_up.is_none()
+        self.outcome == Some(AttemptOutcome::Complete) && self.given_up.is_none()
     }
 
     /// The displacements after all strokes of a run with `count` strokes; none if they are omitted or incomplete.
@@ -355,7 +355,7 @@ impl Sequence {
 
 /// The state that follows from a ledger.
 #[derive(Clone, Debug, PartialEq)]
-pub struct State {
+pub struct CampaignState {
     /// All trials in their order.
     pub trials: Vec<TrialState>,
     /// Remarks on the whole campaign.
@@ -364,7 +364,7 @@ pub struct State {
     pub sequence: Sequence,
 }
 
-impl State {
+impl CampaignState {
     /// State before the first row.
     #[must_use]
     pub fn new(order: &[Planned]) -> Self {
@@ -386,7 +386,7 @@ impl State {
     ///
     /// # Errors
     /// The first row that cannot follow the earlier ones.
-    pub fn replay(order: &[Planned], rows: &[Row]) -> Result<Self, Contradiction> {
+    pub fn replay(order: &[Planned], rows: &[LedgerRow]) -> Result<Self, Contradiction> {
         let mut state = Self::new(order);
         for row in rows {
             state.apply(row)?;
@@ -398,12 +398,12 @@ impl State {
     ///
     /// # Errors
     /// It cannot come next; nothing has changed.
-    pub fn apply(&mut self, row: &Row) -> Result<(), Contradiction> {
+    pub fn apply(&mut self, row: &LedgerRow) -> Result<(), Contradiction> {
         let number = self.sequence.next_row();
         let wrong = |why: String| Contradiction { row: number, why };
         self.sequence.check(row.row, row.origin).map_err(wrong)?;
         match row.trial {
-            None if row.event == Event::Note => {
+            None if row.event == LedgerEvent::Note => {
                 self.notes.push(row.text.clone().unwrap_or_default());
             }
             None => return Err(wrong("it names no trial".to_owned())),
@@ -442,11 +442,11 @@ impl State {
 
     /// The trial and attempt of the latest displacement that was not taken back.
     #[must_use]
-    pub fn last_measured(&self, rows: &[Row]) -> Option<(u32, u32)> {
+    pub fn last_measured(&self, rows: &[LedgerRow]) -> Option<(u32, u32)> {
         rows.iter().rev().find_map(|row| {
             let (trial, attempt) = (row.trial?, row.attempt?);
             let last = self.trial(trial)?.attempt()?;
-            (row.event == Event::Displacement
+            (row.event == LedgerEvent::Displacement
                 && last.number == attempt
                 && last.displacement.is_some())
             .then_some((trial, attempt))
@@ -486,15 +486,15 @@ impl State {
 }
 
 impl TrialState {
-    fn apply(&mut self, row: &Row) -> Result<(), String> {
+    fn apply(&mut self, row: &LedgerRow) -> Result<(), String> {
         let number = self.planned.trial;
         match row.event {
-            Event::Began => return self.begin(row),
-            Event::Note => {
+            LedgerEvent::Began => return self.begin(row),
+            LedgerEvent::Note => {
                 self.notes.push(row.text.clone().unwrap_or_default());
                 return Ok(());
             }
-            Event::Skipped => {
+            LedgerEvent::Skipped => {
                 return match self.standing() {
                     Standing::Open | Standing::Unmeasured => {
                         self.skipped = Some(row.text.clone().unwrap_or_default());
@@ -503,20 +503,20 @@ impl TrialState {
                     standing => Err(format!("trial {number} is {standing:?}, not to be skipped")),
                 };
             }
-            Event::Included => {
+            LedgerEvent::Included => {
                 let was = self.skipped.take().or(self.excluded.take());
                 return match was {
                     Some(_) => Ok(()),
                     None => Err(format!("trial {number} is neither skipped nor excluded")),
                 };
             }
-            Event::Ended
-            | Event::Displacement
-            | Event::Stroke
-            | Event::StrokesLeftOut
-            | Event::Undone
-            | Event::Repeated
-            | Event::Excluded => {}
+            LedgerEvent::Ended
+            | LedgerEvent::Displacement
+            | LedgerEvent::Stroke
+            | LedgerEvent::StrokesLeftOut
+            | LedgerEvent::Undone
+            | LedgerEvent::Repeated
+            | LedgerEvent::Excluded => {}
         }
         let standing = self.standing();
         let attempts = self.attempts.len();
@@ -527,7 +527,7 @@ impl TrialState {
             return Err(format!("trial {number} is at attempt {attempts}"));
         }
         match (row.event, standing) {
-            (Event::Ended, Standing::UnderWay) => {
+            (LedgerEvent::Ended, Standing::UnderWay) => {
                 let Some(outcome) = row.outcome else {
                     return Err("an end without an outcome".to_owned());
                 };
@@ -535,7 +535,10 @@ impl TrialState {
                 last.ended = Some(row.time_utc);
                 last.reason = row.text.clone();
             }
-            (Event::Displacement, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
+            (
+                LedgerEvent::Displacement,
+                Standing::Unmeasured | Standing::Done | Standing::Excluded,
+            ) => {
                 let (Some(value), Some(source)) = (row.displacement_mm, row.source) else {
                     return Err("a displacement without a value or a source".to_owned());
                 };
@@ -546,27 +549,27 @@ impl TrialState {
                     entered: last.entries,
                 });
             }
-            (Event::Stroke, Standing::Unmeasured) if !last.strokes_left_out => {
+            (LedgerEvent::Stroke, Standing::Unmeasured) if !last.strokes_left_out => {
                 let (Some(value), Some(_)) = (row.displacement_mm, row.source) else {
                     return Err("a displacement without a value or a source".to_owned());
                 };
                 last.strokes.push(value);
             }
-            (Event::StrokesLeftOut, Standing::Unmeasured) if !last.strokes_left_out => {
+            (LedgerEvent::StrokesLeftOut, Standing::Unmeasured) if !last.strokes_left_out => {
                 last.strokes_left_out = true;
             }
-            (Event::Undone, Standing::Done) => last.displacement = None,
-            (Event::Undone, Standing::Unmeasured) if last.strokes_left_out => {
+            (LedgerEvent::Undone, Standing::Done) => last.displacement = None,
+            (LedgerEvent::Undone, Standing::Unmeasured) if last.strokes_left_out => {
                 last.strokes_left_out = false;
             }
-            (Event::Undone, Standing::Unmeasured) if !last.strokes.is_empty() => {
+            (LedgerEvent::Undone, Standing::Unmeasured) if !last.strokes.is_empty() => {
                 last.strokes.pop();
             }
-            (Event::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
+            (LedgerEvent::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
                 last.given_up = Some(row.text.clone().unwrap_or_default());
                 self.excluded = None;
             }
-            (Event::Excluded, Standing::Done | Standing::Unmeasured) => {
+            (LedgerEvent::Excluded, Standing::Done | Standing::Unmeasured) => {
                 let Some(reason) = row.text.clone() else {
                     return Err("excluded without a reason".to_owned());
                 };
@@ -581,7 +584,7 @@ impl TrialState {
         Ok(())
     }
 
-    fn begin(&mut self, row: &Row) -> Result<(), String> {
+    fn begin(&mut self, row: &LedgerRow) -> Result<(), String> {
         let number = self.planned.trial;
         let next = self.attempts.len() as u32 + 1;
         if self.standing() != Standing::Open {

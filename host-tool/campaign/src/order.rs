@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::chance::Chance;
 use crate::form::Form;
-use crate::plan::{Lubrication, Plan, Purpose};
+use crate::plan::{CampaignPlan, Lubrication, Purpose};
 
 /// The conditions that averaged trials share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -67,7 +67,7 @@ impl Planned {
 
 /// All trials of a plan, in the order that its seed gives.
 #[must_use]
-pub fn order(plan: &Plan) -> Vec<Planned> {
+pub fn order(plan: &CampaignPlan) -> Vec<Planned> {
     let mut chance = Chance::new(plan.seed);
     let mut trials = vec![];
     let mut block = 0;

@@ -5,7 +5,6 @@ use std::fmt;
 use std::path::Path;
 
 use client::decimal;
-use client::wording;
 use locomotion::roller;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::system::SetTelemetry;
@@ -365,7 +364,7 @@ pub struct Group {
 
 /// A plan that can be carried out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Plan {
+pub struct CampaignPlan {
     /// Its name: letters, digits, `-` and `_`.
     pub name: String,
     /// Seed of the order.
@@ -392,7 +391,7 @@ pub struct Plan {
     pub virtual_bench: Virtual,
 }
 
-impl Plan {
+impl CampaignPlan {
     /// Reads the text of the file at `path`.
     ///
     /// # Errors
@@ -614,7 +613,7 @@ fn run(table: &RunTable) -> Result<(Run, u16), String> {
         start_delay_us: 0,
         link_loss: LinkLossPolicy::Stop,
     };
-    plan::check(&run).map_err(|error| format!("run: {}", wording::infeasible(&error)))?;
+    plan::check(&run).map_err(|error| format!("run: {}", error))?;
     let (least, most) = SetTelemetry::PERIOD_MS;
     if !(least..=most).contains(&table.telemetry_ms) {
         return Err(format!(
@@ -685,7 +684,7 @@ fn check_indentations(
     Ok(list)
 }
 
-/// One group for each state of the walls in a table that has several of them and several indentations.
+/// Splits a table with several states of the walls and several indentations: one group for each state.
 fn many_groups(
     table: &str,
     lubrications: &[Lubrication],

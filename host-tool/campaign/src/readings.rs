@@ -7,7 +7,7 @@ use locomotion::kinematics::indentation_from_calipers_mm;
 use serde::{Deserialize, Serialize};
 
 use crate::ledger::{Contradiction, Sequence};
-use crate::plan::{Millimetres, Plan};
+use crate::plan::{CampaignPlan, Millimetres};
 
 /// Quantities measured with the caliper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -293,7 +293,7 @@ pub fn refusal(
 
 /// The questions to ask about a set before it is accepted.
 #[must_use]
-pub fn questions(plan: &Plan, readings: &Readings, set: &Set) -> Vec<String> {
+pub fn questions(plan: &CampaignPlan, readings: &Readings, set: &Set) -> Vec<String> {
     let mut questions = vec![];
     let Some(summary) = Summary::of(&set.values) else {
         return questions;

@@ -1,7 +1,7 @@
 //! Estimates the remaining time of a campaign from the plan and the pace of the last trials.
 
 use crate::contents::Campaign;
-use crate::ledger::{Event, Standing};
+use crate::ledger::{LedgerEvent, Standing};
 
 /// Assumed time from the end of a run to the start of the next one, until it is measured, s.
 const HANDLING_S: f64 = 60.0;
@@ -65,8 +65,8 @@ fn pauses_s(campaign: &Campaign) -> Vec<f64> {
             .and_then(|trial| campaign.state.trial(trial))
             .map(|trial| trial.planned.block);
         match row.event {
-            Event::Ended => ended = Some((row.time_utc, block)),
-            Event::Began => {
+            LedgerEvent::Ended => ended = Some((row.time_utc, block)),
+            LedgerEvent::Began => {
                 if let Some((before, of)) = ended.take()
                     && of == block
                 {

@@ -34,7 +34,7 @@ impl Spread {
 
 /// The least-squares line through points.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Line {
+pub struct FittedLine {
     /// Number of points.
     pub n: usize,
     /// Rise per unit of x.
@@ -50,7 +50,7 @@ pub struct Line {
     squares_x: f64,
 }
 
-impl Line {
+impl FittedLine {
     /// Through points (x, y); none for fewer than two different x, which determine no line.
     #[must_use]
     pub fn through(points: &[(f64, f64)]) -> Option<Self> {
@@ -165,7 +165,7 @@ mod tests {
     /// Two points leave no degrees of freedom, so there is no t.
     #[test]
     fn a_line_through_two_points_has_no_band() {
-        let line = Line::through(&[(1.0, 2.0), (3.0, 6.0)]).expect("two places");
+        let line = FittedLine::through(&[(1.0, 2.0), (3.0, 6.0)]).expect("two places");
         assert_eq!((line.slope, line.intercept), (2.0, 0.0));
         assert_eq!((line.half_slope(), line.half_band(2.0)), (None, None));
         assert_eq!(student_t(0), f64::INFINITY);
@@ -193,7 +193,7 @@ mod tests {
     #[test]
     fn a_line_of_four_points_is_the_one_of_the_book() {
         let line =
-            Line::through(&[(1.0, 2.0), (2.0, 4.0), (3.0, 5.0), (4.0, 8.0)]).expect("a line");
+            FittedLine::through(&[(1.0, 2.0), (2.0, 4.0), (3.0, 5.0), (4.0, 8.0)]).expect("a line");
         assert!(near(line.slope, 1.9, 1.0) && near(line.intercept, 0.0, 1.0));
         // Residuals 0.1, 0.2, -0.7, 0.4: squares 0.70, of 18.75.
         assert!(near(
@@ -218,12 +218,12 @@ mod tests {
     fn what_cannot_be_said_is_not_said() {
         assert_eq!(Spread::of(&[]), None);
         assert_eq!(Spread::of(&[2.0]).expect("one").sd, None);
-        assert_eq!(Line::through(&[]), None);
-        assert_eq!(Line::through(&[(1.0, 1.0)]), None);
-        assert_eq!(Line::through(&[(1.0, 1.0), (1.0, 2.0)]), None);
-        let two = Line::through(&[(1.0, 1.0), (2.0, 3.0)]).expect("two");
+        assert_eq!(FittedLine::through(&[]), None);
+        assert_eq!(FittedLine::through(&[(1.0, 1.0)]), None);
+        assert_eq!(FittedLine::through(&[(1.0, 1.0), (1.0, 2.0)]), None);
+        let two = FittedLine::through(&[(1.0, 1.0), (2.0, 3.0)]).expect("two");
         assert_eq!((two.residual_sd, two.half_band(1.0)), (None, None));
-        let level = Line::through(&[(1.0, 2.0), (2.0, 2.0), (3.0, 2.0)]).expect("level");
+        let level = FittedLine::through(&[(1.0, 2.0), (2.0, 2.0), (3.0, 2.0)]).expect("level");
         assert_eq!((level.slope, level.r_squared), (0.0, None));
     }
 
@@ -253,7 +253,7 @@ mod tests {
         #[test]
         fn no_other_line_is_nearer(points in points(), tilt in -1.0..1.0_f64, lift in -1.0..1.0_f64) {
             prop_assume!(points.iter().any(|(x, _)| (x - points[0].0).abs() > 0.1));
-            let line = Line::through(&points).expect("different x");
+            let line = FittedLine::through(&points).expect("different x");
             let squares = |slope: f64, intercept: f64| -> f64 {
                 points.iter().map(|(x, y)| (y - intercept - slope * x).powi(2)).sum()
             };
@@ -274,7 +274,7 @@ mod tests {
             slope in -20.0..20.0_f64, intercept in -50.0..50.0_f64, count in 3_u32..30
         ) {
             let on: Vec<_> = (0..count).map(|x| (f64::from(x), intercept + slope * f64::from(x))).collect();
-            let line = Line::through(&on).expect("a line");
+            let line = FittedLine::through(&on).expect("a line");
             prop_assert!(near(line.slope, slope, 1e2) && near(line.intercept, intercept, 1e2));
             prop_assert!(line.half_band(1.0).expect("three") < 1e-6);
         }

@@ -3,6 +3,8 @@
 
 use std::str::FromStr;
 
+use motion::units::Decimal;
+
 /// The reason why a text was refused as a number.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DecimalError {
@@ -107,15 +109,7 @@ impl FromStr for Seconds {
 /// Writes `value / 10^decimals` exactly, without trailing zeros.
 #[must_use]
 pub fn write(value: u64, decimals: u32) -> String {
-    let scale = 10_u64.pow(decimals);
-    let fraction = format!("{:0width$}", value % scale, width = decimals as usize);
-    let fraction = fraction.trim_end_matches('0');
-    let whole = value / scale;
-    if fraction.is_empty() || decimals == 0 {
-        whole.to_string()
-    } else {
-        format!("{whole}.{fraction}")
-    }
+    Decimal { value, decimals }.to_string()
 }
 
 /// Writes `value / 10^decimals` with all decimals, so that the resolution can be seen.

@@ -1,8 +1,6 @@
 //! Words refusals in the units in which people type: mm, mm/s, s. The wire and the firmware's own texts use
 //! micrometres and microseconds.
 
-use motion::axis::AxisError;
-use motion::run::RunError;
 use protocol::error::{Field, Refusal};
 
 use crate::decimal;
@@ -55,68 +53,6 @@ pub fn refusal(refusal: &Refusal) -> String {
             decimal::write_signed(position_um.into(), 3)
         ),
         _ => refusal.to_string(),
-    }
-}
-
-/// The reason why a run is infeasible.
-#[must_use]
-pub fn infeasible(error: &RunError) -> String {
-    match *error {
-        RunError::Rate(ref error) => axis(error),
-        RunError::AccelerationAboveLimit {
-            accel_um_s2,
-            max_um_s2,
-        } => format!(
-            "an acceleration of {} is above the limit: use at most {}",
-            accel(accel_um_s2.into()),
-            accel(max_um_s2.into())
-        ),
-        RunError::SpeedAboveLimit {
-            speed_um_s,
-            max_um_s,
-        } => format!(
-            "a speed of {} is above the limit: use at most {}",
-            speed(speed_um_s.into()),
-            speed(max_um_s.into())
-        ),
-        RunError::TotalTooShort {
-            minimal_total_us,
-            minimal_accel_um_s2: Some(um_s2),
-        } => format!(
-            "too little time: allow at least {} s in total, or accelerate with at least {}",
-            decimal::write(minimal_total_us, 6),
-            accel(um_s2.into())
-        ),
-        RunError::PeakAboveLimit {
-            peak_um_s,
-            max_um_s,
-            minimal_total_us,
-        } => format!(
-            "this needs {} at its peak and the limit is {}: allow {}, or accelerate harder",
-            speed(peak_um_s.into()),
-            speed(max_um_s.into()),
-            minimal_total_us.map_or_else(
-                || "more time".to_owned(),
-                |us| format!("at least {} s in total", decimal::write(us, 6))
-            )
-        ),
-        _ => error.to_string(),
-    }
-}
-
-/// The reason why a screw, a speed or an acceleration is impossible.
-#[must_use]
-pub fn axis(error: &AxisError) -> String {
-    match *error {
-        AxisError::Lead { lead_um } => format!(
-            "a lead of {} mm is outside 0.5 to 50 mm: enter the screw's travel per turn",
-            decimal::write(lead_um.into(), 3)
-        ),
-        AxisError::NoSpeed => "the speed is zero: use at least 0.001 mm/s".to_owned(),
-        AxisError::NoAcceleration => {
-            "the acceleration is zero: use at least 0.001 mm/s2".to_owned()
-        }
-        _ => error.to_string(),
     }
 }
 
@@ -181,13 +117,6 @@ mod tests {
                 min_accel_um_s2: u64::MAX,
             }),
             refusal(&Refusal::NotAtHome { position_um: -5 }),
-            axis(&AxisError::Lead { lead_um: 1 }),
-            axis(&AxisError::NoSpeed),
-            axis(&AxisError::NoAcceleration),
-            infeasible(&RunError::SpeedAboveLimit {
-                speed_um_s: 60_000,
-                max_um_s: 49_000,
-            }),
         ] {
             assert!(!text.contains(" um") && !text.contains(" us "), "{text}");
             assert!(!text.contains("18446744073709551615"), "{text}");

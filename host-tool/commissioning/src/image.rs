@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use client::limited;
+use device::fingerprint;
 use object::read::elf::{ElfFile32, ProgramHeader as _};
 use object::{Endianness, Object as _, ObjectSymbol as _};
 
@@ -33,7 +34,7 @@ pub enum ImageError {
     },
 }
 
-/// FNV-1a, 32 bits, over code, constants and initial values as 32-bit words: the image's own `image_hash`.
+/// The `image_hash` that the image in this file reports.
 ///
 /// # Errors
 /// The file is no image.
@@ -75,7 +76,5 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
         let bytes = [word[0], word[1], word[2], word[3]];
         u32::from_le_bytes(bytes)
     });
-    Ok(words.fold(0x811C_9DC5, |hash, word| {
-        (hash ^ word).wrapping_mul(0x0100_0193)
-    }))
+    Ok(fingerprint::of(words))
 }

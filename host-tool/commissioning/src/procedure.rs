@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use client::subject::Subject;
 use jiff::Timestamp;
 
-use crate::record::{Commissioning, Finding, Outcome, StepResult};
+use crate::record::{Commissioning, Finding, StepOutcome, StepResult};
 use crate::step::Step;
 
 /// Whether a step's result still counts.
@@ -27,7 +27,7 @@ pub fn standing(step: &Step, record: &Commissioning, subject: &Subject) -> Stand
     let Some(result) = record.result(step.name) else {
         return Standing::NotPassed;
     };
-    if result.outcome != Outcome::Passed {
+    if result.outcome != StepOutcome::Passed {
         return Standing::NotPassed;
     }
     if step.of_image && result.image.as_ref() != Some(&subject.image) {

@@ -21,7 +21,7 @@ pub const FORMAT: u32 = 1;
 /// Verdict of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Outcome {
+pub enum StepOutcome {
     /// Observed and correct.
     Passed,
     /// Observed and wrong.
@@ -39,7 +39,7 @@ pub struct StepResult {
     pub shows: String,
     /// The verdict.
     #[serde(rename = "result")]
-    pub outcome: Outcome,
+    pub outcome: StepOutcome,
     /// The defect, or why nothing was shown; none with a pass.
     pub reason: Option<String>,
     /// The numbers that were measured, with the unit in their names.
@@ -88,7 +88,7 @@ pub struct Commissioning {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
     /// The verdict.
-    pub outcome: Outcome,
+    pub outcome: StepOutcome,
     /// The defect, or why nothing was shown.
     pub reason: Option<String>,
     /// Measured numbers.

@@ -8,7 +8,7 @@ use trials::trial::RecordError;
 
 use crate::halt::Halt;
 use crate::procedure::Procedure;
-use crate::record::{Commissioning, Finding, Outcome};
+use crate::record::{Commissioning, Finding, StepOutcome};
 use crate::step::Step;
 use crate::steps;
 use crate::work::Work;
@@ -54,12 +54,12 @@ pub fn carry_out(
         announce(work, number, all.len(), step);
         let finding = match begin(work, step) {
             Ok(()) => Finding {
-                outcome: Outcome::Passed,
+                outcome: StepOutcome::Passed,
                 reason: None,
                 measured: work.take_measured(),
             },
-            Err(Halt::Defect(why)) => found(work, Outcome::Failed, why),
-            Err(Halt::NotShown(why)) => found(work, Outcome::NotShown, why),
+            Err(Halt::Defect(why)) => found(work, StepOutcome::Failed, why),
+            Err(Halt::NotShown(why)) => found(work, StepOutcome::NotShown, why),
             Err(Halt::Left) => return Ok(Ending::Left(Some(step.name))),
             Err(Halt::Client(error)) => return Err(Broken::Client(error)),
             Err(Halt::NoHands(why)) => return Err(Broken::NoHands(why)),
@@ -68,7 +68,7 @@ pub fn carry_out(
         let (outcome, reason) = (finding.outcome, finding.reason.clone());
         procedure.enter(record, step, finding, &work.subject, now());
         record.write(path).map_err(Broken::Record)?;
-        if outcome == Outcome::Failed {
+        if outcome == StepOutcome::Failed {
             return Ok(Ending::Defect(step.name, reason.unwrap_or_default()));
         }
         if work.unless_left().is_err() {
@@ -88,7 +88,7 @@ fn begin(work: &mut Work<'_>, step: &Step) -> Result<(), Halt> {
     (step.check)(work)
 }
 
-fn found(work: &mut Work<'_>, outcome: Outcome, why: String) -> Finding {
+fn found(work: &mut Work<'_>, outcome: StepOutcome, why: String) -> Finding {
     Finding {
         outcome,
         reason: Some(why),
@@ -117,9 +117,9 @@ fn tell(work: &mut Work<'_>, finding: &Finding) {
         })
         .collect();
     let outcome = match finding.outcome {
-        Outcome::Passed => "passed",
-        Outcome::Failed => "FAILED",
-        Outcome::NotShown => "not shown",
+        StepOutcome::Passed => "passed",
+        StepOutcome::Failed => "FAILED",
+        StepOutcome::NotShown => "not shown",
     };
     if !numbers.is_empty() {
         say_wrapped(work, &format!("  {}", numbers.join(", ")), "  ");

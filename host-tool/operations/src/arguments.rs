@@ -234,7 +234,7 @@ impl Waves {
 /// Parses a number that must be above 0.
 ///
 /// # Errors
-/// What is wrong with it, for the user.
+/// The reason, for the user.
 pub fn above_zero<T>(text: &str) -> Result<T, String>
 where
     T: std::str::FromStr<Err = DecimalError> + Default + PartialEq,

@@ -7,7 +7,6 @@ use client::decimal;
 use client::error::ClientError;
 use client::identity;
 use client::link::OpenError;
-use client::wording;
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
@@ -103,14 +102,14 @@ pub enum Failure {
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
     /// The run is infeasible.
-    #[error("{}", wording::infeasible(.0))]
+    #[error("{0}")]
     #[diagnostic(
         code(retrograde::infeasible),
         help("{}nothing was sent; `retrograde plan` tries runs without a rig", way_out(.0))
     )]
     Run(#[from] RunError),
     /// The screw is impossible.
-    #[error("{}", wording::axis(.0))]
+    #[error("{0}")]
     #[diagnostic(code(retrograde::axis))]
     Axis(#[from] AxisError),
     /// A number outside the range of the models.

@@ -3,7 +3,7 @@
 use client::decimal;
 use locomotion::kinematics::Design;
 use protocol::capsule::ActuationKind;
-use trials::experiment::Motion;
+use trials::experiment::Actuation;
 
 use crate::arguments::PartialArgs;
 use crate::failure::Failure;
@@ -12,11 +12,11 @@ use crate::failure::Failure;
 ///
 /// # Errors
 /// The target is longer than any origami or thread.
-pub fn motion(args: &PartialArgs) -> Result<Motion, Failure> {
+pub fn motion(args: &PartialArgs) -> Result<Actuation, Failure> {
     Ok(match (args.thread_mm, args.indentation_mm) {
-        (Some(thread), _) => Motion::fold_to(target_um(thread.0.into())?),
+        (Some(thread), _) => Actuation::fold_to(target_um(thread.0.into())?),
         (None, Some(indentation)) => {
-            Motion::fold_to(thread_um(indentation.0.into(), args.slack_mm.0.into())?)
+            Actuation::fold_to(thread_um(indentation.0.into(), args.slack_mm.0.into())?)
         }
         (None, None) => ActuationKind::Fold.into(),
     })

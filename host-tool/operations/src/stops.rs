@@ -50,6 +50,15 @@ fn strength(urgent: Urgent) -> usize {
     }
 }
 
+/// Name of a stop on the screen.
+#[must_use]
+pub fn name(urgent: Urgent) -> &'static str {
+    match urgent {
+        Urgent::Stop => "stop",
+        Urgent::EStop => "EMERGENCY STOP",
+    }
+}
+
 /// The stronger of two stops.
 #[must_use]
 pub fn stronger(one: Option<Urgent>, other: Option<Urgent>) -> Option<Urgent> {

@@ -109,7 +109,7 @@ pub enum Arrival {
 }
 
 /// A command to be executed.
-pub struct Command {
+pub struct RequestedAction {
     pub key: String,
     pub print: [u8; 32],
     pub machine: DeviceKind,
@@ -139,7 +139,7 @@ impl Actions {
     }
 
     /// Registers a request; a repetition does not create a new action.
-    pub fn arrive(&self, command: Command, now: Timestamp) -> Arrival {
+    pub fn arrive(&self, command: RequestedAction, now: Timestamp) -> Arrival {
         let mut list = self.list();
         if let Some(known) = list.iter().find(|action| action.key == command.key) {
             return match known.print == command.print {
@@ -267,8 +267,8 @@ impl Actions {
 mod tests {
     use super::*;
 
-    fn command(key: &str, print: u8) -> Command {
-        Command {
+    fn command(key: &str, print: u8) -> RequestedAction {
+        RequestedAction {
             key: key.to_owned(),
             print: [print; 32],
             machine: DeviceKind::Rig,

@@ -77,13 +77,6 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-pub fn stop_name(urgent: Urgent) -> &'static str {
-    match urgent {
-        Urgent::Stop => "stop",
-        Urgent::EStop => "EMERGENCY STOP",
-    }
-}
-
 impl Machine {
     pub fn new(kind: DeviceKind, address: Address, orders: SyncSender<Order>) -> Self {
         Self {

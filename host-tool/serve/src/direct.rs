@@ -14,13 +14,13 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
-use crate::board::{Board, Machine, stop_name};
+use crate::board::{Board, Machine};
 use operations::connector::Purpose;
 use operations::delivery::{DO_NOW, Delivery, Told};
 use operations::failure::Failure;
 use operations::panel::Notice;
 use operations::places::{Places, Target, past_owners};
-use operations::stops::Ask;
+use operations::stops::{self, Ask};
 
 /// Maximum questions in progress.
 const QUESTIONS: usize = 4;
@@ -172,7 +172,7 @@ pub fn stop(
             thread::sleep(Duration::from_millis(5));
         }
         if waits.iter().any(is_open) {
-            let name = stop_name(urgent);
+            let name = stops::name(urgent);
             let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
             board.notice(machine, Notice::Bad(notice));
         }

@@ -36,7 +36,7 @@ use tower_service::Service as _;
 use trials::plan::{self, REFERENCE_LIMITS};
 
 use crate::access::{Access, Demand, Denied, Peer, demand};
-use crate::actions::{Action, Arrival, Command, Standing};
+use crate::actions::{Action, Arrival, RequestedAction, Standing};
 use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, status};
 use crate::board::{Board, Machine, Order};
 use crate::bodies::{LONGEST_BODY, object};
@@ -635,7 +635,7 @@ async fn order(
     };
     let print =
         hmac_sha256::Hash::hash(format!("{machine}/{name} {}", Value::Object(body)).as_bytes());
-    let command = Command {
+    let command = RequestedAction {
         key: key(headers, &board.instance)?,
         print,
         machine: kind,

@@ -17,7 +17,6 @@
 //! * `direct`: stops and questions, which bypass the worker.
 //! * `board`: the state that all of them share, and its JSON form.
 //! * `stream`: sends events to all readers.
-//! * `campaign`: the next step of a campaign that runs in a terminal.
 //!
 //! Fuzzing drives board, worker and direct requests without sockets; that is why they are public.
 
@@ -28,7 +27,6 @@ mod answers;
 #[doc(hidden)]
 pub mod board;
 mod bodies;
-mod campaign;
 mod connections;
 #[doc(hidden)]
 pub mod direct;
@@ -57,7 +55,7 @@ use client::door::lock;
 use client::identity::kind_name;
 use client::{limited, plain};
 use protocol::system::DeviceKind;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
@@ -85,8 +83,10 @@ const CAMPAIGN: Duration = Duration::from_secs(5);
 /// Interval between checks whether the server should shut down.
 const LOOK: Duration = Duration::from_millis(20);
 
+/// Reads the state of the campaign that runs in a terminal, as the page shows it; none if there is no campaign.
+pub type ReadCampaign = dyn Fn() -> Option<Value> + Send + Sync;
+
 /// Options of the server.
-#[derive(Debug)]
 pub struct Options {
     /// Listening address.
     pub listen: SocketAddr,
@@ -96,8 +96,8 @@ pub struct Options {
     pub hosts: Vec<String>,
     /// Folder for the records.
     pub out: PathBuf,
-    /// Campaign whose next step is shown, instead of the newest one.
-    pub campaign: Option<PathBuf>,
+    /// The campaign that is shown; it is read again every few seconds.
+    pub campaign: Arc<ReadCampaign>,
     /// The machines.
     pub machines: Vec<(DeviceKind, Address)>,
 }
@@ -341,11 +341,11 @@ struct ServerFile {
 }
 
 impl ServerFile {
-    fn publish(content: &serde_json::Value) -> Result<Self, String> {
+    fn publish(content: &Value) -> Result<Self, String> {
         Self::within(&lock::folder()?, content)
     }
 
-    fn within(folder: &Path, content: &serde_json::Value) -> Result<Self, String> {
+    fn within(folder: &Path, content: &Value) -> Result<Self, String> {
         let lock = plain::open_or_create(&folder.join("serve.lock"));
         let lock = lock.map_err(|why| why.to_string())?;
         match lock.try_lock() {
@@ -387,16 +387,12 @@ async fn tell_states(app: Arc<App>) {
     }
 }
 
-async fn look_at_campaign(app: Arc<App>, given: Option<PathBuf>) {
+async fn look_at_campaign(app: Arc<App>, read: Arc<ReadCampaign>) {
     let mut looks = interval(CAMPAIGN);
     loop {
         looks.tick().await;
-        let given = given.clone();
-        let look = tokio::task::spawn_blocking(move || {
-            let folder = given.or_else(campaign::newest);
-            folder.map(|folder| campaign::json(&folder))
-        });
-        if let Ok(found) = look.await {
+        let read = Arc::clone(&read);
+        if let Ok(found) = tokio::task::spawn_blocking(move || read()).await {
             app.board.show_campaign(found.unwrap_or_default());
         }
     }

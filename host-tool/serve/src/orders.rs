@@ -6,7 +6,7 @@ use protocol::capsule::ActuationKind;
 use protocol::rig::{Jog, MoveTo, Run};
 use protocol::system::DeviceKind;
 use serde_json::{Map, Value, json};
-use trials::experiment::Motion;
+use trials::experiment::Actuation;
 use trials::plan;
 
 use operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
@@ -23,7 +23,7 @@ pub enum Work {
     Hold,
     Resume,
     Acknowledge,
-    Actuate(Motion, RecordArgs),
+    Actuate(Actuation, RecordArgs),
 }
 
 /// Fields of a request, named after the command's options and arguments.

@@ -2,33 +2,33 @@
 
 use std::path::{Path as FilePath, PathBuf};
 
-use campaign::catalogue::{self, Kind, Wanted};
 use client::plain;
 use serde_json::{Value, json};
+use trials::listing::Listing;
+use trials::sidecar::heading;
 use trials::trial::Trial;
 
-/// Lists the records in a folder.
+/// Lists the records in a folder, the oldest first.
 pub fn list(folder: &FilePath) -> Value {
-    let folders = [folder.to_owned()];
-    let found = catalogue::list(&folders, false, &Wanted::default());
+    let mut found = Listing::read(folder);
+    found.trials.sort_by_key(|(_, trial)| trial.started_utc);
     let name = |path: &FilePath| {
         path.file_name()
             .map(|name| name.to_string_lossy().into_owned())
     };
     let records: Vec<_> = found
-        .entries
+        .trials
         .iter()
-        .filter(|entry| entry.kind == Kind::Trial && entry.path.parent() == Some(folder))
-        .map(|entry| {
-            let csv = entry.path.with_extension("csv");
+        .map(|(sidecar, trial)| {
+            let csv = sidecar.with_extension("csv");
             json!({
-                "name": name(&entry.path),
+                "name": name(sidecar),
                 "kind": "trial",
-                "started_utc": entry.started_utc,
-                "what": entry.what,
-                "note": entry.specimen,
-                "outcome": entry.outcome,
-                "origin": entry.origin,
+                "started_utc": trial.started_utc,
+                "what": heading(trial),
+                "note": trial.note,
+                "outcome": trial.status.name(),
+                "origin": trial.device.origin,
                 "csv": plain::is_file(&csv).then(|| name(&csv)),
             })
         })

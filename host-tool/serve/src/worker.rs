@@ -23,7 +23,7 @@ use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{Event, Urgent, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
-use trials::experiment::{self, Motion};
+use trials::experiment::{self, Actuation};
 use trials::trial::{Achieved, Recording};
 
 use crate::board::{Board, Lease, Machine, Order};
@@ -53,13 +53,13 @@ const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 const AGAIN: Duration = Duration::from_millis(500);
 
 /// Result of an action.
-struct Outcome {
+struct ActionResult {
     result: Value,
     files: Value,
     failure: Option<Failure>,
 }
 
-impl From<Value> for Outcome {
+impl From<Value> for ActionResult {
     fn from(result: Value) -> Self {
         Self {
             result,
@@ -311,7 +311,7 @@ impl Worker<'_> {
             Ok(outcome) => (outcome, false),
             Err(failure) => {
                 let lost = matches!(failure.exit_code(), NO_DEVICE | UNKNOWN);
-                let outcome = Outcome {
+                let outcome = ActionResult {
                     result: Value::Null,
                     files: Value::Null,
                     failure: Some(failure),
@@ -350,7 +350,7 @@ impl Worker<'_> {
         Ok(())
     }
 
-    fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<Outcome, Failure> {
+    fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<ActionResult, Failure> {
         if work.is_for_owner()
             && let Some(owner) = device.owner()
         {
@@ -413,7 +413,7 @@ impl Worker<'_> {
         run: rig::Run,
         record: &RecordArgs,
         mut busy: Busy<'_>,
-    ) -> Result<Outcome, Failure> {
+    ) -> Result<ActionResult, Failure> {
         let folders = [self.board.out.clone(), DATA_FOLDER.into()];
         if let Some(warning) = warning::of_record(rig, &folders)? {
             self.board
@@ -440,7 +440,7 @@ impl Worker<'_> {
         self.board
             .actions
             .update(action, |action| action.progress = Value::Null);
-        Ok(Outcome {
+        Ok(ActionResult {
             result: json!(trial.trial.action)["executed"].clone(),
             files: files(&trial.csv, &trial.sidecar),
             failure,
@@ -451,10 +451,10 @@ impl Worker<'_> {
         &self,
         capsule: &mut Device,
         action: u64,
-        motion: Motion,
+        motion: Actuation,
         record: &RecordArgs,
         mut busy: Busy<'_>,
-    ) -> Result<Outcome, Failure> {
+    ) -> Result<ActionResult, Failure> {
         let kind = motion.kind;
         if let Some((status, _)) = reached::reached(kind, capsule)? {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
@@ -466,7 +466,7 @@ impl Worker<'_> {
         self.board
             .actions
             .update(action, |action| action.progress = Value::Null);
-        Ok(Outcome {
+        Ok(ActionResult {
             result: json!(trial.record),
             files: files(&trial.csv, &trial.sidecar),
             failure,
@@ -479,7 +479,7 @@ impl Worker<'_> {
         action: u64,
         to: rig::MoveTo,
         busy: &mut Busy<'_>,
-    ) -> Result<Outcome, Failure> {
+    ) -> Result<ActionResult, Failure> {
         let accepted = match rig.call(to) {
             Err(error) if reached::is_there(&error) => {
                 let status = rig.rig_status()?;
@@ -492,7 +492,7 @@ impl Worker<'_> {
         self.board.accepted(action, json!(accepted));
         let status = self.until_rest(rig, busy)?;
         if status.fault.is_some() || status.position_steps != accepted.to_steps {
-            return Ok(Outcome {
+            return Ok(ActionResult {
                 result: place(&status),
                 files: Value::Null,
                 failure: Some(ending::cut_short("the move", rig, &status)),
@@ -523,7 +523,7 @@ impl Worker<'_> {
         action: u64,
         jog: rig::Jog,
         busy: &mut Busy<'_>,
-    ) -> Result<Outcome, Failure> {
+    ) -> Result<ActionResult, Failure> {
         let key = SettingKey::DeadManMs;
         let dead_man_ms = u64::from(rig.call(GetSetting { key })?.value);
         // Shorter than the rig's own limit: a renewal after that limit would begin a new jog.
@@ -581,7 +581,7 @@ impl Worker<'_> {
         rig.urgent(Urgent::Stop)?;
         let status = self.until_rest(rig, busy)?;
         let emergency = rig.interrupted() == Some(Urgent::EStop);
-        Ok(Outcome {
+        Ok(ActionResult {
             result: place(&status),
             files: Value::Null,
             failure: (status.fault.is_some() || emergency)

@@ -10,7 +10,7 @@ use operations::places::{Need, Places};
 use protocol::capsule::{ActuationKind, CapsuleState};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
-use trials::experiment::{self, Motion};
+use trials::experiment::{self, Actuation};
 
 use crate::cli::ended::{completed, recording};
 use crate::cli::screen::Screen;
@@ -19,7 +19,7 @@ use crate::cli::{already, fresh};
 
 pub(crate) fn actuate(
     command: &'static str,
-    motion: impl Into<Motion>,
+    motion: impl Into<Actuation>,
     args: &RecordArgs,
     trace: Option<&Path>,
     places: &Places<'_>,

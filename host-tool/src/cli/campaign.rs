@@ -11,9 +11,9 @@ use analysis::science::virtual_displacement::Models;
 use campaign::conduct::{Broken, Conduct, Ending, Machines};
 use campaign::contents::Campaign;
 use campaign::folder::Folder;
-use campaign::ledger::{Event, Row, Source, Standing, TrialState};
+use campaign::ledger::{LedgerEvent, LedgerRow, Source, Standing, TrialState};
 use campaign::order::doing;
-use campaign::plan::{Millimetres, Plan};
+use campaign::plan::{CampaignPlan, Millimetres};
 use campaign::readings::Summary;
 use campaign::remaining::{remaining_s, text as time_text};
 use clap::Args;
@@ -239,7 +239,7 @@ fn create(
         why: format!("{}: {io}", path.display()),
         help: "give a plan, such as `examples/paper.toml`".to_owned(),
     })?;
-    let plan = Plan::parse(&text, path).map_err(Own::from)?;
+    let plan = CampaignPlan::parse(&text, path).map_err(Own::from)?;
     let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let out = out.map_or_else(
         || PathBuf::from(CAMPAIGNS_FOLDER).join(format!("{}-{stamp}", plan.name)),
@@ -577,7 +577,7 @@ fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result
     Ok(summary(folder.campaign()))
 }
 
-fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<Row, Failure> {
+fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow, Failure> {
     let attempt = |trial: u32| {
         campaign
             .state
@@ -613,25 +613,27 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<Row, Failu
                     ),
                 });
             }
-            let mut row = Row::of(Event::Displacement, *trial, attempt(*trial));
+            let mut row = LedgerRow::of(LedgerEvent::Displacement, *trial, attempt(*trial));
             row.displacement_mm = Some(*displacement_mm);
             row.source = Some(Source::Measured);
             row.saying(text(reason))
         }
-        Edit::Undo { trial } => Row::of(Event::Undone, *trial, attempt(*trial)),
+        Edit::Undo { trial } => LedgerRow::of(LedgerEvent::Undone, *trial, attempt(*trial)),
         Edit::Exclude { trial, reason } => {
-            Row::of(Event::Excluded, *trial, attempt(*trial)).saying(text(reason))
+            LedgerRow::of(LedgerEvent::Excluded, *trial, attempt(*trial)).saying(text(reason))
         }
-        Edit::Skip { trial, reason } => Row::of(Event::Skipped, *trial, None).saying(text(reason)),
-        Edit::Include { trial } => Row::of(Event::Included, *trial, None),
+        Edit::Skip { trial, reason } => {
+            LedgerRow::of(LedgerEvent::Skipped, *trial, None).saying(text(reason))
+        }
+        Edit::Include { trial } => LedgerRow::of(LedgerEvent::Included, *trial, None),
         Edit::Repeat { trial, reason } => {
-            Row::of(Event::Repeated, *trial, attempt(*trial)).saying(text(reason))
+            LedgerRow::of(LedgerEvent::Repeated, *trial, attempt(*trial)).saying(text(reason))
         }
         Edit::Note {
             trial,
             text: remark,
         } => {
-            let mut row = Row::of(Event::Note, 0, None).saying(text(remark));
+            let mut row = LedgerRow::of(LedgerEvent::Note, 0, None).saying(text(remark));
             row.trial = *trial;
             row
         }

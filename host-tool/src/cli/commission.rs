@@ -8,7 +8,7 @@ use clap::Args;
 use client::identity::kind_name;
 use client::subject::Subject;
 use commissioning::hands::{Bench, Hands, Nobody};
-use commissioning::record::{Commissioning, Outcome};
+use commissioning::record::{Commissioning, StepOutcome};
 use commissioning::session::{self, Broken, Ending};
 use commissioning::work::{Options, Work};
 use commissioning::{procedure, steps};
@@ -136,7 +136,7 @@ pub(crate) fn commission(
         record
             .steps
             .iter()
-            .any(|step| step.outcome != Outcome::Passed)
+            .any(|step| step.outcome != StepOutcome::Passed)
     );
     Err(Own::Commission {
         ending: Unfinished::NotShown,

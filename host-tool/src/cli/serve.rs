@@ -1,7 +1,10 @@
 //! The command `serve`.
 
+mod shown;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::Args;
 use operations::arguments::{DATA_FOLDER, Which};
@@ -50,12 +53,16 @@ pub(crate) fn serve(
         }
         machines.push((kind, address));
     }
+    let given = args.campaign.clone();
     let options = Options {
         listen: args.listen,
         token_file: args.token_file.clone(),
         hosts: args.hosts.clone(),
         out: args.out.clone(),
-        campaign: args.campaign.clone(),
+        campaign: Arc::new(move || {
+            let folder = given.clone().or_else(shown::newest);
+            folder.map(|folder| shown::json(&folder))
+        }),
         machines,
     };
     let pressed = interrupt::install();

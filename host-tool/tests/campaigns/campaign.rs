@@ -10,10 +10,10 @@ use campaign::contents::{Campaign, order_text};
 use campaign::files::{ATTEMPTS, READINGS, TRIALS};
 use campaign::folder::Folder;
 use campaign::form::Form;
-use campaign::ledger::{Event, Outcome, Row, Source, Standing, State};
+use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, Standing};
 use campaign::manifest::{self, Manifest};
 use campaign::order::order;
-use campaign::plan::{Lubrication, Millimetres, Plan, Purpose};
+use campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
 use campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
 use campaign::verify::verify;
 use client::identity::Origin;
@@ -65,8 +65,8 @@ indentation = "a2"
 repeats = 1
 "#;
 
-fn plan(text: &str) -> Plan {
-    Plan::parse(text, Path::new("plan.toml")).expect("a plan")
+fn plan(text: &str) -> CampaignPlan {
+    CampaignPlan::parse(text, Path::new("plan.toml")).expect("a plan")
 }
 
 fn mm(text: &str) -> Millimetres {
@@ -186,12 +186,12 @@ fn a_plan_that_cannot_be_carried_out_says_why() {
     for (good, bad, says) in cases {
         let text = SMALL.replacen(good, bad, 1);
         assert_ne!(text, SMALL, "{good}");
-        let error = Plan::parse(&text, Path::new("plan.toml")).expect_err(bad);
+        let error = CampaignPlan::parse(&text, Path::new("plan.toml")).expect_err(bad);
         assert!(error.why.contains(says), "{bad}: {}", error.why);
         assert!(error.remedy.contains("examples/paper.toml"));
     }
     let nothing = &SMALL[..SMALL.find("[series]").expect("there")];
-    let error = Plan::parse(nothing, Path::new("plan.toml")).expect_err("empty");
+    let error = CampaignPlan::parse(nothing, Path::new("plan.toml")).expect_err("empty");
     assert!(error.why.contains("nothing to do"), "{}", error.why);
 }
 
@@ -261,7 +261,7 @@ fn passes_that_would_not_be_isolated_are_refused() {
             text = text.replace("duration_s = 40", "duration_s = 408");
         }
         assert_ne!(text, PASSES, "{good}");
-        let error = Plan::parse(&text, Path::new("plan.toml")).expect_err(bad);
+        let error = CampaignPlan::parse(&text, Path::new("plan.toml")).expect_err(bad);
         assert!(error.why.contains(says), "{bad}: {}", error.why);
     }
 }
@@ -345,34 +345,34 @@ fn another_seed_is_another_order() {
 
 // Ledgers.
 
-const EVENTS: [Event; 11] = [
-    Event::Began,
-    Event::Ended,
-    Event::Displacement,
-    Event::Stroke,
-    Event::StrokesLeftOut,
-    Event::Undone,
-    Event::Repeated,
-    Event::Skipped,
-    Event::Excluded,
-    Event::Included,
-    Event::Note,
+const EVENTS: [LedgerEvent; 11] = [
+    LedgerEvent::Began,
+    LedgerEvent::Ended,
+    LedgerEvent::Displacement,
+    LedgerEvent::Stroke,
+    LedgerEvent::StrokesLeftOut,
+    LedgerEvent::Undone,
+    LedgerEvent::Repeated,
+    LedgerEvent::Skipped,
+    LedgerEvent::Excluded,
+    LedgerEvent::Included,
+    LedgerEvent::Note,
 ];
 
-const OUTCOMES: [Outcome; 6] = [
-    Outcome::Complete,
-    Outcome::Refused,
-    Outcome::Stopped,
-    Outcome::LinkLost,
-    Outcome::Faulted,
-    Outcome::Lost,
+const OUTCOMES: [AttemptOutcome; 6] = [
+    AttemptOutcome::Complete,
+    AttemptOutcome::Refused,
+    AttemptOutcome::Stopped,
+    AttemptOutcome::LinkLost,
+    AttemptOutcome::Faulted,
+    AttemptOutcome::Lost,
 ];
 
 /// A random row, which may be impossible at this point.
-fn any_row(chance: &mut Chance, trials: usize) -> Row {
+fn any_row(chance: &mut Chance, trials: usize) -> LedgerRow {
     let trial = chance.below(trials) as u32 + 1;
     let attempt = chance.below(3) as u32 + 1;
-    let mut row = Row::of(EVENTS[chance.below(EVENTS.len())], trial, Some(attempt));
+    let mut row = LedgerRow::of(EVENTS[chance.below(EVENTS.len())], trial, Some(attempt));
     row.origin = Origin::Virtual;
     row.outcome = Some(OUTCOMES[chance.below(8).saturating_sub(2)]);
     row.displacement_mm = Some(Millimetres::from_um(chance.below(1_000) as i64));
@@ -382,29 +382,29 @@ fn any_row(chance: &mut Chance, trials: usize) -> Row {
 }
 
 /// Displacements that count, worked out backwards from the rows alone, unlike the ledger's own way.
-fn counted(rows: &[Row], trial: u32) -> Option<Millimetres> {
-    let of: Vec<&Row> = rows.iter().filter(|row| row.trial == Some(trial)).collect();
-    let last = |wanted: &[Event]| {
+fn counted(rows: &[LedgerRow], trial: u32) -> Option<Millimetres> {
+    let of: Vec<&LedgerRow> = rows.iter().filter(|row| row.trial == Some(trial)).collect();
+    let last = |wanted: &[LedgerEvent]| {
         of.iter()
             .rposition(|row| wanted.contains(&row.event))
             .map(|index| (index, of[index]))
     };
-    let since = |index: usize, event: Event| of[index..].iter().any(|row| row.event == event);
-    let (began, _) = last(&[Event::Began])?;
-    let (ended, end) = last(&[Event::Ended])?;
-    let (measured, row) = last(&[Event::Displacement, Event::Undone])?;
+    let since = |index: usize, event: LedgerEvent| of[index..].iter().any(|row| row.event == event);
+    let (began, _) = last(&[LedgerEvent::Began])?;
+    let (ended, end) = last(&[LedgerEvent::Ended])?;
+    let (measured, row) = last(&[LedgerEvent::Displacement, LedgerEvent::Undone])?;
     let left_out = last(&[
-        Event::Skipped,
-        Event::Excluded,
-        Event::Included,
-        Event::Repeated,
+        LedgerEvent::Skipped,
+        LedgerEvent::Excluded,
+        LedgerEvent::Included,
+        LedgerEvent::Repeated,
     ])
-    .is_some_and(|(_, row)| [Event::Skipped, Event::Excluded].contains(&row.event));
+    .is_some_and(|(_, row)| [LedgerEvent::Skipped, LedgerEvent::Excluded].contains(&row.event));
     (began < ended
         && ended < measured
-        && end.outcome == Some(Outcome::Complete)
-        && row.event == Event::Displacement
-        && !since(began, Event::Repeated)
+        && end.outcome == Some(AttemptOutcome::Complete)
+        && row.event == LedgerEvent::Displacement
+        && !since(began, LedgerEvent::Repeated)
         && !left_out)
         .then_some(row.displacement_mm)
         .flatten()
@@ -415,7 +415,7 @@ proptest! {
     fn a_ledger_counts_what_its_rows_say(seed: u64) {
         let order = order(&plan(SMALL));
         let mut chance = Chance::new(seed);
-        let (mut state, mut rows) = (State::new(&order), vec![]);
+        let (mut state, mut rows) = (CampaignState::new(&order), vec![]);
         // Few trials, so that many of the rows are possible.
         for _ in 0..200 {
             let mut row = any_row(&mut chance, 3);
@@ -433,7 +433,7 @@ proptest! {
         }
         let n: usize = state.tallies(|_| 0).iter().map(|tally| tally.counted.len()).sum();
         prop_assert_eq!(n, (1..=3).filter(|trial| counted(&rows, *trial).is_some()).count());
-        prop_assert_eq!(State::replay(&order, &rows), Ok(state));
+        prop_assert_eq!(CampaignState::replay(&order, &rows), Ok(state));
     }
 
     /// Replaying a ledger reports any row that is missing, doubled or exchanged.
@@ -441,7 +441,7 @@ proptest! {
     fn a_ledger_without_one_of_its_rows_is_found(seed: u64) {
         let order = order(&plan(SMALL));
         let mut chance = Chance::new(seed);
-        let (mut state, mut rows) = (State::new(&order), vec![]);
+        let (mut state, mut rows) = (CampaignState::new(&order), vec![]);
         while rows.len() < 8 {
             let mut row = any_row(&mut chance, 3);
             row.row = state.sequence.next_row();
@@ -452,13 +452,13 @@ proptest! {
         let (one, other) = (chance.below(8), chance.below(8));
         let mut doubled = rows.clone();
         doubled.insert(one, rows[one].clone());
-        prop_assert!(State::replay(&order, &doubled).is_err());
+        prop_assert!(CampaignState::replay(&order, &doubled).is_err());
         let mut exchanged = rows.clone();
         exchanged.swap(one, other);
-        prop_assert_eq!(State::replay(&order, &exchanged).is_err(), one != other);
+        prop_assert_eq!(CampaignState::replay(&order, &exchanged).is_err(), one != other);
         // Without its last row a ledger looks like one that is still growing. Only the manifest can tell.
         let removed = rows.remove(one);
-        prop_assert_eq!(State::replay(&order, &rows).is_err(), removed.row != 8);
+        prop_assert_eq!(CampaignState::replay(&order, &rows).is_err(), removed.row != 8);
     }
 }
 
@@ -466,12 +466,12 @@ proptest! {
 #[test]
 fn strokes_are_entered_and_taken_back_one_by_one() {
     let order = order(&plan(SMALL));
-    let mut state = State::new(&order);
+    let mut state = CampaignState::new(&order);
     let mut step = |event| {
-        let mut row = Row::of(event, 1, Some(1));
+        let mut row = LedgerRow::of(event, 1, Some(1));
         row.row = state.sequence.next_row();
         row.origin = Origin::Board;
-        row.outcome = Some(Outcome::Complete);
+        row.outcome = Some(AttemptOutcome::Complete);
         row.displacement_mm = Some(Millimetres::from_um(i64::from(row.row)));
         row.source = Some(Source::Measured);
         let possible = state.apply(&row).is_ok();
@@ -487,32 +487,56 @@ fn strokes_are_entered_and_taken_back_one_by_one() {
         )
     };
     use Standing::{Done, UnderWay, Unmeasured};
-    assert_eq!(step(Event::Began).3, UnderWay);
-    assert_eq!(step(Event::Stroke), (false, vec![], false, UnderWay));
-    step(Event::Ended);
-    assert_eq!(step(Event::Undone), (false, vec![], false, Unmeasured));
-    assert_eq!(step(Event::Stroke), (true, vec![3], false, Unmeasured));
-    assert_eq!(step(Event::Stroke), (true, vec![3, 4], true, Unmeasured));
+    assert_eq!(step(LedgerEvent::Began).3, UnderWay);
+    assert_eq!(step(LedgerEvent::Stroke), (false, vec![], false, UnderWay));
+    step(LedgerEvent::Ended);
     assert_eq!(
-        step(Event::StrokesLeftOut),
+        step(LedgerEvent::Undone),
+        (false, vec![], false, Unmeasured)
+    );
+    assert_eq!(
+        step(LedgerEvent::Stroke),
+        (true, vec![3], false, Unmeasured)
+    );
+    assert_eq!(
+        step(LedgerEvent::Stroke),
+        (true, vec![3, 4], true, Unmeasured)
+    );
+    assert_eq!(
+        step(LedgerEvent::StrokesLeftOut),
         (true, vec![3, 4], false, Unmeasured)
     );
-    assert_eq!(step(Event::Stroke), (false, vec![3, 4], false, Unmeasured));
-    assert_eq!(step(Event::Undone), (true, vec![3, 4], true, Unmeasured));
-    assert_eq!(step(Event::Undone), (true, vec![3], false, Unmeasured));
-    step(Event::Stroke);
-    assert_eq!(step(Event::Displacement), (true, vec![3, 8], true, Done));
-    assert_eq!(step(Event::Stroke), (false, vec![3, 8], true, Done));
-    assert_eq!(step(Event::Undone), (true, vec![3, 8], true, Unmeasured));
+    assert_eq!(
+        step(LedgerEvent::Stroke),
+        (false, vec![3, 4], false, Unmeasured)
+    );
+    assert_eq!(
+        step(LedgerEvent::Undone),
+        (true, vec![3, 4], true, Unmeasured)
+    );
+    assert_eq!(
+        step(LedgerEvent::Undone),
+        (true, vec![3], false, Unmeasured)
+    );
+    step(LedgerEvent::Stroke);
+    assert_eq!(
+        step(LedgerEvent::Displacement),
+        (true, vec![3, 8], true, Done)
+    );
+    assert_eq!(step(LedgerEvent::Stroke), (false, vec![3, 8], true, Done));
+    assert_eq!(
+        step(LedgerEvent::Undone),
+        (true, vec![3, 8], true, Unmeasured)
+    );
 }
 
 /// One row of each kind in turn, and the trial's standing after each.
 #[test]
 fn a_trial_goes_through_its_standings() {
     let order = order(&plan(SMALL));
-    let mut state = State::new(&order);
+    let mut state = CampaignState::new(&order);
     let mut step = |event, attempt, outcome, standing| {
-        let mut row = Row::of(event, 1, Some(attempt));
+        let mut row = LedgerRow::of(event, 1, Some(attempt));
         row.row = state.sequence.next_row();
         row.origin = Origin::Board;
         row.outcome = outcome;
@@ -529,24 +553,29 @@ fn a_trial_goes_through_its_standings() {
     };
     use Standing::{Done, Excluded, Open, Skipped, UnderWay, Unmeasured};
     for outcome in OUTCOMES.into_iter().skip(1).zip(1..) {
-        step(Event::Began, outcome.1, None, UnderWay);
-        let next = step(Event::Ended, outcome.1, Some(outcome.0), Open);
+        step(LedgerEvent::Began, outcome.1, None, UnderWay);
+        let next = step(LedgerEvent::Ended, outcome.1, Some(outcome.0), Open);
         assert_eq!(next, 1, "it is still to be done");
     }
-    step(Event::Began, 6, None, UnderWay);
+    step(LedgerEvent::Began, 6, None, UnderWay);
     assert_eq!(
-        step(Event::Ended, 6, Some(Outcome::Complete), Unmeasured),
+        step(
+            LedgerEvent::Ended,
+            6,
+            Some(AttemptOutcome::Complete),
+            Unmeasured
+        ),
         1
     );
-    assert_eq!(step(Event::Displacement, 6, None, Done), 2);
-    assert_eq!(step(Event::Undone, 6, None, Unmeasured), 1);
-    step(Event::Displacement, 6, None, Done);
-    step(Event::Displacement, 6, None, Done);
-    assert_eq!(step(Event::Excluded, 6, None, Excluded), 2);
-    step(Event::Included, 6, None, Done);
-    assert_eq!(step(Event::Repeated, 6, None, Open), 1);
-    assert_eq!(step(Event::Skipped, 6, None, Skipped), 2);
-    step(Event::Included, 6, None, Open);
+    assert_eq!(step(LedgerEvent::Displacement, 6, None, Done), 2);
+    assert_eq!(step(LedgerEvent::Undone, 6, None, Unmeasured), 1);
+    step(LedgerEvent::Displacement, 6, None, Done);
+    step(LedgerEvent::Displacement, 6, None, Done);
+    assert_eq!(step(LedgerEvent::Excluded, 6, None, Excluded), 2);
+    step(LedgerEvent::Included, 6, None, Done);
+    assert_eq!(step(LedgerEvent::Repeated, 6, None, Open), 1);
+    assert_eq!(step(LedgerEvent::Skipped, 6, None, Skipped), 2);
+    step(LedgerEvent::Included, 6, None, Open);
     let trial = state.trial(1).expect("there");
     assert_eq!(trial.attempts.len(), 6);
     assert_eq!(trial.counted(), None);
@@ -555,9 +584,9 @@ fn a_trial_goes_through_its_standings() {
 #[test]
 fn measured_and_simulated_rows_do_not_mix() {
     let order = order(&plan(SMALL));
-    let mut state = State::new(&order);
+    let mut state = CampaignState::new(&order);
     for (number, origin, good) in [(1, Origin::Virtual, true), (2, Origin::Board, false)] {
-        let mut row = Row::of(Event::Note, 1, None);
+        let mut row = LedgerRow::of(LedgerEvent::Note, 1, None);
         (row.row, row.origin) = (number, origin);
         assert_eq!(state.apply(&row).is_ok(), good);
     }
@@ -705,7 +734,11 @@ pub(crate) fn campaign(path: &Path) -> Folder {
     let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 5).expect("there");
     for trial in 1..=3 {
         folder
-            .append(Row::of(Event::Began, trial, Some(1)), now(), origin)
+            .append(
+                LedgerRow::of(LedgerEvent::Began, trial, Some(1)),
+                now(),
+                origin,
+            )
             .expect("written");
         let recording = Recording {
             folder: folder.campaign().attempt_folder(trial, 1),
@@ -716,16 +749,17 @@ pub(crate) fn campaign(path: &Path) -> Folder {
         };
         let run = folder.campaign().plan.run;
         experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
-        let mut row = Row::of(Event::Ended, trial, Some(1));
-        row.outcome = Some(Outcome::Complete);
+        let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(1));
+        row.outcome = Some(AttemptOutcome::Complete);
         folder.append(row, now(), origin).expect("written");
         folder.seal_attempt(trial, 1).expect("written");
-        let mut row = Row::of(Event::Displacement, trial, Some(1));
+        let mut row = LedgerRow::of(LedgerEvent::Displacement, trial, Some(1));
         row.displacement_mm = Some(mm(["4.2", "5", "-0.25"][trial as usize - 1]));
         row.source = Some(Source::Measured);
         folder.append(row, now(), origin).expect("written");
     }
-    let note = Row::of(Event::Note, 2, None).saying(Some("a \"note\", with\na comma".to_owned()));
+    let note = LedgerRow::of(LedgerEvent::Note, 2, None)
+        .saying(Some("a \"note\", with\na comma".to_owned()));
     folder.append(note, now(), origin).expect("written");
     folder
 }
@@ -788,7 +822,7 @@ fn a_crash_at_any_byte_loses_no_whole_line() {
     let before = fs::read(&file).expect("there");
     let rows = Campaign::read(&path).expect("a campaign").rows.len();
     let mut folder = resume(&path, at(99)).expect("free").0;
-    let row = Row::of(Event::Note, 3, None).saying(Some("last".to_owned()));
+    let row = LedgerRow::of(LedgerEvent::Note, 3, None).saying(Some("last".to_owned()));
     folder.append(row, at(100), Origin::Board).expect("written");
     drop(folder);
     let after = fs::read(&file).expect("there");
@@ -818,7 +852,11 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     let path = place.path().join("small");
     let mut folder = campaign(&path);
     folder
-        .append(Row::of(Event::Began, 4, Some(1)), at(200), Origin::Board)
+        .append(
+            LedgerRow::of(LedgerEvent::Began, 4, Some(1)),
+            at(200),
+            Origin::Board,
+        )
         .expect("written");
     drop(folder);
     // Copy the files of trial 3: completed, but not in the manifest.
@@ -843,17 +881,21 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     drop(folder);
     assert_eq!(findings(&path), Vec::<String>::new());
     let mut folder = resume(&path, at(202)).expect("free").0;
-    let mut row = Row::of(Event::Repeated, 4, Some(1));
+    let mut row = LedgerRow::of(LedgerEvent::Repeated, 4, Some(1));
     row.text = Some("not seen".to_owned());
     folder.append(row, at(203), Origin::Board).expect("written");
     folder
-        .append(Row::of(Event::Began, 4, Some(2)), at(204), Origin::Board)
+        .append(
+            LedgerRow::of(LedgerEvent::Began, 4, Some(2)),
+            at(204),
+            Origin::Board,
+        )
         .expect("written");
     drop(folder);
     let (folder, _) = resume(&path, at(205)).expect("a crash");
     let trial = folder.campaign().state.trial(4).expect("there");
     assert_eq!(trial.standing(), Standing::Open);
-    assert_eq!(trial.attempts[1].outcome, Some(Outcome::Lost));
+    assert_eq!(trial.attempts[1].outcome, Some(AttemptOutcome::Lost));
 }
 
 #[test]

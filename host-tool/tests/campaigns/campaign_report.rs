@@ -13,11 +13,11 @@ use analysis::report::evaluation::evaluate;
 use analysis::science::observations::{self, TrialsError};
 use campaign::contents::Campaign;
 use campaign::folder::Folder;
-use campaign::ledger::{Event, Outcome, Row, Source};
+use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use campaign::manifest;
 use campaign::plan::{Millimetres, Purpose};
 use campaign::readings::{Kind, Quantity, ReadingRow};
-use campaign::statistics::{Line, Spread};
+use campaign::statistics::{FittedLine, Spread};
 use client::identity::Origin;
 use client::{Device, Unobserved};
 use jiff::Timestamp;
@@ -144,7 +144,7 @@ fn campaign(path: &Path) -> Folder {
             let a_mm = readings
                 .clamped()
                 .and_then(|set| readings.indentation_mm(set));
-            let mut row = Row::of(Event::Began, planned.trial, Some(attempt));
+            let mut row = LedgerRow::of(LedgerEvent::Began, planned.trial, Some(attempt));
             row.readings_set = Some(set);
             row.indentation_mm = a_mm.map(|a| Millimetres::from_um((a * 1e3).round() as i64));
             folder
@@ -166,11 +166,11 @@ fn campaign(path: &Path) -> Folder {
             let run = folder.campaign().plan.run;
             let recording = recording("run", &mut clock);
             experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
-            let mut row = Row::of(Event::Ended, planned.trial, Some(attempt));
+            let mut row = LedgerRow::of(LedgerEvent::Ended, planned.trial, Some(attempt));
             row.outcome = Some(if attempt == last {
-                Outcome::Complete
+                AttemptOutcome::Complete
             } else {
-                Outcome::Stopped
+                AttemptOutcome::Stopped
             });
             folder
                 .append(row, clock.now(), Origin::Board)
@@ -179,7 +179,7 @@ fn campaign(path: &Path) -> Folder {
                 .seal_attempt(planned.trial, attempt)
                 .expect("written");
         }
-        let mut row = Row::of(Event::Displacement, planned.trial, Some(last));
+        let mut row = LedgerRow::of(LedgerEvent::Displacement, planned.trial, Some(last));
         row.displacement_mm = Some(Millimetres::from_um(displacement_um(planned.trial)));
         row.source = Some(Source::Measured);
         folder
@@ -187,7 +187,7 @@ fn campaign(path: &Path) -> Folder {
             .expect("written");
     }
     let why = Some("the tail was <caught>".to_owned());
-    let row = Row::of(Event::Excluded, 5, Some(1)).saying(why);
+    let row = LedgerRow::of(LedgerEvent::Excluded, 5, Some(1)).saying(why);
     folder
         .append(row, clock.now(), Origin::Board)
         .expect("written");
@@ -324,7 +324,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     }
     for (row, line) in &evaluation.lines {
         let points = evaluation.points(Purpose::Series, row.lubrication);
-        assert_eq!(Line::through(&points), Some(*line));
+        assert_eq!(FittedLine::through(&points), Some(*line));
         assert!(points.len() >= 5 && row.n == points.len());
     }
     let a = |name: &str| {

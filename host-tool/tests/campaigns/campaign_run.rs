@@ -15,7 +15,7 @@ use analysis::science::observations;
 use calibration::observation::Kind as Observed;
 use campaign::contents::Campaign;
 use campaign::form::Form;
-use campaign::ledger::{Event, Outcome, Source, Standing};
+use campaign::ledger::{AttemptOutcome, LedgerEvent, Source, Standing};
 use campaign::plan::Purpose;
 use campaign::verify::verify;
 use client::identity::Origin;
@@ -119,7 +119,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     for row in campaign
         .rows
         .iter()
-        .filter(|row| row.event == Event::Displacement)
+        .filter(|row| row.event == LedgerEvent::Displacement)
     {
         assert_eq!(row.source, Some(Source::ModelWithScatter));
         let text = row.text.as_deref().unwrap_or_default();
@@ -247,7 +247,7 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
     let row = campaign
         .rows
         .iter()
-        .find(|row| (row.trial, row.event) == (Some(number), Event::Displacement));
+        .find(|row| (row.trial, row.event) == (Some(number), LedgerEvent::Displacement));
     let text = row.and_then(|row| row.text.as_deref()).unwrap_or_default();
     assert!(
         text.contains("roller model until the fold begins"),
@@ -572,7 +572,7 @@ fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
         let first = &campaign.state.trials[0];
         let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
         match first.planned.purpose {
-            Purpose::AntegradePass => assert_eq!(outcomes, [Some(Outcome::Refused)]),
+            Purpose::AntegradePass => assert_eq!(outcomes, [Some(AttemptOutcome::Refused)]),
             // The rollers do not even reach the start of the pass.
             _ => assert_eq!(outcomes, []),
         }
@@ -836,7 +836,7 @@ fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     let first = campaign.state.trial(1).expect("there");
     assert_eq!(
         first.attempts[0].outcome,
-        Some(Outcome::Faulted),
+        Some(AttemptOutcome::Faulted),
         "{said}{err}"
     );
     assert_eq!(first.standing(), Standing::Open);

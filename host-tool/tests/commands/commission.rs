@@ -9,7 +9,7 @@ use client::subject::Subject;
 use commissioning::hands::{Act, Part, Reading, Wish};
 use commissioning::image;
 use commissioning::procedure::{Procedure, Standing, open, standing};
-use commissioning::record::{Commissioning, Finding, Outcome};
+use commissioning::record::{Commissioning, Finding, StepOutcome};
 use commissioning::rig::wrong_travel;
 use commissioning::session::wrapped;
 use commissioning::step::Step;
@@ -35,7 +35,7 @@ fn subject() -> Subject {
     }
 }
 
-fn finding(outcome: Outcome) -> Finding {
+fn finding(outcome: StepOutcome) -> Finding {
     Finding {
         outcome,
         reason: None,
@@ -52,7 +52,12 @@ fn enter(record: &mut Commissioning, name: &str, finding: Finding, subject: &Sub
 fn complete(subject: &Subject) -> Commissioning {
     let mut record = Commissioning::new(subject, NOW);
     for step in steps::of(DeviceKind::Rig) {
-        enter(&mut record, step.name, finding(Outcome::Passed), subject);
+        enter(
+            &mut record,
+            step.name,
+            finding(StepOutcome::Passed),
+            subject,
+        );
     }
     record
 }
@@ -103,8 +108,18 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
 fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
     let subject = subject();
     let mut record = complete(&subject);
-    enter(&mut record, "travel", finding(Outcome::Failed), &subject);
-    enter(&mut record, "jumper", finding(Outcome::NotShown), &subject);
+    enter(
+        &mut record,
+        "travel",
+        finding(StepOutcome::Failed),
+        &subject,
+    );
+    enter(
+        &mut record,
+        "jumper",
+        finding(StepOutcome::NotShown),
+        &subject,
+    );
     assert!(!record.complete);
     for _ in 0..2 {
         let mut procedure = Procedure::new(steps::of(DeviceKind::Rig));
@@ -114,8 +129,18 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
             [Some("travel"), Some("jumper"), None]
         );
     }
-    enter(&mut record, "travel", finding(Outcome::Passed), &subject);
-    enter(&mut record, "jumper", finding(Outcome::Passed), &subject);
+    enter(
+        &mut record,
+        "travel",
+        finding(StepOutcome::Passed),
+        &subject,
+    );
+    enter(
+        &mut record,
+        "jumper",
+        finding(StepOutcome::Passed),
+        &subject,
+    );
     assert!(record.complete);
     // Lists the steps in their order, whatever the order of the results.
     let order: Vec<_> = record
@@ -154,7 +179,7 @@ fn a_record_is_read_back_as_it_was_written() {
     let subject = subject();
     assert_eq!(Commissioning::read(&path).expect("none"), None);
     let mut record = Commissioning::resume(&path, &subject, NOW).expect("a new one");
-    let mut travel = finding(Outcome::Failed);
+    let mut travel = finding(StepOutcome::Failed);
     travel.reason = Some("wrong lead".to_owned());
     travel
         .measured
@@ -235,7 +260,7 @@ fn wishes_are_read_as_they_are_written() {
     }
 }
 
-fn outcomes(record: &Path) -> BTreeMap<String, Outcome> {
+fn outcomes(record: &Path) -> BTreeMap<String, StepOutcome> {
     let record = Commissioning::read(record)
         .expect("a record")
         .expect("a file");
@@ -276,9 +301,9 @@ fn without_hands_what_needs_them_is_not_shown() {
         // This test's machine has no image, so no image can be compared.
         let passed = ["clock", "quiet"].contains(&step.name);
         let expected = if passed {
-            Outcome::Passed
+            StepOutcome::Passed
         } else {
-            Outcome::NotShown
+            StepOutcome::NotShown
         };
         if step.name != "image" {
             assert_eq!(found[step.name], expected, "{}", step.name);
@@ -436,7 +461,7 @@ fn a_person_who_leaves_loses_nothing() {
         assert_eq!(code, 130, "{typed:?} {out}{err}");
         assert!(err.contains(at), "{err}");
         assert!(out.contains("Switch the MOTOR SUPPLY OFF"), "{out}");
-        assert_eq!(outcomes(&path)["clock"], Outcome::Passed);
+        assert_eq!(outcomes(&path)["clock"], StepOutcome::Passed);
         let wide = out
             .lines()
             .find(|line| line.len() > 80 && !line.starts_with("Record: "));
@@ -448,7 +473,7 @@ fn a_person_who_leaves_loses_nothing() {
     let enable = found.result("enable").expect("a result");
     assert_eq!(enable.measured["enable_in_reset_mv"], 200);
     // This machine does not restart, so its reset button cannot have been held.
-    assert_eq!(enable.outcome, Outcome::NotShown);
+    assert_eq!(enable.outcome, StepOutcome::NotShown);
     let reason = enable.reason.as_deref().unwrap_or_default();
     assert!(reason.contains("was not reset"), "{reason}");
 }

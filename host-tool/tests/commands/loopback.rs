@@ -14,7 +14,7 @@ use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
 use simulated_machines::link::{Memory, Peer};
 use simulated_machines::machine::capsule::FOLDED_UM;
-use simulated_machines::machine::{Machine, Script, World, link};
+use simulated_machines::machine::{Script, SimulatedMachine, World, link};
 use trials::experiment::PAPER_RUN;
 
 const SHORT_RUN: Run = Run {
@@ -635,7 +635,7 @@ fn a_run_is_overdue_by_the_clock_of_the_machine() {
     let of = |factor, world| {
         let mut script = Script::new(DeviceKind::Rig);
         script.world = world;
-        let (machine, log) = Machine::new(script);
+        let (machine, log) = SimulatedMachine::new(script);
         let link = Memory::new("memory", Slowed(machine, factor));
         let mut rig = Device::connect(Box::new(link), DeviceKind::Rig, 11).expect("a rig");
         let accepted = rig.home().expect("accepted");

@@ -10,7 +10,7 @@ use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::terminal::Terminal;
 use campaign::chance::Chance;
 use campaign::contents::Campaign;
-use campaign::ledger::{Event, Outcome, Standing};
+use campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
 use campaign::verify::verify;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::VIRTUAL_UID;
@@ -74,7 +74,7 @@ fn passes_and_strokes_survive_being_killed_at_any_instant() {
     let strokes = campaign
         .rows
         .iter()
-        .filter(|row| row.event == Event::Stroke);
+        .filter(|row| row.event == LedgerEvent::Stroke);
     assert_eq!(
         strokes.count(),
         2,
@@ -139,7 +139,7 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
         let measured = campaign
             .rows
             .iter()
-            .filter(|row| row.event == Event::Displacement && row.trial == Some(trial));
+            .filter(|row| row.event == LedgerEvent::Displacement && row.trial == Some(trial));
         assert_eq!(measured.count(), 1, "trial {trial}");
         let state = campaign.state.trial(trial).expect("there");
         let standing = state.attempts.iter().filter(|attempt| attempt.stands());
@@ -210,8 +210,8 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     assert_eq!(standing(), Standing::Done);
 }
 
-/// A stop during a pass leaves no half trial. An emergency stop before a pass begins nothing. After each, the rollers
-/// are homed again before the body is laid in.
+/// A trial that was stopped within a pass does not count, and after an emergency stop before a pass none begins. After
+/// either, the rollers are homed before the body is laid in.
 #[test]
 fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
@@ -253,7 +253,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
         ],
     );
     assert_eq!(session.ends_restored(), Some(130));
-    assert_eq!(outcomes(), [Some(Outcome::Stopped)]);
+    assert_eq!(outcomes(), [Some(AttemptOutcome::Stopped)]);
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
 
     // The rollers stand above the body, so nothing moves before the body is out.
@@ -267,7 +267,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
         ],
     );
     assert_eq!(session.ends_restored(), Some(130));
-    let stopped = [Some(Outcome::Stopped); 2];
+    let stopped = [Some(AttemptOutcome::Stopped); 2];
     assert_eq!(outcomes(), stopped);
     let mut session = converse(
         &["campaign", "resume", "c"],
@@ -297,6 +297,6 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     let (code, _, err) = bench.retrograde(&["estop", "rig"]);
     assert_eq!(code, Some(0), "{err}");
     assert_ne!(session.ends_restored(), Some(0));
-    assert_eq!(outcomes()[2..], [Some(Outcome::Faulted)]);
+    assert_eq!(outcomes()[2..], [Some(AttemptOutcome::Faulted)]);
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
 }

@@ -14,7 +14,7 @@ use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::signal::{Signal, kill};
 use campaign::chance::Chance;
 use campaign::contents::Campaign;
-use campaign::ledger::{Event, Outcome, Standing};
+use campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
 use campaign::verify::verify;
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
@@ -24,7 +24,7 @@ use operations::connector::{Candidate, Connector, Purpose};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use simulated_machines::link::{Memory, Peer};
-use simulated_machines::machine::{Machine, Script, Shared, VIRTUAL_UID};
+use simulated_machines::machine::{Script, Shared, SimulatedMachine, VIRTUAL_UID};
 
 /// Number of instants: all if RETROGRADE_CAMPAIGN is set, else only the first.
 fn count(all: usize, first: usize) -> usize {
@@ -47,7 +47,7 @@ fn plan(duration_s: u32) -> String {
 
 /// Outcome and reason, from the ledger, of the attempt that did not end as planned; none if there was none. Asserts
 /// that the campaign went on after it.
-fn went_on(folder: &Path) -> Option<(Outcome, String)> {
+fn went_on(folder: &Path) -> Option<(AttemptOutcome, String)> {
     let verified = verify(folder).expect("a folder");
     assert_eq!(verified.findings, vec![], "{}", folder.display());
     let campaign = Campaign::read(folder).expect("a campaign");
@@ -58,7 +58,7 @@ fn went_on(folder: &Path) -> Option<(Outcome, String)> {
     }
     let mut broken = campaign.rows.iter().filter(|row| {
         row.outcome
-            .is_some_and(|outcome| outcome != Outcome::Complete)
+            .is_some_and(|outcome| outcome != AttemptOutcome::Complete)
     });
     let row = broken.next()?;
     assert_eq!(broken.next(), None, "one blow, one attempt");
@@ -69,7 +69,7 @@ fn went_on(folder: &Path) -> Option<(Outcome, String)> {
 fn last_sample_us(folder: &Path) -> Option<u64> {
     let campaign = Campaign::read(folder).expect("a campaign");
     let mut rows = campaign.rows.iter().rev();
-    let began = rows.find(|row| row.event == Event::Began)?;
+    let began = rows.find(|row| row.event == LedgerEvent::Began)?;
     let mut files = fs::read_dir(campaign.attempt_folder(began.trial?, began.attempt?)).ok()?;
     let csv = files.find_map(|entry| {
         let path = entry.expect("an entry").path();
@@ -134,8 +134,8 @@ fn what_happens_to_the_process_is_told_kept_and_survived() {
             continue;
         };
         let wanted = match blow {
-            Blow::Signal(_) => Outcome::Stopped,
-            _ => Outcome::Lost,
+            Blow::Signal(_) => AttemptOutcome::Stopped,
+            _ => AttemptOutcome::Lost,
         };
         assert_eq!(outcome, wanted, "{blow:?}: {reason}");
         assert!(!reason.is_empty(), "{blow:?}");
@@ -230,7 +230,7 @@ const FAULTS: [Fault; 4] = [
 struct Computer {
     fault: Option<(Fault, u64)>,
     folder: PathBuf,
-    machine: Arc<Mutex<Machine>>,
+    machine: Arc<Mutex<SimulatedMachine>>,
     clock_us: Arc<Mutex<u64>>,
     within: Arc<Mutex<Vec<u64>>>,
 }
@@ -238,7 +238,7 @@ struct Computer {
 struct Faulty {
     link: Memory<Shared>,
     fault: Option<(Fault, u64)>,
-    machine: Arc<Mutex<Machine>>,
+    machine: Arc<Mutex<SimulatedMachine>>,
     clock_us: Arc<Mutex<u64>>,
     folder: PathBuf,
     /// When the present run began, us.
@@ -393,7 +393,7 @@ struct Session {
     said: String,
     /// Duration, us.
     us: u64,
-    machine: Arc<Mutex<Machine>>,
+    machine: Arc<Mutex<SimulatedMachine>>,
     /// Instants during its runs, us.
     within: Vec<u64>,
 }
@@ -417,7 +417,7 @@ fn until_nothing_is_written(place: &Path) {
 fn session(place: &Path, fault: Option<(Fault, u64)>) -> Session {
     let mut script = Script::new(DeviceKind::Rig);
     script.uid = VIRTUAL_UID;
-    let machine = Arc::new(Mutex::new(Machine::new(script).0));
+    let machine = Arc::new(Mutex::new(SimulatedMachine::new(script).0));
     let computer = Computer {
         fault,
         folder: place.join("c"),
@@ -512,7 +512,7 @@ fn what_happens_to_tool_cable_and_clock_is_told_kept_and_survived() {
         let Some((outcome, reason)) = went_on(&folder) else {
             continue;
         };
-        assert_eq!(outcome, Outcome::Lost, "{what}");
+        assert_eq!(outcome, AttemptOutcome::Lost, "{what}");
         assert!(!reason.is_empty(), "{what}");
         if let Some(sampled_us) = sampled_us {
             in_runs += 1;

@@ -5,13 +5,14 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::panic::catch_unwind;
-use std::process::{Child, Stdio};
+use std::process::Child;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::bench::{Bench, ready};
+use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
 use client::door::lock::Doorway;
 use client::door::window::Window;
@@ -20,6 +21,7 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use rustix::process::Signal;
 use serde_json::Value;
+use simulated_machines::dice::Dice;
 
 const SOON: Duration = Duration::from_secs(60);
 
@@ -113,19 +115,12 @@ fn stop_of(kind: &str) -> String {
     )
 }
 
-/// A server process, killed when this is dropped.
+/// A server process.
 struct Server {
-    child: Child,
+    process: Killed,
     at: String,
     token: String,
     instance: String,
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 /// An order that the server has registered and whose body it waits for.
@@ -146,24 +141,11 @@ impl Order {
 
 impl Server {
     fn start(bench: &Bench) -> Self {
-        let args = ["serve", "--listen", "127.0.0.1:0"];
-        let mut child = bench
-            .command(&args)
-            .stderr(Stdio::inherit())
-            .spawn()
-            .expect("starts");
-        let mut said = BufReader::new(child.stdout.take().expect("piped"));
-        let mut url = String::new();
-        while !url.contains("#token=") {
-            url.clear();
-            assert_ne!(said.read_line(&mut url).expect("text"), 0, "no address");
-        }
-        thread::spawn(move || said.read_to_end(&mut vec![]));
-        let (at, token) = url.trim().split_once("/#token=").expect("an address");
+        let (process, at, token) = server::start(bench, &[]);
         let mut server = Self {
-            child,
-            at: at.trim_start_matches("http://").to_owned(),
-            token: token.to_owned(),
+            process,
+            at,
+            token,
             instance: String::new(),
         };
         let state = server.until("a connection", |rig| rig["contact"] != "lost");
@@ -193,9 +175,9 @@ impl Server {
 
     /// Sends these requests at once: the server is frozen, so it finds all of them when it continues.
     fn flood<'a>(&self, requests: impl Iterator<Item = &'a str>) -> Vec<TcpStream> {
-        kill(Signal::STOP, self.child.id());
+        kill(Signal::STOP, self.process.0.id());
         let asked = requests.map(|request| self.ask(request)).collect();
-        kill(Signal::CONT, self.child.id());
+        kill(Signal::CONT, self.process.0.id());
         asked
     }
 
@@ -550,32 +532,8 @@ fn a_stop_does_not_wait_for_plans() {
     assert!(planned < 50, "after {planned} plans");
 }
 
-/// Deterministic random choices.
-struct Dice(u64);
-
-impl Dice {
-    fn new(seed: u64) -> Self {
-        let mut dice = Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1);
-        for _ in 0..8 {
-            let _ = dice.roll(2);
-        }
-        dice
-    }
-
-    fn roll(&mut self, below: u64) -> u64 {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        (self.0 >> 16) % below
-    }
-
-    fn one_in(&mut self, count: u64) -> bool {
-        self.roll(count) == 0
-    }
-
-    fn wait(&mut self, below_ms: u64) {
-        thread::sleep(Duration::from_millis(self.roll(below_ms)));
-    }
+fn wait(dice: &mut Dice, below_ms: u64) {
+    thread::sleep(Duration::from_millis(dice.below(below_ms)));
 }
 
 /// The processes of a scenario, killed when this is dropped.
@@ -615,11 +573,11 @@ fn has_begun(child: &mut Child) {
 fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> Option<u64> {
     let now_us = || bench.log.lock().expect("log").now_us;
     let mut first_us = None;
-    for _ in 0..1 + dice.roll(3) {
+    for _ in 0..1 + dice.below(3) {
         let (kind, wanted) =
-            [("stop", Urgent::Stop), ("estop", Urgent::EStop)][dice.roll(2) as usize];
+            [("stop", Urgent::Stop), ("estop", Urgent::EStop)][dice.below(2) as usize];
         let asked_us = now_us();
-        let confirmed = match (dice.roll(3), server) {
+        let confirmed = match (dice.below(3), server) {
             (1.., Some(server)) => server.stop(kind).0 == 200,
             _ => bench.retrograde(&[kind]).0 == Some(0),
         };
@@ -643,7 +601,7 @@ fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> 
             "seed {seed}: told a {kind} that the machine has not seen"
         );
         first_us = first_us.or(Some(answered_us));
-        dice.wait(100);
+        wait(dice, 100);
     }
     first_us
 }
@@ -652,7 +610,7 @@ fn press(seed: u64, bench: &Bench, server: Option<&Server>, dice: &mut Dice) -> 
 /// the stops, so nothing may move once one of them is confirmed, even when everything frozen continues. Returns
 /// whether the machine had moved and whether a stop was confirmed.
 fn scenario(seed: u64) -> (bool, bool) {
-    let mut dice = Dice::new(seed);
+    let mut dice = Dice(seed);
     let mut script = ready(DeviceKind::Rig);
     script.settings = vec![(SettingKey::LinkTimeoutMs, 1_000)];
     let bench = Bench::on_tcp_as(&script, 1);
@@ -660,7 +618,7 @@ fn scenario(seed: u64) -> (bool, bool) {
     let spawn = |args: &[&str]| bench.command(args).spawn().expect("starts");
     // Choose the owner of the line.
     let mut all = Processes::default();
-    match dice.roll(4) {
+    match dice.below(4) {
         0 => all.0.push(bench.run(&["--duration-s", "40"])),
         1 => {
             all.0.push(spawn(&["watch"]));
@@ -682,29 +640,29 @@ fn scenario(seed: u64) -> (bool, bool) {
         let address = bench.address.parse().expect("an address");
         let doorway = Doorway::within(&bench.locks(), &address).expect("a line");
         // Exceed the limit of windows. One that arrives while the line changes hands may fail.
-        let more = (0..dice.roll(40)).map(|_| Window::open(&doorway, Duration::from_secs(1)));
+        let more = (0..dice.below(40)).map(|_| Window::open(&doorway, Duration::from_secs(1)));
         windows.extend(more);
     }
-    let idle: Vec<_> = (0..[0, 0, 100, 400][dice.roll(4) as usize])
+    let idle: Vec<_> = (0..[0, 0, 100, 400][dice.below(4) as usize])
         .map(|_| server.connect())
         .collect();
     thread::scope(|scope| {
         let mut orders = vec![];
-        for key in 0..1 + dice.roll(3) as u32 {
-            let to = 10 + dice.roll(100);
+        for key in 0..1 + dice.below(3) as u32 {
+            let to = 10 + dice.below(100);
             let body = format!("{{\"position_mm\": {to}, \"speed_mm_s\": 10}}");
             let order = server.order(&body, key);
-            let held_ms = dice.roll(4) * dice.roll(30);
+            let held_ms = dice.below(4) * dice.below(30);
             orders.push(scope.spawn(move || {
                 thread::sleep(Duration::from_millis(held_ms));
                 order.finish()
             }));
-            dice.wait(30);
+            wait(&mut dice, 30);
         }
         // Apply blows to the processes that have begun a motion.
         let mut frozen = vec![];
         let mut blow = |child: &Child, dice: &mut Dice| {
-            let signal = [Signal::KILL, Signal::STOP][dice.roll(2) as usize];
+            let signal = [Signal::KILL, Signal::STOP][dice.below(2) as usize];
             kill(signal, child.id());
             if signal == Signal::STOP {
                 frozen.push(child.id());
@@ -717,10 +675,10 @@ fn scenario(seed: u64) -> (bool, bool) {
         }
         let is_served = !dice.one_in(5);
         if !is_served {
-            blow(&server.child, &mut dice);
+            blow(&server.process.0, &mut dice);
         }
         let far_ms = if dice.one_in(5) { 3_000 } else { 40 };
-        dice.wait(far_ms);
+        wait(&mut dice, far_ms);
         let confirmed_us = press(seed, &bench, is_served.then_some(&server), &mut dice);
         for pid in frozen {
             kill(Signal::CONT, pid);

@@ -4,12 +4,12 @@
 use std::collections::BTreeSet;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpStream};
-use std::process::{Child, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::bench::Bench;
+use crate::support::server::{self, Killed};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
@@ -17,20 +17,13 @@ use serve::http::{OPENAPI, ROUTES};
 
 const SOON: Duration = Duration::from_secs(30);
 
-/// A server process, killed when this is dropped.
+/// A server process.
 struct Server {
-    child: Child,
+    process: Killed,
     at: String,
     token: String,
     instance: String,
     keys: AtomicU32,
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
 }
 
 struct Answer {
@@ -89,24 +82,11 @@ impl Server {
     }
 
     fn start_with(bench: &Bench, more: &[&str]) -> Self {
-        let args = [&["serve", "--listen", "127.0.0.1:0"], more].concat();
-        let mut child = bench
-            .command(&args)
-            .stderr(Stdio::inherit())
-            .spawn()
-            .expect("starts");
-        let mut said = BufReader::new(child.stdout.take().expect("piped"));
-        let mut url = String::new();
-        while !url.contains("#token=") {
-            url.clear();
-            assert_ne!(said.read_line(&mut url).expect("text"), 0, "no address");
-        }
-        thread::spawn(move || said.read_to_end(&mut vec![]));
-        let (at, token) = url.trim().split_once("/#token=").expect("an address");
+        let (process, at, token) = server::start(bench, more);
         let mut server = Self {
-            child,
-            at: at.trim_start_matches("http://").to_owned(),
-            token: token.to_owned(),
+            process,
+            at,
+            token,
             instance: String::new(),
             keys: AtomicU32::new(0),
         };
@@ -168,11 +148,11 @@ impl Server {
 
     /// Sends Ctrl-C and returns the exit code.
     fn interrupt(mut self) -> Option<i32> {
-        let child = rustix::process::Pid::from_child(&self.child);
+        let child = rustix::process::Pid::from_child(&self.process.0);
         rustix::process::kill_process(child, rustix::process::Signal::INT).expect("sent");
         let begin = Instant::now();
         loop {
-            if let Some(status) = self.child.try_wait().expect("mine") {
+            if let Some(status) = self.process.0.try_wait().expect("mine") {
                 return status.code();
             }
             assert!(begin.elapsed() < SOON, "it does not end");
@@ -826,8 +806,8 @@ fn a_jog_ends_when_the_server_is_killed() {
         &json!({ "direction": "away", "speed_mm_s": 10 }),
     );
     assert_eq!(begun.status, 202, "{}", begun.body);
-    server.child.kill().expect("mine");
-    server.child.wait().expect("mine");
+    server.process.0.kill().expect("mine");
+    server.process.0.wait().expect("mine");
     // Wait for the rig's own dead-man time, 0.3 s, and the braking.
     thread::sleep(Duration::from_secs(1));
     let log = bench.log.lock().expect("log");
@@ -949,6 +929,27 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
     let state = server.state();
     assert_eq!(state["machines"]["capsule"]["state"], "Unfolded");
     assert!(state["machines"]["rig"].is_null());
+}
+
+/// The page shows the campaign of `--campaign`, and says why it cannot be read if its ledger is damaged.
+#[test]
+fn the_state_of_a_campaign_is_shown_until_it_cannot_be_read() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let folder = bench.folder.path().join("shown");
+    let folder = folder.to_str().expect("UTF-8");
+    let plan = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/paper.toml");
+    bench.retrograde(&["campaign", "new", plan, "--out", folder]);
+    let server = Server::start_with(&bench, &["--campaign", folder]);
+    let state = server.until("a campaign", |state| state["campaign"]["name"] == "paper");
+    let shown = &state["campaign"];
+    assert_eq!(shown["done"], 0);
+    assert!(shown["trials"].as_u64() > Some(0), "{shown}");
+    let next = shown["next"].as_str().expect("a step");
+    assert!(next.starts_with("trial 1: "), "{next}");
+    assert!(shown["left_text"].is_string(), "{shown}");
+    std::fs::write(format!("{folder}/trials.csv"), "damaged").expect("written");
+    let state = server.until("an error", |state| !state["campaign"]["error"].is_null());
+    assert_eq!(state["campaign"]["folder"], folder);
 }
 
 #[test]

@@ -17,13 +17,13 @@ use operations::connector::Ports;
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::link::Peer;
 use simulated_machines::machine::pace::{MOST_LATE_US, Pace, TURN_US};
-use simulated_machines::machine::{Log, Machine, Script};
+use simulated_machines::machine::{Log, Script, SimulatedMachine};
 
 /// Serves one connection in real time.
 fn serve(script: Script) -> (String, Arc<Mutex<Log>>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = format!("tcp:{}", listener.local_addr().expect("bound"));
-    let (mut machine, log) = Machine::new(script);
+    let (mut machine, log) = SimulatedMachine::new(script);
     thread::spawn(move || {
         let (mut stream, _) = listener.accept().expect("the client");
         stream.set_nonblocking(true).expect("set");

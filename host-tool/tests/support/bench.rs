@@ -19,7 +19,7 @@ use serde_json::Value;
 use simulated_machines::link::Peer;
 
 use simulated_machines::machine::pace::Pace;
-use simulated_machines::machine::{Log, Machine, Script};
+use simulated_machines::machine::{Log, Script, SimulatedMachine};
 
 /// Bytes kept for a reader at a port: some seconds of telemetry.
 const LONGEST_FREEZE: usize = 16 * 1024;
@@ -130,7 +130,7 @@ impl Bench {
         connections: Arc<Mutex<u32>>,
     ) -> Self {
         let kind = script.kind;
-        let (mut machine, log) = Machine::new(script.clone());
+        let (mut machine, log) = SimulatedMachine::new(script.clone());
         let power = Arc::new(());
         let on = Arc::downgrade(&power);
         thread::spawn(move || {

@@ -10,6 +10,8 @@ pub mod offline;
 pub mod others;
 pub mod plan;
 #[cfg(unix)]
+pub mod server;
+#[cfg(unix)]
 pub mod signal;
 #[cfg(unix)]
 pub mod terminal;

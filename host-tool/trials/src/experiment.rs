@@ -226,22 +226,22 @@ pub fn move_to(
     })
 }
 
-/// A motion of the capsule.
+/// What the capsule is asked to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Motion {
+pub struct Actuation {
     /// Kind of actuation.
     pub kind: ActuationKind,
     /// Thread at which a partial fold stops; the other motions have their own ends.
     pub target_um: i32,
 }
 
-impl From<ActuationKind> for Motion {
+impl From<ActuationKind> for Actuation {
     fn from(kind: ActuationKind) -> Self {
         Self { kind, target_um: 0 }
     }
 }
 
-impl Motion {
+impl Actuation {
     /// A fold or an unfolding that stops with this much thread on the spool.
     #[must_use]
     pub const fn fold_to(target_um: i32) -> Self {
@@ -284,11 +284,11 @@ pub const fn doing(kind: ActuationKind) -> &'static str {
 /// The capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
 pub fn actuate(
     capsule: &mut Device,
-    motion: impl Into<Motion>,
+    motion: impl Into<Actuation>,
     recording: &Recording,
     observer: &mut dyn Observer,
 ) -> Result<ActuationTrial, ExperimentError> {
-    let Motion { kind, target_um } = motion.into();
+    let Actuation { kind, target_um } = motion.into();
     let device = IdentityRecord::new(&identity(capsule, DeviceKind::Capsule)?, &capsule.place());
     let action = Action::Actuation {
         actuation: kind,

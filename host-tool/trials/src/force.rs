@@ -24,7 +24,7 @@ pub(crate) const UM_MS2_PER_MA: f64 = 4_200.0 * 1.2272e-6;
 
 /// A row of the file.
 #[derive(Debug, Serialize)]
-struct Row {
+struct ForceRow {
     time_ms: u32,
     thread_um: i32,
     current_ma: u16,
@@ -69,7 +69,7 @@ pub fn write(
     let mut csv = csv::Writer::from_writer(file);
     for (index, point) in points.iter().enumerate() {
         let force = no_load_ma.and_then(|no_load_ma| force_n(points, index, no_load_ma));
-        csv.serialize(Row {
+        csv.serialize(ForceRow {
             // Fits: a recording has at most 2800 readings.
             time_ms: index as u32,
             thread_um: point.thread_um,

@@ -4,6 +4,7 @@
 //! * [`writer`]: writes files on a thread of its own.
 //! * [`check`]: whether a record contradicts itself.
 //! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
+//! * [`listing`]: the trials in a folder.
 //! * [`experiment`]: recorded actions, and the paper's experiment.
 //! * [`coordination`]: an actuation that begins at a position of a run, its [`cue`].
 //! * [`plan`]: a run, calculated before it is sent.
@@ -22,6 +23,7 @@ pub mod experiment;
 pub mod fetched;
 pub mod force;
 pub mod identify;
+pub mod listing;
 pub mod plan;
 pub mod progress;
 pub mod recorded;

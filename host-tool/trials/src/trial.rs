@@ -81,6 +81,21 @@ pub enum Status {
     Unknown,
 }
 
+impl Status {
+    /// Its name, as in records.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Running => "running",
+            Self::Complete => "complete",
+            Self::Stopped => "stopped",
+            Self::LinkLost => "link_lost",
+            Self::Faulted => "faulted",
+            Self::Unknown => "unknown",
+        }
+    }
+}
+
 impl From<RunOutcome> for Status {
     fn from(outcome: RunOutcome) -> Self {
         match outcome {

@@ -39,7 +39,7 @@ pub struct Estimate {
 }
 
 /// Two estimates differ if they are more than this many standard errors of the difference apart.
-pub const TELLING: f64 = 2.0;
+const TELLING: f64 = 2.0;
 
 impl Estimate {
     /// From at least two independent values.
@@ -63,7 +63,7 @@ impl Estimate {
 
 /// One step of a selection.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Step {
+pub struct Choice {
     /// The chosen candidate.
     pub chosen: usize,
     /// Gain of each candidate after the steps before, nats.
@@ -116,9 +116,9 @@ pub fn choose(
     count: usize,
     effort: &Effort,
     seed: u64,
-) -> Option<Vec<Step>> {
+) -> Option<Vec<Choice>> {
     let mut all = histories(belief, response, effort, seed)?;
-    let mut steps: Vec<Step> = vec![];
+    let mut steps: Vec<Choice> = vec![];
     for _ in 0..count {
         if let Some(last) = steps.last() {
             let trial = &candidates[last.chosen];
@@ -145,7 +145,7 @@ pub fn choose(
             .filter(|place| *place != chosen)
             .filter(|place| !of(&|gains| gains[chosen] - gains[*place]).is_above_zero())
             .collect();
-        steps.push(Step {
+        steps.push(Choice {
             chosen,
             gains,
             ties,

@@ -25,11 +25,11 @@ pub const CONVERGED_STEP_MM: f64 = 0.05;
 /// deviations of a condition's mean. An error of one half widens the variance by a quarter.
 pub const GREATEST_TABLE_ERROR: f64 = 0.5;
 /// Table error above which a finer table is made.
-pub const WANTED_TABLE_ERROR: f64 = 0.25;
+const WANTED_TABLE_ERROR: f64 = 0.25;
 /// Available steps of a table, mm, the coarsest first: the cost of a run is proportional to the number of steps.
-pub const STEPS_MM: [f64; 3] = [0.25, 0.1, CONVERGED_STEP_MM];
+const STEPS_MM: [f64; 3] = [0.25, 0.1, CONVERGED_STEP_MM];
 /// Greatest error from the step of the last tables, measured like the error of the table.
-pub const GREATEST_STEP_ERROR: f64 = 0.1;
+const GREATEST_STEP_ERROR: f64 = 0.1;
 /// Step of the first table, mm.
 const FIRST_STEP_MM: f64 = 0.5;
 

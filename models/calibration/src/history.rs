@@ -30,7 +30,7 @@ pub struct Trial {
 
 /// Combined results of one condition.
 #[derive(Clone, Copy, Debug)]
-struct Outcome {
+struct ConditionResult {
     place: usize,
     discrepancies: f64,
     /// 1/mm^2.
@@ -38,7 +38,7 @@ struct Outcome {
     mean_mm: f64,
 }
 
-impl Outcome {
+impl ConditionResult {
     /// Adds one more result.
     fn with(before: Option<Self>, trial: &Trial, found_mm: f64) -> Self {
         let precision = 1.0 / (trial.error_mm * trial.error_mm);
@@ -120,7 +120,7 @@ pub struct History<'a> {
     truth: Draw,
     /// The model's error in each condition, in multiples of its standard deviation there.
     wrong: BTreeMap<usize, f64>,
-    results: BTreeMap<usize, Outcome>,
+    results: BTreeMap<usize, ConditionResult>,
     draws: Vec<Draw>,
 }
 
@@ -223,13 +223,13 @@ impl<'a> History<'a> {
             + trial.discrepancies * self.truth.tau_mm * wrong
             + trial.error_mm * normal(random);
         let before = self.results.remove(&trial.condition);
-        let after = Outcome::with(before, trial, found_mm);
+        let after = ConditionResult::with(before, trial, found_mm);
         self.bring_in(before, after);
         self.results.insert(trial.condition, after);
     }
 
     /// Updates the draw's densities: `self.results` stay, and the condition changes from `before` to `after`.
-    fn weigh(&self, draw: &mut Draw, before: Option<Outcome>, after: Outcome) {
+    fn weigh(&self, draw: &mut Draw, before: Option<ConditionResult>, after: ConditionResult) {
         draw.settled = self.belief.log_density(&draw.point);
         for result in self.results.values() {
             draw.settled += result.log_likelihood(draw);
@@ -240,7 +240,7 @@ impl<'a> History<'a> {
         ];
     }
 
-    fn bring_in(&mut self, before: Option<Outcome>, after: Outcome) {
+    fn bring_in(&mut self, before: Option<ConditionResult>, after: ConditionResult) {
         let mut draws = core::mem::take(&mut self.draws);
         for draw in &mut draws {
             self.weigh(draw, before, after);
@@ -262,7 +262,13 @@ impl<'a> History<'a> {
     }
 
     /// Proposes one move of each draw, along the difference of two others.
-    fn sweep(&mut self, draws: &mut [Draw], before: Option<Outcome>, after: Outcome, part: f64) {
+    fn sweep(
+        &mut self,
+        draws: &mut [Draw],
+        before: Option<ConditionResult>,
+        after: ConditionResult,
+        part: f64,
+    ) {
         let stand: Vec<Point> = draws.iter().map(|draw| draw.point).collect();
         let best = 2.38 / libm::sqrt(2.0 * UNKNOWNS as f64);
         for draw in draws {
@@ -295,7 +301,7 @@ impl<'a> History<'a> {
 }
 
 /// Predicted result of a trial with a body of displacement `model_mm`, after the results of its condition.
-fn predicted(trial: &Trial, known: Option<&Outcome>, model_mm: f64, tau_mm: f64) -> Normal {
+fn predicted(trial: &Trial, known: Option<&ConditionResult>, model_mm: f64, tau_mm: f64) -> Normal {
     let reach_mm = trial.discrepancies * tau_mm;
     let wrong = reach_mm * reach_mm;
     let (precision, mean_mm) = known.map_or((0.0, model_mm), |one| (one.precision, one.mean_mm));

@@ -1,8 +1,8 @@
 //! Whether displacements can be in millimetres, with + headward: data in another unit or with the opposite sign is
 //! refused, because a large enough discrepancy would explain it.
 //!
-//! The comparison is with the same data, corrected: refused is what no body explains but explains well after a change
-//! of sign or unit. A body that the model describes badly explains neither.
+//! Data are refused if no body explains them as they are, and a body explains them well after a change of sign or
+//! unit. A body that the model describes badly explains neither.
 
 use crate::chance::{Random, stream};
 use crate::descent::{Place, lowest};
@@ -20,7 +20,7 @@ pub struct Mistake {
 }
 
 /// The mistakes that are recognised.
-pub const MISTAKES: [Mistake; 4] = [
+const MISTAKES: [Mistake; 4] = [
     Mistake {
         factor: -1.0,
         what: "their signs are reversed: + is headward",

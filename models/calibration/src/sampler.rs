@@ -81,7 +81,7 @@ pub struct Draws {
 
 /// Least length of the discarded part of the chains, in autocorrelation times of the slowest unknown. The kept part is
 /// as long, so it is the number of effective draws of each walker.
-pub const LEAST_TIMES: f64 = 20.0;
+const LEAST_TIMES: f64 = 20.0;
 
 /// How well an unknown is sampled.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -89,7 +89,7 @@ fn fitted(trials: &[Observation], seed: u64) -> Result<Fit, Unfit> {
     fit
 }
 
-/// The wrong bodies' own chain is the model where nothing is unlike it.
+/// The chain that the wrong bodies are made of moves like the model if none of its parts is wrong.
 #[test]
 fn a_body_like_the_model_moves_like_it() {
     let case = |kind, indentation_mm| calibration::observation::Case {

@@ -1,7 +1,7 @@
 //! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
 //! tube and the folded body.
 //!
-//! No clock, and no randomness except for the seeded stream of [`prior`]. The steps use only `+ - * /` and square
+//! No clock, and no randomness except from seeds. The steps use only `+ - * /` and square
 //! roots, so that a run gives the same bits every time. Only [`beam`] allocates and takes angles. Lengths are in
 //! millimetres, pressures in pascals. The load of a wave on the body is given as the indentation of the wall in
 //! millimetres.
@@ -25,6 +25,7 @@ extern crate std;
 
 pub mod beam;
 pub mod body;
+pub mod chance;
 pub mod comparison;
 pub mod folded;
 pub mod kinematics;

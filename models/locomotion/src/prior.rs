@@ -91,7 +91,7 @@ pub const LINEAR: f64 = 0.95;
 /// "About 1 mm" at 3000 Pa.
 pub const ABOUT_1_MM: (f64, f64) = (0.5, 1.5);
 /// "About 14 mm" and "about 15 mm" at 7000 Pa: the paper gives both for one case.
-pub const ABOUT_15_MM: (f64, f64) = (13.0, 16.0);
+const ABOUT_15_MM: (f64, f64) = (13.0, 16.0);
 /// "Faster" from about 6000 Pa: slope above 5800 Pa over the slope below.
 pub const FASTER: f64 = 1.5;
 

@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 /// How far the ring queues ahead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ahead {
-    /// Not at all: asks for each period when it is due, so that a test can act between any two.
+    /// No period ahead: asks for each one when it is due, so that a test can act between any two.
     Nothing,
     /// By slots, as on the board.
     Slots,

@@ -13,7 +13,7 @@ use client::subject::Subject;
 use commissioning::halt::Halt;
 use commissioning::hands::{Act, Bench as Remote, Hands, Part, Reading, Say, Watch, Wish};
 use commissioning::image;
-use commissioning::record::{Commissioning, Outcome};
+use commissioning::record::{Commissioning, StepOutcome};
 use commissioning::session::{Ending, carry_out};
 use commissioning::steps;
 use commissioning::work::{Options, Work};
@@ -190,7 +190,7 @@ fn a_good_rig_passes_in_one_go_and_a_run_knows_it() {
     let found = read(&record);
     assert!(found.complete);
     for result in &found.steps {
-        assert_eq!(result.outcome, Outcome::Passed, "{result:?}");
+        assert_eq!(result.outcome, StepOutcome::Passed, "{result:?}");
     }
     // 200 strokes of 1 mm at 800 steps.
     let strokes = found.result("read-back").expect("a result");
@@ -380,7 +380,7 @@ fn left_at_every_step_and_resumed_it_repeats_nothing() {
                     .filter(|name| {
                         found
                             .result(name)
-                            .is_some_and(|one| one.outcome == Outcome::Passed)
+                            .is_some_and(|one| one.outcome == StepOutcome::Passed)
                     })
                     .collect();
             }
@@ -442,7 +442,7 @@ fn is_named(bench: Bench<RigBoard>, more: &[&str], step: &str, says: &str) {
     );
     let found = read(&record);
     let result = found.result(step).expect("a result");
-    assert_eq!(result.outcome, Outcome::Failed, "{text}");
+    assert_eq!(result.outcome, StepOutcome::Failed, "{text}");
     let reason = result.reason.as_deref().unwrap_or_default();
     eprintln!("{step}: {reason}");
     assert!(
@@ -555,7 +555,7 @@ fn a_shield_at_5_v_is_told_from_a_fault() {
     assert!(text.contains("the shield's logic is at 5 V"), "{text}");
     let found = read(&record);
     let enable = found.result("enable").expect("a result");
-    assert_eq!(enable.outcome, Outcome::Passed);
+    assert_eq!(enable.outcome, StepOutcome::Passed);
     assert_eq!(enable.measured["shield_logic"], "5 V");
     assert_eq!(enable.measured["enable_in_reset_mv"], 4_545);
     for (mv, says) in [
@@ -583,7 +583,7 @@ fn jitter_and_a_lost_capture_are_named() {
     assert_eq!(code, 0, "{text}");
     let found = read(&record);
     let timing = found.result("edge-timing").expect("a result");
-    assert_eq!(timing.outcome, Outcome::Passed, "{text}");
+    assert_eq!(timing.outcome, StepOutcome::Passed, "{text}");
     let count = |name: &str| timing.measured[name].as_u64().expect("a number");
     assert_eq!(count("worst_interval_error_ticks"), 1, "{text}");
     assert!(count("intervals_1_tick") > 10_000, "{text}");

@@ -10,12 +10,12 @@ use campaign::differences::Finding;
 use campaign::differences::read_manifest;
 use campaign::files::ATTEMPTS;
 use campaign::form::Form;
-use campaign::ledger::{Attempt, Outcome, Source, Standing, TrialState};
+use campaign::ledger::{Attempt, AttemptOutcome, Source, Standing, TrialState};
 use campaign::manifest::{self, Manifest};
 use campaign::order::Condition;
 use campaign::plan::{Lubrication, Millimetres, Purpose};
 use campaign::readings::{Quantity, Summary};
-use campaign::statistics::{Line, Spread};
+use campaign::statistics::{FittedLine, Spread};
 use campaign::verify;
 use client::identity::{IdentityRecord, Origin};
 use client::{limited, plain};
@@ -183,7 +183,7 @@ pub struct AttemptRow {
     /// When it began.
     pub began_utc: String,
     /// How it ended.
-    pub outcome: Option<Outcome>,
+    pub outcome: Option<AttemptOutcome>,
     /// Whether the trial uses this attempt.
     pub stands: bool,
     /// Why it does not.
@@ -248,7 +248,7 @@ pub struct Evaluation {
     /// All conditions of the plan, also those without a trial that counts.
     pub conditions: Vec<ConditionRow>,
     /// Lines through the series.
-    pub lines: Vec<(LineRow, Line)>,
+    pub lines: Vec<(LineRow, FittedLine)>,
     /// All attempts.
     pub attempts: Vec<AttemptRow>,
     /// All accepted readings.
@@ -415,7 +415,7 @@ impl Evaluation {
             Standing::Open => Some(match state.attempts.last() {
                 None => "not done yet".to_owned(),
                 Some(last) => {
-                    let outcome = last.outcome.map_or("open", Outcome::name);
+                    let outcome = last.outcome.map_or("open", AttemptOutcome::name);
                     format!("no attempt stands; the last one: {outcome}")
                 }
             }),
@@ -572,8 +572,8 @@ impl Evaluation {
             .collect()
     }
 
-    fn line(&self, lubrication: Lubrication) -> Option<(LineRow, Line)> {
-        let line = Line::through(&self.points(Purpose::Series, lubrication))?;
+    fn line(&self, lubrication: Lubrication) -> Option<(LineRow, FittedLine)> {
+        let line = FittedLine::through(&self.points(Purpose::Series, lubrication))?;
         let row = LineRow {
             lubrication,
             n: line.n,

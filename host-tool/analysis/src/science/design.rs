@@ -45,7 +45,7 @@ pub struct Squeezed {
 pub struct RuleRow {
     /// Name of the quantity.
     pub quantity: &'static str,
-    /// The paper's target, "about".
+    /// The paper's target, which it calls approximate.
     pub target: f64,
     /// The design's value.
     pub value: f64,

@@ -11,7 +11,7 @@ use campaign::files::TRIALS;
 use campaign::form::Form;
 use campaign::ledger::{Standing, TrialState};
 use campaign::manifest::{self, hex};
-use campaign::plan::{self, Plan, Purpose};
+use campaign::plan::{self, CampaignPlan, Purpose};
 use campaign::verify::verify;
 use client::identity::Origin;
 use client::limited;
@@ -76,7 +76,7 @@ impl Trials {
     };
 
     /// Adds a trial of a campaign: its displacements, and everything that is not used.
-    fn add(&mut self, trial: &TrialState, plan: &Plan, uncertainty_mm: f64) {
+    fn add(&mut self, trial: &TrialState, plan: &CampaignPlan, uncertainty_mm: f64) {
         let place = format!("trial {}", trial.planned.trial);
         let mut leave = |why: String| {
             self.left_out.push(LeftOut {

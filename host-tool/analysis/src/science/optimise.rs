@@ -43,7 +43,7 @@ pub struct DesignRow {
     pub displacement_mm: f64,
     /// 5 % of the bodies that agree with the words move less far, mm.
     pub prior_5_mm: Option<f64>,
-    /// 95 % of them move less far, mm.
+    /// 95 % of these bodies move less far, mm.
     pub prior_95_mm: Option<f64>,
     /// The same for bodies of a posterior, in place of the prior's.
     pub posterior_5_mm: Option<f64>,

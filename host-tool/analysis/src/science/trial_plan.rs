@@ -1,7 +1,7 @@
 //! Plans the next trials: candidates, the paper's procedure beside them, and the expected information of each.
 
 use calibration::belief::Belief;
-use calibration::design::{Effort, Estimate, Judged, Step, choose, judge};
+use calibration::design::{Choice, Effort, Estimate, Judged, choose, judge};
 use calibration::history::Trial;
 use calibration::observation::{Case, Kind, Lubrication};
 use calibration::prior::Point;
@@ -88,7 +88,7 @@ pub struct TrialPlan {
     /// All candidates.
     pub candidates: Vec<Condition>,
     /// The choice, step by step.
-    pub steps: Vec<Step>,
+    pub steps: Vec<Choice>,
     /// Recommended; the paper's procedure with the same number of displacements; the paper's procedure in full.
     pub series: [Series; 3],
     /// Greatest error of the table, mm: root of the mean square over bodies.

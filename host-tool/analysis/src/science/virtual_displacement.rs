@@ -9,7 +9,7 @@ use campaign::conduct::modelled::{DisplacementModel, Modelled, Wanted};
 use campaign::form::Form;
 use campaign::ledger::Source;
 use campaign::order::Planned;
-use campaign::plan::{Lubrication, Millimetres, Plan};
+use campaign::plan::{CampaignPlan, Lubrication, Millimetres};
 use client::plain;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
@@ -69,7 +69,7 @@ impl DisplacementModel for Models {
 /// # Errors
 /// [`ModelError`].
 pub fn displacement(
-    plan: &Plan,
+    plan: &CampaignPlan,
     planned: &Planned,
     attempt: u32,
     indentation_mm: f64,
@@ -143,7 +143,7 @@ pub fn displacement(
 /// # Errors
 /// [`ModelError`].
 pub fn after_stroke(
-    plan: &Plan,
+    plan: &CampaignPlan,
     planned: &Planned,
     attempt: u32,
     indentation_mm: f64,
@@ -184,7 +184,7 @@ pub fn after_stroke(
 
 /// Simulates one stroke over a fresh body at the plan's position.
 fn pass(
-    plan: &Plan,
+    plan: &CampaignPlan,
     planned: &Planned,
     indentation_mm: f64,
     screw: &Screw,
@@ -213,7 +213,7 @@ fn pass(
 /// Adds the scatter that the plan declares to a displacement, and describes how it was made. `draws` distinguishes
 /// the strokes of a run.
 fn noted(
-    plan: &Plan,
+    plan: &CampaignPlan,
     planned: &Planned,
     attempt: u32,
     draws: usize,

@@ -6,7 +6,7 @@ use protocol::capsule::{ActuationKind, CapsuleState};
 use crate::conduct::modelled::{Modelled, Wanted};
 use crate::conduct::{Broken, Conduct, Then};
 use crate::form::Form;
-use crate::ledger::{Attempt, Event, Outcome, Row, Source};
+use crate::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use crate::order::Planned;
 use crate::plan::Millimetres;
 use crate::prompts::{Answer, Question};
@@ -31,7 +31,7 @@ impl Conduct<'_> {
         let Some(answer) = self.ask(&question)? else {
             return Ok(Then::Leave);
         };
-        let mut row = Row::of(Event::Displacement, trial, Some(attempt));
+        let mut row = LedgerRow::of(LedgerEvent::Displacement, trial, Some(attempt));
         match (answer, modelled) {
             (Answer::Enter, Some(modelled)) => {
                 row.displacement_mm = Some(modelled.value);
@@ -82,7 +82,7 @@ impl Conduct<'_> {
                     .trial(trial)
                     .and_then(|state| state.attempt());
                 if here.is_some_and(|here| here.strokes_left_out || !here.strokes.is_empty()) {
-                    self.row(Row::of(Event::Undone, trial, Some(attempt)))?;
+                    self.row(LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)))?;
                     self.desk
                         .say("  what was said of the last stroke is taken back");
                     return Ok(());
@@ -90,30 +90,32 @@ impl Conduct<'_> {
                 match campaign.state.last_measured(&campaign.rows) {
                     None => self.desk.say("  no displacement was entered yet"),
                     Some((last, of)) => {
-                        self.row(Row::of(Event::Undone, last, Some(of)))?;
+                        self.row(LedgerRow::of(LedgerEvent::Undone, last, Some(of)))?;
                         self.desk
                             .say(&format!("  the displacement of trial {last} is taken back"));
                     }
                 }
             }
             Answer::Repeat(reason) => {
-                let row = Row::of(Event::Repeated, trial, Some(attempt)).saying(Some(reason));
+                let row =
+                    LedgerRow::of(LedgerEvent::Repeated, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
                 self.desk.say(&format!(
                     "  attempt {attempt} does not count; the trial is done again"
                 ));
             }
             Answer::Skip(reason) => {
-                self.row(Row::of(Event::Skipped, trial, None).saying(Some(reason)))?;
+                self.row(LedgerRow::of(LedgerEvent::Skipped, trial, None).saying(Some(reason)))?;
                 self.desk.say(&format!("  trial {trial} is skipped"));
             }
             Answer::Exclude(reason) => {
-                let row = Row::of(Event::Excluded, trial, Some(attempt)).saying(Some(reason));
+                let row =
+                    LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
                 self.desk.say(&format!("  trial {trial} is excluded"));
             }
             Answer::Note(text) => {
-                self.row(Row::of(Event::Note, trial, None).saying(Some(text)))?;
+                self.row(LedgerRow::of(LedgerEvent::Note, trial, None).saying(Some(text)))?;
             }
             Answer::Camera(_) | Answer::Clamp => {
                 self.desk.say("  that is for the next trial");
@@ -165,7 +167,7 @@ impl Conduct<'_> {
     /// Unfolds the capsule after the body has been measured, so that the thread does not stay under tension.
     fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let campaign = self.folder.campaign();
-        let began = |row: &&Row| row.event == Event::Began;
+        let began = |row: &&LedgerRow| row.event == LedgerEvent::Began;
         // Unfold only for the latest attempt: a corrected displacement says nothing about the present state of the
         // capsule.
         let is_last =
@@ -184,7 +186,9 @@ impl Conduct<'_> {
             let unfolded = self.actuate(ActuationKind::Unfold, &folder);
             self.folder.seal_attempt(planned.trial, attempt)?;
             match unfolded {
-                Err(broken) if broken.outcome() == Outcome::Stopped => return Ok(Then::Leave),
+                Err(broken) if broken.outcome() == AttemptOutcome::Stopped => {
+                    return Ok(Then::Leave);
+                }
                 unfolded => unfolded?,
             }
         }

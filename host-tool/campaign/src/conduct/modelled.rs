@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::ledger::Source;
 use crate::order::Planned;
-use crate::plan::{Millimetres, Plan};
+use crate::plan::{CampaignPlan, Millimetres};
 
 /// A calculated displacement and its description.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,7 +23,7 @@ pub struct Modelled {
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted<'a> {
     /// The campaign's plan.
-    pub plan: &'a Plan,
+    pub plan: &'a CampaignPlan,
     /// The trial.
     pub planned: &'a Planned,
     /// The number of the attempt.

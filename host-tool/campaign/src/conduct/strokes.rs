@@ -2,7 +2,7 @@
 
 use crate::conduct::modelled::Modelled;
 use crate::conduct::{Broken, Conduct, Then};
-use crate::ledger::{Event, Row, Source};
+use crate::ledger::{LedgerEvent, LedgerRow, Source};
 use crate::order::Planned;
 use crate::prompts::{Answer, Question};
 
@@ -33,7 +33,7 @@ impl Conduct<'_> {
         let Some(answer) = self.ask(&question)? else {
             return Ok(Then::Leave);
         };
-        let mut row = Row::of(Event::Stroke, planned.trial, Some(attempt));
+        let mut row = LedgerRow::of(LedgerEvent::Stroke, planned.trial, Some(attempt));
         match (answer, modelled) {
             (Answer::Enter, Some(modelled)) => {
                 row.displacement_mm = Some(modelled.value);
@@ -41,7 +41,7 @@ impl Conduct<'_> {
                 self.row(row.saying(Some(modelled.text)))?;
             }
             (Answer::Enter, None) => {
-                row.event = Event::StrokesLeftOut;
+                row.event = LedgerEvent::StrokesLeftOut;
                 self.row(row)?;
                 self.desk
                     .say("  the strokes of this trial are left out; undo takes that back");

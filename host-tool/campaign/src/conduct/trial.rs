@@ -16,7 +16,7 @@ use trials::trial::{RecordError, Recording, Status, json as json_text};
 
 use crate::conduct::{Broken, Conduct, Then};
 use crate::form::Form;
-use crate::ledger::{Event, Outcome, Row, Standing};
+use crate::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing};
 use crate::order::{Planned, doing};
 use crate::plan::{Millimetres, Purpose};
 use crate::prompts::{Answer, Question, camera_file, checks};
@@ -51,7 +51,7 @@ impl Conduct<'_> {
             Answer::Undo => match last {
                 None => self.desk.say("  no displacement was entered yet"),
                 Some((trial, attempt)) => {
-                    self.row(Row::of(Event::Undone, trial, Some(attempt)))?;
+                    self.row(LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)))?;
                     self.desk.say(&format!(
                         "  the displacement of trial {trial} is taken back"
                     ));
@@ -60,7 +60,8 @@ impl Conduct<'_> {
             Answer::Exclude(reason) => match last {
                 None => self.desk.say("  no trial is done yet"),
                 Some((trial, attempt)) => {
-                    let row = Row::of(Event::Excluded, trial, Some(attempt)).saying(Some(reason));
+                    let row = LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt))
+                        .saying(Some(reason));
                     if campaign.state.trial(trial).map(|trial| trial.standing())
                         == Some(Standing::Done)
                     {
@@ -75,12 +76,14 @@ impl Conduct<'_> {
                 }
             },
             Answer::Skip(reason) => {
-                self.row(Row::of(Event::Skipped, planned.trial, None).saying(Some(reason)))?;
+                self.row(
+                    LedgerRow::of(LedgerEvent::Skipped, planned.trial, None).saying(Some(reason)),
+                )?;
                 self.desk
                     .say(&format!("  trial {} is skipped", planned.trial));
             }
             Answer::Note(text) => {
-                self.row(Row::of(Event::Note, planned.trial, None).saying(Some(text)))?;
+                self.row(LedgerRow::of(LedgerEvent::Note, planned.trial, None).saying(Some(text)))?;
             }
             Answer::Camera(file) => self.camera = Some(file),
             Answer::Clamp => self.clamped_anew = true,
@@ -109,7 +112,7 @@ impl Conduct<'_> {
         let a_mm = set
             .as_ref()
             .and_then(|set| campaign.readings.indentation_mm(set));
-        let mut row = Row::of(Event::Began, trial, Some(attempt));
+        let mut row = LedgerRow::of(LedgerEvent::Began, trial, Some(attempt));
         row.readings_set = set.map(|set| set.number);
         row.indentation_mm = a_mm.map(|a| Millimetres::from_um((a * 1_000.0).round() as i64));
         row.camera_file = self.camera_for(trial, attempt);
@@ -117,9 +120,9 @@ impl Conduct<'_> {
         self.camera = None;
         let folder = self.folder.campaign().attempt_folder(trial, attempt);
         let result = self.act(planned, attempt, &row, &folder);
-        let mut row = Row::of(Event::Ended, trial, Some(attempt));
+        let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(attempt));
         row.outcome = Some(match &result {
-            Ok(()) => Outcome::Complete,
+            Ok(()) => AttemptOutcome::Complete,
             Err(broken) => broken.outcome(),
         });
         let reason = result.as_ref().err().map(|broken| match broken {
@@ -132,7 +135,7 @@ impl Conduct<'_> {
         let ended = self.row(row.saying(reason));
         let sealed = self.folder.seal_attempt(trial, attempt);
         // The first of several errors is the one to report.
-        let stopped = matches!(&result, Err(broken) if broken.outcome() == Outcome::Stopped);
+        let stopped = matches!(&result, Err(broken) if broken.outcome() == AttemptOutcome::Stopped);
         match result {
             Err(_) if stopped && ended.is_ok() => {
                 self.desk.say(&format!(
@@ -154,7 +157,7 @@ impl Conduct<'_> {
         &mut self,
         planned: &Planned,
         attempt: u32,
-        began: &Row,
+        began: &LedgerRow,
         folder: &Path,
     ) -> Result<(), Broken> {
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
@@ -357,7 +360,7 @@ impl Conduct<'_> {
         &self,
         planned: &Planned,
         attempt: u32,
-        began: &Row,
+        began: &LedgerRow,
         folder: &Path,
     ) -> Result<(), Broken> {
         let campaign = self.folder.campaign();

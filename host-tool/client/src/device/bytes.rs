@@ -197,7 +197,7 @@ impl Device {
     }
 
     /// Notes the device's time if an answer contains it. Always use the latest: clocks drift.
-    pub(crate) fn note_clock(&mut self, asked_us: u64, response: &Response) {
+    fn note_clock(&mut self, asked_us: u64, response: &Response) {
         let device_us = match response {
             Response::GetRigStatus(status) => status.time_us,
             Response::GetCapsuleStatus(status) => status.time_us,
@@ -207,7 +207,7 @@ impl Device {
     }
 
     /// Notes whether the machine moves, if an answer says so.
-    pub(crate) fn note_motion(&mut self, impact: Impact, response: &Response) {
+    fn note_motion(&mut self, impact: Impact, response: &Response) {
         self.moves = match response {
             Response::GetRigStatus(status) => matches!(
                 status.state,
@@ -358,7 +358,7 @@ impl Device {
         Ok(turn)
     }
 
-    pub(crate) fn ask_interrupt(&mut self) {
+    fn ask_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
         // A stop sent by another process counts as the operator's. Sending it again does no harm.
         let wanted = match (wanted, self.link.stopped()) {

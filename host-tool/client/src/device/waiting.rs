@@ -313,7 +313,7 @@ impl Device {
 
     /// Returns the record of the actuation that has just ended, once it no longer changes. While the motor is braked
     /// it still winds a tenth of a millimetre of thread.
-    pub(crate) fn final_record(
+    fn final_record(
         &mut self,
         observer: &mut dyn Observer,
     ) -> Result<ActuationRecord, ClientError> {

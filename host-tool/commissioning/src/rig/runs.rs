@@ -18,7 +18,7 @@ const TIMED_CYCLES: u16 = 100;
 /// An edge rises for up to 100 ns and is sampled every 10 ns: an interval may be one sample longer or shorter than the
 /// plan's.
 const JITTER_TICKS: u32 = 1;
-/// False pulses on a switch's line in a run of the last step that are too many.
+/// A run of the last step fails if a switch's line shows this many false pulses.
 const TOO_MANY_GLITCHES: u32 = 100;
 
 /// A run with short strokes as fast as they go, within the way on which the rig does not look for its flag: without

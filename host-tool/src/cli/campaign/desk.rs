@@ -7,7 +7,7 @@ use std::thread;
 use std::time::Duration;
 
 use campaign::conduct::Desk;
-use campaign::plan::{Millimetres, Plan};
+use campaign::plan::{CampaignPlan, Millimetres};
 use campaign::prompts::{Halt, Question};
 use campaign::readings::Quantity;
 use client::error::ClientError;
@@ -30,7 +30,7 @@ pub(super) enum Who {
     /// A person.
     Person(Lines),
     /// The plan, when no person is there.
-    Nobody(Box<Plan>),
+    Nobody(Box<CampaignPlan>),
 }
 
 impl Who {
@@ -52,7 +52,7 @@ impl Who {
 ///
 /// # Errors
 /// Some `about_mm` is missing.
-pub(super) fn can_answer(plan: &Plan) -> Result<(), Failure> {
+pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), Failure> {
     let missing = |what: &str| Failure::Input {
         why: format!("`--yes` takes the readings from the plan, and it has no {what}"),
         help: "complete the plan, as in `examples/paper.toml`".to_owned(),
@@ -164,7 +164,7 @@ impl Desk for Counter<'_, '_> {
 }
 
 /// The answer that a person would type on the virtual bench.
-fn by_plan(plan: &Plan, question: &Question<'_>) -> String {
+fn by_plan(plan: &CampaignPlan, question: &Question<'_>) -> String {
     let width_um = plan.readings.width_about_mm.unwrap_or_default().um;
     match question {
         Question::Reading {

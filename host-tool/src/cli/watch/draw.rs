@@ -14,7 +14,7 @@ use ratatui_core::style::{Color, Style};
 const LEAST: (u16, u16) = (80, 24);
 
 /// Help on the keys.
-pub(crate) const KEYS: &str = " h hold   r resume   s STOP   e EMERGENCY STOP   q leave";
+const KEYS: &str = " h hold   r resume   s STOP   e EMERGENCY STOP   q leave";
 
 /// Full scale of the bars: thread wound, um, and motor current, mA. A healthy capsule stays below both.
 const FULL_THREAD_UM: i32 = 30_000;

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use client::address::Address;
 use client::error::ClientError;
 use client::link::LinkError;
+use client::wording;
 use client::{Device, Interrupt, Observer, Pace};
 use operations::connector::Purpose;
 use operations::delivery::DO_NOW;
@@ -16,8 +17,7 @@ use operations::failure::Failure;
 use operations::left;
 use operations::panel::{self, Contact, MOVES_ALREADY, Notice, Panel, TELEMETRY_MS};
 use operations::places::{Places, Target};
-use operations::stops::{Ask, Stops};
-use protocol::error::Refusal;
+use operations::stops::{self, Ask, Stops};
 use protocol::rig;
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::Telemetry;
@@ -66,7 +66,7 @@ impl Shared {
             doorway.mark_stop(urgent);
         }
         self.asks().push(self.stops.ask(urgent));
-        self.tell(Notice::Done(format!("{} ...", name(urgent))));
+        self.tell(Notice::Done(format!("{} ...", stops::name(urgent))));
     }
 
     fn asks(&self) -> MutexGuard<'_, Vec<Ask>> {
@@ -111,7 +111,7 @@ impl Shared {
                 for ask in asks {
                     self.stops.withdraw(ask);
                 }
-                let name = name(urgent);
+                let name = stops::name(urgent);
                 Notice::Bad(format!("{name} NOT CONFIRMED: {DO_NOW} ({failure})"))
             }
         });
@@ -120,13 +120,6 @@ impl Shared {
     fn interrupt(&self) -> Interrupt {
         let stops = Arc::clone(&self.stops);
         Arc::new(move || stops.wanted())
-    }
-}
-
-fn name(urgent: Urgent) -> &'static str {
-    match urgent {
-        Urgent::Stop => "stop",
-        Urgent::EStop => "EMERGENCY STOP",
     }
 }
 
@@ -277,7 +270,7 @@ impl Feed<'_> {
             self.shared.confirmed(urgent, asked);
             self.shared.tell(confirmed(urgent));
         } else if let Some(urgent) = device.interrupted() {
-            let notice = format!("{} from another terminal", name(urgent));
+            let notice = format!("{} from another terminal", stops::name(urgent));
             self.shared.tell(Notice::Done(notice));
         }
         device.forget_stop();
@@ -292,7 +285,7 @@ impl Feed<'_> {
         let notice = match answer {
             Ok(_) => Notice::Done(done.to_owned()),
             Err(ClientError::Refused { refusal, .. }) => {
-                Notice::Bad(format!("{not}: {}", reason(&refusal)))
+                Notice::Bad(format!("{not}: {}", wording::refusal(&refusal)))
             }
             Err(error @ (ClientError::OwnerBusy { .. } | ClientError::OutcomeUnknown { .. })) => {
                 Notice::Bad(error.to_string())
@@ -313,8 +306,4 @@ fn confirmed(urgent: Urgent) -> Notice {
             "EMERGENCY STOP latched; `retrograde ack` before anything moves".to_owned()
         }
     })
-}
-
-fn reason(refusal: &Refusal) -> String {
-    client::wording::refusal(refusal)
 }

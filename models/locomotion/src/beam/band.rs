@@ -8,6 +8,7 @@ use alloc::vec::Vec;
 
 use crate::beam::thread::{Params, ThreadedBody, run};
 use crate::beam::{Modelled, NoAnswer};
+use crate::chance::SplitMix64;
 
 /// An uncertain input of the thread curve.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -91,15 +92,10 @@ pub const HARDLY: f64 = 0.2;
 
 /// One draw of [`INPUTS`], in their order, applied to `base`. The same seed and index give the same draw.
 pub fn draw(base: Params, seed: u64, index: u64) -> Params {
-    // SplitMix64: each draw has its own stream.
-    let mut state = seed ^ index.wrapping_mul(0xD6E8_FEB8_6659_FD93);
+    // Each draw has its own stream.
+    let mut chance = SplitMix64::new(seed ^ index.wrapping_mul(0xD6E8_FEB8_6659_FD93));
     let mut values = INPUTS.iter().map(|input| {
-        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut mixed = state;
-        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        mixed ^= mixed >> 31;
-        let part = (mixed >> 11) as f64 / (1u64 << 53) as f64;
+        let part = chance.part();
         if input.logarithmic {
             input.low * libm::pow(input.high / input.low, part)
         } else {
@@ -121,7 +117,7 @@ pub fn draw(base: Params, seed: u64, index: u64) -> Params {
 /// Whether the unfolded body behaves as in the paper: it moves headward, and hardly by the returning strokes.
 ///
 /// # Errors
-/// As [`ThreadedBody::new`]; a body that does not come to rest.
+/// Fails as [`ThreadedBody::new`] does, or if the body does not come to rest.
 pub fn does_as_the_paper_says(params: Params, indentation_mm: f64) -> Result<bool, NoAnswer> {
     let mut body = ThreadedBody::new(params, 0.0, indentation_mm)?;
     let (mut antegrade, mut returning) = (0.0, 0.0);

@@ -17,7 +17,7 @@ use crate::kinematics::Design;
 use crate::range::{Ends, check};
 
 /// First mode of a strut that is clamped at one end and pinned at the other: `tan(k) = k`, `P = k^2 B/L^2`.
-pub const CLAMPED_PINNED: f64 = 20.190_728_556_426_627;
+const CLAMPED_PINNED: f64 = 20.190_728_556_426_627;
 
 /// Material and section of a wing.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -16,7 +16,7 @@ use crate::range::{Ends, check};
 pub type Vector = [f64; 2];
 
 /// Largest number of segments.
-pub const MOST_ELEMENTS: u16 = 2000;
+const MOST_ELEMENTS: u16 = 2000;
 
 /// Largest residual in equilibrium, relative to the rod's own forces.
 const TOLERANCE: f64 = 1e-10;

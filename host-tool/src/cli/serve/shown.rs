@@ -1,8 +1,6 @@
-//! Shows the progress of a campaign that runs in a terminal.
+//! The progress of a campaign that runs in a terminal, for the server's page.
 
 use std::path::{Path, PathBuf};
-
-use serde_json::{Value, json};
 
 use campaign::catalogue::{self, Kind, Wanted};
 use campaign::contents::Campaign;
@@ -10,9 +8,10 @@ use campaign::ledger::Standing;
 use campaign::order::doing;
 use campaign::remaining;
 use operations::arguments::CAMPAIGNS_FOLDER;
+use serde_json::{Value, json};
 
 /// The newest incomplete campaign.
-pub fn newest() -> Option<PathBuf> {
+pub(crate) fn newest() -> Option<PathBuf> {
     let wanted = Wanted {
         outcome: Some("open".to_owned()),
         ..Wanted::default()
@@ -25,7 +24,7 @@ pub fn newest() -> Option<PathBuf> {
 }
 
 /// The campaign's name, progress and next step, or the reason why it cannot be read.
-pub fn json(folder: &Path) -> Value {
+pub(crate) fn json(folder: &Path) -> Value {
     let campaign = match Campaign::read(folder) {
         Ok(campaign) => campaign,
         Err(error) => return json!({ "folder": folder, "error": error.to_string() }),
