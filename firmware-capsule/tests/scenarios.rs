@@ -145,6 +145,15 @@ fn a_thread_that_creeps_is_felt_where_it_ends() {
     }
 }
 
+/// Its motor was braked so long just before the end that too few readings were left to compare the pull with the
+/// calibration's. The end force stayed raised, and the fold went on to where it was called a slip.
+#[test]
+fn a_fold_that_is_braked_before_its_end_still_compares_its_pull() {
+    let (name, _, off_mm) = cases::lives_on(70, &[]);
+    assert_eq!(name, "Complete");
+    assert!(off_mm < 0.3, "{off_mm:.2} mm");
+}
+
 /// A check takes the end where the thread has crept to for the calibrated one. The next fold must not add the creep
 /// again: this one pulled with 8.4 N, half as much again as the fold before.
 #[test]
