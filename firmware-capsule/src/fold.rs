@@ -483,7 +483,7 @@ impl Capsule {
         load: Load,
         actions: &mut Actions,
     ) -> Result<(), CapsuleFault> {
-        let end = self.folded_end().unwrap_or_default();
+        let end = self.folded_end();
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
@@ -491,13 +491,13 @@ impl Capsule {
         let counts = self.sample.counts;
         // A calibration that has found its end is not held to the end of the one before.
         let found = actuation.found.is_some();
-        let calibration = self.calibration.as_ref().filter(|_| !found);
+        let known = self.calibration.as_ref().zip(end).filter(|_| !found);
         let decided = actuation.leg.decide(
             counts,
             self.zero,
             load,
             stopping,
-            (calibration, &actuation.settings),
+            (known, &actuation.settings),
         );
         // Accept no end that was found by current or counts which contradict each other.
         let ends = matches!(
@@ -553,7 +553,7 @@ impl Capsule {
                         // Allow the largest end force: friction must not end the way back.
                         actuation.settings = self.settings.with_force(FRICTION_FORCE.1);
                         Leg::Wind {
-                            end,
+                            end: end.unwrap_or_default(),
                             careful: true,
                             short: Some(actuation.from),
                         }
@@ -631,10 +631,7 @@ impl Capsule {
         // The end may be found earlier than the calibration found it. Believe the thread shorter then, so that an
         // unfolding ends before zero. Thread that this run has wound itself is certain.
         self.spare = match purpose {
-            Purpose::Calibrate => {
-                self.crept = Thread(0);
-                Thread(0)
-            }
+            Purpose::Calibrate => Thread(0),
             Purpose::Check { believed: true } => FOUND_AGAIN,
             Purpose::Reference | Purpose::Check { .. } => {
                 Thread((folded.0 - wound.0).clamp(FOUND_AGAIN.0, FOUND_BY_RISE.0))
@@ -645,6 +642,8 @@ impl Capsule {
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
         (self.drift, self.doubt) = (Drift::default(), Thread(0));
+        // The zero has moved by the creep, so the end is where the calibration had it.
+        self.crept = Thread(0);
         // A calibration is complete only after its last part, the tension.
         self.referenced = purpose != Purpose::Calibrate;
         if matches!(purpose, Purpose::Check { .. }) {

@@ -282,7 +282,7 @@ impl Leg {
     }
 
     /// Judges the leg at `counts`. `zero` is the count of thread zero; `stopping` is the distance that the motor runs
-    /// on if it is braked now.
+    /// on if it is braked now; `known` is the calibration, and where its folded end is by now.
     ///
     /// # Errors
     /// A jam, or a thread that is broken, has slipped, or cannot be felt.
@@ -292,7 +292,7 @@ impl Leg {
         zero: Counts,
         load: Load,
         stopping: Counts,
-        (calibration, settings): (Option<&Calibration>, &Settings),
+        (known, settings): (Option<(&Calibration, Thread)>, &Settings),
     ) -> Result<Decision, CapsuleFault> {
         let thread = counts.since(zero).thread();
         let stop_within = Thread(stopping.thread().0.saturating_add(STOP_MARGIN.0));
@@ -340,9 +340,9 @@ impl Leg {
             } if load.end_force => {
                 let wound = counts.since(origin).thread();
                 let rise = Rise::to(counts, &load);
-                let right = match (purpose, calibration) {
+                let right = match (purpose, known) {
                     (Purpose::Check { believed: true }, _) => true,
-                    (Purpose::Reference | Purpose::Check { .. }, Some(calibration)) => {
+                    (Purpose::Reference | Purpose::Check { .. }, Some((calibration, _))) => {
                         rise.is_of(calibration)
                     }
                     _ => rise.half >= LEAST_RISE,
@@ -372,8 +372,8 @@ impl Leg {
                 // current cannot turn is pulled, too.
                 let blocked = load.end_force && load.stands;
                 let felt = load.excess_ma.is_some() && way >= FELT_AFTER || blocked;
-                let past = calibration.is_some_and(|calibration| {
-                    thread.0 >= calibration.folded.0 + settings.end_overrun.0 - STOP_MARGIN.0
+                let past = known.is_some_and(|(_, end)| {
+                    thread.0 >= end.0 + settings.end_overrun.0 - STOP_MARGIN.0
                 });
                 if !felt && !past && way < FELT_AT_MOST {
                     return Ok(Decision::Continue);

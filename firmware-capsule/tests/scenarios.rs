@@ -135,6 +135,34 @@ fn a_lost_thread_is_named_where_its_pull_is_hard_to_read() {
     }
 }
 
+/// Creep had moved the folded ends of these to where an unfolding of the new capsule had no room to wind and feel. It
+/// felt further down, where the thread pulls less.
+#[test]
+fn a_thread_that_creeps_is_felt_where_it_ends() {
+    for seed in [6, 21] {
+        let (name, ..) = cases::grows_old(seed, 13);
+        assert_eq!(name, "Complete", "seed {seed}");
+    }
+}
+
+/// Its motor was braked so long just before the end that too few readings were left to compare the pull with the
+/// calibration's. The end force stayed raised, and the fold went on to where it was called a slip.
+#[test]
+fn a_fold_that_is_braked_before_its_end_still_compares_its_pull() {
+    let (name, _, off_mm) = cases::lives_on(70, &[]);
+    assert_eq!(name, "Complete");
+    assert!(off_mm < 0.3, "{off_mm:.2} mm");
+}
+
+/// A check takes the end where the thread has crept to for the calibrated one. The next fold must not add the creep
+/// again: this one pulled with 8.4 N, half as much again as the fold before.
+#[test]
+fn creep_before_a_check_does_not_count_twice() {
+    let (name, _, most_n) = cases::grows_old(21, 20);
+    assert_eq!(name, "Complete");
+    assert!(most_n < 7.5, "{most_n:.1} N");
+}
+
 /// Those of the first 500 whose calibration ended while the motor was braked.
 #[test]
 fn a_calibration_always_has_a_pull() {

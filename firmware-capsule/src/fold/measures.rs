@@ -117,7 +117,9 @@ impl Capsule {
         // The origami's force grows faster towards the folded end.
         let steep_um = rise_um * 85 / 100;
         let (from_um, to_um) = COMPARED_UM;
-        if (to_um..from_um).contains(&left_um) {
+        // Later readings count while there are too few: a motor that is braked has none.
+        let compares = left_um >= to_um || actuation.share.count < LEAST_COMPARED;
+        if left_um < from_um && compares {
             if let Some(pull_ma) = load.pull_ma {
                 let wanted_ma =
                     i32::from(self.settings.force_ma) * grows(-left_um, steep_um) / 1_000;

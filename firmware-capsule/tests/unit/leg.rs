@@ -63,7 +63,7 @@ fn decide(leg: Leg, counts: Counts, load: Load) -> Result<Decision, CapsuleFault
         ZERO,
         load,
         Counts(0),
-        (Some(&KNOWN), &Settings::REFERENCE),
+        (Some((&KNOWN, END)), &Settings::REFERENCE),
     )
 }
 
@@ -316,7 +316,7 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
             ZERO,
             NONE,
             stopping,
-            (Some(&KNOWN), &Settings::REFERENCE)
+            (Some((&KNOWN, END)), &Settings::REFERENCE)
         ),
         Ok(Decision::Continue)
     );
@@ -327,7 +327,7 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
             ZERO,
             NONE,
             stopping,
-            (Some(&KNOWN), &Settings::REFERENCE)
+            (Some((&KNOWN, END)), &Settings::REFERENCE)
         ),
         Ok(Decision::Unfolded)
     );

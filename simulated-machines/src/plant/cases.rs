@@ -307,26 +307,29 @@ pub fn through_the_day(seed: u64, parameters: Parameters) -> (String, f64, f64) 
     (name, sim.plant.extremes_mm().0, sim.plant.peak_force_n())
 }
 
-/// Ages a capsule by 500 cycles, running every tenth one, with the calibration of the new capsule. Checks a fold
-/// whose end has wandered, as the manual says. Returns the first outcome that is not `Complete`, the least thread on
-/// the spool, mm, and the index of the failed round; the thread left, mm, if none failed.
-pub fn grows_old(seed: u64) -> (String, f64, f64) {
+/// Ages a capsule by ten cycles in each of `rounds`, the last of which it runs, with the calibration of the new
+/// capsule. Checks a fold whose end has wandered, as the manual says. Returns the first outcome that is not
+/// `Complete`, the least thread on the spool, mm, and the largest force at a folded end, N.
+pub fn grows_old(seed: u64, rounds: u32) -> (String, f64, f64) {
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
-    for cycle in 0..50 {
+    let (mut outcome, mut most_n) = ("Complete".to_owned(), 0.0_f64);
+    'life: for _ in 0..rounds {
         sim.plant.suffer(Defect::Aged(9.0));
         for command in [Command::Fold, Command::CheckFolded, Command::Unfold] {
             if command == Command::CheckFolded && sim.capsule.referenced() {
                 continue;
             }
             let name = run(&mut sim, command);
+            if command != Command::Unfold {
+                most_n = most_n.max(sim.plant.force_n());
+            }
             if name != "Complete" {
-                let name = format!("{command:?} {name}");
-                return (name, sim.plant.extremes_mm().0, f64::from(cycle));
+                outcome = format!("{command:?} {name}");
+                break 'life;
             }
         }
     }
-    let (least_mm, _) = sim.plant.extremes_mm();
-    ("Complete".to_owned(), least_mm, sim.plant.wound_mm())
+    (outcome, sim.plant.extremes_mm().0, most_n)
 }
 
 /// Applies changes to a calibrated capsule, then folds and unfolds it three times. Returns the first outcome that is
