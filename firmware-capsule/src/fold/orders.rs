@@ -206,7 +206,8 @@ impl Capsule {
         };
         let calibrates = kind == ActuationKind::Calibrate
             || kind == ActuationKind::Reference && self.calibration.is_none();
-        let slack = calibrates || matches!(self.mode, Mode::Unfolded);
+        let slack =
+            calibrates || kind != ActuationKind::Reference && matches!(self.mode, Mode::Unfolded);
         let pay_out = |to: Thread| match self.mode {
             // Feel the pull first, unless the motion ends before the tension can be measured.
             Mode::Folded if to < self.taut_to() => Leg::feel(origin, to),
@@ -236,6 +237,11 @@ impl Capsule {
         };
         if matches!(leg, Leg::Seek { .. }) {
             self.referenced = false;
+            // The rise is compared with the calibration's, which was counted above this current. A thread that is not
+            // quite slack pulls less after its first fold.
+            if let Some(calibration) = self.calibration.as_ref().filter(|_| !calibrates) {
+                self.no_load_ma = calibration.no_load_ma;
+            }
         }
         self.was_folded = false;
         self.offset_before_ma = self.sample.offset_ma;
