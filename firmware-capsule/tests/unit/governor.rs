@@ -148,7 +148,7 @@ fn a_motor_that_the_battery_cannot_speed_up_is_slowed_down_at_once() {
     assert!(ordered_ma < 40, "{ordered_ma} mA");
 }
 
-/// What a load needed on the way up must not drive on while the aim falls.
+/// A load on the way up asks for current beyond the battery. None of that is owed once the aim falls.
 #[test]
 fn a_current_that_the_battery_no_longer_gives_is_not_kept() {
     let mut governor = Governor::default();

@@ -226,7 +226,7 @@ pub fn move_to(
     })
 }
 
-/// What the capsule is asked to do.
+/// An order to the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actuation {
     /// Kind of actuation.

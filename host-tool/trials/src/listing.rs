@@ -8,7 +8,7 @@ use client::plain;
 use crate::sidecar::unreadable;
 use crate::trial::Trial;
 
-/// What lies in one folder, without the folders below it.
+/// The content of one folder, without the folders below it.
 #[derive(Debug, Default)]
 pub struct Listing {
     /// Trials with their sidecars, by name.

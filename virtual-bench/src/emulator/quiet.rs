@@ -86,6 +86,7 @@ impl Quiet {
 
     /// Brings it up to date, as reading a register without side effects does.
     pub(super) fn settle(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.seen = context.now();
         Device::read(&mut self.tim, Register::Cr1, registers, context);
     }
 

@@ -152,7 +152,13 @@ const DIER: u32 = 0x0C;
 struct Late<R> {
     nowhere: Bus,
     cr1: R,
+    /// The registers as they were written last, by offset over 4. A write is in the register before the timer hears of
+    /// it, and must not change the pulses before it.
+    written: [Option<u64>; 32],
 }
+
+/// Registers that the timer itself changes, by offset over 4: SR, EGR, CNT.
+const CHANGED_BY_TIMER: [usize; 3] = [4, 5, 9];
 
 /// Offset of BDTR, and its bit MOE.
 const BDTR: u32 = 0x44;
@@ -183,7 +189,11 @@ impl<F: Family> Watched<F> {
 
     /// Makes up for its events when it is looked at. `nowhere` is a bus without listeners.
     pub(super) fn made_up_late(mut self, nowhere: Bus) -> Self {
-        self.late = register_at(CR1).map(|cr1| Late { nowhere, cr1 });
+        self.late = register_at(CR1).map(|cr1| Late {
+            nowhere,
+            cr1,
+            written: [None; 32],
+        });
         self
     }
 
@@ -198,6 +208,28 @@ impl<F: Family> Watched<F> {
             Device::read(&mut self.tim, late.cr1, registers, &mut unheard);
             self.note(registers, due.0);
         }
+    }
+
+    /// Makes up for the events until now with a register's value from before a write that has just changed it.
+    fn make_up_before_write(
+        &mut self,
+        register: F::Register,
+        registers: &mut RegisterFile,
+        at: VirtualNanos,
+    ) {
+        let nth = register.spec().offset as usize / 4;
+        let Some(late) = self
+            .late
+            .as_mut()
+            .filter(|_| !CHANGED_BY_TIMER.contains(&nth))
+        else {
+            return self.make_up(registers, at);
+        };
+        let now = registers.get(register);
+        let before = late.written[nth].replace(now);
+        registers.set(register, before.unwrap_or(register.spec().reset));
+        self.make_up(registers, at);
+        registers.set(register, now);
     }
 
     /// Lets its events reach the emulator from now on.
@@ -484,6 +516,7 @@ impl<F: Family> Device for Watched<F> {
             }
         } else {
             self.before_write(register, registers, context);
+            self.make_up_before_write(register, registers, context.now());
             if value != 0 && matches!(register.spec().offset, CR2 | SMCR | DIER) {
                 self.be_heard(registers, context);
             }
@@ -563,6 +596,7 @@ impl<F: Family> Device for Watched<F> {
         }
         if let Some(late) = &mut self.late {
             late.nowhere.reset();
+            late.written = [None; 32];
         }
     }
 
@@ -574,6 +608,96 @@ impl<F: Family> Device for Watched<F> {
         self.call(registers, context, |tim, registers, context| {
             Device::reset_line(tim, registers, context);
         });
+        if let Some(late) = &mut self.late {
+            late.written = [None; 32];
+        }
         self.note(registers, context.now().0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigless::mcu::Mcu;
+    use rigless::soc::stm32f427::Stm32f427;
+    use rigless::soc::stm32f427::generated::tim2::Register;
+    use rigless::soc::stm32f427::peripherals::TIMERS;
+    use rigless::soc::stm32f427::peripherals::tim::General;
+
+    const TIM3: usize = 1;
+    const HZ: u64 = 16_000_000;
+    /// When the firmware writes what: two channels with preloaded pulses, duties that change, a stop and a start.
+    const WRITES: [(u64, Register, u64); 14] = [
+        (1_000, Register::Arr, 199),
+        (1_010, Register::Ccmr1Output, 0x6868),
+        (1_020, Register::Ccer, 0x11),
+        (1_030, Register::Ccr1, 60),
+        (1_040, Register::Ccr2, 200),
+        (1_050, Register::Egr, 1),
+        (1_060, Register::Cr1, 1),
+        (30_007, Register::Ccr1, 150),
+        (30_020, Register::Ccr2, 60),
+        (55_000, Register::Ccr1, 0),
+        (90_000, Register::Cr1, 0),
+        (120_000, Register::Egr, 1),
+        (120_100, Register::Cr1, 1),
+        (150_000, Register::Ccr1, 199),
+    ];
+
+    /// A bus with this timer alone.
+    fn nowhere() -> Bus {
+        let part = Stm32f427::new().expect("a part");
+        let slot = part.bus().slot("TIM3").expect("a timer");
+        super::super::nowhere(part.bus(), slot).expect("a bus")
+    }
+
+    fn timer() -> Watched<General> {
+        let tim = Tim::with_clock(HZ, TIMERS[TIM3].counter);
+        Watched::new(tim, &[1, 2], false)
+    }
+
+    /// The writes, with a look at the timer after each of `looks`. The context's own events are not delivered.
+    fn written(mut timer: Watched<General>, looks: impl Iterator<Item = u64>) -> Vec<OutputEdge> {
+        let mut bus = nowhere();
+        let mut writes = WRITES.into_iter().peekable();
+        for look_ns in looks {
+            while let Some((at_ns, register, value)) = writes.next_if(|write| write.0 <= look_ns) {
+                let (registers, mut context) = bus.drive(VirtualNanos(at_ns), 0);
+                // As the bus does before it calls the device.
+                registers.write_over_bus(register, value);
+                Device::write(&mut timer, register, value, registers, &mut context);
+            }
+            let (registers, mut context) = bus.drive(VirtualNanos(look_ns), 0);
+            Device::read(&mut timer, Register::Cr1, registers, &mut context);
+        }
+        timer.edges
+    }
+
+    #[test]
+    fn pulses_that_are_made_up_late_are_those_of_a_timer_that_is_looked_at_each_nanosecond() {
+        let always = written(timer(), 0..200_000);
+        assert!(always.len() > 30, "{always:?}");
+        for every_ns in [7, 1_000, 12_500, 49_000, 200_000] {
+            let late = timer().made_up_late(nowhere());
+            let looks = (0..200_000).step_by(every_ns).chain([200_000]);
+            assert_eq!(written(late, looks), always, "a look every {every_ns} ns");
+        }
+    }
+
+    #[test]
+    fn an_interrupt_that_is_enabled_is_heard() {
+        let mut bus = nowhere();
+        let mut late = timer().made_up_late(nowhere());
+        for (at_ns, register, value) in WRITES.into_iter().take(7) {
+            let (registers, mut context) = bus.drive(VirtualNanos(at_ns), 0);
+            registers.write_over_bus(register, value);
+            Device::write(&mut late, register, value, registers, &mut context);
+        }
+        assert_eq!(bus.next_event(), None);
+        let (registers, mut context) = bus.drive(VirtualNanos(5_000), 0);
+        registers.write_over_bus(Register::Dier, 1);
+        Device::write(&mut late, Register::Dier, 1, registers, &mut context);
+        // The period began with the clock before 1,060 ns, and lasts 12.5 us.
+        assert_eq!(bus.next_event(), Some(VirtualNanos(13_500)));
     }
 }
