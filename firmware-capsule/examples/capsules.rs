@@ -133,6 +133,14 @@ fn lives(count: u64) {
         "| folded at 22, held, unfolded at 37 degrees | {count} | {} | {least:.3} | - |",
         counted(found.iter().map(|f| &f.0))
     );
+    for friction in [1.0, 0.7, 1.2, 1.4] {
+        let found = verdict::all(count, |seed| cases::referenced_again(seed, friction));
+        let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+        println!(
+            "| friction in the worm x {friction}, a reference run between two cycles | {count} | {} | {least:.3} | - |",
+            counted(found.iter().map(|f| &f.0))
+        );
+    }
     for obstacle in [false, true] {
         let found = verdict::all(count, |seed| cases::referenced_past(seed, obstacle));
         let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);

@@ -372,6 +372,27 @@ pub fn lives_on_with(parameters: Parameters, seed: u64, changes: &[Defect]) -> (
     ("Complete".to_owned(), sim.plant.extremes_mm().0, off_mm)
 }
 
+/// Changes the friction of a calibrated capsule, folds and unfolds it, references it where it is, and folds and unfolds
+/// it again. Returns the first outcome that is not `Complete` and the least thread on the spool, mm.
+pub fn referenced_again(seed: u64, friction: f64) -> (String, f64) {
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+    sim.plant.suffer(Defect::Friction(friction));
+    let way = [
+        Command::Fold,
+        Command::Unfold,
+        Command::Reference,
+        Command::Fold,
+        Command::Unfold,
+    ];
+    for command in way {
+        let name = run(&mut sim, command);
+        if name != "Complete" {
+            return (format!("{command:?} {name}"), sim.plant.extremes_mm().0);
+        }
+    }
+    ("Complete".to_owned(), sim.plant.extremes_mm().0)
+}
+
 /// Folds at 22 degrees, holds for an hour and unfolds at 37: friction and no-load current fall, the origami relaxes.
 /// Some seeds reset in between, some check first. Returns the outcome and the least thread on the spool, mm.
 pub fn held_and_warmed(seed: u64) -> (String, f64) {
