@@ -20,7 +20,7 @@ pub(super) const GUARD: u32 = 32 * 1_024;
 pub(super) const TIME_DRIVER: pac::timer::TimGp16 = pac::TIM4;
 pub(super) use interrupt::TIM4 as TIME_DRIVER_INTERRUPT;
 
-/// Why the chip was reset; clears the flags (RM0383 section 6.3.21).
+/// Why the chip was reset; clears the flags (RCC_CSR, RM0383 section 6.3).
 pub(super) fn reset_cause() -> ResetCause {
     let csr = pac::RCC.csr().read();
     pac::RCC.csr().modify(|w| w.set_rmvf(true));

@@ -10,7 +10,7 @@ use device::chip::{start, supply};
 use embassy_stm32::pac::{self, TIM5, timer::vals::CcmrInputCcs};
 use measurements::Measurement as M;
 
-/// TIM5_OR (RM0383 section 13.4.21).
+/// TIM5_OR: leads an oscillator to channel 4, to be measured against the core's (RM0383 section 6.2.11).
 const TIM5_OPTIONS: *mut u32 = 0x4000_0C50 as *mut u32;
 /// Its value that leads LSI to channel 4: TI4_RMP = 01.
 const LSI_TO_CHANNEL_4: u32 = 1 << 6;
