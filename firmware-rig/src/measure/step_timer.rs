@@ -128,7 +128,7 @@ pub fn report_repeats(generator: &mut StepGenerator) {
     let off = |kind: usize| after[kind].wrapping_sub(before[kind]);
     let edges = generator.counted().since(from).unsigned_abs();
     tell(M::RepeatEdges, edges);
-    tell(M::RepeatOff1, off(1));
+    tell(M::RepeatExact, off(0));
     tell(M::RepeatWrong, off(2) + off(3));
     tell(M::StepAtEnd, pins::step_is_high().into());
 }

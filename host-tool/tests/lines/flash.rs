@@ -353,6 +353,9 @@ fn what_the_probe_says_reaches_the_terminal_cleaned() {
     let (code, _, err) = bay.flash("rig", &image, &[]);
     assert_eq!(code, Some(1), "{err}");
     assert!(!err.contains('\u{1b}') && !err.contains('\u{7}'), "{err:?}");
-    assert!(err.contains("log <U+001B>]0;mine<U+0007><U+001B>[2J\n"), "{err}");
+    assert!(
+        err.contains("log <U+001B>]0;mine<U+0007><U+001B>[2J\n"),
+        "{err}"
+    );
     assert!(err.contains("failed: Error: no <U+001B>[31mboard"), "{err}");
 }

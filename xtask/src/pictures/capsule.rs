@@ -168,7 +168,12 @@ fn cell(picture: &mut Picture) {
     picture.line(&[(EDGE, y), (PARTS, y)], "wire");
     picture.pull_down((480, y), "100 kohm");
     picture.rect((560, y - 5), (28, 10), "part");
-    picture.text((EDGE + 14, y - 12), Anchor::Start, "note", "100 kohm, and 3.3 nF from A3 to GND");
+    picture.text(
+        (EDGE + 14, y - 12),
+        Anchor::Start,
+        "note",
+        "100 kohm, and 3.3 nF from A3 to GND",
+    );
     picture.rect((PARTS, y - 22), (200, 44), "part");
     picture.text(
         (PARTS + 12, y - 3),

@@ -86,11 +86,7 @@ fn drive(picture: &mut Picture) {
         "name",
         "driver in the X socket",
     );
-    for (pin, name) in [
-        (rig::STEP, "STEP"),
-        (rig::DIR, "DIR"),
-        (rig::ENABLE, "nEN"),
-    ] {
+    for (pin, name) in [(rig::STEP, "STEP"), (rig::DIR, "DIR"), (rig::ENABLE, "nEN")] {
         let y = y_of(pin);
         picture.line(&[(EDGE, y), (x, y)], "wire");
         picture.text((x + 8, y + 4), Anchor::Start, "", name);
