@@ -167,7 +167,8 @@ const ASSUMED: bool = false;
 use Base::{Decimal, Hexadecimal};
 use Expected::{Any, Within};
 
-// name, item, unit, expected, wires, on the bench, what
+// Name, item, unit, expected, wires, on the bench, what. The cycles expected are at most twice the bench's 121, 242 and
+// 195, which rest on 65 instructions in 100 cycles; at 249.7 kHz a step has 400.
 measurements! {
     UniqueNumber0 "-" "" Any(Hexadecimal), None, ASSUMED, "the chip's unique number, bits 31 to 0";
     UniqueNumber1 "-" "" Any(Hexadecimal), None, ASSUMED, "the same, bits 63 to 32";
@@ -196,21 +197,21 @@ measurements! {
     CruiseOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "off by 2 ticks";
     CruiseWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "off by more";
     CruiseLost "16" "" Within(0, 0), Jumpers, SHOWN, "looks at which a capture was lost";
-    CruiseCycles "12" "cycles" Within(1, 512), Jumpers, ASSUMED, "cycles of motion's code per step, by DWT";
+    CruiseCycles "12" "cycles" Within(1, 250), Jumpers, ASSUMED, "cycles of motion's code per step, by DWT";
     RampMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "the same in ramps to 125 kHz without cruise, 10,000 steps";
     RampExact "16" "intervals" Within(1, 9_999), Jumpers, SHOWN, "their intervals that are exact";
     RampOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "off by 1 tick";
     RampOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "off by 2 ticks";
     RampWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "off by more";
     RampLost "16" "" Within(0, 0), Jumpers, SHOWN, "looks at which a capture was lost";
-    RampCycles "12" "cycles" Within(1, 512), Jumpers, ASSUMED, "cycles of motion's code per step, by DWT";
+    RampCycles "12" "cycles" Within(1, 500), Jumpers, ASSUMED, "cycles of motion's code per step, by DWT";
     FastMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "the same at 249.7 kHz, 20,000 steps";
     FastExact "16" "intervals" Within(1, 19_999), Jumpers, SHOWN, "their intervals that are exact";
     FastOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "off by 1 tick";
     FastOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "off by 2 ticks";
     FastWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "off by more";
     FastLost "16" "" Within(0, 0), Jumpers, SHOWN, "looks at which a capture was lost";
-    FastCycles "12" "cycles" Within(1, 350), Jumpers, ASSUMED, "cycles of motion's code per step, by DWT";
+    FastCycles "12" "cycles" Within(1, 390), Jumpers, ASSUMED, "cycles of motion's code per step, by DWT";
     TimerResets "20" "" Within(0, 0), None, SHOWN, "resets of TIM1 at the end of these paths";
     DmaErrors "16" "" Within(0, 0), None, ASSUMED, "errors of DMA in all of them";
     EraseTime "4, 14" "us" Within(100_000, 500_000), None, ASSUMED, "the longer of two erases of a settings sector, 16 KiB";
