@@ -136,10 +136,12 @@ fn rows<'a>(lines: impl Iterator<Item = &'a str>) -> Vec<Row> {
 
 /// The table without values.
 fn plan() -> String {
-    let mut text = String::from("| item | measured | expected | wires |\n|---|---|---|---|\n");
+    let mut text =
+        String::from("| item | name | measured | expected | wires |\n|---|---|---|---|---|\n");
     for one in Measurement::ALL {
-        let (item, what, wires) = (one.item(), one.what(), one.wires().text());
-        let _ = writeln!(text, "| {item} | {what} | {} | {wires} |", expected(one));
+        let (item, name, what) = (one.item(), one.name(), one.what());
+        let (expected, wires) = (expected(one), one.wires().text());
+        let _ = writeln!(text, "| {item} | {name} | {what} | {expected} | {wires} |");
     }
     text
 }

@@ -104,7 +104,7 @@ fn motor(picture: &mut Picture) {
     picture.text((right - 48, 204), Anchor::Start, "", "OUT2");
     picture.line(&[(right, 160), (930, 160)], "power");
     picture.rect((930, 152), (44, 16), "part");
-    picture.text((952, 144), Anchor::Middle, "name", "0.05 ohm");
+    picture.text((952, 144), Anchor::Middle, "name", "shunt 0.05 ohm");
     picture.line(&[(974, 160), (1_060, 160)], "power");
     picture.line(&[(right, 200), (1_060, 200)], "power");
     picture.rect((1_040, 140), (100, 80), "part");
@@ -172,7 +172,7 @@ fn cell(picture: &mut Picture) {
         (EDGE + 14, y - 12),
         Anchor::Start,
         "note",
-        "100 kohm, and 3.3 nF from A3 to GND",
+        "100 kohm; 3.3 nF A3 to GND",
     );
     picture.rect((PARTS, y - 22), (200, 44), "part");
     picture.text(

@@ -172,7 +172,7 @@ fn rest(picture: &mut Picture) {
     let y = y_of(rig::SYNC);
     picture.line(&[(EDGE, y), (780, y)], "wire");
     picture.rect((780, y - 16), (350, 32), "part");
-    let camera = "camera, or an LED with 330 ohm; to GND; may stay open";
+    let camera = "camera, or LED with 330 ohm, to GND; optional";
     picture.text((792, y + 4), Anchor::Start, "", camera);
     let y = y_of(rig::BUTTON);
     picture.line(&[(EDGE, y), (640, y)], "wire");
