@@ -203,7 +203,7 @@ fn request(on: bool) {
 fn registers() -> [u16; WORDS] {
     [
         TIM1.arr().read().arr(),
-        TIM1.rcr().read().rep().into(),
+        TIM1.rcr().read().rep(),
         TIM1.ccr(0).read().ccr(),
         TIM1.ccr(1).read().ccr(),
         TIM1.ccr(2).read().ccr(),

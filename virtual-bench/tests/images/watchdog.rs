@@ -121,6 +121,27 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
     }
 }
 
+/// A hanging task keeps others from running, that of the watchdog too. One that only no longer checks in, because it
+/// waits for ever, is ended as well: the watchdog is fed only when every client has checked in.
+#[test]
+fn a_task_that_no_longer_checks_in_is_ended_by_the_watchdog() {
+    for (client, name, moving) in [
+        (1, "motion", true),
+        (2, "link", false),
+        (4, "control", true),
+    ] {
+        let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
+        let ended = sabotaged(client, Misbehaviour::Forget, moving, cause, fault);
+        let took_ns = ended.reset_ns - ended.armed_ns;
+        assert!(
+            (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
+            "{name}: reset after {took_ns} ns"
+        );
+        ended.rig.check_clean(1);
+        fixed(ended);
+    }
+}
+
 /// Makes every client misbehave, at rest and during a run. The handler must switch the outputs off, reset, and keep the
 /// last words.
 fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str, &Ended)) {
