@@ -59,6 +59,12 @@ fn sabotaged(
         let late = rig.edges().after(reset_ns).len();
         (rig.edges().len(), late, rig.is_enabled())
     });
+    // A watchdog's reset switches the driver off itself; every other end does so before it resets.
+    if moving && cause != ResetCause::Watchdog {
+        let off = rig.bench.visit(|visit| visit.board().switched_off_ns());
+        let off_ns = off.expect("the bench runs").expect("it was on");
+        assert!(off_ns < reset_ns, "off {off_ns} ns, reset {reset_ns} ns");
+    }
     assert_eq!((late, enabled), (0, false), "{}", rig.log());
 
     let identity = rig.device.hello(2).expect("it answers again");
