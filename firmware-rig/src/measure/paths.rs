@@ -55,23 +55,21 @@ pub fn report(generator: &mut StepGenerator, mut feed: impl FnMut()) {
         let Some((missing, cycles)) = play(generator, profile, &mut feed) else {
             continue;
         };
-        let [
-            missing_edges,
-            exact,
-            off_1,
-            off_2,
-            more,
-            lost_captures,
-            per_step,
-        ] = told;
-        tell(missing_edges, missing);
         let after = INTERVALS.get();
-        for (kind, name) in [exact, off_1, off_2, more].into_iter().enumerate() {
-            tell(name, after[kind].wrapping_sub(before[kind]));
-        }
+        let off = |kind: usize| after[kind].wrapping_sub(before[kind]);
         let lost = LOST_CAPTURES.load(Ordering::Relaxed).wrapping_sub(lost);
-        tell(lost_captures, lost);
-        tell(per_step, cycles / steps);
+        let values = [
+            missing,
+            off(0),
+            off(1),
+            off(2),
+            off(3),
+            lost,
+            cycles / steps,
+        ];
+        for (name, value) in M::ALL.into_iter().skip(first as usize).zip(values) {
+            tell(name, value);
+        }
     }
     tell(M::TimerResets, TIMER_RESETS.load(Ordering::Relaxed));
     tell(M::DmaErrors, DMA_ERRORS.load(Ordering::Relaxed));
