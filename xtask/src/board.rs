@@ -56,10 +56,7 @@ fn measure() -> Result<()> {
              `cargo xtask board --dry-run` shows what would be measured",
         ));
     }
-    let probes = lines_of(Command::new("probe-rs").arg("list"), REMEDY)?;
-    if !probes.iter().any(|line| line.contains("ST-Link")) {
-        return Err(Failure::new("there is no board: no ST-Link", REMEDY));
-    }
+    one_probe(&lines_of(Command::new("probe-rs").arg("list"), REMEDY)?)?;
     images::build()?;
     let mut child = images::log_of("board")?
         .stdout(Stdio::piped())
@@ -82,6 +79,25 @@ fn measure() -> Result<()> {
         path.display()
     );
     outcome(&rows, Place::Board)
+}
+
+/// Reads the output of `probe-rs list`: a line for each probe begins with its number in brackets.
+///
+/// # Errors
+/// None or several: it would ask which one, or flash the wrong board.
+fn one_probe(list: &[String]) -> Result<()> {
+    let found = list.iter().filter(|line| line.trim().starts_with('['));
+    match found.count() {
+        0 => Err(Failure::new(
+            "there is no board: `probe-rs list` shows no probe",
+            REMEDY,
+        )),
+        1 => Ok(()),
+        more => Err(Failure::new(
+            format!("{more} probes are connected"),
+            "unplug all but the board that is to be measured",
+        )),
+    }
 }
 
 /// Shows and returns the image's lines up to its last one.
@@ -316,6 +332,32 @@ mod tests {
                 assert!(known, "{}: no item {item}", one.name());
             }
         }
+    }
+
+    #[test]
+    fn one_probe_is_needed() {
+        let list = |text: &str| one_probe(&text.lines().map(str::to_owned).collect::<Vec<_>>());
+        let found = "The following debug probes were found:\n";
+        let probe = "[0]: STLink V2-1 -- 0483:374b:0671FF (ST-LINK)\n";
+        assert!(list("No debug probes were found.\n").is_err());
+        assert!(list(&format!("{found}{probe}")).is_ok());
+        assert!(list(&format!("{found}{probe}{probe}")).is_err());
+    }
+
+    /// `probe-rs run` goes on after the last line, until it is ended.
+    #[cfg(unix)]
+    #[test]
+    fn the_log_is_followed_to_the_images_last_line() {
+        let text = format!("{}\n[INFO] {END}\nnever read", lines().join("\n"));
+        let mut child = Command::new("sh")
+            .args(["-c", "printf '%s\n' \"$1\"; exec sleep 60", "sh", &text])
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("a shell");
+        let seen = follow(&mut child).expect("it came to its end");
+        child.kill().expect("it still runs");
+        let _ = child.wait();
+        assert_eq!(seen, lines());
     }
 
     #[test]
