@@ -4,7 +4,6 @@ mod captures;
 pub mod channels;
 mod clock;
 pub mod pins;
-mod start;
 pub mod step_generator;
 pub mod switches;
 pub mod tasks;

@@ -142,9 +142,9 @@ pub struct Chip {
     pub clock: Clock,
     /// Supply below which the chip holds itself in reset, by its option bytes.
     pub brown_out: BrownOut,
-    /// The supply is below 2.7 V, where the flash must not be written (DS10314 table 14).
+    /// The supply is below 2.7 V, where the flash must not be written (DS10314 table 45).
     pub supply_low: bool,
-    /// The option bytes as FLASH_OPTCR shows them (RM0383 section 3.8.7).
+    /// The option bytes as FLASH_OPTCR shows them (RM0383 section 3.8.6).
     pub option_bytes: u32,
 }
 

@@ -1,4 +1,4 @@
-//! Makes one task of the firmware hang, fault, panic or use up its stack at its next check-in with the watchdog.
+//! Makes one task of the firmware hang, fault, panic, use up its stack or leave out its check-in with the watchdog.
 //!
 //! The image is not built for this. Like a debugger, the bench overwrites the beginning of the firmware's `check_in`
 //! with a branch to unused flash, where a substitute does the same for every client but one. A reset restores the code,
@@ -14,6 +14,8 @@ use crate::emulator::Wiring;
 pub enum Misbehaviour {
     /// Loops forever, at its own priority.
     Hang,
+    /// Continues without the check-in, as a task does that waits for something that never comes.
+    Forget,
     /// Jumps to an address without memory.
     Fault,
     /// Panics.
@@ -83,7 +85,8 @@ impl Sabotage {
         };
         let (check_in, check_ins) = (address("8check_in")?, address("9CHECK_INS")?);
         let payload = match misbehaviour {
-            Misbehaviour::Hang => vec![0xE7FE], // b .
+            Misbehaviour::Hang => vec![0xE7FE],   // b .
+            Misbehaviour::Forget => vec![0x4770], // bx lr
             Misbehaviour::Fault => jump(NOWHERE),
             Misbehaviour::Panic => jump(address("9panic_fmt")?),
             Misbehaviour::PanicInLog => {

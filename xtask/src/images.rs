@@ -18,7 +18,7 @@ struct Image {
 
 /// Budgets are far below the 512 KiB of flash and 128 KiB of RAM of the STM32F411, to leave room for features. The
 /// rest of the RAM is stack.
-const IMAGES: [Image; 2] = [
+const IMAGES: [Image; 3] = [
     Image {
         name: "firmware-rig",
         chip: "STM32F411RETx",
@@ -37,6 +37,16 @@ const IMAGES: [Image; 2] = [
         budget: Budget {
             flash_bytes: 96 * 1024,
             ram_bytes: 32 * 1024,
+        },
+    },
+    // Measures what only a board can tell: the rig's motion without its tasks.
+    Image {
+        name: "firmware-board",
+        chip: "STM32F411RETx",
+        memory: &STM32F411RE,
+        budget: Budget {
+            flash_bytes: 64 * 1024,
+            ram_bytes: 48 * 1024,
         },
     },
 ];
@@ -65,15 +75,26 @@ const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
 pub(crate) fn flash(machine: &str) -> Result<()> {
-    let image = of(machine)?;
+    of(machine)?;
     build()?;
     run(
-        Command::new("probe-rs")
-            .args(["run", "--chip", image.chip])
-            .args(KEEP_RESETS)
-            .arg(path_of(image)),
+        &mut log_of(machine)?,
         "install probe-rs 0.28 or later (https://probe.rs), connect the board by USB; `probe-rs list` shows it",
     )
+}
+
+/// The command that flashes a machine's image and shows its log.
+///
+/// # Errors
+/// No such machine.
+pub(crate) fn log_of(machine: &str) -> Result<Command> {
+    let image = of(machine)?;
+    let mut command = Command::new("probe-rs");
+    command
+        .args(["run", "--chip", image.chip])
+        .args(KEEP_RESETS)
+        .arg(path_of(image));
+    Ok(command)
 }
 
 /// Path of a machine's image, which may not be built yet.
@@ -92,7 +113,7 @@ fn of(machine: &str) -> Result<&'static Image> {
         .ok_or_else(|| {
             Failure::new(
                 format!("there is no machine `{machine}`"),
-                "it is `rig` or `capsule`",
+                "it is `rig`, `capsule`, or `board` for the image of the measurements",
             )
         })
 }

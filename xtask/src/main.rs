@@ -11,6 +11,7 @@
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `dependencies.rs` | checks licences and sources of other people's crates |
 //! | `bench.rs` | starts the virtual bench |
+//! | `board.rs` | measures on a board what the bench cannot show |
 //! | `images.rs` | builds the ARM images |
 //! | `layout.rs` | reads an image and checks its addresses and sizes |
 //! | `pictures.rs` | draws the wiring diagrams of the manual |
@@ -26,6 +27,7 @@
 )]
 
 mod bench;
+mod board;
 mod checks;
 mod debian;
 mod dependencies;
@@ -67,6 +69,8 @@ cargo xtask <command>
 
   images [--check]  build the images, check their layout and sizes (--check: only check them)
   flash MACHINE     build the images, flash `rig` or `capsule` with probe-rs, show its log
+  board [--dry-run] measure on a board what the bench cannot show, over probe-rs; prints the table for
+                    docs/silicon.md and leaves a file to send (--dry-run: what would be measured, and its wires)
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
@@ -100,6 +104,7 @@ fn main() -> ExitCode {
         ("images", []) => images::build(),
         ("images", [flag]) if flag == "--check" => images::check(),
         ("flash", [machine]) => images::flash(machine),
+        ("board", options) => board::run(options),
         ("where", [machine, words @ ..]) if !words.is_empty() => {
             images::find(machine).and_then(|image| places::print(&image, words))
         }

@@ -172,6 +172,12 @@ fn units(folder: &Path) -> Result<Vec<Unit>> {
     for name in ["src/lib.rs", "src/main.rs"] {
         roots.push(folder.join(name));
     }
+    // Further programs have their root in the manifest.
+    let manifest = read(&folder.join("Cargo.toml"))?;
+    let named = manifest
+        .lines()
+        .filter_map(|line| line.strip_prefix("path = \"src/"));
+    roots.extend(named.map(|rest| folder.join("src").join(rest.trim_end_matches('"'))));
     for kind in ["tests", "examples"] {
         let Ok(entries) = fs::read_dir(folder.join(kind)) else {
             continue;
@@ -186,6 +192,7 @@ fn units(folder: &Path) -> Result<Vec<Unit>> {
     }
     roots.retain(|root| root.is_file() && root.extension().is_some_and(|end| end == "rs"));
     roots.sort();
+    roots.dedup();
     roots.iter().map(|root| Unit::read(root)).collect()
 }
 

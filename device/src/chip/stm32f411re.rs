@@ -16,7 +16,7 @@ pub(super) const RAM: Range<u32> = 0x2000_0000..0x2001_FFF8;
 pub(super) const TIME_DRIVER: pac::timer::TimGp16 = pac::TIM4;
 pub(super) use interrupt::TIM4 as TIME_DRIVER_INTERRUPT;
 
-/// Why the chip was reset; clears the flags (RM0383 section 6.3.21).
+/// Why the chip was reset; clears the flags (RCC_CSR, RM0383 section 6.3).
 pub(super) fn reset_cause() -> ResetCause {
     let csr = pac::RCC.csr().read();
     pac::RCC.csr().modify(|w| w.set_rmvf(true));

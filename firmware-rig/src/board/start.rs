@@ -1,6 +1,6 @@
 //! Wires the rig's image: who is started, with what. Who runs at which priority is the table in this package's README.
 
-use super::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks};
+use crate::board::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks};
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{

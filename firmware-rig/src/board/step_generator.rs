@@ -105,7 +105,7 @@ impl StepGenerator {
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
         stream.m0ar().write_value(RING.0.get() as u32);
 
-        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.4, external clock mode 2). A level
+        // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.3, external clock mode 2). A level
         // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320
         // ns is one. The shortest step pulse is 1 us, and so is the shortest pause between two.
         TIM2.arr().write_value(u32::MAX);

@@ -438,4 +438,43 @@ mod tests {
         assert_eq!(fs::read(place.path().join("moved/a")).expect("there"), b"3");
         assert_eq!(fs::read_dir(&elsewhere).expect("there").count(), 0);
     }
+
+    /// What happens in a folder, in order: `new` for a name that a rename has put there, `open` for the folder itself,
+    /// which only its synchronisation opens here.
+    #[cfg(target_os = "linux")]
+    fn seen(folder: &Path, act: impl FnOnce()) -> Vec<&'static str> {
+        use rustix::fs::inotify::{CreateFlags, ReadFlags, Reader, WatchFlags, add_watch, init};
+        let watch = init(CreateFlags::NONBLOCK).expect("a watch");
+        let flags = WatchFlags::MOVED_TO | WatchFlags::OPEN;
+        add_watch(&watch, folder, flags).expect("watched");
+        act();
+        let mut buffer = [std::mem::MaybeUninit::uninit(); 4_096];
+        let mut reader = Reader::new(watch, &mut buffer);
+        let mut seen = vec![];
+        while let Ok(event) = reader.next() {
+            if event.events().contains(ReadFlags::MOVED_TO) {
+                seen.push("new");
+            } else if event.events().contains(ReadFlags::ISDIR) {
+                seen.push("open");
+            }
+        }
+        seen
+    }
+
+    /// Without this, a power cut may undo the rename that made the file whole.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_new_name_is_followed_by_a_synchronisation_of_its_folder() {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("a");
+        for write in [create, replace] {
+            let seen = seen(place.path(), || write(&path, b"1").expect("written"));
+            assert_eq!(seen, ["new", "open"]);
+        }
+        let missing = sync_folder_of(&place.path().join("missing/a"));
+        assert_eq!(
+            missing.expect_err("no folder").kind(),
+            io::ErrorKind::NotFound
+        );
+    }
 }

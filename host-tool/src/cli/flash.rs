@@ -181,7 +181,9 @@ fn probe_rs(args: &[&str], probe: &[&str], screen: &mut Screen<'_>) -> Result<()
             help: "install it: `cargo install probe-rs-tools --locked`".to_owned(),
         })?;
     let text = String::from_utf8_lossy(&output.stderr);
-    let _ = screen.err.write_all(&output.stderr);
+    if !text.trim().is_empty() {
+        screen.hint(text.trim_end());
+    }
     if output.status.success() {
         return Ok(());
     }

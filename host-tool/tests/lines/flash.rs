@@ -341,3 +341,21 @@ fn a_machine_that_is_at_work_is_not_flashed() {
     run.kill().expect("killed");
     run.wait().expect("ended");
 }
+
+/// What `probe-rs` repeats may come from the board: a terminal must not obey it.
+#[test]
+fn what_the_probe_says_reaches_the_terminal_cleaned() {
+    let bay = Bay::new(DeviceKind::Rig);
+    let program = bay.bench.folder.path().join("probe-rs");
+    let text = "#!/bin/sh\nprintf 'log \\033]0;mine\\007\\033[2J\\nError: no \\033[31mboard\\n' >&2\nexit 1\n";
+    fs::write(&program, text).expect("written");
+    let image = bay.image(&Elf::rig());
+    let (code, _, err) = bay.flash("rig", &image, &[]);
+    assert_eq!(code, Some(1), "{err}");
+    assert!(!err.contains('\u{1b}') && !err.contains('\u{7}'), "{err:?}");
+    assert!(
+        err.contains("log <U+001B>]0;mine<U+0007><U+001B>[2J\n"),
+        "{err}"
+    );
+    assert!(err.contains("failed: Error: no <U+001B>[31mboard"), "{err}");
+}

@@ -63,6 +63,7 @@ pub struct RigBoard {
     kept_from_dma: bool,
     outputs_safe: bool,
     safe_before_clock: Option<bool>,
+    switched_off_ns: Option<u64>,
 }
 
 impl RigBoard {
@@ -83,7 +84,14 @@ impl RigBoard {
             kept_from_dma: false,
             outputs_safe: false,
             safe_before_clock: None,
+            switched_off_ns: None,
         }
+    }
+
+    /// When the driver was last switched off, by EN driven or let go.
+    #[must_use]
+    pub fn switched_off_ns(&self) -> Option<u64> {
+        self.switched_off_ns
     }
 
     /// Whether EN was driven high, DIR driven and STEP low when the firmware last switched on the high-speed clock,
@@ -202,6 +210,9 @@ impl Wiring for RigBoard {
         // While nothing drives EN, a pull-up keeps the driver off. Without a pull-up the driver's own resistor switches
         // it on.
         let enable_high = pads.output(ENABLE).unwrap_or(self.rig.pulls_enable_up());
+        if enable_high && self.rig.is_enabled() {
+            self.switched_off_ns = Some(now_ns);
+        }
         self.rig.set_enabled(!enable_high);
         if !pads.hse_is_on() {
             self.outputs_safe = pads.output(ENABLE) == Some(true)

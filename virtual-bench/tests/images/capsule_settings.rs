@@ -43,6 +43,28 @@ fn fold_to(capsule: &mut CapsuleRun, thread_um: i32) -> Result<ActuationRecord, 
     }
 }
 
+/// An empty cell takes the chip's supply below the 2.7 V that writing the flash needs (docs/silicon.md, item 10).
+#[test]
+fn an_empty_cell_stores_nothing() {
+    let mut capsule = referenced();
+    capsule.rest();
+    let key = SettingKey::EndForceMa;
+    let before = get(&mut capsule, key);
+    let operations = |capsule: &CapsuleRun| {
+        let counted = capsule.bench.visit(|visit| visit.flash_operations());
+        counted.expect("the bench runs")
+    };
+    capsule.look(|capsule| capsule.suffer(Defect::Battery(2_600.0)));
+    capsule.idle(200_000);
+    let stored = operations(&capsule);
+    assert_eq!(set(&mut capsule, key, 110), Err(Refusal::SupplyLow));
+    assert_eq!(operations(&capsule), stored);
+    assert_eq!(get(&mut capsule, key), before);
+    capsule.look(|capsule| capsule.suffer(Defect::Battery(3_700.0)));
+    capsule.idle(200_000);
+    assert_eq!(set(&mut capsule, key, 110), Ok(Setting { key, value: 110 }));
+}
+
 #[test]
 fn settings_count_at_once_and_after_the_next_start() {
     let mut capsule = referenced();

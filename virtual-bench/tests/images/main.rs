@@ -17,6 +17,7 @@ mod estop;
 mod faults;
 mod limits;
 mod link;
+mod measurements;
 mod random;
 mod rig;
 mod serial_client;

@@ -59,6 +59,12 @@ fn sabotaged(
         let late = rig.edges().after(reset_ns).len();
         (rig.edges().len(), late, rig.is_enabled())
     });
+    // A watchdog's reset switches the driver off itself; every other end does so before it resets.
+    if moving && cause != ResetCause::Watchdog {
+        let off = rig.bench.visit(|visit| visit.board().switched_off_ns());
+        let off_ns = off.expect("the bench runs").expect("it was on");
+        assert!(off_ns < reset_ns, "off {off_ns} ns, reset {reset_ns} ns");
+    }
     assert_eq!((late, enabled), (0, false), "{}", rig.log());
 
     let identity = rig.device.hello(2).expect("it answers again");
@@ -118,6 +124,27 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
             ended.rig.check_clean(1);
             fixed(ended);
         }
+    }
+}
+
+/// A hanging task keeps others from running, that of the watchdog too. One that only no longer checks in, because it
+/// waits for ever, is ended as well: the watchdog is fed only when every client has checked in.
+#[test]
+fn a_task_that_no_longer_checks_in_is_ended_by_the_watchdog() {
+    for (client, name, moving) in [
+        (1, "motion", true),
+        (2, "link", false),
+        (4, "control", true),
+    ] {
+        let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
+        let ended = sabotaged(client, Misbehaviour::Forget, moving, cause, fault);
+        let took_ns = ended.reset_ns - ended.armed_ns;
+        assert!(
+            (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
+            "{name}: reset after {took_ns} ns"
+        );
+        ended.rig.check_clean(1);
+        fixed(ended);
     }
 }
 

@@ -104,7 +104,7 @@ fn motor(picture: &mut Picture) {
     picture.text((right - 48, 204), Anchor::Start, "", "OUT2");
     picture.line(&[(right, 160), (930, 160)], "power");
     picture.rect((930, 152), (44, 16), "part");
-    picture.text((952, 144), Anchor::Middle, "name", "shunt");
+    picture.text((952, 144), Anchor::Middle, "name", "shunt 0.05 ohm");
     picture.line(&[(974, 160), (1_060, 160)], "power");
     picture.line(&[(right, 200), (1_060, 200)], "power");
     picture.rect((1_040, 140), (100, 80), "part");
@@ -166,9 +166,14 @@ fn sensors(picture: &mut Picture) {
 fn cell(picture: &mut Picture) {
     let y = y_of(capsule::BATTERY);
     picture.line(&[(EDGE, y), (PARTS, y)], "wire");
-    picture.pull_down((500, y), "R");
+    picture.pull_down((480, y), "100 kohm");
     picture.rect((560, y - 5), (28, 10), "part");
-    picture.text((570, y - 12), Anchor::Middle, "note", "R: halves the cell");
+    picture.text(
+        (EDGE + 14, y - 12),
+        Anchor::Start,
+        "note",
+        "100 kohm; 3.3 nF A3 to GND",
+    );
     picture.rect((PARTS, y - 22), (200, 44), "part");
     picture.text(
         (PARTS + 12, y - 3),
@@ -180,7 +185,7 @@ fn cell(picture: &mut Picture) {
         (PARTS + 12, y + 13),
         Anchor::Start,
         "note",
-        "feeds bridge and 3.3 V",
+        "to VM of the bridge, and GND",
     );
     let note = "USB cable, through the ST-LINK: no wire. D1 and D0 are not connected to these pins";
     let y = y_of(capsule::SERIAL[0]);

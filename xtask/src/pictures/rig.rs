@@ -86,11 +86,7 @@ fn drive(picture: &mut Picture) {
         "name",
         "driver in the X socket",
     );
-    for (pin, name) in [
-        (rig::STEP, "STEP"),
-        (rig::DIR, "DIR"),
-        (rig::ENABLE, "nENABLE"),
-    ] {
+    for (pin, name) in [(rig::STEP, "STEP"), (rig::DIR, "DIR"), (rig::ENABLE, "nEN")] {
         let y = y_of(pin);
         picture.line(&[(EDGE, y), (x, y)], "wire");
         picture.text((x + 8, y + 4), Anchor::Start, "", name);
@@ -127,13 +123,13 @@ fn jumpers(picture: &mut Picture) {
     picture.dot((x, y_of(rig::READ_BACK)), "joint");
     let morpho = |pin| places::place_of(pin).map_or("", |place| place.morpho);
     let wire = format!(
-        "one wire with three ends: {}, {}, {}",
+        "one wire with three female ends: {}, {}, {}",
         morpho(rig::STEP),
         morpho(rig::READ_BACK),
         morpho(rig::CAPTURE)
     );
     picture.text((x + 14, 316), Anchor::Start, "", &wire);
-    let note = "or a cable with three female plugs; the shield leaves the morpho pins free";
+    let note = "the shield leaves the morpho pins free";
     picture.text((x + 14, 334), Anchor::Start, "note", note);
 }
 
@@ -176,14 +172,14 @@ fn rest(picture: &mut Picture) {
     let y = y_of(rig::SYNC);
     picture.line(&[(EDGE, y), (780, y)], "wire");
     picture.rect((780, y - 16), (350, 32), "part");
-    let camera = "camera, or an LED with its resistor; may stay open";
+    let camera = "camera, or LED with 330 ohm, to GND; optional";
     picture.text((792, y + 4), Anchor::Start, "", camera);
     let y = y_of(rig::BUTTON);
     picture.line(&[(EDGE, y), (640, y)], "wire");
     picture.open_contact((640, y));
     picture.line(&[(700, y), (740, y)], "wire");
     picture.ground((740, y));
-    let button = "blue button B1, on the board; beside it one of your own may be";
+    let button = "blue button B1, on the board; another one may be added";
     picture.text((765, y + 4), Anchor::Start, "note", button);
     let y = y_of(rig::LED);
     picture.text(

@@ -32,7 +32,7 @@ pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm
 }
 
 /// Starts the watchdog with the timeout that [`super::super::start::watchdog`] will set. Prescaler and reload value
-/// are accepted only while its clock runs, so it is started first (RM0383 section 18.3).
+/// are accepted only while its clock runs, so it is started first (RM0383 chapter 15).
 fn start_watchdog() {
     use pac::iwdg::vals::{Key, Pr};
     let key = |key| pac::IWDG.kr().write(|w| w.set_key(key));

@@ -1,0 +1,81 @@
+//! The chip as it was made and set, and its clocks against each other.
+
+#![allow(unsafe_code)]
+
+use super::{MS, cycles_since, tell};
+use crate::board::channels::ENABLE_HIGH_AT_START;
+use core::sync::atomic::Ordering;
+use cortex_m::peripheral::DWT;
+use device::chip::{start, supply};
+use embassy_stm32::pac::{self, TIM5, timer::vals::CcmrInputCcs};
+use measurements::Measurement as M;
+
+/// TIM5_OR: leads an oscillator to channel 4, to be measured against the core's (RM0383 section 6.2.11).
+const TIM5_OPTIONS: *mut u32 = 0x4000_0C50 as *mut u32;
+/// Its value that leads LSI to channel 4: TI4_RMP = 01.
+const LSI_TO_CHANNEL_4: u32 = 1 << 6;
+
+/// Time from HSEON to HSERDY. A clock that takes longer than the firmware waits gives more than 300 ms.
+///
+/// Call it before the HAL's start, while the core runs at 16 MHz.
+pub fn external_clock_start_us() -> u32 {
+    const CYCLES_PER_US: u32 = 16;
+    const LONGEST: u32 = 301_000 * CYCLES_PER_US;
+    pac::RCC.cr().modify(|w| w.set_hsebyp(true));
+    let began = DWT::cycle_count();
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
+    while !pac::RCC.cr().read().hserdy() && cycles_since(began) < LONGEST {}
+    let took = cycles_since(began);
+    // The start that follows switches it on again.
+    pac::RCC.cr().modify(|w| w.set_hseon(false));
+    took / CYCLES_PER_US
+}
+
+/// Reports what was set before the start.
+pub fn report(clock_us: u32) {
+    let mut words = start::uid().into_iter();
+    for number in [M::UniqueNumber0, M::UniqueNumber1, M::UniqueNumber2] {
+        let word = [(); 4].map(|()| words.next().unwrap_or(0));
+        tell(number, u32::from_le_bytes(word));
+    }
+    tell(M::ChipRevision, pac::DBGMCU.idcode().read().0);
+    let high = ENABLE_HIGH_AT_START.load(Ordering::Relaxed);
+    tell(M::EnableAtReset, high.into());
+    tell(M::ExternalClockStart, clock_us);
+    let options = supply::option_bytes();
+    tell(M::OptionBytes, options);
+    tell(M::BrownOutBits, options >> 2 & 3);
+    tell(M::WatchdogBySoftware, options >> 5 & 1);
+}
+
+/// Reports TIM5's and the watchdog's clock against the core's. TIM5 counts.
+pub fn report_clocks() {
+    let (began, from) = (DWT::cycle_count(), TIM5.cnt().read());
+    while cycles_since(began) < 1_000_000 {}
+    tell(M::TimerTicks, TIM5.cnt().read().wrapping_sub(from));
+
+    // Every eighth edge of LSI.
+    // SAFETY: an existing register that nothing else uses.
+    unsafe { TIM5_OPTIONS.write_volatile(LSI_TO_CHANNEL_4) };
+    TIM5.ccmr_input(1).modify(|w| {
+        w.set_ccs(1, CcmrInputCcs::TI4);
+        w.set_icpsc(1, 3);
+    });
+    TIM5.ccer().modify(|w| w.set_cce(3, true));
+    if let (Some(_), Some(first), Some(second)) = (captured(), captured(), captured()) {
+        let ticks = second.wrapping_sub(first);
+        tell(M::WatchdogClock, 8 * 100_000_000 / ticks.max(1));
+    }
+    TIM5.ccer().modify(|w| w.set_cce(3, false));
+}
+
+/// The next instant captured on channel 4; none within 2 ms.
+fn captured() -> Option<u32> {
+    let began = DWT::cycle_count();
+    while cycles_since(began) < 2 * MS {
+        if TIM5.sr().read().ccif(3) {
+            return Some(TIM5.ccr(3).read());
+        }
+    }
+    None
+}

@@ -1,0 +1,56 @@
+//! How long flash operations take. The settings in the sector are kept in RAM meanwhile, and written back.
+
+use super::tell;
+use device::{
+    chip::flash::Sectors,
+    store::{SECTOR, SECTORS},
+};
+use embassy_futures::block_on;
+use embassy_stm32::pac::TIM5;
+use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
+use measurements::Measurement as M;
+use static_cell::ConstStaticCell;
+
+/// The last sector of the settings.
+const OFFSET: u32 = SECTORS.end - SECTOR;
+/// Words written for the measurement.
+const WORDS: u32 = 64;
+/// Ticks of TIM5 in a microsecond.
+const US: u32 = 100;
+
+static KEPT: ConstStaticCell<[u8; SECTOR as usize]> = ConstStaticCell::new([0; SECTOR as usize]);
+
+/// Reports all of it, unless the supply is too low.
+pub fn report(mut sectors: Sectors) {
+    let kept = KEPT.take();
+    // An error leaves the rest out: it shows as "not measured".
+    let _ = block_on(async {
+        sectors.read(OFFSET, kept).await?;
+        let first = erase_us(&mut sectors).await?;
+        let began = TIM5.cnt().read();
+        for word in 0..WORDS {
+            sectors.write(OFFSET + 4 * word, &[0; 4]).await?;
+        }
+        let words = ticks_since(began);
+        let second = erase_us(&mut sectors).await?;
+        for (offset, word) in (OFFSET..).step_by(4).zip(kept.chunks_exact(4)) {
+            if word != [0xFF; 4] {
+                sectors.write(offset, word).await?;
+            }
+        }
+        tell(M::EraseTime, first.max(second));
+        tell(M::WordTime, words / WORDS / US);
+        Ok::<_, <Sectors as embedded_storage_async::nor_flash::ErrorType>::Error>(())
+    });
+}
+
+/// Erases the sector; us.
+async fn erase_us(sectors: &mut Sectors) -> Result<u32, embassy_stm32::flash::Error> {
+    let began = TIM5.cnt().read();
+    sectors.erase(OFFSET, OFFSET + SECTOR).await?;
+    Ok(ticks_since(began) / US)
+}
+
+fn ticks_since(began: u32) -> u32 {
+    TIM5.cnt().read().wrapping_sub(began)
+}

@@ -1,0 +1,143 @@
+//! The image of `cargo xtask board` on the bench: that each of its measurements comes, that a fault shows in the right
+//! one, and that what the bench only assumes is not called shown.
+
+use std::fmt;
+
+use measurements::{END, Expected, Measurement as M, Place, Verdict, parse};
+use virtual_bench::{
+    bench::{Bench, BenchOptions, images},
+    boards::rig::RigBoard,
+    emulator::{Beats, ChipOptions},
+    faults::When,
+    plants::{
+        rig::{Action, Rig, RigOptions},
+        wire::Fault,
+    },
+};
+
+/// What the image has told.
+struct Told(Vec<(M, u32)>);
+
+impl fmt::Display for Told {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut lines = self.0.iter();
+        lines.try_for_each(|(one, value)| writeln!(f, "{} {value}", one.name()))
+    }
+}
+
+impl Told {
+    fn of(&self, one: M) -> Option<u32> {
+        let found = self.0.iter().find(|(name, _)| *name == one);
+        found.map(|(_, value)| *value)
+    }
+
+    fn verdict(&self, one: M, place: Place) -> Verdict {
+        one.judge(self.of(one), place)
+    }
+
+    /// What a board with these values would be reproached with.
+    fn unexpected(&self) -> Vec<M> {
+        M::ALL
+            .into_iter()
+            .filter(|one| self.verdict(*one, Place::Board) == Verdict::Unexpected)
+            .collect()
+    }
+}
+
+/// A step within the cruise at 28.5 kHz: 287 are made before.
+const IN_CRUISE: u64 = 2_000;
+
+/// Runs the image to its end, after this was done to the rig.
+fn measured(
+    rig: RigOptions,
+    chip: impl FnOnce(&mut ChipOptions),
+    prepare: impl FnOnce(&mut Rig),
+) -> Told {
+    let mut options = BenchOptions::new(images().join("firmware-board"));
+    chip(&mut options.chip);
+    let mut rig = Rig::new(rig);
+    prepare(&mut rig);
+    let bench = Bench::start(RigBoard::new(rig), options).expect("the image starts");
+    for _ in 0..60 {
+        bench.advance_us(100_000).expect("it runs");
+        let log = bench.log().expect("a log");
+        let lines = log.lines();
+        if lines.iter().any(|line| line.text.contains(END)) {
+            let resets = bench.bus().expect("it runs").resets;
+            assert!(resets.is_empty(), "{resets:?}");
+            let enabled = bench.visit(|visit| visit.board().rig.is_enabled());
+            assert!(!enabled.expect("it runs"), "the driver is on");
+            return Told(lines.iter().filter_map(|line| parse(&line.text)).collect());
+        }
+    }
+    panic!("no end:\n{}", bench.log().expect("a log"));
+}
+
+#[test]
+fn every_measurement_comes_and_no_assumption_passes_for_shown() {
+    let told = measured(RigOptions::WITH_BOTH_JUMPERS, |_| (), |_| ());
+    for one in M::ALL {
+        // The emulator leads no LSI to TIM5, and its bursts take no time, so that none is cut.
+        let comes = !matches!(one, M::WatchdogClock | M::CutBurstShift);
+        assert_eq!(told.of(one).is_some(), comes, "{}", one.name());
+        let verdict = told.verdict(one, Place::Bench);
+        if one.bench_shows() {
+            assert_eq!(verdict, Verdict::AsExpected, "{}", one.name());
+            assert!(matches!(one.expected(), Expected::Within(..)));
+        } else {
+            assert_eq!(verdict, Verdict::NotShownHere, "{}", one.name());
+        }
+    }
+    assert_eq!(told.unexpected(), [], "{told}");
+    assert_eq!(told.of(M::CutBursts), Some(0));
+}
+
+#[test]
+fn a_fault_shows_in_the_measurement_that_is_made_for_it() {
+    // A slow burst can be cut, and the emulator's timer keeps its place.
+    let slow = |chip: &mut ChipOptions| {
+        chip.burst = Some(Beats {
+            first_ns: 100,
+            apart_ns: 600,
+        });
+        chip.erase_ns = 600_000_000;
+    };
+    let late = |rig: &mut Rig| {
+        let jitter = Action::Capture(Fault::Jitter(20));
+        rig.plan(When::Edge(IN_CRUISE), jitter);
+    };
+    let told = measured(RigOptions::WITH_BOTH_JUMPERS, slow, late);
+    let bad = told.unexpected();
+    for one in [M::BurstLast, M::EraseTime, M::CruiseOff2, M::FastOff2] {
+        assert!(bad.contains(&one), "{one:?}: {told}");
+    }
+    assert!(!bad.contains(&M::BurstFirst), "{told}");
+    assert!(told.of(M::CutBursts) > Some(50), "{told}");
+    assert!(told.of(M::CutBurstShift) >= Some(1), "{told}");
+}
+
+#[test]
+fn a_lost_capture_is_named_and_a_missing_jumper_is_no_pass() {
+    let lose = |rig: &mut Rig| rig.plan(When::Edge(IN_CRUISE), Action::Capture(Fault::Lose));
+    let told = measured(RigOptions::WITH_BOTH_JUMPERS, |_| (), lose);
+    assert_eq!(told.unexpected(), [M::CruiseLost], "{told}");
+    let told = measured(RigOptions::REFERENCE, |_| (), |_| ());
+    let exact = [M::RepeatExact, M::CruiseExact, M::RampExact, M::FastExact];
+    assert_eq!(told.unexpected(), exact, "{told}");
+}
+
+/// Without the clock and with the loop open nothing hangs, and what could not be measured is called that.
+#[test]
+fn a_board_without_clock_and_with_an_open_loop_says_so() {
+    let told = measured(
+        RigOptions::WITH_BOTH_JUMPERS,
+        |chip| chip.hse_after_ns = None,
+        |rig| rig.act(Action::EStop(true), 0),
+    );
+    assert_eq!(told.unexpected(), [M::ExternalClockStart], "{told}");
+    for one in [M::MoeReads, M::RepeatEdges, M::StepAtEnd, M::FastMissing] {
+        let verdict = told.verdict(one, Place::Board);
+        assert_eq!(verdict, Verdict::NotMeasured, "{told}");
+    }
+    assert!(told.of(M::EraseTime).is_some(), "{told}");
+}
