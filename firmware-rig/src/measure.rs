@@ -8,7 +8,7 @@ mod step_timer;
 use crate::board::{pins, step_generator::StepGenerator};
 use cortex_m::peripheral::DWT;
 use defmt_rtt as _;
-use device::chip::{image, start};
+use device::chip::start;
 use measurements::Measurement;
 
 /// Cycles of the core in a millisecond, after the start.
@@ -17,7 +17,6 @@ const MS: u32 = 100_000;
 #[cortex_m_rt::entry]
 fn main() -> ! {
     pins::make_outputs_safe();
-    image::guard_stack();
     count_cycles();
     let clock_us = chip::external_clock_start_us();
     let board = pins::init();

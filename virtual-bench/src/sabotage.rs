@@ -32,8 +32,6 @@ pub enum Misbehaviour {
 
 /// Where [`Misbehaviour::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
 pub const NOWHERE: u32 = 0x6000_0000;
-/// Size of the stack's guard, to which it is aligned.
-const GUARD: u32 = 32 * 1_024;
 /// Debug exception and monitor control (Armv7-M ARM C1.6.5).
 const DEMCR: u32 = 0xE000_EDFC;
 /// Address of the substitute: the end of the flash, which no image reaches.
@@ -99,8 +97,7 @@ impl Sabotage {
             }
             Misbehaviour::Overflow => vec![0xB5F0, 0xE7FD], // push {r4-r7, lr}; b to the push
             Misbehaviour::OverflowByInterrupt => {
-                let guarded = symbol_at("_stack_end")?.next_multiple_of(GUARD) + GUARD + 16;
-                let mut code = load_r1(guarded).to_vec();
+                let mut code = load_r1(symbol_at("_stack_end")? + 16).to_vec();
                 code.extend([0x468D, 0xE7FE]); // mov sp, r1; b .
                 code
             }

@@ -16,10 +16,11 @@ pub(crate) struct Memory {
     flash: Range<u32>,
     settings: Range<u32>,
     code: Range<u32>,
-    /// RAM for data and stack, without the KiB that keeps the last panic.
+    /// RAM for data, without the KiB that keeps the last panic.
     ram: Range<u32>,
-    /// Bytes between statics and stack that nobody may touch; no frame may step over them.
-    guard: u32,
+    stack: Range<u32>,
+    /// Bytes without memory below the stack; no frame may step over them.
+    gap: u32,
 }
 
 /// 512 KiB of flash, 128 KiB of RAM.
@@ -27,8 +28,10 @@ pub(crate) static STM32F411RE: Memory = Memory {
     flash: 0x0800_0000..0x0808_0000,
     settings: 0x0800_4000..0x0801_0000,
     code: 0x0801_0000..0x0808_0000,
-    ram: 0x2000_0000..0x2001_FC00,
-    guard: 32 * 1024,
+    ram: 0x2001_0000..0x2001_FC00,
+    stack: 0x2000_0000..0x2000_F800,
+    // Below lies the system memory, which can be read. The 16 option bytes within are no place to step on.
+    gap: 32 * 1024,
 };
 
 /// The most memory an image may take.
@@ -36,7 +39,7 @@ pub(crate) static STM32F411RE: Memory = Memory {
 pub(crate) struct Budget {
     /// Vector table, code, constants and initial values.
     pub(crate) flash_bytes: u32,
-    /// Statics: `.data`, `.bss`, `.uninit`. The stack takes the rest of the chip's RAM.
+    /// Statics: `.data`, `.bss`, `.uninit`. The stack has its own place.
     pub(crate) ram_bytes: u32,
 }
 
@@ -120,7 +123,7 @@ impl Layout {
             flash,
             settings,
             code,
-            ram,
+            stack: whole_stack,
             ..
         } = self.memory;
         match self.vectors {
@@ -129,8 +132,11 @@ impl Layout {
                 if place != flash.start {
                     found.push(format!("vector table at {place:#010x}, not at 0x08000000"));
                 }
-                if !(ram.start < stack && stack <= ram.end) {
-                    found.push(format!("the stack starts at {stack:#010x}, outside of RAM"));
+                if stack != whole_stack.end {
+                    found.push(format!(
+                        "the stack starts at {stack:#010x}, not at {:#010x}",
+                        whole_stack.end
+                    ));
                 }
                 // Bit 0 of a vector marks Thumb code.
                 let entry = reset & !1;
@@ -174,10 +180,10 @@ impl Layout {
                 ));
             }
         }
-        if self.frame_bytes > self.memory.guard {
+        if self.frame_bytes > self.memory.gap {
             found.push(format!(
-                "a frame of {} bytes steps over the {} bytes that guard the stack's end",
-                self.frame_bytes, self.memory.guard
+                "a frame of {} bytes steps over the {} bytes without memory below the stack",
+                self.frame_bytes, self.memory.gap
             ));
         }
         found
@@ -236,7 +242,7 @@ mod tests {
             ram_bytes: BUDGET.ram_bytes,
             programmed: vec![0x0800_0000..0x0800_0198, 0x0801_0000..0x0801_F000],
             text: std::iter::once(0x0801_0000..0x0801_8000).collect(),
-            vectors: Some((0x0800_0000, 0x2001_FC00, 0x0801_0001)),
+            vectors: Some((0x0800_0000, 0x2000_F800, 0x0801_0001)),
             frame_bytes: 32 * 1024,
         }
     }
@@ -261,13 +267,13 @@ mod tests {
         let cases: [(&str, Change); 10] = [
             ("no vector table", |image| image.vectors = None),
             ("vector table at 0x08010000", |image| {
-                image.vectors = Some((0x0801_0000, 0x2001_FC00, 0x0801_0001));
+                image.vectors = Some((0x0801_0000, 0x2000_F800, 0x0801_0001));
             }),
             ("stack starts at 0x20020000", |image| {
                 image.vectors = Some((0x0800_0000, 0x2002_0000, 0x0801_0001));
             }),
             ("reset vector 0x00000000", |image| {
-                image.vectors = Some((0x0800_0000, 0x2001_FC00, 0));
+                image.vectors = Some((0x0800_0000, 0x2000_F800, 0));
             }),
             ("outside of its sectors", |image| {
                 image.text.push(0x0800_0400..0x0800_0800);
@@ -315,8 +321,9 @@ mod tests {
         flash: 0x0800_0000..0x0802_0000,
         settings: 0x0800_4000..0x0801_0000,
         code: 0x0801_0000..0x0802_0000,
-        ram: 0x2000_0400..0x2000_A000,
-        guard: 32 * 1024,
+        ram: 0x2000_5000..0x2000_A000,
+        stack: 0x2000_0000..0x2000_5000,
+        gap: 32 * 1024,
     };
 
     /// The same image on a chip with less memory.
@@ -325,8 +332,8 @@ mod tests {
         let mut layout = sound();
         layout.memory = &SMALLER;
         let found = layout.objections(BUDGET).join("; ");
-        assert!(found.contains("stack starts at 0x2001fc00"), "{found}");
-        layout.vectors = Some((0x0800_0000, 0x2000_A000, 0x0801_0001));
+        assert!(found.contains("stack starts at 0x2000f800"), "{found}");
+        layout.vectors = Some((0x0800_0000, 0x2000_5000, 0x0801_0001));
         assert_eq!(layout.objections(BUDGET), Vec::<String>::new());
         layout.programmed[1].end = 0x0802_0001;
         let found = layout.objections(BUDGET).join("; ");
@@ -354,7 +361,7 @@ mod tests {
             let start = hex(from);
             start..start + kib.parse::<u32>().unwrap() * 1024
         };
-        let value = |name: &str| hex(line(name));
+        let value = |name: &str| hex(line(name).split_once('=').unwrap().1);
         assert_eq!(region("FLASH"), memory.flash);
         assert_eq!(region("RAM"), memory.ram);
         assert_eq!(value("_stext"), memory.code.start);
@@ -362,6 +369,10 @@ mod tests {
             value("_settings_start")..value("_settings_end"),
             memory.settings
         );
+        assert_eq!(value("_stack_end")..value("_stack_start"), memory.stack);
+        // The stack of processor faults lies between the stack and the data.
+        assert_eq!(value("_fault_stack_start"), memory.stack.end + 2 * 1024);
+        assert_eq!(value("_fault_stack_start"), memory.ram.start);
         // The KiB that survives a reset adjoins that RAM at one end.
         let kept = value("_last_words_start")..value("_last_words_end");
         assert_eq!(kept.end - kept.start, 1024);

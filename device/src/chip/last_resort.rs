@@ -1,6 +1,6 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
-use super::{image, retained::Ram, stm32f411re::RAM};
+use super::{retained::Ram, stm32f411re::RAM};
 use crate::{last_words::Draft, retained::keep_last_words};
 use core::{
     arch::asm,
@@ -22,7 +22,7 @@ macro_rules! last_resort {
         #[panic_handler]
         fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
             $outputs_off();
-            $crate::chip::last_resort::die_with_callers("panic, called from")
+            $crate::chip::last_resort::die_of_a_panic()
         }
 
         /// `defmt::panic!` has printed its message; it must not format it a second time.
@@ -32,10 +32,28 @@ macro_rules! last_resort {
             $crate::chip::last_resort::die_of_a_failed_check()
         }
 
-        #[cortex_m_rt::exception]
-        unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
+        /// An overflow leaves the stack pointer below the RAM, where nothing can be pushed: the rest runs on a stack of
+        /// its own, which `memory.x` keeps free.
+        #[unsafe(naked)]
+        #[unsafe(no_mangle)]
+        extern "C" fn HardFault() -> ! {
+            core::arch::naked_asm!(
+                "mrs r0, msp",
+                "mov r1, r7",
+                "movw r2, #:lower16:_fault_stack_start",
+                "movt r2, #:upper16:_fault_stack_start",
+                "msr msp, r2",
+                "b {}",
+                sym processor_fault,
+            )
+        }
+
+        extern "C" fn processor_fault(
+            frame: *const cortex_m_rt::ExceptionFrame,
+            interrupted: u32,
+        ) -> ! {
             $outputs_off();
-            $crate::chip::last_resort::die_of_a_fault(frame)
+            $crate::chip::last_resort::die_of_a_fault(frame, interrupted)
         }
     };
 }
@@ -56,11 +74,18 @@ pub(super) fn die(words: &Draft) -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// A panic, or what else is told by who called it. The outputs are off.
+/// A panic. The outputs are off.
 #[inline(never)]
-pub fn die_with_callers(what: &str) -> ! {
+pub fn die_of_a_panic() -> ! {
+    let frame;
+    // SAFETY: reads a register.
+    unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
+    die_with_callers("panic, called from", frame)
+}
+
+fn die_with_callers(what: &str, frame: u32) -> ! {
     let mut words = Draft::new(what);
-    for caller in Callers::new() {
+    for caller in (Callers { frame, left: 9 }) {
         words.push(" ");
         words.push_address(caller);
     }
@@ -72,12 +97,17 @@ pub fn die_of_a_failed_check() -> ! {
     die(&Draft::new("a check failed; its text is in the debug log"))
 }
 
-/// A processor fault. The outputs are off.
-pub fn die_of_a_fault(frame: &ExceptionFrame) -> ! {
-    // Its frame found no room. The frame pointer is the interrupted function's still.
-    if image::stack_has_overflowed() {
-        die_with_callers("stack overflow, called from");
+/// A processor fault, with the frame of the exception and the frame pointer (r7) of the interrupted function. The outputs
+/// are off.
+///
+/// The stack ends where the RAM begins. There is no memory below it, so an overflow is a fault, and the fault's own frame
+/// finds no room either (Armv7-M ARM B1.5.11).
+pub fn die_of_a_fault(frame: *const ExceptionFrame, interrupted: u32) -> ! {
+    if !RAM.contains(&(frame as u32)) {
+        die_with_callers("stack overflow, called from", interrupted);
     }
+    // SAFETY: the processor has stored the frame there, in the RAM.
+    let frame = unsafe { &*frame };
     let mut words = Draft::new("processor fault at ");
     words.push_address(frame.pc());
     words.push(", called from ");
@@ -91,16 +121,6 @@ pub fn die_of_a_fault(frame: &ExceptionFrame) -> ! {
 struct Callers {
     frame: u32,
     left: u8,
-}
-
-impl Callers {
-    #[inline(always)]
-    fn new() -> Self {
-        let frame;
-        // SAFETY: reads a register.
-        unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
-        Self { frame, left: 9 }
-    }
 }
 
 impl Iterator for Callers {

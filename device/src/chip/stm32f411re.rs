@@ -12,10 +12,6 @@ use protocol::system::{Clock, ResetCause};
 /// Range for a stack: the RAM without its last two words.
 pub(super) const RAM: Range<u32> = 0x2000_0000..0x2001_FFF8;
 
-/// Guard between statics and stack, bytes, a power of two. It is larger than any frame of an image, so that no frame
-/// steps over it; `cargo xtask images` checks this.
-pub(super) const GUARD: u32 = 32 * 1_024;
-
 /// The timer of the HAL's time driver (a feature of the HAL in this package's manifest), and its interrupt.
 pub(super) const TIME_DRIVER: pac::timer::TimGp16 = pac::TIM4;
 pub(super) use interrupt::TIM4 as TIME_DRIVER_INTERRUPT;

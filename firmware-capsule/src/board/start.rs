@@ -6,14 +6,13 @@ use super::{
     tasks,
 };
 use defmt_rtt as _;
-use device::chip::{image, retained, start};
+use device::chip::{retained, start};
 use device::identity::{identity, reset_cause};
 use embassy_executor::Spawner;
 use protocol::system::DeviceKind;
 
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
-    image::guard_stack();
     let left = retained::start();
     let board = pins::init();
     start::forget_catches();

@@ -4,7 +4,7 @@ use crate::board::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{
-    chip::{image, retained, start},
+    chip::{retained, start},
     identity::{identity, reset_cause},
 };
 use embassy_executor::{InterruptExecutor, Spawner};
@@ -23,7 +23,6 @@ unsafe fn SPI5() {
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     pins::make_outputs_safe();
-    image::guard_stack();
     let left = retained::start();
     let board = pins::init();
     start::forget_catches();

@@ -4,7 +4,7 @@
 //! So this wrapper stands between the emulator and its processor and signals each change by an access that no program
 //! makes.
 //!
-//! It also hands the processor to the next machine when its own is dropped, see [`super::spare`].
+//! It also fails accesses below the RAM, and hands the processor to the next machine when its own is dropped, see [`super::spare`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,6 +15,7 @@ use rigless::emulator::{
 use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
+use super::map;
 use super::spare::{self, Program, Usable};
 
 /// Addresses whose reads signal falling asleep and waking: EXTI_IMR and EXTI_EMR. The bell's reads have no program
@@ -133,8 +134,41 @@ impl Belled {
     }
 }
 
+/// The bus, with errors where the chip has nothing. The emulator would read 0 there.
+struct Failing<'a>(&'a mut dyn CoreBus);
+
+impl CoreBus for Failing<'_> {
+    fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
+        if map::BELOW_RAM.contains(&access.address) {
+            return None;
+        }
+        self.0.access(access, from_code)
+    }
+
+    fn time(&self, instructions: u64) -> VirtualNanos {
+        self.0.time(instructions)
+    }
+
+    fn queued(&mut self) -> Vec<Queued> {
+        self.0.queued()
+    }
+
+    fn carry_on(&mut self, instructions: u64, event: Option<VirtualNanos>) -> Option<u32> {
+        self.0.carry_on(instructions, event)
+    }
+
+    fn stops_before(&mut self, access: &Access) -> bool {
+        self.0.stops_before(access)
+    }
+
+    fn send_trace(&mut self, bytes: &[u8]) {
+        self.0.send_trace(bytes);
+    }
+}
+
 impl Processor for Belled {
     fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
+        let bus = &mut Failing(bus);
         if self.inner().waiting() && self.bell.0.wakes.load(Ordering::Relaxed) {
             // With a budget of 0 it enters a pending exception, but executes nothing.
             let slept = self.inner_mut().run(0, bus);
