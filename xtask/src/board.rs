@@ -11,7 +11,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use measurements::{Base, END, Expected, Measurement, Place, Verdict, parse};
 
 use crate::images;
-use crate::process::{Failure, Result, first_line, lines_of};
+use crate::process::{Failure, Result, first_line, lines_of, root};
 
 /// Longest time between two lines of the image, or to the first one with flashing.
 const SILENCE: Duration = Duration::from_secs(60);
@@ -210,7 +210,9 @@ fn file_name(rows: &[Row]) -> String {
 /// All rows in TOML.
 fn file(rows: &[Row]) -> String {
     let now = SystemTime::now().duration_since(UNIX_EPOCH);
-    let commit = first_line(Command::new("git").args(["describe", "--always", "--dirty"]));
+    let mut git = Command::new("git");
+    git.args(["describe", "--always", "--dirty"]);
+    let commit = first_line(git.current_dir(root()));
     let mut text = format!(
         "unix_s = {}\ncommit = \"{}\"\n",
         now.map_or(0, |now| now.as_secs()),
@@ -321,7 +323,7 @@ mod tests {
     /// The manual's table of items has a line for each that is measured.
     #[test]
     fn the_items_are_those_of_the_manual() {
-        let path = crate::process::root().join("docs/silicon.md");
+        let path = root().join("docs/silicon.md");
         let manual = std::fs::read_to_string(path).expect("the manual");
         for one in Measurement::ALL {
             for item in one.item().split(", ").filter(|item| *item != "-") {

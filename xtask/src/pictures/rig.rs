@@ -144,7 +144,7 @@ fn switches(picture: &mut Picture) {
         let y = y_of(pin);
         picture.line(&[(EDGE, y), (810, y)], "wire");
         picture.pull_up((640, y), "1 to 2.2 kohm", "3.3 V");
-        picture.capacitor((690, y), "4.7 nF at most");
+        picture.capacitor((690, y), "RC at most 5 us");
         let mut x = 810;
         for name in names {
             picture.closed_contact((x, y), name);
