@@ -151,6 +151,25 @@ impl Window {
         sum.checked_div(over as i32)
     }
 
+    /// Current above the ordered one in the last reading, less its mean over the `before` readings that precede it;
+    /// `None` if some of them are missing or were not driven.
+    pub fn surge_ma(&self, before: usize) -> Option<i32> {
+        let (last, oldest) = self.over(before + 1)?;
+        if last.driven <= before {
+            return None;
+        }
+        let surplus = |sums: Sums| sums.current_ma.wrapping_sub(sums.ordered_ma as i32);
+        let earlier = surplus(self.back(1)?.sums);
+        let mean = earlier
+            .wrapping_sub(surplus(oldest))
+            .checked_div(before as i32)?;
+        Some(
+            surplus(last.sums)
+                .wrapping_sub(earlier)
+                .saturating_sub(mean),
+        )
+    }
+
     /// The last reading has the largest ordered current of the last `over` readings; false if some of them are
     /// missing or were not driven.
     pub fn orders_most_now(&self, over: usize) -> bool {

@@ -99,7 +99,7 @@ fn every_defect_has_its_name() {
 /// The seeds of the first 500 that pull most: little friction in the worm, a stiff origami.
 #[test]
 fn a_jam_never_pulls_with_more_than_20_n() {
-    for seed in [5, 15, 32, 168, 198, 240, 472] {
+    for seed in [5, 15, 32, 124, 168, 198, 240, 472] {
         let verdict = cases::try_case(Kind::LateJam, seed);
         assert_eq!(verdict.name, "Jam", "seed {seed}");
         assert!(verdict.peak_n < 20.0, "seed {seed}: {verdict:?}");
@@ -637,10 +637,18 @@ fn a_reference_past_something_that_gives_way_never_pays_out_past_zero() {
 }
 
 /// The first fold leaves an origami that pulls less at its start. The rise of a reference run was counted above a
-/// current that was measured there, seemed up to 1.4 times too long, and was called a jam.
+/// current that was measured there, seemed up to 1.4 times too long, and was called a jam. Friction that has changed
+/// lengthens the rise by a third, too. The seeds are those of the first 240 that were called a jam.
 #[test]
-fn a_reference_after_a_first_fold_is_no_jam() {
-    for (seed, friction) in [(88, 1.0), (359, 1.0), (839, 1.0), (84, 1.2)] {
+fn a_reference_between_two_cycles_is_no_jam() {
+    let changed = [(0.7, [61, 134]), (1.2, [88, 225]), (1.4, [106, 162])];
+    let changed = changed
+        .into_iter()
+        .flat_map(|(friction, seeds)| seeds.map(|seed| (seed, friction)));
+    for (seed, friction) in [(88, 1.0), (359, 1.0), (839, 1.0), (84, 1.2)]
+        .into_iter()
+        .chain(changed)
+    {
         let (name, least_mm) = cases::referenced_again(seed, friction);
         assert_eq!(name, "Complete", "seed {seed}, friction x {friction}");
         assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");

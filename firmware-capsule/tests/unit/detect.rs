@@ -120,6 +120,25 @@ fn a_fast_motor_that_is_slowed_is_resisted() {
     assert!(feed.step(3).is_ok_and(|load| !load.resisted), "slow enough");
 }
 
+/// The current rises with the loss of speed, and is read more finely than the counts.
+#[test]
+fn a_motor_that_draws_more_as_it_becomes_slower_is_struck_sooner() {
+    for (surge_ma, struck) in [(0, false), (21, false), (25, true)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 11);
+        assert!(feed.step(11).is_ok());
+        feed.draws(NO_LOAD_MA + surge_ma, NO_LOAD_MA);
+        let load = feed.step(10);
+        assert!(load.is_ok_and(|load| load.struck == struck), "{surge_ma}");
+    }
+    // More current alone, at the same speed, is no loss of speed; nor is more current that was ordered.
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.draws(NO_LOAD_MA + 60, NO_LOAD_MA);
+    assert!(feed.step(11).is_ok_and(|load| !load.struck));
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.draws(NO_LOAD_MA + 60, NO_LOAD_MA + 60);
+    assert!(feed.step(10).is_ok_and(|load| !load.struck));
+}
+
 /// A stiff origami slows a motor by 60 counts/s in each millisecond; that is no jam, but a jam on top of it is.
 #[test]
 fn a_motor_that_becomes_slower_is_not_struck() {

@@ -174,21 +174,26 @@ fn near_the_end_force_the_speed_does_not_go_to_and_fro() {
 }
 
 /// Something soft in the way raises the force along a line. A rise from half the force may be the origami's; one from
-/// a quarter is not.
+/// a quarter is not. Friction lengthens the rise of a run that has wound almost all of the way.
 #[test]
 fn a_rise_along_a_line_is_no_origami() {
-    for (half, quarter, right) in [
-        (1_500, 3_300, true),
-        (1_500, 2_900, true),
-        (1_500, 2_250, false),
-        (1_120, 2_600, false),
-        (1_900, 4_200, false),
+    let almost = Thread(END.0 - FRICTION_MOVES.0);
+    for (half, quarter, right, right_if_whole) in [
+        (1_500, 3_300, true, true),
+        (1_500, 2_900, true, true),
+        (1_500, 2_600, false, true),
+        (1_500, 2_250, false, false),
+        (1_120, 2_600, false, false),
+        (1_900, 4_200, false, true),
+        (2_070, 4_200, false, false),
     ] {
         let rise = Rise {
             half: Thread(half),
             quarter: Thread(quarter),
         };
-        assert_eq!(rise.is_of(&KNOWN), right, "{rise:?}");
+        let less = Thread(almost.0 - 1);
+        assert_eq!(rise.is_of(&KNOWN, less), right, "{rise:?}");
+        assert_eq!(rise.is_of(&KNOWN, almost), right_if_whole, "{rise:?}");
     }
 }
 

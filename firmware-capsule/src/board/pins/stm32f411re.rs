@@ -27,8 +27,12 @@ pub(crate) const REFERENCE_CHANNEL: u8 = 17;
 /// Where the factory has left its reading of the reference (DS10314 table 75), and the supply that it had then.
 const FACTORY_WORD: *const u16 = 0x1FFF_7A2A as *const u16;
 const FACTORY_MV: u32 = 3_300;
-/// How often to look for the end of a conversion. It takes 27 cycles of 8 MHz, that of the reference 124; a look takes 8 of 16 MHz.
-/// Nothing waits longer than it must.
+/// Turns of [`cortex_m::asm::delay`], of some three cycles of 16 MHz each, until shortly before the end of a conversion:
+/// 27 cycles of 8 MHz, and 124 for the reference. Looks at the status register cost more than waiting: each occupies
+/// the bus.
+const CONVERTS: u32 = 14;
+const CONVERTS_REFERENCE: u32 = 78;
+/// How often to look for the end after that. A look takes 8 cycles.
 const ADC_PATIENCE: u32 = 200;
 
 /// Of the bridge's pulses.
@@ -230,6 +234,10 @@ pub(crate) fn convert(channel: u8) -> u16 {
     pac::ADC1.sqr3().write(|w| w.set_sq(0, channel));
     pac::ADC1.sr().modify(|w| w.set_eoc(false));
     pac::ADC1.cr2().modify(|w| w.set_swstart(true));
+    cortex_m::asm::delay(match channel {
+        REFERENCE_CHANNEL => CONVERTS_REFERENCE,
+        _ => CONVERTS,
+    });
     for _ in 0..ADC_PATIENCE {
         if pac::ADC1.sr().read().eoc() {
             return pac::ADC1.dr().read().data();
