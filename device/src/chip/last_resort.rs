@@ -48,10 +48,7 @@ macro_rules! last_resort {
             )
         }
 
-        extern "C" fn processor_fault(
-            frame: *const cortex_m_rt::ExceptionFrame,
-            interrupted: u32,
-        ) -> ! {
+        extern "C" fn processor_fault(frame: u32, interrupted: u32) -> ! {
             $outputs_off();
             $crate::chip::last_resort::die_of_a_fault(frame, interrupted)
         }
@@ -97,17 +94,17 @@ pub fn die_of_a_failed_check() -> ! {
     die(&Draft::new("a check failed; its text is in the debug log"))
 }
 
-/// A processor fault, with the frame of the exception and the frame pointer (r7) of the interrupted function. The outputs
-/// are off.
+/// A processor fault, with the address of the exception's frame and the frame pointer (r7) of the interrupted
+/// function. The outputs are off.
 ///
 /// The stack ends where the RAM begins. There is no memory below it, so an overflow is a fault, and the fault's own frame
 /// finds no room either (Armv7-M ARM B1.5.11).
-pub fn die_of_a_fault(frame: *const ExceptionFrame, interrupted: u32) -> ! {
-    if !RAM.contains(&(frame as u32)) {
+pub fn die_of_a_fault(frame: u32, interrupted: u32) -> ! {
+    if !RAM.contains(&frame) {
         die_with_callers("stack overflow, called from", interrupted);
     }
     // SAFETY: the processor has stored the frame there, in the RAM.
-    let frame = unsafe { &*frame };
+    let frame = unsafe { &*(frame as *const ExceptionFrame) };
     let mut words = Draft::new("processor fault at ");
     words.push_address(frame.pc());
     words.push(", called from ");
