@@ -3,7 +3,8 @@
 //!
 //! A processor is reset to the state in which it was made, and its translations of memory that may have changed are
 //! dropped. Translations of the program stay, because the program is identical to the byte. It executes the same with
-//! and without them.
+//! and without them. A program that sets the MPU up would lose them: the emulator drops all translations when the MPU
+//! changes, and links no blocks while it is on.
 
 use std::sync::{Mutex, PoisonError};
 
