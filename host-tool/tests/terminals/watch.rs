@@ -105,7 +105,8 @@ fn a_watch_whose_terminal_is_gone_ends() {
         }
         thread::sleep(Duration::from_millis(20));
     }
-    assert_eq!(bench.retrograde(&["info"]).0, Some(0));
+    let (code, out, error) = bench.retrograde(&["info"]);
+    assert_eq!(code, Some(0), "{out}{error}");
 }
 
 /// The program that the next test runs.
