@@ -219,7 +219,9 @@ impl Workbench {
         let status = self.device.capsule_status()?;
         let faulted = !["Complete", "BatteryLow"].contains(&verdict.name.as_str());
         let latched = status.fault.map(|fault| name(&fault));
-        if faulted && latched.as_ref() != Some(&verdict.name) {
+        // At rest the zero of the current amplifier is looked at: if it has moved, that is latched over the motion's end.
+        let zero_moved = latched.as_deref() == Some("SenseLost");
+        if faulted && latched.as_ref() != Some(&verdict.name) && !zero_moved {
             return Ok(Err(format!(
                 "{} is not latched, {latched:?} is",
                 verdict.name
