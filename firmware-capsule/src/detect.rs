@@ -390,11 +390,15 @@ impl Detector {
         // The middles of the three windows are 12 and 7 ms apart.
         let losing = earlier.saturating_sub(before).max(0) / 12 * 7;
         let sudden = (before / 14).max(STRUCK_LOSS_CPS);
+        let least = before.saturating_sub(losing);
+        if !self.window.is_driven(12)
+            || before < FAST_CPS
+            || now >= least.saturating_sub(sudden / 2)
+        {
+            return false;
+        }
         // A motor that is slowed draws more than ordered before its counts tell.
-        let surges = self.window.surge_ma(BEFORE_SURGE) >= Some(SURGE_MA);
-        let sudden = if surges { sudden / 2 } else { sudden };
-        let least = before.saturating_sub(losing).saturating_sub(sudden);
-        self.window.is_driven(12) && before >= FAST_CPS && now < least
+        now < least.saturating_sub(sudden) || self.window.surge_ma(BEFORE_SURGE) >= Some(SURGE_MA)
     }
 
     /// Part of the current that accelerates the motor; 0 while it slows down.
