@@ -384,17 +384,18 @@ impl Detector {
     /// The motor has lost speed suddenly: over the last 2 ms it was slower than over the 8 ms before, by more than
     /// its earlier trend, and not because it was braked. Half of that loss counts if the current rises with it.
     fn is_slowed(&self) -> bool {
-        let earlier = self.spooling.along(self.window.speed_cps(28, 12));
         let before = self.spooling.along(self.window.speed_cps(12, 4));
         let now = self.spooling.along(self.window.speed_cps(2, 0));
+        let sudden = (before / 14).max(STRUCK_LOSS_CPS);
+        // Nearly always; the rest takes time between a reading and its duty.
+        if before < FAST_CPS || now >= before.saturating_sub(sudden / 2) {
+            return false;
+        }
+        let earlier = self.spooling.along(self.window.speed_cps(28, 12));
         // The middles of the three windows are 12 and 7 ms apart.
         let losing = earlier.saturating_sub(before).max(0) / 12 * 7;
-        let sudden = (before / 14).max(STRUCK_LOSS_CPS);
         let least = before.saturating_sub(losing);
-        if !self.window.is_driven(12)
-            || before < FAST_CPS
-            || now >= least.saturating_sub(sudden / 2)
-        {
+        if !self.window.is_driven(12) || now >= least.saturating_sub(sudden / 2) {
             return false;
         }
         // A motor that is slowed draws more than ordered before its counts tell.
