@@ -5,7 +5,6 @@
 #[cfg(target_os = "none")]
 mod board;
 #[cfg(target_os = "none")]
-#[path = "board/start.rs"]
 mod start;
 
 #[cfg(not(target_os = "none"))]

@@ -59,5 +59,5 @@ fn cycles_since(began: u32) -> u32 {
 
 /// Prints a value for `cargo xtask board`.
 fn tell(measurement: Measurement, value: u32) {
-    defmt::println!("measured {} {=u32}", measurement, value);
+    defmt::println!("{=str} {} {=u32}", measurements::MARK, measurement, value);
 }

@@ -39,7 +39,7 @@ pub(crate) fn run(options: &[String]) -> Result<()> {
     }
 }
 
-/// What has to be done before, and what is not measured here.
+/// Steps before and after, and where the rest is measured.
 const PREPARATION: &str = "
 Before: motor supply off, the driver out of its socket, `retrograde settings export` kept: one settings sector is
 erased and written back. Wires as in docs/rig.md; a row whose wire is missing is NOT AS EXPECTED or not measured.

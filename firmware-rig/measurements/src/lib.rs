@@ -1,4 +1,4 @@
-//! What only a board can tell about the chip: each measurement with its expected range, and the verdict on a value.
+//! Measurements that only a board can make: each with its expected range, and the verdict on a value.
 //!
 //! The image `firmware-board` prints a line for each measurement, `cargo xtask board` reads the lines and prints the
 //! verdicts. The items are those of docs/silicon.md.
@@ -120,7 +120,7 @@ macro_rules! measurements {
                 match self { $(Self::$name => stringify!($name),)* }
             }
 
-            /// What is measured.
+            /// Description in one line.
             #[must_use]
             pub const fn what(self) -> &'static str {
                 match self { $(Self::$name => $what,)* }
@@ -191,21 +191,21 @@ measurements! {
     RepeatExact "16" "intervals" Within(1, 286), Jumpers, ASSUMED, "the same slots: intervals that are exact";
     RepeatWrong "TIM1" "intervals" Within(0, 0), Jumpers, ASSUMED, "the same slots: intervals off by 2 ticks or more";
     StepAtEnd "TIM1" "" Within(0, 0), Loop, ASSUMED, "STEP after the last pulse";
-    CruiseMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: edges missing of 5,000 steps";
+    CruiseMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: edges missing or too many, of 5,000 steps";
     CruiseExact "16" "intervals" Within(1, 4_999), Jumpers, SHOWN, "28.5 kHz: intervals that are exact";
     CruiseOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "28.5 kHz: intervals off by 1 tick";
     CruiseOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: intervals off by 2 ticks";
     CruiseWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: intervals off by more";
     CruiseLost "16" "" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: looks at which a capture was lost";
     CruiseCycles "12" "cycles" Within(1, 250), Jumpers, ASSUMED, "28.5 kHz: cycles of motion's code per step, by DWT";
-    RampMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: edges missing of 10,000 steps";
+    RampMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: edges missing or too many, of 10,000 steps";
     RampExact "16" "intervals" Within(1, 9_999), Jumpers, SHOWN, "ramps to 125 kHz: intervals that are exact";
     RampOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "ramps to 125 kHz: intervals off by 1 tick";
     RampOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: intervals off by 2 ticks";
     RampWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: intervals off by more";
     RampLost "16" "" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: looks at which a capture was lost";
     RampCycles "12" "cycles" Within(1, 500), Jumpers, ASSUMED, "ramps to 125 kHz: cycles of motion's code per step, by DWT";
-    FastMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: edges missing of 20,000 steps";
+    FastMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: edges missing or too many, of 20,000 steps";
     FastExact "16" "intervals" Within(1, 19_999), Jumpers, SHOWN, "249.7 kHz: intervals that are exact";
     FastOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "249.7 kHz: intervals off by 1 tick";
     FastOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: intervals off by 2 ticks";

@@ -46,15 +46,17 @@ use motion::{
 
 /// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
 const SLOTS: usize = 128;
-const WORDS: usize = 5;
+/// Words of a burst.
+pub const WORDS: usize = 5;
 const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
 /// Most periods that may wait in the ring. The remaining slots keep the zero slot away from the reader.
 const MAX_QUEUE: i32 = SLOTS as i32 - 4;
 /// Width of the sync pulse, 50 us, or as long as the period.
 const SYNC_TICKS: u32 = 5_000;
-const STREAM: usize = 5;
+/// The stream of DMA2 that carries the bursts.
+pub const STREAM: usize = 5;
 /// TIM1_UP (RM0383 table 28).
-const DMA_CHANNEL: u8 = 6;
+pub const DMA_CHANNEL: u8 = 6;
 /// Reads of MOE before concluding that the loop is open.
 const MOE_READS: u32 = 16;
 /// Reads of NDTR before concluding that a slot is not fetched.
@@ -403,7 +405,8 @@ impl Ring for StepGenerator {
 }
 
 /// Clears the flags of the stream, which has to be off.
-fn clear_flags() {
+/// Clears the stream's flags.
+pub fn clear_flags() {
     DMA2.ifcr(STREAM / 4).write(|w| {
         w.set_htif(STREAM % 4, true);
         w.set_tcif(STREAM % 4, true);

@@ -24,8 +24,8 @@ use motion::{
     units::{StepPosition, Steps, Ticks, Window},
 };
 
-/// Steps, duration and ramp of a path, ticks, and the first of the seven measurements that it gives: edges missing,
-/// intervals by error, captures lost, cycles.
+/// Steps, duration and ramp of a path, ticks, and the first of the seven measurements that it gives: edges missing
+/// or too many, intervals by error, captures lost, cycles.
 const PATHS: [(u32, u64, u64, M); 3] = [
     // 3503.046 ticks a step.
     (5_000, 17_515_230 + 500_000, 500_000, M::CruiseMissing),
@@ -75,8 +75,8 @@ pub fn report(generator: &mut StepGenerator, mut feed: impl FnMut()) {
     tell(M::DmaErrors, DMA_ERRORS.load(Ordering::Relaxed));
 }
 
-/// Plays a path as the motion task does; edges that are missing at the pin, and cycles of the rounds. None if it did
-/// not start, because the loop is open.
+/// Plays a path as the motion task does; edges missing at the pin or too many, and cycles of the rounds. None if it
+/// did not start, because the loop is open.
 fn play(
     generator: &mut StepGenerator,
     profile: StrokeProfile,
@@ -104,7 +104,7 @@ fn play(
         match NOTICES.try_receive() {
             Ok(Event::PathEnded(_, report)) => {
                 let counted = report.counted.since(from).unsigned_abs();
-                return Some((steps.saturating_sub(counted), cycles));
+                return Some((steps.abs_diff(counted), cycles));
             }
             Ok(Event::LoopOpened) => return None,
             _ => {}

@@ -6,7 +6,9 @@ use super::{MS, cycles_since, tell};
 use crate::board::{
     channels::INTERVALS,
     pins,
-    step_generator::{StepGenerator, is_armed, rearm_loop},
+    step_generator::{
+        DMA_CHANNEL, STREAM, StepGenerator, WORDS, clear_flags, is_armed, rearm_loop,
+    },
 };
 use core::cell::UnsafeCell;
 use cortex_m::{asm::delay, peripheral::DWT};
@@ -14,11 +16,6 @@ use embassy_stm32::pac::{self, DMA2, TIM1, timer::regs::SrAdv};
 use firmware_rig::{execution::Ring, periods::Period};
 use measurements::Measurement as M;
 use motion::step_times::Equal;
-
-/// The stream of the step timer's burst, as in `step_generator.rs`.
-const STREAM: usize = 5;
-const DMA_CHANNEL: u8 = 6;
-const WORDS: usize = 5;
 
 /// A period of 0, which blocks the counter. It comes into play as in the ring: preloaded, at an update.
 pub fn report_blocked() {
@@ -175,12 +172,7 @@ fn start_burst() {
     let stream = DMA2.st(STREAM);
     stream.cr().modify(|w| w.set_en(false));
     while stream.cr().read().en() {}
-    DMA2.ifcr(STREAM / 4).write(|w| {
-        w.set_htif(STREAM % 4, true);
-        w.set_tcif(STREAM % 4, true);
-        w.set_teif(STREAM % 4, true);
-        w.set_feif(STREAM % 4, true);
-    });
+    clear_flags();
     stream.ndtr().write(|w| w.set_ndt(WORDS as u16));
     stream.cr().write(|w| {
         w.set_chsel(DMA_CHANNEL);

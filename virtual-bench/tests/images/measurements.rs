@@ -15,7 +15,7 @@ use virtual_bench::{
     },
 };
 
-/// What the image has told.
+/// Values that the image has told.
 struct Told(Vec<(M, u32)>);
 
 impl fmt::Display for Told {
@@ -35,7 +35,7 @@ impl Told {
         one.judge(self.of(one), place)
     }
 
-    /// What a board with these values would be reproached with.
+    /// Measurements that would not be as expected on a board with these values.
     fn unexpected(&self) -> Vec<M> {
         M::ALL
             .into_iter()
