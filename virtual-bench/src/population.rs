@@ -99,8 +99,8 @@ impl Workbench {
             }
             end_mm = self.folded_mm()? - parameters.slack_mm;
         }
-        let verdict = self.follow(&kind.course(seed, end_mm), end_mm)?;
-        match self.check(&verdict)? {
+        let mut verdict = self.follow(&kind.course(seed, end_mm), end_mm)?;
+        match self.check(kind, &mut verdict)? {
             Ok(()) => Ok(verdict),
             Err(what) => Err(CaseError::Wrong { kind, seed, what }),
         }
@@ -206,7 +206,11 @@ impl Workbench {
     }
 
     /// Checks the rules that hold for every capsule, whatever its defect.
-    fn check(&mut self, verdict: &Verdict) -> Result<Result<(), String>, CaseError> {
+    fn check(
+        &mut self,
+        kind: Kind,
+        verdict: &mut Verdict,
+    ) -> Result<Result<(), String>, CaseError> {
         let (awake, moving, before_mm) =
             self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()))?;
         self.device.idle(REST_US, &mut Unobserved)?;
@@ -217,11 +221,14 @@ impl Workbench {
             )));
         }
         let status = self.device.capsule_status()?;
-        let faulted = !["Complete", "BatteryLow"].contains(&verdict.name.as_str());
         let latched = status.fault.map(|fault| name(&fault));
-        // At rest the zero of the current amplifier is looked at: if it has moved, that is latched over the motion's end.
-        let zero_moved = latched.as_deref() == Some("SenseLost");
-        if faulted && latched.as_ref() != Some(&verdict.name) && !zero_moved {
+        // At rest the amplifier's zero is looked at. If it has moved, that is latched over the motion's end; the
+        // library's verdict is the latched fault, too.
+        if kind == Kind::Offset && latched.as_deref() == Some("SenseLost") {
+            verdict.name = "SenseLost".to_owned();
+        }
+        let faulted = !["Complete", "BatteryLow"].contains(&verdict.name.as_str());
+        if faulted && latched.as_ref() != Some(&verdict.name) {
             return Ok(Err(format!(
                 "{} is not latched, {latched:?} is",
                 verdict.name

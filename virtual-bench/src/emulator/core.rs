@@ -4,7 +4,8 @@
 //! So this wrapper stands between the emulator and its processor and signals each change by an access that no program
 //! makes.
 //!
-//! It also fails accesses below the RAM, and hands the processor to the next machine when its own is dropped, see [`super::spare`].
+//! It also fails accesses below the RAM, and hands the processor to the next machine when its own is dropped, see
+//! [`super::spare`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -53,7 +53,7 @@ pub(super) static MEMORY: [Region; 3] = [
 ];
 
 /// Below the RAM, above the system memory: reserved but for 16 option bytes, which no firmware reads here. An access is a
-/// bus error (RM0383 sections 2.3 and 3.3).
+/// bus error (docs/silicon.md, item 18).
 pub(super) const BELOW_RAM: std::ops::Range<u64> = 0x1FFF_8000..0x2000_0000;
 
 /// Interrupt lines 0 to 85 (RM0383 table 37).

@@ -104,6 +104,20 @@ fn fixed(mut ended: Ended) {
     ended.rig.home();
 }
 
+/// The watchdog resets a rig with this client, in its time and with no edge after it.
+fn ended_by_the_watchdog(client: u8, name: &str, misbehaviour: Misbehaviour, moving: bool) {
+    let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
+    let ended = sabotaged(client, misbehaviour, moving, cause, fault);
+    let took_ns = ended.reset_ns - ended.armed_ns;
+    assert!(
+        (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
+        "{name}, moving {moving}: reset after {took_ns} ns"
+    );
+    assert!(last_edge_ns(&ended) <= ended.reset_ns);
+    ended.rig.check_clean(1);
+    fixed(ended);
+}
+
 /// Whichever task hangs, at rest or during a run: nothing moves after the watchdog's period.
 #[test]
 fn a_task_that_hangs_is_ended_by_the_watchdog() {
@@ -113,16 +127,7 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
             if !is_made(nth + usize::from(moving), 2) {
                 continue;
             }
-            let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
-            let ended = sabotaged(client, Misbehaviour::Hang, moving, cause, fault);
-            let took_ns = ended.reset_ns - ended.armed_ns;
-            assert!(
-                (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
-                "{name}, moving {moving}: reset after {took_ns} ns"
-            );
-            assert!(last_edge_ns(&ended) <= ended.reset_ns);
-            ended.rig.check_clean(1);
-            fixed(ended);
+            ended_by_the_watchdog(client, name, Misbehaviour::Hang, moving);
         }
     }
 }
@@ -136,15 +141,7 @@ fn a_task_that_no_longer_checks_in_is_ended_by_the_watchdog() {
         (2, "link", false),
         (4, "control", true),
     ] {
-        let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
-        let ended = sabotaged(client, Misbehaviour::Forget, moving, cause, fault);
-        let took_ns = ended.reset_ns - ended.armed_ns;
-        assert!(
-            (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
-            "{name}: reset after {took_ns} ns"
-        );
-        ended.rig.check_clean(1);
-        fixed(ended);
+        ended_by_the_watchdog(client, name, Misbehaviour::Forget, moving);
     }
 }
 
