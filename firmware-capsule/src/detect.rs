@@ -387,7 +387,7 @@ impl Detector {
         let before = self.spooling.along(self.window.speed_cps(12, 4));
         let now = self.spooling.along(self.window.speed_cps(2, 0));
         let sudden = (before / 14).max(STRUCK_LOSS_CPS);
-        // Nearly always; the rest takes time between a reading and its duty.
+        // Nearly always so; the rest would delay the duty that follows from this reading.
         if before < FAST_CPS || now >= before.saturating_sub(sudden / 2) {
             return false;
         }

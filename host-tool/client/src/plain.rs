@@ -439,7 +439,7 @@ mod tests {
         assert_eq!(fs::read_dir(&elsewhere).expect("there").count(), 0);
     }
 
-    /// What happens in a folder, in order: `new` for a name that a rename has put there, `open` for the folder itself,
+    /// Events in a folder, in order: `new` for a name that a rename has put there, `open` for the folder itself,
     /// which only its synchronisation opens here.
     #[cfg(target_os = "linux")]
     fn seen(folder: &Path, act: impl FnOnce()) -> Vec<&'static str> {

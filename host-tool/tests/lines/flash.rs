@@ -342,7 +342,7 @@ fn a_machine_that_is_at_work_is_not_flashed() {
     run.wait().expect("ended");
 }
 
-/// What `probe-rs` repeats may come from the board: a terminal must not obey it.
+/// `probe-rs` repeats what the board says: a terminal must not obey it.
 #[test]
 fn what_the_probe_says_reaches_the_terminal_cleaned() {
     let bay = Bay::new(DeviceKind::Rig);
