@@ -55,6 +55,29 @@ fn a_run_of_another_process_is_seen_held_resumed_and_stopped_by_keys() {
     assert_eq!(bench.telemetry().1, 0);
 }
 
+/// A key that came with a change of the window's size was read only with the next key.
+#[test]
+fn a_key_that_comes_with_a_resize_is_obeyed() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut run = bench.run(&SLOW);
+    let mut terminal = watch(&bench);
+    terminal.wait_for("away from home");
+    for rows in 30..60 {
+        for (key, says) in [("h", "HELD"), ("r", "RUNNING")] {
+            // Both while the screen is drawn, which it is every 50 ms: in some of these instants.
+            thread::sleep(Duration::from_millis(u64::from(rows - 30) * 2));
+            terminal.resize(200, rows);
+            terminal.press(key);
+            terminal.wait_for(says);
+        }
+    }
+    terminal.press("s");
+    terminal.wait_for("stop confirmed");
+    terminal.press("q");
+    assert_eq!(terminal.ends_restored(), Some(0));
+    assert_eq!(run.wait().expect("ends").code(), Some(130));
+}
+
 #[test]
 fn a_key_is_an_emergency_stop_and_the_fault_is_shown_with_its_remedy() {
     let bench = Bench::at_a_port(DeviceKind::Rig);
