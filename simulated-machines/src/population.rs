@@ -5,7 +5,7 @@ use capsule_plant::Parameters;
 use firmware_capsule::fold::Command;
 use firmware_capsule::trace::Recording;
 use protocol::capsule::{ActuationOutcome, GetTrace, TracePoint};
-use trials::identify::{Estimate, Identified, identify};
+use trials::identify::{Estimate, Identified, REST_S, identify};
 
 /// Runs a motion and returns its trace, fetched in parts as the host does.
 fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
@@ -28,15 +28,18 @@ fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
     }
 }
 
-/// Traces of a fold and of the unfolding after it.
+/// Traces of a fold, after the rest that an identification asks for, and of the unfolding after it.
 pub fn recordings(truth: Parameters, seed: u64) -> [Vec<TracePoint>; 2] {
     let mut sim = Simulation::calibrated(truth, seed);
+    for _ in 0..REST_S * 1_000 {
+        sim.tick();
+    }
     [Command::Fold, Command::Unfold].map(|command| recorded(&mut sim, command))
 }
 
-/// Identifies the capsule of a seed. Returns each parameter's name, true value and estimate.
+/// Identifies the capsule of a seed, with all effects. Returns each parameter's name, true value and estimate.
 pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
-    let truth = Parameters::varied(seed);
+    let truth = Parameters::lifelike(seed);
     let [fold, unfold] = recordings(truth, seed);
     let Identified {
         circuit_ohm,

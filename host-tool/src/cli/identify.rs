@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use trials::recorded::write_recorded;
 
-use client::{Device, Recorded};
+use client::{Device, Recorded, Unobserved};
 use operations::arguments::RecordArgs;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
@@ -11,7 +11,7 @@ use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::experiment;
-use trials::identify::{self, Estimate, Identified};
+use trials::identify::{self, Estimate, Identified, REST_S};
 
 use crate::cli::ended::{completed, recording};
 use crate::cli::fresh;
@@ -27,7 +27,11 @@ pub(crate) fn identify(
     let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("capsule identify"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     begin_unfolded("an identification", &mut capsule)?;
-    screen.say("Identify: fold and unfold once, and fetch what the capsule records of them.");
+    screen.say(&format!(
+        "Identify: rest for {REST_S} s, since the origami opens for so long, then fold and unfold once, and fetch what the \
+         capsule records of them."
+    ));
+    rest(&mut capsule)?;
     let fold = motion(ActuationKind::Fold, &mut capsule, args, places, screen)?;
     let unfold = motion(ActuationKind::Unfold, &mut capsule, args, places, screen)?;
     let identified =
@@ -54,6 +58,17 @@ pub(crate) fn identify(
         "recordings": motions.map(|motion| &motion.csv),
         "sidecars": motions.map(|motion| &motion.sidecar),
     }))
+}
+
+/// Rests, or until an interrupt: the fold after it is refused then.
+fn rest(capsule: &mut Device) -> Result<(), Failure> {
+    /// Interval of the look for an interrupt, us.
+    const LOOK_US: u64 = 200_000;
+    let end_us = capsule.now_us() + u64::from(REST_S) * 1_000_000;
+    while capsule.now_us() < end_us && capsule.interrupted().is_none() {
+        capsule.idle(LOOK_US, &mut Unobserved)?;
+    }
+    Ok(())
 }
 
 /// A motion with its recording.

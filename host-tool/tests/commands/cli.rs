@@ -673,9 +673,9 @@ fn an_identification_begins_unfolded_and_ends_with_the_first_fault() {
     let (code, out, err, files) = identify(Script::new(DeviceKind::Capsule), &[]);
     assert_eq!((code, files.len()), (3, 0), "{out}{err}");
     assert!(err.contains("retrograde capsule reference"), "{err}");
-    // The stop comes in the middle of the fold.
+    // The stop comes in the middle of the fold, after the rest.
     let stopped = Script {
-        world: vec![(1_000_000, World::StopFrame)],
+        world: vec![(31_000_000, World::StopFrame)],
         ..ready(DeviceKind::Capsule)
     };
     let (code, out, err, files) = identify(stopped, &[]);

@@ -1,6 +1,6 @@
 //! Identifies seeded capsules and prints how often, and how narrowly: the table of `docs/capsule.md`.
 //!
-//! `cargo run --release -p host-tool --example identify [CAPSULES]`, 100 unless told.
+//! `cargo run --release -p simulated-machines --features links --example identify [CAPSULES]`, 100 unless told.
 #![allow(clippy::print_stdout)]
 
 use capsule_plant::verdict;
