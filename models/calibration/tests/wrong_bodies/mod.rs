@@ -109,8 +109,8 @@ impl Body {
 
 const STEP_MM: f64 = 0.05;
 
-/// Displacements by an antegrade and by a returning isolated pass, and by a run, mm.
-pub fn displacements_mm(model: &Model, depth_mm: f64, unlike: Unlike) -> [f64; 3] {
+/// Displacements by an antegrade and by a returning isolated pass, and by a run of some cycles, mm.
+pub fn displacements_mm(model: &Model, depth_mm: f64, unlike: Unlike, cycles: u16) -> [f64; 3] {
     let new = || Body::new(model, depth_mm, unlike);
     let start_mm = new().core_mm;
     let (mut antegrade, mut returning, mut run) = (new(), new(), new());
@@ -120,7 +120,7 @@ pub fn displacements_mm(model: &Model, depth_mm: f64, unlike: Unlike) -> [f64; 3
     );
     antegrade.carriage(0.0, clear_mm);
     returning.carriage(clear_mm, 0.0);
-    for _ in 0..run.rig.cycles {
+    for _ in 0..cycles {
         run.carriage(0.0, stroke_mm);
         run.carriage(stroke_mm, 0.0);
     }
