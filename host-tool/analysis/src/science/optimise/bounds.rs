@@ -8,7 +8,7 @@ use locomotion::kinematics::MAX_CRESCENTS;
 use locomotion::range::OutOfRange;
 
 use crate::science::optimise::bodies::{Bodies, Care, Per};
-use crate::science::optimise::limits::Limits;
+use crate::science::optimise::limits::{Limits, Needs};
 use crate::science::optimise::mean;
 use crate::science::optimise::search::{FREE, Proposal, placed};
 
@@ -43,6 +43,87 @@ fn dot(one: Change, other: Change) -> f64 {
     one.iter().zip(other).map(|(a, b)| a * b).sum()
 }
 
+/// Displacement, and what the limits apply to: length, thread, spacing, force.
+type Figures = [f64; 5];
+
+/// The figures of a design, and how they change with it.
+///
+/// # Errors
+/// A design that the model does not cover.
+fn figures(
+    proposal: &Proposal,
+    limits: &Limits,
+    bodies: &Bodies,
+    per: Per,
+) -> Result<(Figures, [Change; 5]), OutOfRange> {
+    let (width_mm, crescents) = (proposal.design.width_mm(), proposal.design.crescents());
+    let at = |unit: [f64; FREE], crescents: u8| -> Result<Figures, OutOfRange> {
+        let design = placed(unit, crescents, width_mm, limits)?;
+        let needs = limits.needs(&design)?;
+        let a_mm = limits.indentation_mm;
+        let mm = mean(&bodies.displacements_mm(&design, a_mm, per, Care::Searched)?);
+        let Needs {
+            length_mm,
+            thread_mm,
+            spacing_mm,
+            force_n,
+            ..
+        } = needs;
+        Ok([mm, length_mm, thread_mm, spacing_mm, force_n])
+    };
+    let mut slopes = [Change::default(); 5];
+    let mut put = |axis: usize, less: Figures, more: Figures, apart: f64| {
+        for (slopes, (less, more)) in slopes.iter_mut().zip(less.into_iter().zip(more)) {
+            slopes[axis] = (more - less) / apart;
+        }
+    };
+    for axis in 0..SMOOTH {
+        let (mut low, mut high) = (proposal.unit, proposal.unit);
+        low[axis] = (low[axis] - STEP).max(0.0);
+        high[axis] = (high[axis] + STEP).min(1.0);
+        let apart = high[axis] - low[axis];
+        put(axis, at(low, crescents)?, at(high, crescents)?, apart);
+    }
+    let fewer = crescents.saturating_sub(1).max(1);
+    let more = (crescents + 1).min(MAX_CRESCENTS);
+    let (less, longer) = (at(proposal.unit, fewer)?, at(proposal.unit, more)?);
+    put(SMOOTH, less, longer, f64::from(more - fewer) / RANGE);
+    Ok((at(proposal.unit, crescents)?, slopes))
+}
+
+/// The bounds of the search and of the reach around a position.
+fn bounds(unit: [f64; FREE]) -> Vec<Plane> {
+    let names = [
+        ["least alpha", "largest alpha"].map(Some),
+        ["least beta", "largest beta"].map(Some),
+        ["least core", "largest core"].map(Some),
+        [None; 2],
+    ];
+    let mut planes = vec![];
+    for (axis, [least, largest]) in names.into_iter().enumerate() {
+        for (sign, name, slack) in [(-1.0, least, unit[axis]), (1.0, largest, 1.0 - unit[axis])] {
+            let mut row = Change::default();
+            row[axis] = sign;
+            let looser = LOOSER;
+            let reach = Plane {
+                name: None,
+                row,
+                slack: REACH,
+                looser,
+            };
+            planes.push(reach);
+            if name.is_some() {
+                planes.push(Plane {
+                    name,
+                    slack,
+                    ..reach
+                });
+            }
+        }
+    }
+    planes
+}
+
 /// Names of the limits that hold a design back.
 ///
 /// # Errors
@@ -53,109 +134,29 @@ pub fn holding_back(
     bodies: &Bodies,
     per: Per,
 ) -> Result<Vec<&'static str>, OutOfRange> {
-    let design = &proposal.design;
-    let a_mm = limits.indentation_mm;
-    // Displacement, length, thread, spacing, force.
-    let at = |unit: [f64; FREE], crescents: u8| -> Result<[f64; 5], OutOfRange> {
-        let design = placed(unit, crescents, design.width_mm(), limits)?;
-        let needs = limits.needs(&design)?;
-        let each_mm = bodies.displacements_mm(&design, a_mm, per, Care::Searched)?;
-        let (length_mm, thread_mm) = (needs.length_mm, needs.thread_mm);
-        Ok([
-            mean(&each_mm),
-            length_mm,
-            thread_mm,
-            needs.spacing_mm,
-            needs.force_n,
-        ])
-    };
-    let crescents = design.crescents();
-    let here = at(proposal.unit, crescents)?;
-    let mut slopes = [Change::default(); 5];
-    let mut planes = vec![];
-    let bounds = [
-        ("least alpha", "largest alpha"),
-        ("least beta", "largest beta"),
-        ("least core", "largest core"),
-    ];
-    for (axis, (least, largest)) in bounds.into_iter().enumerate() {
-        let (mut low, mut high) = (proposal.unit, proposal.unit);
-        low[axis] = (low[axis] - STEP).max(0.0);
-        high[axis] = (high[axis] + STEP).min(1.0);
-        for ((slopes, low_at), high_at) in slopes
-            .iter_mut()
-            .zip(at(low, crescents)?)
-            .zip(at(high, crescents)?)
-        {
-            slopes[axis] = (high_at - low_at) / (high[axis] - low[axis]);
-        }
-        let part = proposal.unit[axis];
-        for (sign, name, slack) in [(-1.0, least, part), (1.0, largest, 1.0 - part)] {
-            let mut row = Change::default();
-            row[axis] = sign;
-            let plane = Plane {
-                name: Some(name),
-                row,
-                slack,
-                looser: LOOSER,
-            };
-            let reach = Plane {
-                name: None,
-                slack: REACH,
-                ..plane
-            };
-            planes.extend([plane, reach]);
-        }
-    }
-    let (fewer, more) = (
-        crescents.saturating_sub(1).max(1),
-        (crescents + 1).min(MAX_CRESCENTS),
-    );
-    let apart = f64::from(more - fewer) / RANGE;
-    let (less, longer) = (at(proposal.unit, fewer)?, at(proposal.unit, more)?);
-    for ((slopes, less), longer) in slopes.iter_mut().zip(less).zip(longer) {
-        slopes[SMOOTH] = (longer - less) / apart;
-    }
-    for sign in [-1.0, 1.0] {
-        planes.push(Plane {
-            name: None,
-            row: [0.0, 0.0, 0.0, sign],
-            slack: REACH,
-            looser: 0.0,
-        });
-    }
-    let [gain, length, thread, spacing, force] = slopes;
+    let (here, slopes) = figures(proposal, limits, bodies, per)?;
+    let mut planes = bounds(proposal.unit);
+    // A design that does not fill the length must not become longer. That is no limit of the search.
     let is_full = limits.length_mm - here[1] < LOOSER * limits.length_mm;
-    for (name, row, sign, value, limit) in [
-        (
-            is_full.then_some("most length"),
-            length,
-            1.0,
-            here[1],
-            here[1],
-        ),
-        (Some("most thread"), thread, 1.0, here[2], limits.thread_mm),
-        (
-            Some("least spacing"),
-            spacing,
-            -1.0,
-            here[3],
-            limits.spacing_mm,
-        ),
-        (Some("most force"), force, 1.0, here[4], limits.force_n),
+    let longest = is_full.then_some("most length");
+    for (place, name, sign, limit) in [
+        (1, longest, 1.0, here[1]),
+        (2, Some("most thread"), 1.0, limits.thread_mm),
+        (3, Some("least spacing"), -1.0, limits.spacing_mm),
+        (4, Some("most force"), 1.0, limits.force_n),
     ] {
         planes.push(Plane {
             name,
-            row: row.map(|slope| sign * slope),
-            slack: (sign * (limit - value)).max(0.0),
+            row: slopes[place].map(|slope| sign * slope),
+            slack: (sign * (limit - here[place])).max(0.0),
             looser: LOOSER * limit,
         });
     }
-    let before = farthest(gain, &planes);
+    let before = farthest(slopes[0], &planes);
     let gains = |place: &usize| {
         let mut looser = planes.clone();
         looser[*place].slack += looser[*place].looser;
-        farthest(gain, &looser) - before > WORTH * here[0].abs()
+        farthest(slopes[0], &looser) - before > WORTH * here[0].abs()
     };
     let named = (0..planes.len()).filter(|place| planes[*place].name.is_some());
     Ok(named
@@ -220,7 +221,6 @@ fn meeting(planes: [&Plane; SMOOTH + 1]) -> Option<Change> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::science::optimise::limits::Needs;
     use locomotion::model::Model;
 
     /// A design at the least alpha with its needs and its displacement.
