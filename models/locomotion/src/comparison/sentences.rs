@@ -12,6 +12,9 @@ use crate::trend;
 /// The model's value for a sentence.
 type Formula = fn(&Figures<'_>) -> Result<f64, OutOfRange>;
 
+/// What a sentence asks of the value.
+type Demand = fn(&Figures<'_>) -> Result<Condition, OutOfRange>;
+
 /// One sentence of the paper. The fields are those of [`Row`](crate::comparison::Row), with formulas for its numbers.
 pub(super) struct Sentence {
     pub(super) section: &'static str,
@@ -22,7 +25,7 @@ pub(super) struct Sentence {
     pub(super) evidence: Evidence,
     pub(super) world: Option<Words>,
     pub(super) value: Option<Formula>,
-    pub(super) condition: Option<fn(&Figures<'_>) -> Result<Condition, OutOfRange>>,
+    pub(super) condition: Option<Demand>,
     pub(super) chosen: Option<Chosen>,
     pub(super) remark: &'static str,
 }
