@@ -278,9 +278,18 @@ fn a_shunt_below_the_bridge_is_named() {
         ..Parameters::nominal()
     };
     let bench = capsule::start(below).expect("the image boots");
-    let (code, text) = commission(&Workshop::new(Machine::Capsule(bench)), "capsule", &record, &[]);
+    let (code, text) = commission(
+        &Workshop::new(Machine::Capsule(bench)),
+        "capsule",
+        &record,
+        &[],
+    );
     assert_ne!(code, 0, "{text}");
-    assert_eq!(begun(&text).last().map(String::as_str), Some("held"), "{text}");
+    assert_eq!(
+        begun(&text).last().map(String::as_str),
+        Some("held"),
+        "{text}"
+    );
     let flat = text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(flat.contains("in series with the motor"), "{text}");
 }
