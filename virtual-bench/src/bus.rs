@@ -64,6 +64,7 @@ impl BusReport {
         );
         let absent = emulator.absent().iter();
         gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
+        gaps.extend_from_slice(emulator.too_soon());
         let foreign = emulator.flash_foreign().iter();
         gaps.extend(foreign.map(|address| {
             format!("the flash was changed at {address:#010x}, outside the settings' sectors")

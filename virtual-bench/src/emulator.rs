@@ -11,6 +11,7 @@ mod clocks;
 mod core;
 mod course;
 mod dma;
+mod enabled;
 mod exti;
 mod forward;
 mod map;
@@ -52,6 +53,7 @@ use clocks::Clocked;
 use core::Bell;
 pub use dma::Beats;
 use dma::Paced;
+use enabled::Enabled;
 use exti::{Exti, Syscfg};
 pub use pads::Pads;
 use quiet::Quiet;
@@ -554,6 +556,7 @@ pub struct Emulator<W> {
     /// Overwritten code: addresses and original contents.
     overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
+    enabled: Enabled,
     flash_refused: u64,
     /// Gaps found before the supply was last cut.
     earlier: Vec<String>,
@@ -583,6 +586,7 @@ impl<W: Wiring> Emulator<W> {
             stalled: false,
             overwritten: Vec::new(),
             absent: Vec::new(),
+            enabled: Enabled::default(),
             flash_refused: 0,
             earlier: Vec::new(),
         })
@@ -627,6 +631,11 @@ impl<W: Wiring> Emulator<W> {
     /// Accessed peripheral addresses that an STM32F411 does not have.
     pub(crate) fn absent(&self) -> &[u64] {
         &self.absent
+    }
+
+    /// Accesses to peripherals that may be lost, because their clocks were enabled just before.
+    pub(crate) fn too_soon(&self) -> &[String] {
+        &self.enabled.gaps
     }
 
     /// Number of stores into the flash that the chip would have refused.
@@ -763,6 +772,7 @@ impl<W: Wiring> Emulator<W> {
         {
             self.absent.push(access.address);
         }
+        self.enabled.accessed(access, host);
         let registers = self.control_and_status();
         let now = access.virtual_time;
         match self.array.settled(access, registers, host) {
@@ -825,6 +835,7 @@ pub(crate) fn settled<W: Wiring>(
 pub(crate) fn restarted<W: Wiring>(session: &mut Session<Emulator<W>>, host: &mut dyn Host) {
     let emulator = session.board_mut();
     emulator.array.cut(host);
+    emulator.enabled.reset();
     emulator.restore_code(host);
     emulator.storing_until = VirtualNanos(0);
     emulator.stalled = false;

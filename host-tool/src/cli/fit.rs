@@ -2,18 +2,20 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use analysis::science::observations::{self, Trials, TrialsError};
 use analysis::science::posterior::{FORMAT, Posterior, SourceRecord};
 use analysis::science::series::Workers;
 use analysis::science::{charts, model_file};
-use calibration::fit::{Fit, Settings, fit as calibrate};
+use calibration::fit::{Fit, Settings, fit_watched};
 use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, bands, checks, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use calibration::verdict::Check as Verdict;
 use clap::Args;
 use client::identity::Origin;
+use indicatif::{ProgressBar, ProgressStyle};
 use locomotion::model::{Model, Setting, Value as Given};
 use operations::failure::Failure;
 use serde_json::{Value, json};
@@ -143,6 +145,19 @@ fn read(args: &FitArgs) -> Result<Read, Failure> {
     })
 }
 
+/// Shows on a terminal that something goes on, and for how long.
+fn waiting(terminal: bool) -> ProgressBar {
+    if !terminal {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new_spinner();
+    if let Ok(style) = ProgressStyle::with_template("  {spinner} {msg}, {elapsed}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
 pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let Read {
         trials,
@@ -173,24 +188,27 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         why: format!("no threads: {error}"),
         help: "use fewer: `--threads 1`".to_owned(),
     })?;
+    let bar = waiting(screen.terminal);
+    let watch = |table| bar.set_message(format!("table {table} of 3 or 4, the last take longest"));
     let (found, bodies, checked) = workers.install(|| -> Result<_, Failure> {
-        let found =
-            calibrate(&base, &observations, &Settings::full(args.seed)).map_err(|error| {
-                Failure::Input {
-                    why: error.to_string(),
-                    help: "`retrograde simulate isolated` shows what the model covers".to_owned(),
-                }
-            })?;
+        let settings = Settings::full(args.seed);
+        let found = fit_watched(&base, &observations, &settings, &watch).map_err(|error| {
+            Failure::Input {
+                why: error.to_string(),
+                help: "`retrograde simulate isolated` shows what the model covers".to_owned(),
+            }
+        })?;
         let bodies = found.draws.thinned(KEPT);
         let checked = checks(&base, &found.conditions, &bodies, args.seed)?;
         Ok((found, bodies, checked))
     })?;
+    bar.finish_and_clear();
     let point = nearest(&bodies);
     let posterior = posterior(args, &trials, origin, &found, &bodies, point);
     say_table(&found, screen);
     say_checks(&checked, screen);
     let (figure, shown) =
-        workers.install(|| figure(&base, &found, &bodies, args.seed, &posterior))?;
+        workers.install(|| figure(&base, &checked, &bodies, args.seed, &posterior))?;
     fs::create_dir_all(&args.out).map_err(|io| Failure::File {
         path: args.out.clone(),
         io,
@@ -484,18 +502,15 @@ fn band(band: &Band) -> Value {
 /// Draws the figure. Returns the bands that it shows.
 fn figure(
     base: &Model,
-    found: &Fit,
+    checked: &[Check],
     bodies: &[Point],
     seed: u64,
     posterior: &Posterior,
 ) -> Result<(String, Vec<Band>), Failure> {
-    let mut kinds: Vec<Kind> = found.conditions.iter().map(|one| one.case.kind).collect();
+    let cases = || checked.iter().map(|one| one.condition.case);
+    let mut kinds: Vec<Kind> = cases().map(|case| case.kind).collect();
     kinds.dedup();
-    let deepest = found
-        .conditions
-        .iter()
-        .map(|one| one.case.indentation_mm)
-        .fold(0.0, f64::max);
+    let deepest = cases().map(|case| case.indentation_mm).fold(0.0, f64::max);
     let greatest_mm = (deepest * 1.1).min(base.design()?.half_gap_mm());
     let case = |kind: Kind, place: usize| Case {
         kind,
@@ -505,11 +520,7 @@ fn figure(
         .flat_map(|kind| (1..=PLACES).map(|place| case(*kind, place)))
         .collect();
     let shown = bands(base, bodies, &cases, FIGURE_STEP_MM, seed)?;
-    let svg = charts::posterior(
-        model_file::fitted_name(posterior),
-        &shown,
-        &found.conditions,
-    )
-    .map_err(Own::from)?;
+    let svg = charts::posterior(model_file::fitted_name(posterior), &shown, checked)
+        .map_err(Own::from)?;
     Ok((svg, shown))
 }

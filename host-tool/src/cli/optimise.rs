@@ -5,8 +5,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use analysis::figures::ModelName;
-use analysis::science::design::{CAPSULE_MM, LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
+use analysis::science::design::{LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
 use analysis::science::optimise::bodies::{Bodies, Care, Per};
+use analysis::science::optimise::bounds::holding_back;
 use analysis::science::optimise::limits::Limits;
 use analysis::science::optimise::search::{self, FREE, Proposal};
 use analysis::science::optimise::{self, DesignRow};
@@ -52,8 +53,15 @@ pub struct OptimiseArgs {
         allow_negative_numbers = true
     )]
     pub most_length_mm: f64,
-    /// Width in mm to which the thread has to fold it; that of a capsule by default.
-    #[arg(long, value_name = "MM", default_value_t = CAPSULE_MM, requires = "optimise", allow_negative_numbers = true)]
+    /// Width in mm to which the thread has to fold it. The wave has to push it back then, so a capsule's 13 mm are too
+    /// narrow for the rig; the default is what 21 mm of thread make of the paper's design.
+    #[arg(
+        long,
+        value_name = "MM",
+        default_value_t = 15.77,
+        requires = "optimise",
+        allow_negative_numbers = true
+    )]
     pub folded_width_mm: f64,
     /// Thread in mm for that, at most.
     #[arg(
@@ -142,7 +150,7 @@ pub(crate) fn optimise(
         indentation_mm: indentation_mm.unwrap_or(PAPER_INDENTATION_MM),
         least_alpha_deg: least_alpha_deg.unwrap_or(LEAST_ALPHA_DEG),
         least_core_ratio: args.least_core_ratio,
-        radius_mm: model.rig()?.radius_mm,
+        folded: model.folded(Some(0.0))?,
     };
     limits.check(design.width_mm())?;
     let per = match args.per {
@@ -162,7 +170,7 @@ pub(crate) fn optimise(
     };
     let needs = limits.needs(&design)?;
     let given = Proposal::given(design, &limits)?;
-    let own = DesignRow::of(name, &given, &limits, needs, &bodies, per)?;
+    let own = DesignRow::of(name, &design, &limits, needs, &bodies, per)?;
     let search = Search {
         limits,
         width_mm: design.width_mm(),
@@ -174,7 +182,9 @@ pub(crate) fn optimise(
     let found = search.run(args.seed, args.tries, &work)?;
     let candidates = work.map(&found, |proposal| {
         let needs = limits.needs(&proposal.design)?;
-        DesignRow::of("front", proposal, &limits, needs, &bodies, per)
+        let mut row = DesignRow::of("front", &proposal.design, &limits, needs, &bodies, per)?;
+        row.at_bound = holding_back(proposal, &limits, &bodies, per)?.join(", ");
+        Ok(row)
     })?;
     let rows = optimise::ranked(candidates, own);
     let which = match posterior {
@@ -386,7 +396,7 @@ fn say(
     let width = band.len();
     work.screen.say(&format!(
         "designs at a = {} mm, folded to {} mm: {origin}\n  \
-         design  alpha/deg  beta/deg   c/W   m  length/mm  thread/mm  folded psi/mm  force/N  displacement/mm  {band}  farther in  at bound",
+         design  alpha/deg  beta/deg   c/W   m  length/mm  thread/mm  folded/mm  psi/mm  force/N  displacement/mm  {band}  farther in  at bound",
         limits.indentation_mm, limits.folded_width_mm
     ));
     for row in rows {
@@ -394,7 +404,7 @@ fn say(
             .beats
             .map_or("-".to_owned(), |share| format!("{:.0} %", 100.0 * share));
         work.screen.say(&format!(
-            "  {:<6} {:>10.2} {:>9.2} {:>5.3} {:>3} {:>10.2} {:>10.2} {:>14.2} {:>8.2} {:>16.2}  {:>width$} {beats:>11}  {}",
+            "  {:<6} {:>10.2} {:>9.2} {:>5.3} {:>3} {:>10.2} {:>10.2} {:>10.1} {:>7.2} {:>8.2} {:>16.2}  {:>width$} {beats:>11}  {}",
             row.design,
             row.alpha_deg,
             row.beta_deg,
@@ -402,6 +412,7 @@ fn say(
             row.crescents,
             row.length_mm,
             row.thread_mm,
+            row.folded_mm,
             row.spacing_mm,
             row.force_n,
             row.displacement_mm,

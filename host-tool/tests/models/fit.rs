@@ -101,6 +101,8 @@ fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
         "origin virtual",
         "antegrade pass / mm",
         "returning pass / mm",
+        "trials, dry: means of ",
+        "bars 95 %, p from 0.",
     ] {
         assert!(svg.contains(says), "{says}");
     }

@@ -1083,6 +1083,11 @@ fn compare_says_how_probable_each_sentence_is() {
         (&1.0.into(), &false.into())
     );
     assert_eq!(sure["prior_low"], Value::Null);
+    assert_eq!(sure["kind"], "arithmetic");
+    assert_eq!(
+        of(&plain, "bend of the two lines nearest to the series")["kind"],
+        "miss"
+    );
 
     let hardly = "greatest share of an antegrade pass, a_1 to a_5";
     let (hooked, slippery) = ([0.15, 40.0, 0.0007, 0.1], [0.15, 1.3, 0.0007, 0.1]);

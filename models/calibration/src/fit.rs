@@ -147,6 +147,19 @@ fn worst(
 /// # Errors
 /// Observations that cannot be used, or that the model does not cover or come near.
 pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> Result<Fit, Unfit> {
+    fit_watched(base, observations, settings, &|_| {})
+}
+
+/// As [`fit`]; tells `watch` which table is begun, from 1 to 3 or 4.
+///
+/// # Errors
+/// As [`fit`].
+pub fn fit_watched(
+    base: &Model,
+    observations: &[Observation],
+    settings: &Settings,
+    watch: &(dyn Fn(usize) + Sync),
+) -> Result<Fit, Unfit> {
     let conditions = conditions(observations)?;
     let (cases, places) = distinct(conditions.iter().map(|condition| condition.case));
     let converged = Predictor::new(base, &cases, CONVERGED_STEP_MM)?;
@@ -160,6 +173,7 @@ pub fn fit(base: &Model, observations: &[Observation], settings: &Settings) -> R
     let mut whole: Option<Table> = None;
     let mut level = 0;
     loop {
+        watch(level + 1);
         let table = Table::new(converged.with_step(step_mm), region, LEVELS[level]);
         if level == 0
             && let Some(mistake) = mistake(&conditions, &places, &table, settings.seed)

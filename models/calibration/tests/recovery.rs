@@ -1,8 +1,10 @@
 //! A fit recovers known bodies as accurately as the trials allow, and claims no more. The whole series with
 //! `RETROGRADE_CAMPAIGN=full`, otherwise a slice.
 
+use std::sync::atomic::{AtomicUsize, Ordering};
+
 use calibration::chance::{stream, unit};
-use calibration::fit::{Fit, Settings, Unfit, fit};
+use calibration::fit::{Fit, Settings, Unfit, fit, fit_watched};
 use calibration::observation::{Kind, Observation, Unusable, conditions};
 use calibration::prediction::Predictor;
 use calibration::prior::{Point, Values, parts};
@@ -188,7 +190,7 @@ fn bodies_are_found_again() {
 }
 
 /// The same seed gives the same bits on any number of threads; another seed gives another posterior of the same
-/// place.
+/// place. Whoever watches hears of each table.
 #[test]
 fn a_seed_is_an_answer() {
     let trials = exact(&passes(&[5.0], 2, 0.2));
@@ -203,7 +205,12 @@ fn a_seed_is_an_answer() {
             ..Effort::FULL
         };
         let settings = Settings { seed, effort };
-        pool.install(|| fit(&Model::ONE, &trials, &settings).expect("a posterior"))
+        let begun = AtomicUsize::new(0);
+        let watch = |table| assert_eq!(begun.fetch_add(1, Ordering::Relaxed) + 1, table);
+        let fit = || fit_watched(&Model::ONE, &trials, &settings, &watch);
+        let fit = pool.install(fit).expect("a posterior");
+        assert!((3..=4).contains(&begun.into_inner()));
+        fit
     };
     let (first, again, other) = (on(1, 5), on(3, 5), on(2, 6));
     assert_eq!(first.draws, again.draws);

@@ -5,14 +5,14 @@
 
 mod condition;
 mod figures;
+mod kind;
 mod odds;
 mod print;
 mod runs;
 mod sentences;
 
-use core::fmt;
-
 pub use condition::Condition;
+pub use kind::Kind;
 pub use odds::{Asked, Odds, Share, Values, odds};
 pub use print::{Bodies, Table};
 
@@ -24,31 +24,17 @@ use crate::roller;
 use figures::{DEEPEST_MM, Figures};
 use sentences::SENTENCES;
 
-/// The value of an agreement between model and sentence as evidence.
+/// Where the model's value of a row comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
     /// The paper's number is an input of the model; the value only shows that.
     Input,
-    /// A parameter was fitted to this sentence: agreement is no evidence.
+    /// A parameter was fitted to this sentence.
     Fitted,
-    /// True of every model of this class: agreement is no evidence.
-    Built,
-    /// Follows from the equations or the models, and could have come out differently.
+    /// Follows from the equations or the models.
     Outcome,
     /// The models have nothing to compare.
     Outside,
-}
-
-impl fmt::Display for Evidence {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Self::Input => "input",
-            Self::Fitted => "fitted",
-            Self::Built => "built in",
-            Self::Outcome => "result",
-            Self::Outside => "outside",
-        })
-    }
 }
 
 /// How a sentence selects the bodies that agree with the words ([`crate::prior::agrees`]).
@@ -82,14 +68,14 @@ pub struct Row {
     /// Whether this sentence selects the bodies that agree with the words. Those bodies then meet it always, or more
     /// often, and that is no evidence.
     pub chosen: Option<Chosen>,
-    /// Value of an agreement as evidence.
+    /// Where the model's value comes from.
     pub evidence: Evidence,
     /// Comment; may be empty.
     pub remark: &'static str,
 }
 
 /// Number of rows.
-pub const ROWS: usize = 90;
+pub const ROWS: usize = 94;
 
 /// Default number of prior draws behind each probability: enough to know a share to 0.07.
 pub const BODIES: u16 = 200;
@@ -211,13 +197,17 @@ fn evaluate(
         paper: sentence.paper,
         model: None,
         unit: sentence.unit,
-        condition: sentence.condition.map(|condition| condition(&figures)),
+        condition: None,
         world: sentence.world,
         chosen: sentence.chosen,
         evidence: sentence.evidence,
         remark: sentence.remark,
     });
     for (row, sentence) in rows.iter_mut().zip(&SENTENCES) {
+        row.condition = sentence
+            .condition
+            .map(|condition| condition(&figures))
+            .transpose()?;
         if asked.wants(row.world, row.condition) {
             row.model = sentence.value.map(|value| value(&figures)).transpose()?;
         }

@@ -56,6 +56,14 @@ impl Params {
             ..self
         })
     }
+
+    /// Width from which on the wave pushes the folded body ahead of itself, mm. It rides over a narrower one, or does
+    /// not touch it.
+    #[must_use]
+    pub fn least_pushed_mm(&self, indentation_mm: f64) -> f64 {
+        let excess_mm = self.radius_mm * (1.0 - 1.0 / libm::hypot(1.0, self.friction));
+        self.intestine_mm - 2.0 * (indentation_mm - excess_mm)
+    }
 }
 
 /// How the wave meets the folded body.

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use capsule_plant::Shunt;
 use client::Device;
 use client::address::Address;
 use client::link::{Link, OpenError};
@@ -263,6 +264,34 @@ fn a_good_capsule_passes_in_one_go() {
     eprintln!("{text}");
     let (code, text) = commission(&workshop, "capsule", &record, &[]);
     assert_eq!((code, begun(&text).len()), (0, 0), "{text}");
+}
+
+/// The amplifier shows both directions, but its shunt lies below the bridge: it sees the pulses only.
+#[test]
+fn a_shunt_below_the_bridge_is_named() {
+    let (_folder, record) = folder();
+    let below = Parameters {
+        shunt: Shunt::Below {
+            filtered_first: true,
+        },
+        sense_offset_mv: 1_650.0,
+        ..Parameters::nominal()
+    };
+    let bench = capsule::start(below).expect("the image boots");
+    let (code, text) = commission(
+        &Workshop::new(Machine::Capsule(bench)),
+        "capsule",
+        &record,
+        &[],
+    );
+    assert_ne!(code, 0, "{text}");
+    assert_eq!(
+        begun(&text).last().map(String::as_str),
+        Some("held"),
+        "{text}"
+    );
+    let flat = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(flat.contains("in series with the motor"), "{text}");
 }
 
 /// Hands that, once told to, leave at the first request.

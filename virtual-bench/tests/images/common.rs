@@ -1,12 +1,14 @@
 //! Helpers shared by the tests on the images.
 #![allow(missing_docs, dead_code, unreachable_pub)]
 
+use client::link::Link;
 use client::{Device, Observer, Unobserved};
 use protocol::{
+    frame::{Header, Kind, encode},
     rig::{LinkLossPolicy, RigFault, Run, RunAccepted, RunOutcome, RunRecord, RunTiming},
     settings::{Setting, SettingKey},
     system::DeviceKind,
-    table::Telemetry,
+    table::{Request, Telemetry},
 };
 use virtual_bench::{
     bench::{Bench, BenchOptions},
@@ -123,6 +125,19 @@ impl RigRun {
     pub fn act(&self, action: Action) {
         let now_ns = self.bench.now_ns();
         self.look(move |rig| rig.act(action, now_ns));
+    }
+
+    /// Puts a request on the line without waiting for its reply. `ahead` tells several of them apart.
+    pub fn send(&self, request: &Request, ahead: u16) {
+        let header = Header {
+            kind: Kind::Request,
+            session: self.device.identity().expect("a session").session,
+            // Ahead of the client's own numbers, but not so far that it would wrap to behind them.
+            seq: 20_000 + ahead,
+        };
+        let frame = encode(header, request).expect("it fits");
+        let mut link = VirtualLink::new(&self.bench, "a second hand on the line");
+        link.send(&frame).expect("the bench runs");
     }
 
     /// Lets time pass while the host keeps the link alive.

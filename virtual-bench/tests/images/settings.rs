@@ -1,18 +1,16 @@
 //! The rig's settings on the image: persistent, checked, and safe against a power cut at every flash operation.
 
 use client::error::ClientError;
-use client::link::Link;
 
 use crate::common::{RigRun, is_made, rig};
 use protocol::{
     error::Refusal,
-    frame::{Header, Kind, encode},
     rig::{RigEvent, RigState},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{DeviceKind, What},
     table::{Endpoint, Request},
 };
-use virtual_bench::{emulator::CutAt, link::VirtualLink};
+use virtual_bench::emulator::CutAt;
 
 fn get(rig: &mut RigRun, key: SettingKey) -> u32 {
     let got = rig.device.call(GetSetting { key }).expect("it answers");
@@ -26,15 +24,7 @@ fn set(rig: &mut RigRun, key: SettingKey, value: u32) -> Result<Setting, ClientE
 
 /// Sends the request and lets it be executed, to its end or to the cut.
 fn begin(rig: &RigRun, request: Request) {
-    let header = Header {
-        kind: Kind::Request,
-        session: rig.device.identity().expect("a session").session,
-        // Ahead of the client's own numbers, but not so far that it would wrap to behind them.
-        seq: 20_000,
-    };
-    let frame = encode(header, &request).expect("it fits");
-    let mut link = VirtualLink::new(&rig.bench, "a second hand on the line");
-    link.send(&frame).expect("the bench runs");
+    rig.send(&request, 0);
     for _ in 0..20 {
         rig.bench.advance_us(50_000).expect("the bench runs");
         let cut = rig.bench.visit(|visit| visit.flash_is_cut());

@@ -5,7 +5,7 @@ use client::error::ClientError;
 
 use crate::common::{
     Dice, LIMIT_NS, Recorder, RigRun, exact, execute, faulted, home_quickly, homed, paper, quick,
-    quickly_homed, rig, start, trials,
+    quickly_homed, rig, rig_from_flash, start, trials,
 };
 use protocol::{
     error::Refusal,
@@ -30,8 +30,13 @@ use virtual_bench::{
     verdicts::Verdict,
 };
 
-/// Access control of the flash (RM0383 section 3.8.1), debug control and freeze registers (section 23.16).
+/// Access control and status of the flash (RM0383 sections 3.8.1, 3.8.4), debug control and freeze registers (section
+/// 23.16).
 const FLASH_ACR: u32 = 0x4002_3C00;
+const FLASH_SR: u32 = 0x4002_3C0C;
+/// Status, and break and dead time of TIM1 (sections 12.4.5, 12.4.18).
+const TIM1_SR: u32 = 0x4001_0010;
+const TIM1_BDTR: u32 = 0x4001_0044;
 /// Speed of the pins (section 8.4.3).
 const GPIOA_OSPEEDR: u32 = 0x4002_0008;
 const GPIOB_OSPEEDR: u32 = 0x4002_0408;
@@ -142,6 +147,54 @@ fn a_press_before_the_first_step_lets_nothing_start() {
         loop_is_latched(&mut rig, &what);
         rig.home();
     }
+}
+
+/// Opens the loop for 2 us at instants around the start of TIM1. Some of them lie behind control's look at the loop, which
+/// accepts the run; control hears of them only when the motion task has let go of the processor. Until then the flag
+/// alone keeps the timer from being armed.
+#[test]
+fn an_opening_just_before_the_start_arms_nothing() {
+    const LOOK_US: u64 = 5;
+    const AROUND_US: u64 = 300;
+    let mut rig = quickly_homed();
+    // Whether TIM1 is armed, and whether it is so although an opening is latched.
+    let look = |rig: &RigRun| {
+        rig.bench.advance_us(LOOK_US).expect("the bench runs");
+        let armed = register(&rig.bench, TIM1_BDTR) >> 15 & 1 == 1;
+        (armed, armed && register(&rig.bench, TIM1_SR) >> 7 & 1 == 1)
+    };
+    let run = quick(1, 2_000, 20_000, 500_000).into_request();
+    rig.device.hello(100).expect("it answers");
+    let sent_ns = rig.bench.now_ns();
+    rig.send(&run, 0);
+    while !look(&rig).0 {}
+    let armed_ns = rig.bench.now_ns() - sent_ns;
+    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    let mut behind_the_look = 0;
+    for trial in 0..30 {
+        rig.device.hello(101 + trial).expect("it answers");
+        let before = rig.device.run_record().expect("a record").run;
+        let at_ns = rig.bench.now_ns() + armed_ns + 30_000 - u64::from(trial) * 5_000;
+        rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 2_000)));
+        rig.send(&run, trial as u16);
+        let quiet_us = armed_ns / 1_000 - AROUND_US;
+        rig.bench.advance_us(quiet_us).expect("the bench runs");
+        let seen: Vec<_> = (0..2 * AROUND_US / LOOK_US).map(|_| look(&rig)).collect();
+        // The pair of registers may be seen in the microsecond between arming and the second look.
+        let open = seen.iter().filter(|(_, open)| *open).count();
+        let open_us = LOOK_US * open as u64;
+        assert!(
+            open <= 1,
+            "trial {trial}: armed for {open_us} us with an opening"
+        );
+        rig.device.hello(201 + trial).expect("it answers");
+        let accepted = rig.device.run_record().expect("a record").run != before;
+        behind_the_look += usize::from(accepted && !seen.iter().any(|(armed, _)| *armed));
+        rig.device.acknowledge().expect("the loop is closed");
+        rig.home();
+    }
+    assert!(behind_the_look > 0, "no opening lay between look and start");
+    rig.check_clean(0);
 }
 
 /// Prepared steps have not left the pin yet. The record of a cut run must count only the steps that did, and give their
@@ -453,6 +506,34 @@ fn nothing_is_stored_while_the_supply_is_low() {
     rig.bench.advance_us(300_000).expect("the bench runs");
     rig.device.hello(2).expect("it answers again");
     assert_eq!(kept(&mut rig).value, 12_000);
+    rig.check_clean(0);
+}
+
+/// The supply falls while a sector is erased. Control has looked before, so only the flash's own look is left.
+#[test]
+fn nothing_is_stored_behind_an_erase_in_which_the_supply_falls() {
+    let (flash, number) = about_to_erase();
+    let rig = rig_from_flash(flash);
+    rig.send(&name(number).into_request(), 0);
+    let operations = || rig.bench.visit(|visit| visit.flash_operations());
+    let is_erasing = || register(&rig.bench, FLASH_SR) >> 16 & 1 == 1;
+    let begins = |_| {
+        rig.bench.advance_us(20_000).expect("the bench runs");
+        is_erasing()
+    };
+    assert!((0..20).any(begins), "no sector is erased");
+    let begun = operations().expect("the bench runs");
+    let supply = |mv| rig.bench.visit(move |visit| visit.set_supply_mv(mv));
+    supply(2_760).expect("the bench runs");
+    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    assert!(!is_erasing());
+    assert_eq!(
+        operations().expect("the bench runs"),
+        begun,
+        "{}",
+        rig.log()
+    );
+    supply(3_300).expect("the bench runs");
     rig.check_clean(0);
 }
 

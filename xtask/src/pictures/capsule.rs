@@ -150,7 +150,12 @@ fn sensors(picture: &mut Picture) {
         "name",
         "switch of 3.3 V",
     );
-    picture.text((PARTS + 12, y + 13), Anchor::Start, "note", "high = on");
+    picture.text(
+        (PARTS + 12, y + 13),
+        Anchor::Start,
+        "note",
+        "high = on; fed from CN7-16",
+    );
     picture.line(
         &[
             (PARTS + 200, y),

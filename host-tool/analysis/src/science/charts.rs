@@ -4,7 +4,7 @@
 pub mod trial_plan;
 
 use calibration::observation::{Condition, Lubrication};
-use calibration::predictive::{Band, Span};
+use calibration::predictive::{Band, Check, Span};
 use locomotion::beam::Validation;
 use plotters::style::RGBColor;
 
@@ -424,14 +424,15 @@ pub fn crescent(
     )
 }
 
-/// Predictions of a posterior over the indentation, one chart for each kind of displacement, with the measurements.
+/// Predictions of a posterior over the indentation, one chart for each kind of displacement, with the measurements: their
+/// means with 95 % of their stated errors, the number of repeats, and the least probable of them.
 ///
 /// # Errors
 /// If the drawing library fails.
 pub fn posterior(
     model: ModelName,
     bands: &[Band],
-    conditions: &[Condition],
+    checks: &[Check],
 ) -> Result<String, FigureError> {
     let of_kind = |bands: &[Band]| {
         let kind = bands[0].case.kind;
@@ -446,13 +447,6 @@ pub fn posterior(
         let medians = bands
             .iter()
             .map(|band| (band.case.indentation_mm, band.model_mm.median));
-        let dots = |lubrication: Lubrication| {
-            let of = conditions
-                .iter()
-                .filter(move |one| one.case.kind == kind && one.lubrication == lubrication);
-            of.map(|one| (one.case.indentation_mm, one.mean_mm))
-                .collect::<Vec<_>>()
-        };
         let mut curves = vec![
             curve(
                 "posterior, 5 to 95 %, with discrepancy",
@@ -470,11 +464,30 @@ pub fn posterior(
         ];
         for (lubrication, colour) in [(Lubrication::Dry, PAPER), (Lubrication::Lubricated, SECOND)]
         {
-            let dots = dots(lubrication);
-            if !dots.is_empty() {
-                let label = format!("trials, {lubrication}: means");
-                curves.push(curve(&label, colour, Mark::Dots(9), dots));
-            }
+            let of = |one: &&Check| {
+                one.condition.case.kind == kind && one.condition.lubrication == lubrication
+            };
+            let checks: Vec<_> = checks.iter().filter(of).collect();
+            let repeats = checks.iter().map(|one| one.condition.repeats);
+            let (Some(least), Some(most)) = (repeats.clone().min(), repeats.max()) else {
+                continue;
+            };
+            let number = match least == most {
+                true => least.to_string(),
+                false => format!("{least} to {most}"),
+            };
+            let p = checks.iter().map(|one| one.p_mean).fold(1.0, f64::min);
+            let label =
+                format!("trials, {lubrication}: means of {number}, bars 95 %, p from {p:.2}");
+            let at = |one: &Condition, deviations: f64| {
+                let mm = one.mean_mm + deviations * one.uncertainty_mm;
+                (one.case.indentation_mm, mm)
+            };
+            let means = checks.iter().map(|one| at(&one.condition, 0.0));
+            let ends = |one: &&Check| [-1.96, 1.96].map(|part| at(&one.condition, part));
+            curves.push(curve(&label, colour, Mark::Dots(7), means.collect()));
+            let bars = checks.iter().flat_map(ends).collect();
+            curves.push(curve("", colour, Mark::Segments(2), bars));
         }
         chart(
             "peristaltic indentation / mm",

@@ -1,7 +1,7 @@
 //! How probable it is that each of the paper's sentences is met: the bodies to evaluate, and the results as rows.
 
 use locomotion::comparison::{
-    Asked, Bodies, Chosen, Odds, ROWS, Row, Share, Sheet, Table, Values, odds,
+    Asked, Bodies, Chosen, Kind, Odds, ROWS, Row, Share, Sheet, Table, Values, odds,
 };
 use locomotion::model::Model;
 use locomotion::prior::{Words, agreeing, draws};
@@ -159,8 +159,8 @@ pub struct Judged {
     pub posterior_high: Option<f64>,
     /// Number of bodies evaluated.
     pub posterior_bodies: Option<usize>,
-    /// Value of an agreement as evidence.
-    pub worth: String,
+    /// Kind of the row: what its agreement is worth.
+    pub kind: String,
     /// Comment.
     pub remark: &'static str,
 }
@@ -212,7 +212,7 @@ impl Judged {
             posterior_low: posterior.1,
             posterior_high: posterior.2,
             posterior_bodies: posterior.3,
-            worth: row.evidence.to_string(),
+            kind: Kind::of(row, odds).to_string(),
             remark: row.remark,
         }
     }

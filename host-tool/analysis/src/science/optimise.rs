@@ -1,6 +1,7 @@
 //! Inverse design: which designs within limits move farthest for their length, and how certain that is.
 //!
 //! * [`limits`]: limits on a design, and the values of a design that they apply to.
+//! * [`bounds`]: the limits that hold a design back.
 //! * [`bodies`]: displacement of a design over all possible bodies and over places.
 //! * [`search`]: proposals from a seed, and the Pareto front of several designs.
 //!
@@ -8,15 +9,16 @@
 //! share of bodies with which one beats another says how certain that ranking is.
 
 pub mod bodies;
+pub mod bounds;
 pub mod limits;
 pub mod search;
 
+use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
 use serde::Serialize;
 
 use crate::science::optimise::bodies::{Bodies, Care, Per};
 use crate::science::optimise::limits::{Limits, Needs};
-use crate::science::optimise::search::Proposal;
 
 /// A design with its requirements and its displacement.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -35,6 +37,8 @@ pub struct DesignRow {
     pub length_mm: f64,
     /// Thread that folds it to the required width, mm.
     pub thread_mm: f64,
+    /// Displacement of the folded body in a run, mm, + headward: the way back.
+    pub folded_mm: f64,
     /// Smaller of the distances psi between crescents, folded and under the wave, mm.
     pub spacing_mm: f64,
     /// Force of the wave on one wing, N, by the beam model.
@@ -55,7 +59,7 @@ pub struct DesignRow {
     pub dominated_by: usize,
     /// Limits that it breaks; empty for every design of the front.
     pub breaks: String,
-    /// Bounds of the search on which it lies: there the bound decides, not the model.
+    /// Limits without which it would go farther: there the limit decides, not the model. Empty for the compared design.
     pub at_bound: String,
     /// Displacement with each body, in their order.
     #[serde(skip)]
@@ -69,13 +73,12 @@ impl DesignRow {
     /// A design that the model does not cover.
     pub fn of(
         name: &'static str,
-        proposal: &Proposal,
+        design: &Design<f64>,
         limits: &Limits,
         needs: Needs,
         bodies: &Bodies,
         per: Per,
     ) -> Result<Self, OutOfRange> {
-        let design = &proposal.design;
         let each_mm = bodies.displacements_mm(design, limits.indentation_mm, per, Care::Listed)?;
         let mut sorted = each_mm.clone();
         let band = locomotion::prior::Band::of(&mut sorted);
@@ -88,6 +91,7 @@ impl DesignRow {
             crescents: design.crescents(),
             length_mm: needs.length_mm,
             thread_mm: needs.thread_mm,
+            folded_mm: needs.folded_mm,
             spacing_mm: needs.spacing_mm,
             force_n: needs.force_n,
             displacement_mm: mean(&each_mm),
@@ -98,7 +102,7 @@ impl DesignRow {
             beats: None,
             dominated_by: 0,
             breaks: limits.broken(design, &needs).join(", "),
-            at_bound: proposal.at_bound.join(", "),
+            at_bound: String::new(),
             each_mm,
         })
     }

@@ -104,11 +104,16 @@ impl<'a> Figures<'a> {
         self.other(self.body().tan_beta(), crescents)
     }
 
-    /// The body at beta = 45 deg, with the number of crescents that comes nearest to the length of the core.
-    pub(super) fn steep(&self) -> Result<Design<f64>, OutOfRange> {
-        let one = self.other(1.0, 1)?;
-        let as_long = libm::round(self.body().core_length_mm(0.0)? / one.spacing_mm());
-        self.other(1.0, as_long.clamp(1.0, 32.0) as u8)
+    /// The body at beta = 45 deg.
+    pub(super) fn steep(&self, crescents: u8) -> Result<Design<f64>, OutOfRange> {
+        self.other(1.0, crescents)
+    }
+
+    /// The same with the number of crescents that comes nearest to the length of the core.
+    pub(super) fn as_long(&self) -> Result<Design<f64>, OutOfRange> {
+        let spacing_mm = self.steep(1)?.spacing_mm();
+        let as_long = libm::round(self.body().core_length_mm(0.0)? / spacing_mm);
+        self.steep(as_long.clamp(1.0, 32.0) as u8)
     }
 
     /// Displacement of another design on the rig, at the deepest indentation.

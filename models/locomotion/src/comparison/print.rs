@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-use crate::comparison::{Chosen, Evidence, Odds, ROWS, Row, Share};
+use crate::comparison::{Chosen, Evidence, Kind, Odds, ROWS, Row, Share};
 use crate::prior;
 
 /// All rows with their odds, printed as a Markdown table.
@@ -40,14 +40,14 @@ impl fmt::Display for Table<'_> {
         let fitted = posterior > 0;
         write!(
             f,
-            "| section | the paper says | quantity | paper | condition | model | unit | prior: {prior} bodies, seed {} | \
+            "| section | the paper says | it asks | of | paper | model | unit | prior: {prior} bodies, seed {} | \
              words: {rig} bodies on the rig, {tube} in the tube ",
             prior::SEED
         )?;
         if fitted {
             write!(f, "| posterior: {posterior} bodies ")?;
         }
-        writeln!(f, "| worth | remark |")?;
+        writeln!(f, "| kind | remark |")?;
         writeln!(
             f,
             "|---|---|---|---|---|---|---|---|---|---|---|{}",
@@ -56,7 +56,19 @@ impl fmt::Display for Table<'_> {
         for (row, odds) in self.rows.iter().zip(self.odds) {
             line(f, row, odds, fitted)?;
         }
-        Ok(())
+        let kinds = || {
+            self.rows
+                .iter()
+                .zip(self.odds)
+                .map(|(row, odds)| Kind::of(row, odds))
+        };
+        let judged = kinds().filter(|kind| Kind::JUDGED.contains(kind)).count();
+        write!(f, "\nOf {judged} rows with a condition:")?;
+        for (place, kind) in Kind::JUDGED.into_iter().enumerate() {
+            let count = kinds().filter(|of| *of == kind).count();
+            write!(f, "{} {count} {kind}", if place == 0 { "" } else { "," })?;
+        }
+        writeln!(f, ".")
     }
 }
 
@@ -71,11 +83,12 @@ fn line(f: &mut fmt::Formatter<'_>, row: &Row, odds: &Odds, fitted: bool) -> fmt
         remark,
         ..
     } = row;
-    write!(f, "| {section} | {sentence} | {quantity} | {paper} | ")?;
+    write!(f, "| {section} | {sentence} | ")?;
     match row.condition {
-        Some(condition) => write!(f, "{condition} | ")?,
-        None => write!(f, "- | ")?,
+        Some(condition) => write!(f, "{condition}")?,
+        None => write!(f, "-")?,
     }
+    write!(f, " | {quantity} | {paper} | ")?;
     match row.model {
         // Adding zero turns -0 into 0.
         Some(value) => write!(f, "{}", Rounded(value + 0.0, *evidence))?,
@@ -107,7 +120,7 @@ fn line(f: &mut fmt::Formatter<'_>, row: &Row, odds: &Odds, fitted: bool) -> fmt
             }
         }
     }
-    writeln!(f, " | {evidence} | {remark} |")
+    writeln!(f, " | {} | {remark} |", Kind::of(row, odds))
 }
 
 /// A share and its interval, or a dash.

@@ -125,6 +125,16 @@ impl TubeRuns {
         (mm[to] - mm[from]) / ((to - from) as f64 * 0.4)
     }
 
+    /// Pressure at which the polyline of two parts that lies nearest to the series bends, Pa.
+    pub(super) fn bend_pa(&self) -> f64 {
+        let mm = self.pressure_mm();
+        let mut points = [(0.0, 0.0); 11];
+        for (point, of) in points.iter_mut().zip(pressures_pa().zip(mm)) {
+            *point = of;
+        }
+        trend::bend(&points)
+    }
+
     /// The slope above 5800 Pa over the one below. Infinite if only the upper one rises, NaN if neither does.
     pub(super) fn faster(&self) -> f64 {
         let (below, above) = (self.slope_per_kpa(0, 7), self.slope_per_kpa(7, 10));

@@ -1,8 +1,9 @@
-//! Limits on a design: length, thread to fold it, room for the folded sides, force, the least alpha and the least
-//! core.
+//! Limits on a design: length, thread to fold it, the way back of the folded body, room for the folded sides, force, the
+//! least alpha and the least core.
 
 use locomotion::beam::NoAnswer;
 use locomotion::beam::crescent::{Shape, Wing};
+use locomotion::folded;
 use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange, check};
 
@@ -19,7 +20,7 @@ const PRINTED_DEG: f64 = 0.005;
 pub struct Limits {
     /// Greatest overall length at rest, mm.
     pub length_mm: f64,
-    /// Width to which the thread has to fold it, mm.
+    /// Width to which the thread has to fold it, mm: the wave has to push it back then.
     pub folded_width_mm: f64,
     /// Greatest length of thread for that, mm.
     pub thread_mm: f64,
@@ -33,8 +34,8 @@ pub struct Limits {
     pub least_alpha_deg: f64,
     /// Least c/W: no model here predicts when a core bends.
     pub least_core_ratio: f64,
-    /// Radius of the roller that makes the wave, mm.
-    pub radius_mm: f64,
+    /// The rig and its intestine for the folded body; its width and length are those of the design.
+    pub folded: folded::Params,
 }
 
 /// The values of a design that the limits apply to.
@@ -44,6 +45,9 @@ pub struct Needs {
     pub length_mm: f64,
     /// Thread that folds it to the required width, mm; NaN if its core is wider.
     pub thread_mm: f64,
+    /// Displacement of the folded body in a run, mm, + headward; NaN if its core is wider, or it does not fit into the
+    /// rig.
+    pub folded_mm: f64,
     /// Smaller of the distances psi between crescents, folded and under the wave, mm; NaN if its core is wider.
     pub spacing_mm: f64,
     /// Force of the wave on one wing without friction, N; NaN if the beam model has no answer.
@@ -60,6 +64,13 @@ impl Limits {
             check(quantity, unit, value, range, Ends::OpenBelow, because)
         };
         over(
+            "indentation a",
+            "mm",
+            self.indentation_mm,
+            (0.0, width_mm / 2.0),
+            "without a wave nothing moves, and the wall cannot pass the axis",
+        )?;
+        over(
             "longest structure",
             "mm",
             self.length_mm,
@@ -70,8 +81,8 @@ impl Limits {
             "folded width",
             "mm",
             self.folded_width_mm,
-            (0.0, width_mm),
-            "folded it is narrower than unfolded",
+            (self.folded.least_pushed_mm(self.indentation_mm), width_mm),
+            "the wave does not push a narrower one back, and folded it is narrower than unfolded",
         )?;
         over(
             "longest thread",
@@ -93,13 +104,6 @@ impl Limits {
             self.force_n,
             (0.0, 1000.0),
             "a wave presses on the wings",
-        )?;
-        over(
-            "indentation a",
-            "mm",
-            self.indentation_mm,
-            (0.0, width_mm / 2.0),
-            "without a wave nothing moves, and the wall cannot pass the axis",
         )?;
         over(
             "least alpha",
@@ -124,15 +128,21 @@ impl Limits {
     pub fn needs(&self, design: &Design<f64>) -> Result<Needs, OutOfRange> {
         let drawn_mm = (design.width_mm() - self.folded_width_mm) / 2.0;
         let squeezed_mm = drawn_mm.max(self.indentation_mm);
-        let (thread_mm, spacing_mm) = if squeezed_mm <= design.half_gap_mm() {
-            let spacing_mm = design.squeezed_spacing_mm(squeezed_mm)?;
-            (design.shortening_mm(drawn_mm)?, spacing_mm)
-        } else {
-            (f64::NAN, f64::NAN)
-        };
+        let (mut thread_mm, mut folded_mm, mut spacing_mm) = (f64::NAN, f64::NAN, f64::NAN);
+        if squeezed_mm <= design.half_gap_mm() {
+            spacing_mm = design.squeezed_spacing_mm(squeezed_mm)?;
+            thread_mm = design.shortening_mm(drawn_mm)?;
+            let folded = folded::Params {
+                width_mm: self.folded_width_mm,
+                length_mm: design.length_mm(drawn_mm)?,
+                ..self.folded
+            };
+            folded_mm = folded::run(folded, self.indentation_mm).unwrap_or(f64::NAN);
+        }
         Ok(Needs {
             length_mm: design.length_mm(0.0)?,
             thread_mm,
+            folded_mm,
             spacing_mm,
             force_n: self.force_n(design).unwrap_or(f64::NAN),
         })
@@ -144,7 +154,7 @@ impl Limits {
             ..Wing::PAPER
         };
         let shape = Shape::Roller {
-            radius_mm: self.radius_mm,
+            radius_mm: self.folded.radius_mm,
             behind_mm: 0.0,
         };
         let squeezed = wing.squeezed(0.0, self.indentation_mm, shape, 0.0)?;
@@ -160,7 +170,7 @@ impl Limits {
         let kept = |value: f64, most: f64| value <= most;
         [
             ("most-length-mm", kept(needs.length_mm, self.length_mm)),
-            ("folded-width-mm", !needs.thread_mm.is_nan()),
+            ("folded-width-mm", needs.folded_mm < 0.0),
             (
                 "most-thread-mm",
                 needs.thread_mm.is_nan() || kept(needs.thread_mm, self.thread_mm),

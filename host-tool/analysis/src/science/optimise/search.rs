@@ -23,8 +23,6 @@ pub struct Proposal {
     pub unit: [f64; FREE],
     /// The design.
     pub design: Design<f64>,
-    /// Bounds on which it lies.
-    pub at_bound: Vec<&'static str>,
 }
 
 impl Proposal {
@@ -33,34 +31,30 @@ impl Proposal {
     /// # Errors
     /// An invalid width.
     pub fn new(unit: [f64; FREE], width_mm: f64, limits: &Limits) -> Result<Self, OutOfRange> {
-        let between = |part: f64, low: f64, high: f64| low + part * (high - low);
-        let alpha_deg = between(unit[0], limits.least_alpha_deg, MOST_ALPHA_DEG);
-        let beta_deg = between(unit[1], alpha_deg + LEAST_BETWEEN_DEG, MOST_BETA_DEG);
-        let ratio = between(unit[2], limits.least_core_ratio, MOST_CORE_RATIO);
-        let of =
-            |crescents| Design::new(width_mm, ratio * width_mm, alpha_deg, beta_deg, crescents);
-        let most = most_crescents(&of(1)?, limits)?;
+        let most = most_crescents(&placed(unit, 1, width_mm, limits)?, limits)?;
         let crescents = 1.0 + (unit[3] * most).floor().min(most - 1.0);
-        let names = [
-            ("least alpha", "largest alpha"),
-            ("least beta", "largest beta"),
-            ("least core", "largest core"),
-            ("", ""), // the number of crescents is bounded by the length, not by the search
-        ];
-        let at_bound = unit.iter().zip(names).filter_map(|(part, (low, high))| {
-            let name = match *part {
-                part if part <= 0.002 => low,
-                part if part >= 0.998 => high,
-                _ => "",
-            };
-            (!name.is_empty()).then_some(name)
-        });
         Ok(Self {
             unit,
-            design: of(crescents as u8)?,
-            at_bound: at_bound.collect(),
+            design: placed(unit, crescents as u8, width_mm, limits)?,
         })
     }
+}
+
+/// The design at a position between the bounds, with another number of crescents.
+///
+/// # Errors
+/// An invalid width.
+pub fn placed(
+    unit: [f64; FREE],
+    crescents: u8,
+    width_mm: f64,
+    limits: &Limits,
+) -> Result<Design<f64>, OutOfRange> {
+    let between = |part: f64, low: f64, high: f64| low + part * (high - low);
+    let alpha_deg = between(unit[0], limits.least_alpha_deg, MOST_ALPHA_DEG);
+    let beta_deg = between(unit[1], alpha_deg + LEAST_BETWEEN_DEG, MOST_BETA_DEG);
+    let ratio = between(unit[2], limits.least_core_ratio, MOST_CORE_RATIO);
+    Design::new(width_mm, ratio * width_mm, alpha_deg, beta_deg, crescents)
 }
 
 impl Proposal {
@@ -82,7 +76,6 @@ impl Proposal {
                 part(f64::from(design.crescents()) - 0.5, 0.0, most),
             ],
             design,
-            at_bound: vec![],
         })
     }
 }
