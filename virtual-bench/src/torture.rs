@@ -28,6 +28,8 @@ use crate::plants::capsule::Defect;
 use crate::plants::rig::Action;
 use scenario::{Dice, Happening};
 
+/// Scenarios that are tried to shorten one.
+const ATTEMPTS: usize = 150;
 /// Distinguishes the dice of a scenario from those of the machine in it.
 const OF_MACHINE: u64 = 0x00AC_1DE5;
 
@@ -84,7 +86,9 @@ pub enum Restart {
     Pin,
     /// Its supply.
     Power,
-    /// A task, the processor or the clock failed, and the firmware has to wait for an acknowledgement.
+    /// Its clock stopped, or came back.
+    Clock,
+    /// A task or the processor failed, and the firmware has to wait for an acknowledgement.
     Fault,
 }
 
@@ -230,8 +234,8 @@ pub struct Tally {
     pub answers: [u64; 3],
     /// Confirmed stops.
     pub stops: u64,
-    /// Restarts: by the pin, by the supply, by a fault.
-    pub restarts: [u64; 3],
+    /// Restarts: by the pin, by the supply, by the clock, by a fault.
+    pub restarts: [u64; 4],
     /// Settings compared after a restart.
     pub settings: u64,
     /// Step edges judged, and looks at a driven bridge.
@@ -260,13 +264,13 @@ impl std::fmt::Display for Tally {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let [rigs, capsules] = self.scenarios;
         let [done, refused, unknown] = self.answers;
-        let [pin, power, fault] = self.restarts;
+        let [pin, power, clock, fault] = self.restarts;
         let [edges, driven] = self.judged;
         write!(
             f,
             "{rigs} scenarios of the rig, {capsules} of the capsule, {} happenings in {:.1} virtual minutes: {done} \
              requests carried out, {refused} refused, {unknown} of unknown outcome, {} stops confirmed; {pin} resets, \
-             {power} cuts of the supply, {fault} restarts by a fault, {} settings compared after them; {edges} step \
+             {power} cuts of the supply, {clock} restarts by the clock, {fault} by a fault, {} settings compared after them; {edges} step \
              edges and {driven} looks at a driven bridge judged",
             self.happenings,
             self.virtual_ns as f64 / 60e9,
@@ -312,7 +316,11 @@ fn attempt<M: Victim>(seed: u64, some: &[Happening]) -> Result<trial::Ended, Ben
 fn shorten(failure: &mut Failure) {
     let (all, once) = of(failure.seed);
     let rule = rule_of(&failure.what);
+    let mut attempts = 0..ATTEMPTS;
     failure.needs = shrunk(&all, |some| {
+        if attempts.next().is_none() {
+            return false;
+        }
         let broken = once(failure.seed, some).ok().and_then(Result::err);
         broken.is_some_and(|(what, _)| rule_of(&what) == rule)
     });

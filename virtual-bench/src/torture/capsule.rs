@@ -198,7 +198,7 @@ impl Victim for Judge {
     fn restarted(&mut self, how: Restart) {
         self.allowed = false;
         self.armed = match how {
-            Restart::Pin => self.armed,
+            Restart::Pin | Restart::Clock => self.armed,
             Restart::Power => true,
             Restart::Fault => false,
         };

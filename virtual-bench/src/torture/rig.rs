@@ -343,7 +343,7 @@ impl Victim for Judge {
         self.restarts += 1;
         self.forget();
         self.armed = match how {
-            Restart::Pin => self.armed,
+            Restart::Pin | Restart::Clock => self.armed,
             Restart::Power => true,
             Restart::Fault => false,
         };

@@ -20,7 +20,7 @@ use crate::sabotage::Misbehaviour;
 use crate::serial::ByteFault;
 
 /// Happenings of a scenario.
-const LENGTH: usize = 36;
+const LENGTH: usize = 44;
 /// Longest stroke of the rig, um.
 const STROKE_UM: u64 = 130_000;
 /// The folded end of a nominal capsule, mm of travel: where its jams and snaps are drawn from.
@@ -106,9 +106,16 @@ pub fn rig(dice: &mut Dice) -> Vec<Happening> {
     }
     while all.len() < LENGTH {
         let happening = match dice.roll(0..40) {
-            0..20 => Happening::Ask(rig_request(dice)),
-            20..23 => Happening::Press,
-            23..33 => {
+            0..16 => {
+                let request = rig_request(dice);
+                // A run begins at 0.
+                if matches!(request, Request::Run(_)) && dice.roll(0..2) == 0 {
+                    prepare(&mut all, Request::Home(Home), 3_000_000);
+                }
+                Happening::Ask(request)
+            }
+            16..18 => Happening::Press,
+            18..26 => {
                 let (when, fault, cure) = rig_fault(dice);
                 let cured = cure.filter(|_| dice.roll(0..4) > 0);
                 all.push(Happening::Rig(when, fault));
@@ -120,7 +127,7 @@ pub fn rig(dice: &mut Dice) -> Vec<Happening> {
                     None => continue,
                 }
             }
-            33 => Happening::Clock(dice.roll(1_000..2_000_000)),
+            26 => Happening::Clock(dice.roll(1_000..2_000_000)),
             _ => common(dice, &RIG_SETTINGS),
         };
         all.push(happening);
@@ -140,8 +147,13 @@ pub fn capsule(dice: &mut Dice) -> Vec<Happening> {
     let mut all = vec![Happening::Ask(first), Happening::Wait(9_000_000)];
     while all.len() < LENGTH {
         let happening = match dice.roll(0..40) {
-            0..22 => Happening::Ask(capsule_request(dice)),
-            22..27 => {
+            0..18 => {
+                if dice.roll(0..4) == 0 {
+                    prepare(&mut all, Request::Reference(Reference), 5_000_000);
+                }
+                Happening::Ask(capsule_request(dice))
+            }
+            18..23 => {
                 let kind = dice.pick(&Kind::ALL);
                 let course = kind.course(dice.roll(0..1 << 40), FOLDED_MM);
                 let planned = course.planned.map(|(_, defect)| defect);
@@ -150,13 +162,20 @@ pub fn capsule(dice: &mut Dice) -> Vec<Happening> {
                 all.extend(defects.map(|defect| Happening::Capsule(after_ns, defect)));
                 continue;
             }
-            27..29 => Happening::Capsule(0, Defect::Battery(dice.roll(2_300..4_200) as f64)),
+            23 => Happening::Capsule(0, Defect::Battery(dice.roll(2_300..4_200) as f64)),
             _ => common(dice, &CAPSULE_SETTINGS),
         };
         all.push(happening);
         all.push(Happening::Wait(dice.roll(20_000..3_000_000)));
     }
     all
+}
+
+/// Acknowledges whatever was, and lets the machine find its position.
+fn prepare(all: &mut Vec<Happening>, find: Request, us: u64) {
+    all.push(Happening::Ask(Request::Acknowledge(Acknowledge)));
+    all.push(Happening::Ask(find));
+    all.push(Happening::Wait(us));
 }
 
 /// Settings that a scenario changes, with what the rules allow them: none that gives positions another meaning, or
@@ -193,27 +212,27 @@ fn setting(dice: &mut Dice, settings: &[(SettingKey, Range<u64>)]) -> Setting {
 
 /// What happens to either machine.
 fn common(dice: &mut Dice, settings: &[(SettingKey, Range<u64>)]) -> Happening {
-    match dice.roll(0..32) {
-        0..5 => Happening::Ask(Request::SetSetting(setting(dice, settings))),
-        5 => Happening::Ask(Request::FactoryReset(FactoryReset)),
-        6..9 => Happening::Stop(dice.pick(&[Urgent::Stop, Urgent::Stop, Urgent::EStop])),
-        9 => Happening::Hello,
-        10..12 => Happening::Silence(dice.roll(10_000..6_000_000)),
-        12..15 => Happening::Again(dice.number(1..4)),
-        15..17 => Happening::Twice(dice.number(1..8)),
-        17 => {
+    match dice.roll(0..38) {
+        0..4 => Happening::Ask(Request::SetSetting(setting(dice, settings))),
+        4 => Happening::Ask(Request::FactoryReset(FactoryReset)),
+        5..13 => Happening::Stop(dice.pick(&[Urgent::Stop, Urgent::Stop, Urgent::EStop])),
+        13 => Happening::Hello,
+        14..17 => Happening::Silence(dice.roll(10_000..6_000_000)),
+        17..21 => Happening::Again(dice.number(1..4)),
+        21..23 => Happening::Twice(dice.number(1..8)),
+        23 => {
             let length = dice.roll(1..300);
             Happening::Noise((0..length).map(|_| dice.roll(0..256) as u8).collect())
         }
-        18..22 => Happening::Bytes(bytes(dice)),
-        22..24 => Happening::Reset,
-        24..26 => Happening::PowerCut(dice.roll(1_000..5_000_000)),
-        26..28 => {
+        24..28 => Happening::Bytes(bytes(dice)),
+        28..30 => Happening::Reset,
+        30..32 => Happening::PowerCut(dice.roll(1_000..5_000_000)),
+        32..34 => {
             let at = dice.pick(&[CutAt::Before, CutAt::Within, CutAt::After]);
             Happening::CutStore(setting(dice, settings), at, dice.roll(0..12))
         }
-        28 => Happening::HoldUp(dice.roll(10..6_000)),
-        29 => Happening::Ask(Request::SetTelemetry(SetTelemetry {
+        34 => Happening::HoldUp(dice.roll(10..6_000)),
+        35 => Happening::Ask(Request::SetTelemetry(SetTelemetry {
             period_ms: dice.number(0..1_100) as u16,
         })),
         _ => Happening::Task(

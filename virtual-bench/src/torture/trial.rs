@@ -167,11 +167,13 @@ impl<M: Victim> Trial<M> {
         let now_ns = self.now_ns();
         let bus = self.bench.bus()?;
         for (at_ns, cause) in bus.resets.iter().skip(self.resets) {
-            let clock = self.powered_ns + at_ns < self.clock_ns;
-            if self.sabotaged_ns.take().is_none() && !clock {
+            if self.sabotaged_ns.take().is_some() {
+                self.restarted(Restart::Fault);
+            } else if self.powered_ns + at_ns < self.clock_ns {
+                self.restarted(Restart::Clock);
+            } else {
                 return Err(format!("a reset that nobody asked for: {cause}").into());
             }
-            self.restarted(Restart::Fault);
         }
         self.resets = bus.resets.len();
         let nowhere = format!("{NOWHERE:x}");
@@ -324,6 +326,7 @@ impl<M: Victim> Trial<M> {
     fn cut_power(&mut self, off_us: u64) -> Result<(), End> {
         self.see()?;
         self.bench.power_cycle(off_us)?;
+        self.judge.see(&self.bench)??;
         (self.resets, self.sabotaged_ns, self.clock_ns) = (0, None, 0);
         self.powered_ns = self.now_ns();
         self.restarted(Restart::Power);
@@ -354,6 +357,7 @@ impl<M: Victim> Trial<M> {
             Happening::Bytes(faults) => self.garble(faults)?,
             Happening::Reset => {
                 self.bench.reset()?;
+                self.judge.see(&self.bench)??;
                 self.resets = self.bench.bus()?.resets.len();
                 self.sabotaged_ns = None;
                 self.restarted(Restart::Pin);
