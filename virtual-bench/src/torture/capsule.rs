@@ -63,6 +63,8 @@ pub struct Judge {
     awake_ns: u64,
     /// What the capsule counts or measures may be wrong: nobody knows where its zero is.
     is_blind: bool,
+    /// Something hard may have been put where the fold already was: then the plant's force means nothing.
+    is_blocked: bool,
     looks: u64,
 }
 
@@ -88,7 +90,7 @@ impl Judge {
         if look.least_mm < 0.0 && !self.is_blind {
             return Err(format!("paid out past zero: {} mm", look.least_mm));
         }
-        if look.peak_n > MOST_N && !self.is_blind {
+        if look.peak_n > MOST_N && !self.is_blind && !self.is_blocked {
             return Err(format!("the thread was pulled with {} N", look.peak_n));
         }
         if look.flash_moving > 0 {
@@ -213,6 +215,7 @@ impl Victim for Judge {
     }
 
     fn suffers(&mut self, defect: &Defect) {
+        self.is_blocked |= matches!(defect, Defect::Jam(_) | Defect::Obstacle { .. });
         self.is_blind |= matches!(
             defect,
             Defect::ChannelA
@@ -230,7 +233,7 @@ impl Victim for Judge {
     }
 
     fn cure(&mut self, bench: &Bench<CapsuleBoard>) -> Result<(), BenchError> {
-        self.is_blind = false;
+        (self.is_blind, self.is_blocked) = (false, false);
         bench.visit(|visit| visit.board().capsule.exchange(Parameters::nominal()))
     }
 
