@@ -33,6 +33,22 @@ mod homing {
         rig
     }
 
+    /// A noisy flag may be found and closed again; with an open far limit there is no way away from it.
+    #[test]
+    fn does_not_leave_the_flag_toward_an_open_far_limit() {
+        let mut machine = Machine::new(SETTINGS, None, IMAGE_HASH);
+        machine.step(&now(1, 0, CLOSED), Event::Command(&Command::Home));
+        machine.step(&now(2, 0, CLOSED), flag_edge(true, -50));
+        machine.step(&now(3, 0, CLOSED), flag_edge(false, -55));
+        let far_open = RigInputs {
+            far_limit: true,
+            ..CLOSED
+        };
+        let at_rest = now(4, -60, far_open);
+        machine.step(&at_rest, path_ended(PathEnd::Stopped, -60, -60));
+        assert_eq!(machine.fault(), Some(RigFault::FarLimit));
+    }
+
     #[test]
     fn finds_zero_from_everywhere() {
         for place in [-1_000, 0, 799, 800, 801, 2_000, 50_000, 104_000] {

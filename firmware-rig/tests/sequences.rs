@@ -37,11 +37,11 @@ fn move_to(dice: &mut Dice, settings: &Settings) -> Command {
     }
 }
 
-/// A million where RETROGRADE_CAMPAIGN is set, else the first of them.
+/// Where RETROGRADE_CAMPAIGN is set a million, or as many as it says; else the first of them.
 fn a_million(first: u64) -> u64 {
-    match std::env::var_os("RETROGRADE_CAMPAIGN") {
-        Some(_) => 1_000_000,
-        None => first,
+    match std::env::var("RETROGRADE_CAMPAIGN") {
+        Ok(campaign) => campaign.parse().unwrap_or(1_000_000),
+        Err(_) => first,
     }
 }
 

@@ -40,6 +40,7 @@ pub mod serve;
 mod server;
 #[cfg(unix)]
 pub mod sidedoor;
+pub mod torture;
 pub mod unmeasured;
 pub mod verdicts;
 #[cfg(unix)]

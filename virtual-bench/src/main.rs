@@ -20,6 +20,7 @@ use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::population;
 use virtual_bench::serve::Server;
+use virtual_bench::torture;
 #[cfg(unix)]
 use virtual_bench::webpage::{self, By};
 
@@ -47,6 +48,15 @@ enum Subcommand {
         cases: u64,
         /// Only these defects, as the table names them.
         only: Vec<Kind>,
+    },
+    /// Tortures both images with seeded random scenarios, and prints how to repeat the first that breaks a rule.
+    Torture {
+        /// Seed of the first scenario; the next ones have the seeds after it.
+        #[arg(long, value_parser = torture::seed_of)]
+        seed: u64,
+        /// Minutes of virtual time; 0 for one scenario.
+        #[arg(long, default_value_t = 0)]
+        minutes: u64,
     },
     /// Measures the side door with the rig's image, in real time: emergency stops by a second process among a crowd.
     #[cfg(unix)]
@@ -103,6 +113,12 @@ fn main() -> ExitCode {
             drop(writeln!(std::io::stdout(), "{line}"))
         })
         .map_err(miette::Report::from),
+        Subcommand::Torture { seed, minutes } => {
+            let mut say = |line| drop(writeln!(std::io::stdout(), "{line}"));
+            torture::run(seed, minutes, &mut say)
+                .map(drop)
+                .map_err(miette::Report::from)
+        }
         #[cfg(unix)]
         Subcommand::Door { stops, killed } => {
             let mut say = |line| drop(writeln!(std::io::stdout(), "{line}"));

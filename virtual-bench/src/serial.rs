@@ -15,6 +15,8 @@ pub enum ByteFault {
     Lost,
     /// It arrives with these bits flipped.
     Flipped(u8),
+    /// It arrives twice.
+    Doubled,
 }
 
 /// Both directions of the line.
@@ -64,6 +66,12 @@ impl Serial {
         self.faults_from_machine.push((number, fault));
     }
 
+    /// Forgets all faults of bytes that are still to come.
+    pub fn forget_faults(&mut self) {
+        self.faults_to_machine.clear();
+        self.faults_from_machine.clear();
+    }
+
     /// Numbers of bytes that the machine has taken and sent so far.
     #[must_use]
     pub fn counts(&self) -> (u64, u64) {
@@ -87,6 +95,10 @@ impl Serial {
             match fault(&self.faults_to_machine, number) {
                 None => return Some(byte),
                 Some(ByteFault::Flipped(bits)) => return Some(byte ^ bits),
+                Some(ByteFault::Doubled) => {
+                    self.to_machine.push_front(byte);
+                    return Some(byte);
+                }
                 Some(ByteFault::Lost) => {}
             }
         }
@@ -105,6 +117,7 @@ impl Serial {
         match fault(&self.faults_from_machine, number) {
             None => self.from_machine.push((at_ns, byte)),
             Some(ByteFault::Flipped(bits)) => self.from_machine.push((at_ns, byte ^ bits)),
+            Some(ByteFault::Doubled) => self.from_machine.extend([(at_ns, byte); 2]),
             Some(ByteFault::Lost) => {}
         }
     }

@@ -67,6 +67,10 @@ cargo xtask <command>
                     look with cargo-fuzz for bytes at which firmware, tool or server do what they must not,
                     in TARGET or in all, RUNS times each; prints what was reached and found
 
+  torture --seed S [--minutes N]
+                    both images in random scenarios from this seed on, for N minutes of virtual time, judged by
+                    plant and pins; ends with the first broken rule, the seed that repeats it, and what it needs
+
   images [--check]  build the images, check their layout and sizes (--check: only check them)
   flash MACHINE     build the images, flash `rig` or `capsule` with probe-rs, show its log
   board [--dry-run] measure on a board what the bench cannot show, over probe-rs; prints the table for
@@ -94,6 +98,9 @@ fn main() -> ExitCode {
         ("bench", options) => images::build()
             .and_then(|()| bench::run_command("bench", options))
             .and_then(|()| bench::models()),
+        ("torture", options) => {
+            images::build().and_then(|()| bench::run_command("torture", options))
+        }
         ("test", []) => return checks::test(),
         ("test", [which]) if which == "host" => return checks::test_host(),
         ("lint", []) => return checks::lint(),

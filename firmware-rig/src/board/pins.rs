@@ -298,6 +298,13 @@ pub fn set_direction(direction: Direction) {
     set(DIR, direction == Direction::Away);
 }
 
+/// Raises the far limit's interrupt if it is open: an opening on the way home ended nothing, and raises none at the turn.
+pub fn look_at_far_limit() {
+    if inputs().far_limit {
+        pac::EXTI.swier(0).write(|w| w.set_line(FAR_LINE, true));
+    }
+}
+
 /// DIR's present output level.
 pub fn direction() -> Direction {
     match port(DIR).odr().read().odr(DIR.number) {

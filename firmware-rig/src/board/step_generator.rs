@@ -376,6 +376,9 @@ impl Ring for StepGenerator {
                 Direction::Home => pac::timer::vals::Dir::DOWN,
             })
         });
+        if direction == Direction::Away {
+            pins::look_at_far_limit();
+        }
     }
 
     fn counted(&self) -> StepPosition {

@@ -155,6 +155,8 @@ impl Machine {
             phase @ HomingPhase::Locate if homing.locate.is_none() => {
                 Some(RigFault::FlagNotFound(phase))
             }
+            // From the flag it goes away from home.
+            HomingPhase::Seek if now.inputs.far_limit => Some(RigFault::FarLimit),
             HomingPhase::Seek | HomingPhase::Locate | HomingPhase::ToZero => None,
         };
         if let Some(fault) = missing {

@@ -173,6 +173,15 @@ pub fn of_folder(folder: &Path) -> io::Result<Manifest> {
     Ok(manifest)
 }
 
+/// The seal of a folder: the hash of its manifest, and so of every file. Kept elsewhere, it shows that even the manifest
+/// was not written again.
+///
+/// # Errors
+/// The manifest cannot be read.
+pub fn seal(folder: &Path) -> io::Result<String> {
+    hash_file(&folder.join(NAME)).map(|hash| hex(&hash))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use campaign::differences::Finding;
 use campaign::{CampaignError, manifest, verify as verification};
 use clap::Args;
 use operations::failure::Failure;
@@ -16,11 +17,23 @@ pub struct VerifyArgs {
     /// The folder of a campaign, or of records.
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
+    /// The seal that an earlier `verify` of this folder has printed: fails if the folder has another one now.
+    #[arg(long, value_name = "SEAL")]
+    pub seal: Option<String>,
 }
 
 pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let folder = &args.folder;
-    let verified = verification::verify(folder).map_err(Own::from)?;
+    let mut verified = verification::verify(folder).map_err(Own::from)?;
+    let has_manifest = folder.join(manifest::NAME).exists();
+    let seal = has_manifest.then(|| manifest::seal(folder).ok()).flatten();
+    if args.seal.is_some() && args.seal != seal {
+        verified.findings.push(Finding {
+            path: manifest::NAME.to_owned(),
+            what: "is not the one that was sealed".to_owned(),
+            remedy: "restore the folder from a copy that was made when it was sealed".to_owned(),
+        });
+    }
     for finding in &verified.findings {
         screen.say(&format!("{finding}\n  remedy: {}", finding.remedy));
     }
@@ -31,7 +44,6 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         }
         .into());
     }
-    let has_manifest = folder.join(manifest::NAME).exists();
     if !has_manifest && verified.records == 0 {
         return Err(Own::from(CampaignError::misuse(
             folder,
@@ -40,15 +52,15 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         ))
         .into());
     }
-    screen.say(&match has_manifest {
-        true => format!(
-            "{}: {} files are as {} says; {} records are whole and in order.",
+    screen.say(&match &seal {
+        Some(seal) => format!(
+            "{}: {} files are as {} says; {} records are whole and in order.\nSeal, to print or to send: {seal}",
             folder.display(),
             verified.files,
             manifest::NAME,
             verified.records,
         ),
-        false => format!(
+        None => format!(
             "{}: there is no {}, so nothing shows whether files were changed; {} records have all their rows in order.",
             folder.display(),
             manifest::NAME,
@@ -60,6 +72,7 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         "manifest": has_manifest,
         "files": verified.files,
         "records": verified.records,
+        "seal": seal,
         "findings": [],
     }))
 }

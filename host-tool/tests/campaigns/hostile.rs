@@ -207,6 +207,31 @@ fn what_was_forged_and_sealed_is_found() {
     }
 }
 
+/// Whoever has the tool can change a folder so that all its files agree. Only a seal that lies elsewhere tells.
+#[test]
+fn a_seal_tells_what_the_files_cannot() {
+    let (_place, folder) = made();
+    let verify = |more: &[&str]| retrograde(&[&["--json", "verify", text(&folder)], more].concat());
+    let sealed = || {
+        let (code, said, err) = verify(&[]);
+        assert_eq!(code, 0, "{said}{err}");
+        let said: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+        said["seal"].as_str().expect("a seal").to_owned()
+    };
+    let before = sealed();
+    assert_eq!(verify(&["--seal", &before]).0, 0);
+    edit_run(&folder, |text| {
+        text.replacen("\"note\": null", "\"note\": \"it was dry\"", 1)
+    });
+    seal(&folder);
+    assert_ne!(sealed(), before);
+    let (code, said, _) = verify(&["--seal", &before]);
+    assert_eq!(code, 1, "{said}");
+    assert!(said.contains("is not the one that was sealed"), "{said}");
+    fs::remove_file(folder.join(manifest::NAME)).expect("removed");
+    assert_eq!(verify(&["--seal", &before]).0, 1);
+}
+
 // Links, pipes and devices.
 
 /// The folder of an attempt may be complete elsewhere: it is still not this campaign's.

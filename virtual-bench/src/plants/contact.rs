@@ -25,6 +25,9 @@ pub struct Contact {
     /// Pending changes: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
     noise: Option<Noise>,
+    /// Its level at the last look, and when it last opened, ns.
+    was_open: bool,
+    opened_ns: Option<u64>,
 }
 
 /// A level that toggles on the wire, whatever the contact does.
@@ -47,6 +50,8 @@ impl Contact {
             bounce: None,
             coming: Vec::new(),
             noise: None,
+            was_open: actuated,
+            opened_ns: actuated.then_some(0),
         }
     }
 
@@ -117,6 +122,22 @@ impl Contact {
             self.open = open;
             self.coming.remove(0);
         }
+        let open = self.is_open();
+        if !std::mem::replace(&mut self.was_open, open) && open {
+            self.opened_ns = Some(now_ns);
+        }
+    }
+
+    /// When it last opened, ns.
+    #[must_use]
+    pub fn opened_ns(&self) -> Option<u64> {
+        self.opened_ns
+    }
+
+    /// Whether it has been open for longer than `ns` at `at_ns`.
+    #[must_use]
+    pub fn is_open_for(&self, ns: u64, at_ns: u64) -> bool {
+        self.is_open() && self.opened_ns.is_some_and(|opened| at_ns > opened + ns)
     }
 
     /// When it next changes by itself, ns.

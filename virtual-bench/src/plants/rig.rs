@@ -29,6 +29,11 @@ impl DriverTiming {
 
 /// Steps closer together than this count as one movement, ns.
 const MOVING_NS: u64 = 10_000_000;
+/// The chip's break input ends the pulses within this time of the E-stop loop's opening, ns.
+const LOOP_CUTS_NS: u64 = 10_000;
+/// The firmware ends the pulses within this time of the far limit's opening, ns: its filter and two sampling windows
+/// of 24 us, the masking of a noisy line, which may keep it busy for a millisecond, and its next look.
+const LIMIT_CUTS_NS: u64 = 5_000_000;
 
 /// Parameters of the rig.
 #[derive(Clone, Copy, Debug)]
@@ -171,6 +176,10 @@ pub struct Violations {
     pub stalled: u64,
     /// Steps less than 10 ms apart with a flash operation between them, which stalls every instruction.
     pub flash_moving: u64,
+    /// Steps while the E-stop loop was open.
+    pub loop_open: u64,
+    /// Steps away from home while the far limit was open.
+    pub limit_open: u64,
 }
 
 /// The rig.
@@ -307,6 +316,12 @@ impl Rig {
         self.lost
     }
 
+    /// When the E-stop loop last opened at the chip's pin, ns.
+    #[must_use]
+    pub fn loop_opened_ns(&self) -> Option<u64> {
+        self.estop.opened_ns()
+    }
+
     /// Number of pulses cut short because STEP was no longer driven.
     #[must_use]
     pub fn cut_pulses(&self) -> u64 {
@@ -422,6 +437,11 @@ impl Rig {
     /// Plans a fault.
     pub fn plan(&mut self, when: When, action: Action) {
         self.faults.plan(when, action);
+    }
+
+    /// Forgets the planned faults, and the steps that were still to be lost.
+    pub fn forget_faults(&mut self) {
+        (self.faults, self.lose) = (Faults::default(), 0);
     }
 
     /// Does `action` now.
@@ -565,6 +585,9 @@ impl Rig {
         self.violations.flash_moving += u64::from(std::mem::take(&mut self.flash_began) && moving);
         self.rose_ns = Some(at_ns);
         let away = self.away;
+        let open_for = |contact: &Contact, ns: u64| contact.is_open_for(ns, at_ns);
+        self.violations.loop_open += u64::from(open_for(&self.estop, LOOP_CUTS_NS));
+        self.violations.limit_open += u64::from(away && open_for(&self.far, LIMIT_CUTS_NS));
         self.edges.push(StepEdge { at_ns, away });
         self.move_carriage();
         self.actuate_switches(at_ns);

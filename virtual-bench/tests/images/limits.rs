@@ -3,7 +3,7 @@
 use client::Unobserved;
 use client::error::ClientError;
 
-use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quickly_homed, trials};
+use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quick, quickly_homed, trials};
 use protocol::{
     error::Refusal,
     rig::{Direction, Jog, MoveTo, RigFault, RunOutcome},
@@ -40,6 +40,19 @@ fn the_far_limit_ends_the_pulses_within_50_us() {
         rig.device.acknowledge().expect("it can be acknowledged");
         rig.home();
     }
+    rig.check_clean(0);
+}
+
+/// Nothing is wrong with an open far limit while the carriage goes home: it comes from there. Where it turns it is.
+#[test]
+fn a_far_limit_that_opens_on_the_way_home_ends_the_run_at_the_turn() {
+    let mut rig = quickly_homed();
+    let first = rig.edge_count() as u64;
+    let edge = When::Edge(first + 12_000);
+    rig.look(move |rig| rig.plan(edge, Action::Stick(Switch::Far, Some(true))));
+    let run = quick(2, 10_000, 20_000, 500_000);
+    faulted(&mut rig, run, RigFault::FarLimit, "at the turn");
+    assert_eq!(rig.edge_count() as u64, first + 16_000, "it went on");
     rig.check_clean(0);
 }
 
