@@ -354,7 +354,7 @@ pub fn shrunk<T: Clone>(all: &[T], mut fails: impl FnMut(&[T]) -> bool) -> Vec<T
 /// Runs scenarios from `seed` on for this many minutes of virtual time, one at least.
 ///
 /// # Errors
-/// As [`scenario`]; the first broken rule ends it.
+/// As [`scenario()`]; the first broken rule ends it.
 pub fn run(seed: u64, minutes: u64, line: &mut impl FnMut(String)) -> Result<Tally, TortureError> {
     let (mut tally, mut number, mut told) = (Tally::default(), 0, 0);
     while number == 0 || tally.virtual_ns < minutes * 60_000_000_000 {
