@@ -5,7 +5,7 @@
 //! k i       = k I0 + J w' + g up(mu) P             winding the thread, P its pull
 //! k |i|     = k I0 + J |w|' + g down(mu) P         paying it out: the worm locks, so this is driven, too
 //! ```
-//! The readings are averaged over blocks of 20 ms. Least squares give `R` and `k` from the first line; [`load`] finds
+//! The readings are averaged over blocks of 20 ms. Least squares give `R` and `k` from the first line; `load` finds
 //! the rest. Gears, spool, lead angle and rotor are taken as designed: `docs/capsule.md`.
 
 mod load;
