@@ -16,7 +16,7 @@ pub enum Kind {
     Input,
     /// The bodies were chosen or fitted by this sentence: that they meet it is no evidence.
     ChosenByIt,
-    /// The prior's bodies meet it in at least [`NEARLY_ALL`] of all cases: it tells none from another.
+    /// The prior's bodies meet it in at least `NEARLY_ALL` of all cases: it tells none from another.
     NearlyAll,
     /// It could have come out differently.
     Evidence,
