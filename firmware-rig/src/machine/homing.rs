@@ -156,7 +156,9 @@ impl Machine {
                 Some(RigFault::FlagNotFound(phase))
             }
             // From the flag it goes away from home.
-            HomingPhase::Seek if now.inputs.far_limit => Some(RigFault::FarLimit),
+            HomingPhase::Seek | HomingPhase::Locate if now.inputs.far_limit => {
+                Some(RigFault::FarLimit)
+            }
             HomingPhase::Seek | HomingPhase::Locate | HomingPhase::ToZero => None,
         };
         if let Some(fault) = missing {

@@ -3,14 +3,16 @@
 use client::Unobserved;
 use client::error::ClientError;
 
-use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quick, quickly_homed, trials};
+use crate::common::{
+    Dice, LIMIT_NS, exact, faulted, home_quickly, paper, quick, quickly_homed, rig_with, trials,
+};
 use protocol::{
     error::Refusal,
     rig::{Direction, Jog, MoveTo, RigFault, RunOutcome},
 };
 use virtual_bench::{
     faults::When,
-    plants::rig::{Action, Switch},
+    plants::rig::{Action, RigOptions, Switch},
     verdicts::Verdict,
 };
 
@@ -54,6 +56,36 @@ fn a_far_limit_that_opens_on_the_way_home_ends_the_run_at_the_turn() {
     faulted(&mut rig, run, RigFault::FarLimit, "at the turn");
     assert_eq!(rig.edge_count() as u64, first + 16_000, "it went on");
     rig.check_clean(0);
+}
+
+/// A noisy flag is found on the way and is closed again when the carriage stands. From there a homing goes away from home.
+#[test]
+fn a_homing_does_not_go_toward_a_far_limit_that_opened_in_it() {
+    for (pass, edge) in [("seek", 4_000), ("locate", 4_700)] {
+        let mut rig = rig_with(RigOptions {
+            carriage: 8_000,
+            ..RigOptions::default()
+        });
+        home_quickly(&mut rig);
+        rig.look(move |rig| {
+            if pass == "locate" {
+                rig.plan(When::Edge(3_000), Action::Disturb(Switch::Home, 60_000));
+            }
+            rig.plan(When::Edge(edge), Action::Disturb(Switch::Home, 60_000));
+            rig.plan(When::Edge(edge), Action::Stick(Switch::Far, Some(true)));
+        });
+        let accepted = rig.device.home().expect("accepted");
+        let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
+        let fault = rig.device.rig_status().expect("it answers").fault;
+        assert_eq!(fault, Some(RigFault::FarLimit), "{pass}: {ended:?}");
+        let away = rig
+            .edges(edge as usize)
+            .iter()
+            .filter(|edge| edge.away)
+            .count();
+        assert_eq!(away, 0, "{pass}: it went away from home");
+        rig.check_clean(0);
+    }
 }
 
 /// With an open far limit the only way is home. That is a refusal and no fault: nothing has happened.
