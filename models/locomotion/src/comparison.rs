@@ -197,17 +197,13 @@ fn evaluate(
         paper: sentence.paper,
         model: None,
         unit: sentence.unit,
-        condition: None,
+        condition: sentence.condition.map(|condition| condition(&figures)),
         world: sentence.world,
         chosen: sentence.chosen,
         evidence: sentence.evidence,
         remark: sentence.remark,
     });
     for (row, sentence) in rows.iter_mut().zip(&SENTENCES) {
-        row.condition = sentence
-            .condition
-            .map(|condition| condition(&figures))
-            .transpose()?;
         if asked.wants(row.world, row.condition) {
             row.model = sentence.value.map(|value| value(&figures)).transpose()?;
         }

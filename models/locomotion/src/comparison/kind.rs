@@ -1,4 +1,4 @@
-//! What the agreement of a row is worth, from where its value comes from and from the bodies that meet it.
+//! Kind of a row: the worth of its agreement, by where its value comes from and by the bodies that meet it.
 
 use core::fmt;
 

@@ -12,9 +12,6 @@ use crate::trend;
 /// The model's value for a sentence.
 type Formula = fn(&Figures<'_>) -> Result<f64, OutOfRange>;
 
-/// What a sentence asks of the value.
-type Demand = fn(&Figures<'_>) -> Result<Condition, OutOfRange>;
-
 /// One sentence of the paper. The fields are those of [`Row`](crate::comparison::Row), with formulas for its numbers.
 pub(super) struct Sentence {
     pub(super) section: &'static str,
@@ -25,7 +22,7 @@ pub(super) struct Sentence {
     pub(super) evidence: Evidence,
     pub(super) world: Option<Words>,
     pub(super) value: Option<Formula>,
-    pub(super) condition: Option<Demand>,
+    pub(super) condition: Option<fn(&Figures<'_>) -> Condition>,
     pub(super) chosen: Option<Chosen>,
     pub(super) remark: &'static str,
 }
@@ -37,6 +34,8 @@ const ABOUT_MM: f64 = 1.0;
 const LITTLE_MM: f64 = 1.0;
 /// At an optimum the displacement of a crescent changes by less than this per radian [assumed].
 const OPTIMUM_MM: f64 = 0.5;
+/// `d = m d0` of the printed body at 5.05 mm, mm, as the row above it has it.
+const M_D0_MM: f64 = 21.7;
 /// "Greatly reduced": to this share or less [assumed].
 const GREATLY: f64 = 0.5;
 /// "From about 6000 Pa": so many pascals to either side [assumed], the step of the series.
@@ -73,7 +72,7 @@ macro_rules! table {
             evidence: Evidence::$evidence,
             world: given!($(Words::$world)?),
             value: given!($(|$figures| Ok($model))?),
-            condition: given!($(|$figures| Ok($condition))?),
+            condition: given!($(|$figures| $condition)?),
             chosen: given!($(Chosen::$chosen)?),
             remark: concat!($($remark)?),
         }),*),*]
@@ -212,12 +211,12 @@ pub(super) static SENTENCES: [Sentence; ROWS] = table! { f;
             "the number that Eq. (7) gives: the core's shortening";
         "the total displacement is d = m d0":
             "tail forward by an even squeeze of 5.05 mm", "21.7", "mm", Outcome on Rig = f.squeezed()?.tail_mm,
-            wants Condition::about(f.printed.shortening_mm(DEEPEST_MM)?, 0.05),
+            wants Condition::about(M_D0_MM, 0.05),
             "the tips hook, but the coupling keeps less than half of it";
         "the total displacement is d = m d0":
             "overall shortening at a = 5.05 mm", "21.7", "mm",
             Outcome = f.printed.length_mm(0.0)? - f.printed.length_mm(DEEPEST_MM)?,
-            wants Condition::about(f.printed.shortening_mm(DEEPEST_MM)?, 0.05),
+            wants Condition::about(M_D0_MM, 0.05),
             "the last wing lies back";
         "the larger d, the stronger the mobility":
             "rising steps of 4, a_1 to a_5", "all", "", Outcome on Rig = trend::rising(&f.on_rig.roller_mm) as f64,
