@@ -1,4 +1,4 @@
-//! What loads the motor: its own friction, and the pull of the thread on the origami.
+//! The load of the motor: its own friction, and the pull of the thread on the origami.
 //!
 //! ```text
 //! P = S (F(x) + q v)                      winding, once taut; F by the beam estimate, x travel, v speed
@@ -75,6 +75,22 @@ const TAUT: usize = 6;
 /// Least and largest values; a calibration leaves a slack of 0 to 3 mm.
 const LEAST: Values = [0.0, 0.0, 0.1, 0.0, -0.15, 0.0, 0.0];
 const MOST: Values = [60.0, 60.0, 400.0, 1.2, 3.15, 0.4, 1.3];
+/// Parameters that lie between their ends in a fit, and what it would mean if one did not.
+const AT_AN_END: [(usize, &str); 4] = [
+    (
+        SLACK,
+        "the thread would be slack by less than 0 or more than 3 mm",
+    ),
+    (PULL, "the force does not rise with the thread"),
+    (
+        FOLDING,
+        "a motor without friction, or one that hardly turns",
+    ),
+    (
+        UNFOLDING,
+        "a motor without friction, or one that hardly turns",
+    ),
+];
 /// Steps of the numerical derivatives.
 const STEPS: Values = [0.1, 0.1, 0.1, 0.01, 0.01, 0.001, 0.02];
 /// Where the fit starts: each slack with each damping and travel.
@@ -115,10 +131,13 @@ pub(super) fn fit(folding: &[Block], unfolding: &[Block]) -> Result<Load, Identi
     };
     let no_fit = IdentifyError::NoFit("the force does not rise with the thread");
     let values = readings.best().ok_or(no_fit)?;
-    if values[SLACK] <= LEAST[SLACK] || values[SLACK] >= MOST[SLACK] {
-        return Err(IdentifyError::NoFit(
-            "the thread would be slack by less than 0 or more than 3 mm",
-        ));
+    for (index, why) in AT_AN_END {
+        if values[index] <= LEAST[index] || values[index] >= MOST[index] {
+            return Err(IdentifyError::NoFit(why));
+        }
+    }
+    if values[DAMPING] >= MOST[DAMPING] {
+        return Err(IdentifyError::NoFit("the origami would hardly open"));
     }
     let uncertainties = readings.uncertainties(&values).ok_or(no_fit)?;
     let with = [-HYSTERESIS_RANGE, HYSTERESIS_RANGE].map(|more| {
