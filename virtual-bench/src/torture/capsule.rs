@@ -27,7 +27,7 @@ const MOST_N: f64 = 25.0;
 const FOLDED_MM: f64 = 19.5;
 const UNFOLDED_MM: f64 = 0.5;
 
-/// What the bench has seen since the last look.
+/// A look at the machine: all that was seen since the last one.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Look {
     /// Now, ns.
@@ -40,6 +40,8 @@ pub struct Look {
     pub least_mm: f64,
     /// Largest force so far, N.
     pub peak_n: f64,
+    /// That force means nothing: something hard was put where the fold already was.
+    pub pierced: bool,
     /// Flash operations while the motor turned.
     pub flash_moving: u64,
 }
@@ -63,8 +65,6 @@ pub struct Judge {
     awake_ns: u64,
     /// What the capsule counts or measures may be wrong: nobody knows where its zero is.
     is_blind: bool,
-    /// Something hard may have been put where the fold already was: then the plant's force means nothing.
-    is_blocked: bool,
     looks: u64,
 }
 
@@ -90,7 +90,7 @@ impl Judge {
         if look.least_mm < 0.0 && !self.is_blind {
             return Err(format!("paid out past zero: {} mm", look.least_mm));
         }
-        if look.peak_n > MOST_N && !self.is_blind && !self.is_blocked {
+        if look.peak_n > MOST_N && !self.is_blind && !look.pierced {
             return Err(format!("the thread was pulled with {} N", look.peak_n));
         }
         if look.flash_moving > 0 {
@@ -156,6 +156,7 @@ impl Victim for Judge {
                 awake: capsule.is_awake() || capsule.is_moving(),
                 least_mm: capsule.extremes_mm().0,
                 peak_n: capsule.peak_force_n(),
+                pierced: capsule.is_pierced(),
                 flash_moving: capsule.flash_moving(),
             };
             capsule.forget_drive();
@@ -199,11 +200,7 @@ impl Victim for Judge {
 
     fn restarted(&mut self, how: Restart) {
         self.allowed = false;
-        self.armed = match how {
-            Restart::Pin | Restart::Clock => self.armed,
-            Restart::Power => true,
-            Restart::Fault => false,
-        };
+        self.armed = how.leaves_armed(self.armed);
     }
 
     fn gone(&mut self, after_ns: u64) {
@@ -215,7 +212,6 @@ impl Victim for Judge {
     }
 
     fn suffers(&mut self, defect: &Defect) {
-        self.is_blocked |= matches!(defect, Defect::Jam(_) | Defect::Obstacle { .. });
         self.is_blind |= matches!(
             defect,
             Defect::ChannelA
@@ -233,7 +229,7 @@ impl Victim for Judge {
     }
 
     fn cure(&mut self, bench: &Bench<CapsuleBoard>) -> Result<(), BenchError> {
-        (self.is_blind, self.is_blocked) = (false, false);
+        self.is_blind = false;
         bench.visit(|visit| visit.board().capsule.exchange(Parameters::nominal()))
     }
 
@@ -355,6 +351,14 @@ mod tests {
                     ..sound
                 },
                 false,
+            ),
+            (
+                Look {
+                    peak_n: 99.0,
+                    pierced: true,
+                    ..sound
+                },
+                true,
             ),
             (
                 Look {
