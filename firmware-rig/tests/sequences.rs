@@ -39,8 +39,8 @@ fn move_to(dice: &mut Dice, settings: &Settings) -> Command {
     }
 }
 
-/// End of a long series, which goes on where the usual one ends: where RETROGRADE_CAMPAIGN is set a million, or as many as
-/// it says.
+/// End of a long series, which goes on where the usual one ends: a million where RETROGRADE_CAMPAIGN is set, or the number
+/// that it gives, which has to be above `first`.
 fn a_million(first: u64) -> u64 {
     match std::env::var("RETROGRADE_CAMPAIGN") {
         Ok(campaign) => campaign.parse().unwrap_or(1_000_000),

@@ -53,7 +53,7 @@ pub struct Failure {
     pub seed: u64,
     /// The rule.
     pub what: String,
-    /// What happened, and the firmware's log.
+    /// The happenings with their answers, and the firmware's log.
     pub story: String,
     /// The happenings that are left when all are left out that it does not need.
     pub needs: Vec<Happening>,
@@ -75,7 +75,7 @@ pub enum Answer {
     Done,
     /// It was refused: nothing may move by it.
     Refused,
-    /// Nobody knows.
+    /// Whether it was carried out is not known.
     Unknown,
 }
 
@@ -90,6 +90,17 @@ pub enum Restart {
     Clock,
     /// A task or the processor failed, and the firmware has to wait for an acknowledgement.
     Fault,
+}
+
+impl Restart {
+    /// Whether an order may move something after it, if one might before.
+    fn leaves_armed(self, armed: bool) -> bool {
+        match self {
+            Self::Pin | Self::Clock => armed,
+            Self::Power => true,
+            Self::Fault => false,
+        }
+    }
 }
 
 /// A kind of machine and its rules.
@@ -161,7 +172,7 @@ pub trait Victim: Sized {
     /// Whether it has carried out this one.
     ///
     /// # Errors
-    /// What it did instead.
+    /// Where it stands instead.
     fn passed(&mut self, request: &Request, bench: &Bench<Self::Board>) -> Result<(), String>;
     /// How many step edges, or looks at a driven bridge, were judged.
     fn judged(&self) -> u64;
@@ -221,8 +232,8 @@ impl Kept {
     }
 }
 
-/// What was tried.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Counts of a series.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Tally {
     /// Scenarios: of the rig, of the capsule.
     pub scenarios: [u64; 2],
@@ -232,6 +243,8 @@ pub struct Tally {
     pub happenings: u64,
     /// Requests that were carried out, refused, of unknown outcome.
     pub answers: [u64; 3],
+    /// How often each request was carried out.
+    pub done: BTreeMap<&'static str, u64>,
     /// Confirmed stops.
     pub stops: u64,
     /// Restarts: by the pin, by the supply, by the clock, by a fault.
@@ -253,6 +266,9 @@ impl std::ops::AddAssign for Tally {
         add(&mut self.answers, &other.answers);
         add(&mut self.restarts, &other.restarts);
         add(&mut self.judged, &other.judged);
+        for (name, count) in other.done {
+            *self.done.entry(name).or_default() += count;
+        }
         self.virtual_ns += other.virtual_ns;
         self.happenings += other.happenings;
         self.stops += other.stops;
@@ -299,7 +315,7 @@ pub fn scenario(seed: u64) -> Result<Tally, TortureError> {
 
 type Trier = fn(u64, &[Happening]) -> Result<trial::Ended, BenchError>;
 
-/// What happens with this seed, and to which machine.
+/// The happenings of this seed, and the machine that they are for.
 fn of(seed: u64) -> (Vec<Happening>, Trier) {
     let mut dice = Dice::new(seed);
     match dice.roll(0..5) {

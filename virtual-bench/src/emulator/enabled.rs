@@ -22,7 +22,7 @@ const NEAR: u64 = 8;
 /// DSB SY (Armv7-M ARM A7.7.33).
 const BARRIER: [u64; 2] = [0xF3BF, 0x8F4F];
 
-/// What was enabled last, and the accesses that came too soon.
+/// The clocks that were enabled last, and the accesses that came too soon.
 #[derive(Debug, Default)]
 pub(super) struct Enabled {
     set: [u64; BUSES.len()],

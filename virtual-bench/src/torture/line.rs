@@ -11,7 +11,7 @@ use crate::link::VirtualLink;
 /// Frames that are kept, to be sent again.
 const KEPT: usize = 8;
 
-/// What went over the line.
+/// The host's frames.
 #[derive(Debug, Default)]
 pub(super) struct Sent {
     /// The frames since the last answer.

@@ -33,7 +33,7 @@ const PAUSE_NS: u64 = 500_000_000;
 /// An E-stop ends the pulses within this time of the contact's opening, ns: no instruction is involved.
 const CUT_NS: u64 = 10_000;
 
-/// What the bench has seen since the last look.
+/// A look at the machine: all that was seen since the last one.
 #[derive(Clone, Debug, Default)]
 pub struct Look {
     /// Now, ns.
@@ -54,7 +54,7 @@ pub struct Look {
     pub violations: Violations,
 }
 
-/// What the orders so far explain.
+/// The motion that the orders so far explain.
 #[derive(Clone, Copy, Debug, Default)]
 struct Account {
     /// Steps that orders explain and that have not left yet.
@@ -342,11 +342,7 @@ impl Victim for Judge {
     fn restarted(&mut self, how: Restart) {
         self.restarts += 1;
         self.forget();
-        self.armed = match how {
-            Restart::Pin | Restart::Clock => self.armed,
-            Restart::Power => true,
-            Restart::Fault => false,
-        };
+        self.armed = how.leaves_armed(self.armed);
     }
 
     fn gone(&mut self, after_ns: u64) {

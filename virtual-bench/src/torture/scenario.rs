@@ -1,4 +1,4 @@
-//! What happens to a machine in a scenario: drawn from a seed before it begins, so that any part can be left out.
+//! The happenings of a scenario: drawn from a seed before it begins, so that any part can be left out.
 
 use std::ops::Range;
 
@@ -210,7 +210,7 @@ fn setting(dice: &mut Dice, settings: &[(SettingKey, Range<u64>)]) -> Setting {
     Setting { key, value }
 }
 
-/// What happens to either machine.
+/// A happening for either machine.
 fn common(dice: &mut Dice, settings: &[(SettingKey, Range<u64>)]) -> Happening {
     match dice.roll(0..38) {
         0..4 => Happening::Ask(Request::SetSetting(setting(dice, settings))),

@@ -153,7 +153,7 @@ impl<M: Victim> Trial<M> {
     }
 
     fn tallied(&self) -> Tally {
-        let mut tally = self.tally;
+        let mut tally = self.tally.clone();
         let which = usize::from(M::KIND != DeviceKind::Rig);
         tally.scenarios[which] = 1;
         tally.judged[which] = self.judge.judged();
@@ -280,6 +280,9 @@ impl<M: Victim> Trial<M> {
         }
         let _ = writeln!(self.story, "    {answer:?} {refusal:?}");
         self.tally.answers[answer as usize] += 1;
+        if answer == Answer::Done {
+            *self.tally.done.entry(request.name()).or_default() += 1;
+        }
         self.judge.see(&self.bench)??;
         self.judge.answered(request, answer)?;
         self.see()?;
