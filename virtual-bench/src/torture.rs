@@ -92,19 +92,28 @@ pub enum Restart {
     Fault,
 }
 
-impl Restart {
-    /// Whether an order may move something after it, if one might before.
-    fn leaves_armed(self, armed: bool) -> bool {
-        match self {
-            Self::Pin | Self::Clock => armed,
-            Self::Power => true,
-            Self::Fault => false,
-        }
+/// Why no order may move anything before an acknowledgement.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Latched {
+    /// An emergency stop, which outlives every restart but that by the supply.
+    stop: bool,
+    /// The last restart was by a fault.
+    fault: bool,
+}
+
+impl Latched {
+    fn is_clear(self) -> bool {
+        self == Self::default()
+    }
+
+    fn restarted(&mut self, how: Restart) {
+        self.stop &= how != Restart::Power;
+        self.fault = how == Restart::Fault;
     }
 }
 
 /// A kind of machine and its rules.
-pub trait Victim: Sized {
+pub trait Victim: Default {
     /// The board.
     type Board: Wiring;
     /// The kind.
@@ -121,8 +130,6 @@ pub trait Victim: Sized {
     fn start(dice: &mut Dice) -> Result<Bench<Self::Board>, BenchError>;
     /// The image.
     fn image() -> std::path::PathBuf;
-    /// A judge of a machine that has just started.
-    fn new() -> Self;
     /// Looks at the machine and judges what it did since the last look.
     ///
     /// # Errors
@@ -414,6 +421,21 @@ pub fn seed_of(text: &str) -> Result<u64, std::num::ParseIntError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_reset_forgets_a_fault_and_no_emergency_stop() {
+        let clear = |stop, hows: &[Restart]| {
+            let mut latched = Latched { stop, fault: false };
+            hows.iter().for_each(|how| latched.restarted(*how));
+            latched.is_clear()
+        };
+        assert!(!clear(false, &[Restart::Fault]));
+        for how in [Restart::Pin, Restart::Clock] {
+            assert!(clear(false, &[Restart::Fault, how]));
+            assert!(!clear(true, &[Restart::Fault, how]));
+        }
+        assert!(clear(true, &[Restart::Fault, Restart::Power]));
+    }
 
     #[test]
     fn what_is_not_needed_is_left_out() {

@@ -12,7 +12,7 @@ use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
 
 use super::scenario::{Dice, Happening};
-use super::{Answer, Kept, Restart, Victim};
+use super::{Answer, Kept, Latched, Restart, Victim};
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::{self, CapsuleBoard};
 use crate::plants::capsule::Defect;
@@ -53,8 +53,7 @@ pub struct Judge {
     /// An order explains what moves. The same before the present request.
     allowed: bool,
     before: bool,
-    /// No emergency stop waits for an acknowledgement.
-    armed: bool,
+    latched: Latched,
     /// After this instant nothing is driven, until the next order, ns; the same before the present request.
     barred_ns: Option<u64>,
     barred_before_ns: Option<u64>,
@@ -139,13 +138,6 @@ impl Victim for Judge {
         capsule::image()
     }
 
-    fn new() -> Self {
-        Self {
-            armed: true,
-            ..Self::default()
-        }
-    }
-
     fn see(&mut self, bench: &Bench<CapsuleBoard>) -> Result<Result<(), String>, BenchError> {
         let look = bench.visit(|visit| {
             let now_ns = visit.now_ns();
@@ -168,7 +160,7 @@ impl Victim for Judge {
     fn order(&mut self, request: &Request, _: &Kept) {
         (self.before, self.barred_before_ns) = (self.allowed, self.barred_ns);
         if orders(request) {
-            self.allowed |= self.armed;
+            self.allowed |= self.latched.is_clear();
             self.ordered();
         }
     }
@@ -186,7 +178,7 @@ impl Victim for Judge {
             }
         }
         if matches!(request, Request::Acknowledge(_)) && answer != Answer::Refused {
-            self.armed = true;
+            self.latched = Latched::default();
         }
         Ok(())
     }
@@ -194,13 +186,13 @@ impl Victim for Judge {
     fn stopped(&mut self, urgent: Urgent) {
         self.barred_ns = Some(self.last.now_ns + BRAKING_NS);
         if urgent == Urgent::EStop {
-            (self.allowed, self.armed) = (false, false);
+            (self.allowed, self.latched.stop) = (false, true);
         }
     }
 
     fn restarted(&mut self, how: Restart) {
         self.allowed = false;
-        self.armed = how.leaves_armed(self.armed);
+        self.latched.restarted(how);
     }
 
     fn gone(&mut self, after_ns: u64) {
@@ -285,7 +277,7 @@ mod tests {
 
     /// The rule that is broken by the last of these, if the bridge is driven after each.
     fn driven(steps: &[fn(&mut Judge)]) -> Result<(), String> {
-        let mut judge = Judge::new();
+        let mut judge = Judge::default();
         let mut look = Look::default();
         for step in steps {
             step(&mut judge);
@@ -368,7 +360,7 @@ mod tests {
                 false,
             ),
         ] {
-            assert_eq!(Judge::new().look(look).is_ok(), holds, "{look:?}");
+            assert_eq!(Judge::default().look(look).is_ok(), holds, "{look:?}");
         }
     }
 }

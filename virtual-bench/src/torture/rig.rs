@@ -12,7 +12,7 @@ use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
 
 use super::scenario::{Dice, Happening};
-use super::{Answer, Kept, Restart, Victim};
+use super::{Answer, Kept, Latched, Restart, Victim};
 use crate::bench::{Bench, BenchError};
 use crate::boards::rig::{self, RigBoard};
 use crate::faults::When;
@@ -85,8 +85,7 @@ pub struct Judge {
     /// The account before the present request, and the steps that the request explains.
     before: Account,
     granted: u64,
-    /// No emergency stop waits for an acknowledgement.
-    armed: bool,
+    latched: Latched,
     /// The flag may not be what the carriage makes of it.
     flag_is_wrong: bool,
     flag_was_wrong: bool,
@@ -166,7 +165,7 @@ impl Judge {
 
     /// An emergency stop counts from now on: nothing moves until it is acknowledged and ordered again.
     fn latch(&mut self) {
-        self.armed = false;
+        self.latched.stop = true;
         self.forget();
     }
 
@@ -178,7 +177,7 @@ impl Judge {
     /// Steps that a request explains if it is carried out.
     fn explains(&self, request: &Request, kept: &Kept) -> u64 {
         let steps = |um: u64| um * STEPS_PER_MM / 1_000;
-        if !self.armed {
+        if !self.latched.is_clear() {
             return 0;
         }
         match request {
@@ -244,13 +243,6 @@ impl Victim for Judge {
         rig::image()
     }
 
-    fn new() -> Self {
-        Self {
-            armed: true,
-            ..Self::default()
-        }
-    }
-
     fn see(&mut self, bench: &Bench<RigBoard>) -> Result<Result<(), String>, BenchError> {
         let first = self.judged;
         let look = bench.visit(move |visit| {
@@ -285,7 +277,7 @@ impl Victim for Judge {
         }
         if let Request::Home(_) = request {
             let account = &mut self.account;
-            (account.homing, account.homed) = (true, self.armed);
+            (account.homing, account.homed) = (true, self.latched.is_clear());
             account.lost_before = self.last.lost;
             account.misled = self.flag_is_wrong;
         }
@@ -296,7 +288,7 @@ impl Victim for Judge {
         let spent = (self.before.allowed + self.granted).saturating_sub(left);
         match answer {
             Answer::Refused => {
-                if self.armed && spent > self.before.allowed {
+                if self.latched.is_clear() && spent > self.before.allowed {
                     return Err(format!("{} was refused, and moved", request.name()));
                 }
                 self.account = self.before;
@@ -324,9 +316,12 @@ impl Victim for Judge {
             Answer::Done | Answer::Unknown => {}
         }
         if matches!(request, Request::Acknowledge(_)) && answer != Answer::Refused {
-            self.armed = !self.last.loop_open;
+            self.latched = Latched {
+                stop: self.last.loop_open,
+                fault: false,
+            };
         }
-        if !self.armed {
+        if !self.latched.is_clear() {
             self.forget();
         }
         Ok(())
@@ -342,7 +337,7 @@ impl Victim for Judge {
     fn restarted(&mut self, how: Restart) {
         self.restarts += 1;
         self.forget();
-        self.armed = how.leaves_armed(self.armed);
+        self.latched.restarted(how);
     }
 
     fn gone(&mut self, after_ns: u64) {
@@ -355,7 +350,7 @@ impl Victim for Judge {
     }
 
     fn pressed(&mut self, kept: &Kept) {
-        if !self.armed {
+        if !self.latched.is_clear() {
             return;
         }
         let stroke = u64::from(kept.most(SettingKey::ButtonStrokeUm)) * STEPS_PER_MM / 1_000;
@@ -503,7 +498,7 @@ mod tests {
         /// A rig that was homed.
         fn homed() -> Self {
             let mut court = Self {
-                judge: Judge::new(),
+                judge: Judge::default(),
                 kept: Kept::new(DeviceKind::Rig),
                 seen: Look::default(),
             };

@@ -115,7 +115,7 @@ pub(super) fn run<M: Victim>(
     let mut trial = Trial::<M> {
         device: Device::new(Box::new(link), 1),
         sent,
-        judge: M::new(),
+        judge: M::default(),
         kept: Kept::new(M::KIND),
         nonce: 0,
         is_open: false,

@@ -61,7 +61,7 @@ fn a_far_limit_that_opens_on_the_way_home_ends_the_run_at_the_turn() {
 /// A noisy flag is found on the way and is closed again when the carriage stands. From there a homing goes away from home.
 #[test]
 fn a_homing_does_not_go_toward_a_far_limit_that_opened_in_it() {
-    for (pass, edge) in [("seek", 4_000), ("locate", 4_700)] {
+    for (pass, edge) in [("seek", 4_000), ("locate", 5_700)] {
         let mut rig = rig_with(RigOptions {
             carriage: 8_000,
             ..RigOptions::default()
