@@ -207,6 +207,18 @@ impl Chain {
         Ok(())
     }
 
+    /// Whether no crescent is pressed, nor would be by a wave between two places: such a step changes nothing.
+    pub(crate) fn is_clear_of(&self, (low_mm, high_mm): (f64, f64)) -> bool {
+        let middles_mm = &self.middle_mm[..self.m()];
+        let before = middles_mm
+            .last()
+            .is_none_or(|last| self.core_tail_mm + last < low_mm);
+        let behind = middles_mm
+            .first()
+            .is_none_or(|first| self.core_tail_mm + first > high_mm);
+        (before || behind) && self.indentations_mm().iter().all(|a| *a == 0.0)
+    }
+
     /// Displacement of the tail since the start, mm; + is headward (retrograde).
     pub fn displacement_mm(&self) -> f64 {
         self.core_tail_mm - self.start_mm

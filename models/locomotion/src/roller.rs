@@ -50,11 +50,18 @@ pub fn wall_mm(peak_mm: f64, radius_mm: f64, distance_mm: f64) -> f64 {
     if depth > 0.0 { depth } else { 0.0 }
 }
 
+/// How far from the roller's axis [`wall_mm`] is not 0, or a little more, mm.
+fn reach_mm(peak_mm: f64, radius_mm: f64) -> f64 {
+    libm::sqrt(peak_mm * (2.0 * radius_mm - peak_mm)) + REACHED_MM
+}
+
 /// The unfolded body under the rig's rollers.
 #[derive(Clone, Debug)]
 pub struct UnfoldedBody {
     params: Params,
     indentation_mm: f64,
+    /// How far from the roller's axis its arc reaches into the wall, mm.
+    reach_mm: f64,
     chain: Chain,
     /// Carriage position at the last evaluation, in multiples of `step_mm`.
     at: i32,
@@ -78,6 +85,22 @@ impl UnfoldedBody {
         indentation_mm: f64,
         carriage_mm: f64,
     ) -> Result<Self, OutOfRange> {
+        let mut body = Self::apart(params, indentation_mm)?;
+        check(
+            "carriage position",
+            "mm",
+            carriage_mm,
+            (0.0, params.stroke_mm),
+            Ends::Closed,
+            "a body is laid in while the rollers stand within their stroke",
+        )?;
+        // Fits into i32: at most 1000 mm in steps of 0.001 mm.
+        body.evaluate(libm::round(carriage_mm / params.step_mm) as i32)?;
+        Ok(body)
+    }
+
+    /// The body at its start, not touched yet.
+    fn apart(params: Params, indentation_mm: f64) -> Result<Self, OutOfRange> {
         check(
             "stroke",
             "mm",
@@ -110,23 +133,13 @@ impl UnfoldedBody {
             Ends::Closed,
             "the wall moves inward, and at a = h it reaches the core",
         )?;
-        check(
-            "carriage position",
-            "mm",
-            carriage_mm,
-            (0.0, params.stroke_mm),
-            Ends::Closed,
-            "a body is laid in while the rollers stand within their stroke",
-        )?;
-        let mut body = Self {
+        Ok(Self {
             params,
             indentation_mm,
+            reach_mm: reach_mm(indentation_mm, params.radius_mm),
             chain: Chain::new(params.body)?,
             at: 0,
-        };
-        // Fits into i32: at most 1000 mm in steps of 0.001 mm.
-        body.evaluate(libm::round(carriage_mm / params.step_mm) as i32)?;
-        Ok(body)
+        })
     }
 
     /// Moves the carriage to `carriage_mm`: 0 = home = right end, positive to the left.
@@ -156,7 +169,11 @@ impl UnfoldedBody {
     fn evaluate(&mut self, at: i32) -> Result<(), OutOfRange> {
         let roller_mm = self.params.stroke_mm - f64::from(at) * self.params.step_mm;
         let (peak, radius) = (self.indentation_mm, self.params.radius_mm);
-        self.chain.step(|x| wall_mm(peak, radius, x - roller_mm))?;
+        let ends_mm = (roller_mm - self.reach_mm, roller_mm + self.reach_mm);
+        // A third of a pass and more: the wave has not reached the body yet, or has left it.
+        if !self.chain.is_clear_of(ends_mm) {
+            self.chain.step(|x| wall_mm(peak, radius, x - roller_mm))?;
+        }
         self.at = at;
         Ok(())
     }
@@ -215,10 +232,9 @@ pub fn isolated_pass(params: Params, indentation_mm: f64) -> Result<IsolatedPass
     let clear_mm = params.stroke_mm + 2.0 * params.radius_mm;
     let mut antegrade = UnfoldedBody::new(params, indentation_mm)?;
     antegrade.carriage_to(clear_mm)?;
-    // Return over a fresh body: the roller first gets behind it without touching it.
-    let mut returning = UnfoldedBody::new(params, 0.0)?;
-    returning.carriage_to(clear_mm)?;
-    returning.indentation_mm = indentation_mm;
+    // Over a fresh body, with the roller behind it.
+    let mut returning = UnfoldedBody::apart(params, indentation_mm)?;
+    returning.at = antegrade.at;
     returning.carriage_to(0.0)?;
     Ok(IsolatedPass {
         antegrade_mm: antegrade.displacement_mm(),

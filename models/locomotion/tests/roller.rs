@@ -1,6 +1,6 @@
 //! The roller rig: the reference series, any movement of the carriage, and inputs that must have no effect.
 
-use locomotion::body::FrictionRatio;
+use locomotion::body::{self, Chain, FrictionRatio};
 use locomotion::model::Model;
 use locomotion::roller::{IsolatedPass, Params, UnfoldedBody, isolated_pass, run, wall_mm};
 use proptest::prelude::*;
@@ -213,6 +213,35 @@ proptest! {
             at = turn;
             prop_assert_eq!(whole.displacement_mm().to_bits(), again.displacement_mm().to_bits());
             prop_assert_eq!(whole.displacement_mm().to_bits(), divided.displacement_mm().to_bits());
+        }
+    }
+
+    /// The positions at which the wave does not touch the body, which are passed over, would change nothing.
+    #[test]
+    fn every_touch_counts(
+        turns in prop::collection::vec(-600..1_400i32, 1..6),
+        a in 0.0..9.7f64,
+        radius_mm in 9.77..60.0f64,
+        tail_mm in -50.0..150.0f64,
+        coupling in 0.05..1.0f64,
+    ) {
+        let body = body::Params { tail_mm, coupling, ..Params::PAPER.body };
+        let params = Params { body, radius_mm, step_mm: 0.1, ..Params::PAPER };
+        let mut found = UnfoldedBody::new(params, a).unwrap();
+        let mut chain = Chain::new(body).unwrap();
+        let mut step = |at: i32| {
+            let roller_mm = params.stroke_mm - f64::from(at) * params.step_mm;
+            chain.step(|x| wall_mm(a, radius_mm, x - roller_mm)).unwrap();
+            chain.displacement_mm()
+        };
+        let (mut at, mut expected) = (0, step(0));
+        for turn in turns {
+            while at != turn {
+                at += (turn - at).signum();
+                expected = step(at);
+            }
+            found.carriage_to(f64::from(turn) * params.step_mm).unwrap();
+            prop_assert_eq!(found.displacement_mm().to_bits(), expected.to_bits());
         }
     }
 }
