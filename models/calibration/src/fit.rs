@@ -13,6 +13,7 @@ use crate::chance::{stream, unit};
 use crate::observation::{Condition, Observation, Unusable, conditions};
 use crate::plausible::{mistake, mistake_beside};
 use crate::prediction::Predictor;
+use crate::predictive::{Predictions, predicted};
 use crate::prior::{OF_BODY, Parts, Point, UNKNOWNS, discrepancy_mm, parts};
 use crate::sampler::{Draws, Effort, Mixing, sample_from};
 use crate::table::{Region, Table, distinct};
@@ -89,6 +90,8 @@ pub struct Fit {
     pub conditions: Vec<Condition>,
     /// The draws.
     pub draws: Draws,
+    /// What some draws predict of each condition.
+    pub predicted: Predictions,
     /// How well each unknown is sampled.
     pub mixing: [Mixing; UNKNOWNS],
     /// Step of the rollers in the last table, mm.
@@ -96,6 +99,8 @@ pub struct Fit {
     /// Error of the last table over the posterior, for the worst condition: root of the mean square, in standard
     /// deviations of the condition's mean. See [`GREATEST_TABLE_ERROR`].
     pub table_error: f64,
+    /// The last table's error in each condition, mm: counts as an additional error of its mean.
+    pub table_errors_mm: Vec<f64>,
     /// Number of nodes computed in the last table.
     pub nodes: usize,
     /// Whether it may be believed, and each reason not to.
@@ -226,13 +231,17 @@ pub fn fit_watched(
                     return Err(Unfit::Mistaken(mistake.what));
                 }
                 of_sampling(&mut verdict, has_mixed, table_error, GREATEST_TABLE_ERROR);
+                let predicted = predicted(&target, &draws, settings.seed);
+                let table_errors_mm = (places.iter()).map(|case| table_errors_mm[*case]).collect();
                 return Ok(Fit {
                     verdict,
                     mixing,
+                    predicted,
                     conditions,
                     draws,
                     step_mm,
                     table_error,
+                    table_errors_mm,
                     nodes: table.worked_out().0,
                 });
             }

@@ -107,6 +107,17 @@ impl Mixing {
     }
 }
 
+/// Position of a draw, each number from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Its ensemble.
+    pub ensemble: usize,
+    /// Its walker, counted through all ensembles.
+    pub chain: usize,
+    /// The step of its walker.
+    pub draw: usize,
+}
+
 impl Draws {
     /// Number of draws.
     #[must_use]
@@ -114,11 +125,27 @@ impl Draws {
         self.ensembles.iter().map(Vec::len).sum()
     }
 
-    /// How well each unknown is sampled.
+    /// All draws, by ensemble, step and walker.
+    pub fn all(&self) -> impl Iterator<Item = (Place, &Point)> {
+        let of = move |(ensemble, points): (usize, &'_ Vec<Point>)| {
+            (0..points.len()).map(move |number| Place {
+                ensemble,
+                chain: ensemble * self.walkers + number % self.walkers,
+                draw: number / self.walkers,
+            })
+        };
+        let places = self.ensembles.iter().enumerate().flat_map(of);
+        places.zip(self.ensembles.iter().flatten())
+    }
+
+    /// How well each unknown is sampled. R-hat is that of the values, which a program that reads the draws finds again:
+    /// distances from the median, unlike ranks, depend on the coordinate.
     #[must_use]
     pub fn mixing(&self) -> [Mixing; UNKNOWNS] {
         core::array::from_fn(|unknown| {
-            let one = |ensemble: &Vec<Point>| ensemble.iter().map(|point| point[unknown]).collect();
+            let shape = unknowns()[unknown].shape;
+            let value = |point: &Point| shape.value(point[unknown]);
+            let one = |ensemble: &Vec<Point>| ensemble.iter().map(value).collect();
             let chains: Vec<Vec<f64>> = self.ensembles.iter().map(one).collect();
             Mixing {
                 r_hat: r_hat(&chains, self.walkers),

@@ -204,7 +204,9 @@ fn probability(p: f64) -> String {
     }
 }
 
-fn name(condition: &Condition) -> String {
+/// A condition in words: kind, wall and indentation.
+#[must_use]
+pub fn name(condition: &Condition) -> String {
     let Case {
         kind,
         indentation_mm,
