@@ -9,6 +9,7 @@
 //! * [`odds`]: how probable it is that the paper's sentences are met.
 //! * [`observations`]: displacements for a calibration, from folders and files.
 //! * [`posterior`]: fitted bodies in a model file.
+//! * [`draws`]: all draws of a fit, with their predictions.
 //! * [`virtual_displacement`]: displacements of the virtual bench.
 //! * [`trial_plan`]: which trials to make next.
 //! * [`snapshots`]: wall and body at several moments.
@@ -24,6 +25,7 @@ pub mod charts;
 pub mod crescent;
 pub mod design;
 pub mod drawing;
+pub mod draws;
 pub mod model_file;
 pub mod observations;
 pub mod odds;

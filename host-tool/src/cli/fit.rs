@@ -7,10 +7,10 @@ use std::time::Duration;
 use analysis::science::observations::{self, Trials, TrialsError};
 use analysis::science::posterior::{FORMAT, Posterior, SourceRecord};
 use analysis::science::series::Workers;
-use analysis::science::{charts, model_file};
+use analysis::science::{charts, draws, model_file};
 use calibration::fit::{Fit, Settings, fit_watched};
 use calibration::observation::{Case, Kind, Observation};
-use calibration::predictive::{Band, Check, bands, checks, suspicious};
+use calibration::predictive::{Band, Check, bands, checks, of_prior, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
 use calibration::verdict::Check as Verdict;
 use clap::Args;
@@ -38,7 +38,7 @@ pub struct FitArgs {
     /// Seed of everything: the same seed makes the same bytes.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: u64,
-    /// Folder of model.toml and posterior.svg. Files of the same names are replaced.
+    /// Folder of model.toml, posterior.svg and the draws as CSV. Files of the same names are replaced.
     #[arg(long, value_name = "DIR", default_value = "retrograde-fit")]
     pub out: PathBuf,
     /// Number of threads, by default one per core. The result does not depend on it.
@@ -60,8 +60,10 @@ fn positive(text: &str) -> Result<f64, String> {
 const KEPT: usize = 200;
 /// Number of positions at which the figure shows a band.
 const PLACES: usize = 12;
-/// Step of the rollers for the figure's bands, mm. Its error is too small to be seen there.
+/// Step of the rollers for the figure's bands and the prior's predictions, mm. Its error is too small to be seen there.
 const FIGURE_STEP_MM: f64 = 0.25;
+/// Number of draws of the prior that are written.
+const OF_PRIOR: usize = 1_000;
 
 /// The failure of observations that cannot be read.
 fn unusable(error: TrialsError) -> Failure {
@@ -209,6 +211,15 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     say_checks(&checked, screen);
     let (figure, shown) =
         workers.install(|| figure(&base, &checked, &bodies, args.seed, &posterior))?;
+    let prior = workers.install(|| {
+        of_prior(
+            &base,
+            &found.conditions,
+            OF_PRIOR,
+            FIGURE_STEP_MM,
+            args.seed,
+        )
+    })?;
     fs::create_dir_all(&args.out).map_err(|io| Failure::File {
         path: args.out.clone(),
         io,
@@ -222,13 +233,25 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     )?;
     let svg = args.out.join("posterior.svg");
     write(&svg, figure.as_bytes())?;
+    let mut files = vec![model, svg];
+    let of_draws = draws::files(&found, &prior, origin.name()).map_err(|error| Failure::File {
+        path: args.out.clone(),
+        io: error.into(),
+    })?;
+    for (name, bytes) in of_draws {
+        let path = args.out.join(name);
+        write(&path, &bytes)?;
+        files.push(path);
+    }
+    let shown_files: Vec<String> = (files.iter())
+        .map(|path| path.display().to_string())
+        .collect();
     screen.say(&format!(
-        "seed {}, {} draws\n{}\nfiles: {}, {}\norigin of the displacements: {}",
+        "seed {}, {} draws\n{}\nfiles: {}\norigin of the displacements: {}",
         args.seed,
         found.draws.count(),
         tables(&found),
-        model.display(),
-        svg.display(),
+        shown_files.join(", "),
         origin.meaning()
     ));
     say_verdict(&found, screen);
@@ -247,7 +270,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         "conditions": checked.iter().map(condition).collect::<Vec<_>>(),
         "bands": shown.iter().map(band).collect::<Vec<_>>(),
         "sources": posterior.source,
-        "files": [model, svg],
+        "files": files,
     }))
 }
 

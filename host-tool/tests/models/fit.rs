@@ -147,7 +147,13 @@ fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
 fn the_same_seed_makes_the_same_bytes_on_any_number_of_threads() {
     let (folder, _) = fitted();
     fit(folder, "again", "1");
-    for name in ["model.toml", "posterior.svg"] {
+    for name in [
+        "model.toml",
+        "posterior.svg",
+        "draws.csv",
+        "predictions.csv",
+        "conditions.csv",
+    ] {
         let read = |out: &str| fs::read(folder.join(out).join(name)).expect("a file");
         assert!(read("out") == read("again"), "{name}");
     }
