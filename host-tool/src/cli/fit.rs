@@ -10,8 +10,9 @@ use analysis::science::series::Workers;
 use analysis::science::{charts, draws, model_file};
 use calibration::fit::{Fit, Settings, fit_watched};
 use calibration::observation::{Case, Kind, Observation};
-use calibration::predictive::{Band, Check, bands, checks, of_prior, suspicious};
+use calibration::predictive::{Band, Check, bands, checks, suspicious};
 use calibration::prior::{Point, UNKNOWNS, Values, parts, unknowns, with_body};
+use calibration::replicated::of_prior;
 use calibration::verdict::Check as Verdict;
 use clap::Args;
 use client::identity::Origin;
@@ -169,23 +170,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     let observations: Vec<Observation> = (trials.iter())
         .flat_map(|one| one.measured.iter().map(|measured| measured.observation))
         .collect();
-    for one in &trials {
-        screen.say(&format!(
-            "{}: {} displacements, {} left out; {}",
-            one.path.display(),
-            one.measured.len(),
-            one.left_out.len(),
-            one.origin.meaning()
-        ));
-        if let (Some(stated), Some(given)) = (one.overridden_mm, args.uncertainty_mm) {
-            screen.say(&format!(
-                "  uncertainty: {given} mm of `--uncertainty-mm`, not the {stated} mm of its plan"
-            ));
-        }
-        for left in &one.left_out {
-            screen.say(&format!("  left out: {}: {}", left.place, left.why));
-        }
-    }
+    say_sources(&trials, args.uncertainty_mm, screen);
     let workers = Workers::new(args.threads).map_err(|error| Failure::Input {
         why: format!("no threads: {error}"),
         help: "use fewer: `--threads 1`".to_owned(),
@@ -220,38 +205,25 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
             args.seed,
         )
     })?;
-    fs::create_dir_all(&args.out).map_err(|io| Failure::File {
-        path: args.out.clone(),
-        io,
-    })?;
     // Use all digits, as among the samples.
     let fitted = with_sample(&base, &bodies[point]);
-    let model = args.out.join("model.toml");
-    write(
-        &model,
-        model_file::write_with(&fitted, Some(&posterior)).as_bytes(),
-    )?;
-    let svg = args.out.join("posterior.svg");
-    write(&svg, figure.as_bytes())?;
-    let mut files = vec![model, svg];
-    let of_draws = draws::files(&found, &prior, origin.name()).map_err(|error| Failure::File {
+    let model = model_file::write_with(&fitted, Some(&posterior));
+    let mut files = vec![
+        ("model.toml", model.into_bytes()),
+        ("posterior.svg", figure.into_bytes()),
+    ];
+    let of_draws = draws::files(&found, &prior, origin.name());
+    files.extend(of_draws.map_err(|error| Failure::File {
         path: args.out.clone(),
         io: error.into(),
-    })?;
-    for (name, bytes) in of_draws {
-        let path = args.out.join(name);
-        write(&path, &bytes)?;
-        files.push(path);
-    }
-    let shown_files: Vec<String> = (files.iter())
-        .map(|path| path.display().to_string())
-        .collect();
+    })?);
+    let files = written(&args.out, &files)?;
     screen.say(&format!(
         "seed {}, {} draws\n{}\nfiles: {}\norigin of the displacements: {}",
         args.seed,
         found.draws.count(),
         tables(&found),
-        shown_files.join(", "),
+        files.join(", "),
         origin.meaning()
     ));
     say_verdict(&found, screen);
@@ -272,6 +244,40 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         "sources": posterior.source,
         "files": files,
     }))
+}
+
+/// Writes files to a folder, which is created if necessary. Returns their paths.
+fn written(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<Vec<String>, Failure> {
+    fs::create_dir_all(folder).map_err(|io| Failure::File {
+        path: folder.to_owned(),
+        io,
+    })?;
+    let one = |(name, bytes): &(&str, Vec<u8>)| {
+        let path = folder.join(name);
+        write(&path, bytes).map(|()| path.display().to_string())
+    };
+    files.iter().map(one).collect()
+}
+
+/// Says which displacements are used, and which are left out.
+fn say_sources(trials: &[Trials], uncertainty_mm: Option<f64>, screen: &mut Screen<'_>) {
+    for one in trials {
+        screen.say(&format!(
+            "{}: {} displacements, {} left out; {}",
+            one.path.display(),
+            one.measured.len(),
+            one.left_out.len(),
+            one.origin.meaning()
+        ));
+        if let (Some(stated), Some(given)) = (one.overridden_mm, uncertainty_mm) {
+            screen.say(&format!(
+                "  uncertainty: {given} mm of `--uncertainty-mm`, not the {stated} mm of its plan"
+            ));
+        }
+        for left in &one.left_out {
+            screen.say(&format!("  left out: {}: {}", left.place, left.why));
+        }
+    }
 }
 
 fn with_sample(base: &Model, point: &Point) -> Model {

@@ -13,8 +13,8 @@ use crate::chance::{stream, unit};
 use crate::observation::{Condition, Observation, Unusable, conditions};
 use crate::plausible::{mistake, mistake_beside};
 use crate::prediction::Predictor;
-use crate::predictive::{Predictions, predicted};
 use crate::prior::{OF_BODY, Parts, Point, UNKNOWNS, discrepancy_mm, parts};
+use crate::replicated::{Predictions, predicted};
 use crate::sampler::{Draws, Effort, Mixing, sample_from};
 use crate::table::{Region, Table, distinct};
 use crate::target::{Target, deviation_mm};
@@ -124,6 +124,11 @@ fn errors_mm(
     bodies.par_iter().map(one).collect()
 }
 
+fn root_mean_square(errors: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = errors.len() as f64;
+    (errors.map(|error| error.powi(2)).sum::<f64>() / count).sqrt()
+}
+
 /// The worst condition's root mean square of errors over points of the posterior, in standard deviations of the
 /// condition's mean.
 fn worst(
@@ -192,15 +197,8 @@ pub fn fit_watched(
             Ok(table.displacements_mm(body).unwrap_or_else(nothing))
         };
         let errors = errors_mm(read, &converged, &tried)?;
-        let of = |case: usize| {
-            errors
-                .iter()
-                .map(move |body| body[case].powi(2))
-                .sum::<f64>()
-        };
-        let table_errors_mm: Vec<f64> = (0..cases.len())
-            .map(|case| (of(case) / TRIED as f64).sqrt())
-            .collect();
+        let of = |case| root_mean_square(errors.iter().map(|body: &Vec<f64>| body[case]));
+        let table_errors_mm: Vec<f64> = (0..cases.len()).map(of).collect();
         let target = Target {
             conditions: &conditions,
             places: &places,

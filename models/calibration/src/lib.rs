@@ -13,6 +13,7 @@
 //! * [`plausible`]: data in another unit or with the opposite sign.
 //! * [`descent`]: the body nearest to the data.
 //! * [`predictive`]: predictions of the posterior beside the measurements.
+//! * [`replicated`]: predictions of single draws.
 //! * [`synthetic`]: trials of a known body.
 //! * [`belief`]: knowledge of the unknowns before a trial.
 //! * [`information`]: information of one measurement.
@@ -37,6 +38,7 @@ pub mod plausible;
 pub mod prediction;
 pub mod predictive;
 pub mod prior;
+pub mod replicated;
 pub mod sampler;
 pub mod synthetic;
 pub mod table;

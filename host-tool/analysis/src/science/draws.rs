@@ -2,8 +2,8 @@
 
 use calibration::fit::Fit;
 use calibration::observation::Condition;
-use calibration::predictive::Predictions;
 use calibration::prior::{Values, unknowns};
+use calibration::replicated::Predictions;
 use calibration::sampler::Draws;
 use calibration::verdict::name;
 use serde::Serialize;
