@@ -8,7 +8,13 @@ use crate::bench;
 use crate::process::{Failure, Result, errors_of, host_cargo, root, run, target};
 use crate::steps::{Counts, Ran, Tests};
 
-/// Runs its tests, including those with bluesky where it can be installed.
+/// Packages that some tests need: the modules, and what pip installs for them.
+const WANTED: [(&str, &[&str]); 2] = [
+    ("bluesky", &["bluesky"]),
+    ("arviz, h5netcdf, h5py", &["arviz", "h5netcdf", "h5py"]),
+];
+
+/// Runs its tests, including those with bluesky and ArviZ where these can be installed.
 pub(crate) fn test() -> Tests {
     let mut tests = match prepared() {
         Ok(tests) => tests,
@@ -46,16 +52,13 @@ fn counts(lines: &[String]) -> Counts {
     }
 }
 
-/// The command that runs the tests. Builds the programs first, and installs bluesky if it can.
+/// The command that runs the tests. Builds the programs first, and installs the packages if it can.
 fn prepared() -> Result<Command> {
     let mut cargo = host_cargo("build");
     cargo.args(["--package", "host-tool", "--package", "virtual-bench"]);
     bench::accept_this_rust(&mut cargo);
     run(&mut cargo, "fix what the compiler reports above")?;
-    let python = with_bluesky(&target().join("python")).unwrap_or_else(|| {
-        println!("bluesky cannot be installed here: its tests are skipped");
-        PathBuf::from("python3")
-    });
+    let python = with_packages(&target().join("python"));
     if !answers(&python) {
         return Err(Failure::new(
             "there is no python3",
@@ -70,28 +73,32 @@ fn prepared() -> Result<Command> {
     Ok(tests)
 }
 
-/// A Python with bluesky below `folder`; none if it cannot be installed.
-fn with_bluesky(folder: &Path) -> Option<PathBuf> {
+/// A Python below `folder` with those of the packages that can be installed; the system's if there can be none.
+fn with_packages(folder: &Path) -> PathBuf {
     let python = folder.join("bin/python");
     let quiet = |command: &mut Command| {
         let ended = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
         ended.is_ok_and(|status| status.success())
     };
-    let has = |python: &Path| quiet(Command::new(python).args(["-c", "import bluesky"]));
-    if has(&python) {
-        return Some(python);
+    if !answers(&python) && !quiet(Command::new("python3").args(["-m", "venv"]).arg(folder)) {
+        println!(
+            "there can be no Python environment here: tests with bluesky and ArviZ are skipped"
+        );
+        return PathBuf::from("python3");
     }
-    let made = quiet(Command::new("python3").args(["-m", "venv"]).arg(folder));
-    let install = [
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--retries",
-        "1",
-        "bluesky",
-    ];
-    (made && quiet(Command::new(&python).args(install)) && has(&python)).then_some(python)
+    for (modules, packages) in WANTED {
+        let has = || quiet(Command::new(&python).args(["-c", &format!("import {modules}")]));
+        let install = ["-m", "pip", "install", "--quiet", "--retries", "1"];
+        let installs = || quiet(Command::new(&python).args(install).args(packages));
+        let is_there = has() || (installs() && has());
+        if !is_there {
+            println!(
+                "{} cannot be installed here: its tests are skipped",
+                packages[0]
+            );
+        }
+    }
+    python
 }
 
 fn answers(python: &Path) -> bool {
