@@ -108,9 +108,8 @@ pub fn rig(dice: &mut Dice) -> Vec<Happening> {
         let happening = match dice.roll(0..40) {
             0..16 => {
                 let request = rig_request(dice);
-                // A run begins at 0.
-                if matches!(request, Request::Run(_)) && dice.roll(0..2) == 0 {
-                    prepare(&mut all, Request::Home(Home), 3_000_000);
+                if dice.roll(0..2) == 0 {
+                    lead_to(&mut all, &request, dice);
                 }
                 Happening::Ask(request)
             }
@@ -169,6 +168,22 @@ pub fn capsule(dice: &mut Dice) -> Vec<Happening> {
         all.push(Happening::Wait(dice.roll(20_000..3_000_000)));
     }
     all
+}
+
+/// Brings the rig where it accepts this request, if nothing else comes in between.
+fn lead_to(all: &mut Vec<Happening>, request: &Request, dice: &mut Dice) {
+    if matches!(request, Request::Home(_) | Request::Acknowledge(_)) {
+        return;
+    }
+    prepare(all, Request::Home(Home), 3_000_000);
+    if matches!(request, Request::Hold(_) | Request::Resume(_)) {
+        all.push(Happening::Ask(Request::Run(run(dice))));
+        all.push(Happening::Wait(dice.roll(100_000..800_000)));
+    }
+    if matches!(request, Request::Resume(_)) {
+        all.push(Happening::Ask(Request::Hold(Hold)));
+        all.push(Happening::Wait(dice.roll(20_000..600_000)));
+    }
 }
 
 /// Acknowledges whatever was, and lets the machine find its position.
