@@ -1,6 +1,5 @@
 //! The settings' log in the STM32F411's flash, and its write operations.
 
-#[path = "store/log.rs"]
 mod log;
 
 use log::{KEPT, start, young};

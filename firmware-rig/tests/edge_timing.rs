@@ -1,7 +1,6 @@
 //! Captured edges against the periods that were given out: the comparison finds moved, missing and added edges.
 
-mod runs;
-
+use crate::runs::any_run;
 use core::iter;
 use firmware_rig::{
     periods::{Item, Path, Period, Periods},
@@ -14,7 +13,6 @@ use motion::{
     units::{StepPosition, Window},
 };
 use proptest::prelude::*;
-use runs::any_run;
 
 const EVERYWHERE: Window = Window {
     first: StepPosition(i32::MIN),

@@ -1,8 +1,7 @@
 //! Execution on a ring that queues ahead as the board's does: every pulse at its tick, turns, stops, cuts, and whatever
 //! keeps it from filling the ring in time.
 
-mod runs;
-
+use crate::runs::{any_deceleration, any_run, first_stroke, strokes};
 use firmware_rig::{
     execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
@@ -19,7 +18,6 @@ use motion::{
 };
 use proptest::prelude::*;
 use protocol::rig::{LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome};
-use runs::{any_deceleration, any_run, first_stroke, strokes};
 use simulated_machines::carriage::{Carriage, Pulse, Rig, ring::Ahead, run};
 
 const SETTINGS: Settings = Settings::REFERENCE;

@@ -1,7 +1,6 @@
 //! Timer periods against the step times from which they are made.
 
-mod runs;
-
+use crate::runs::{any_deceleration, any_run, first_stroke, strokes};
 use firmware_rig::{
     periods::{Item, MAX_PERIOD, Path, Period, Periods},
     settings::Settings,
@@ -14,7 +13,6 @@ use motion::{
     units::{StepPosition, Steps, Ticks, Window},
 };
 use proptest::prelude::*;
-use runs::{any_deceleration, any_run, first_stroke, strokes};
 
 const LIMITS: Limits = Settings::REFERENCE.limits;
 

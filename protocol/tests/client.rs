@@ -1,8 +1,5 @@
 //! The host's client alone: the frames it accepts, the times it sends, and its counters.
 
-#[allow(dead_code, unreachable_pub)]
-mod parties;
-
 use protocol::{
     client::{ATTEMPTS, Client, NotNow, Output, Poll, RETRY_AFTER_US},
     error::{Refusal, WireError},
@@ -44,7 +41,7 @@ fn sent(client: &mut Client, now_us: u64) -> Encoded {
 /// Answers the pending Hello.
 fn greet(client: &mut Client, now_us: u64) {
     let hello = header(&sent(client, now_us));
-    let identity = parties::Device::new().identity(SESSION);
+    let identity = crate::parties::Device::new().identity(SESSION);
     let reply = Reply::Accepted(Response::Hello(identity));
     assert!(hear(client, Kind::Reply, hello.seq, &reply).is_some());
 }

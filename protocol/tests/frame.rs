@@ -1,9 +1,6 @@
 //! Frames in a stream: the longest frame, bytes that are no frame, and the counters.
 
-#[allow(dead_code, unreachable_pub)]
-mod parties;
-
-use parties::Raw;
+use crate::parties::Raw;
 use protocol::frame::{Deframer, Header, Kind, MAX_BODY, MAX_FRAME, TooLong, encode};
 
 const HEADER: Header = Header {

@@ -2,10 +2,7 @@
 //!
 //! The long tests run in `cargo xtask ci`, or with `cargo test -p protocol -- --ignored`.
 
-#[allow(dead_code, unreachable_pub)]
-mod parties;
-
-use parties::{Device, Noise, Raw};
+use crate::parties::{Device, Noise, Raw};
 use proptest::prelude::*;
 use protocol::{
     client::Client,

@@ -1,10 +1,7 @@
 //! The real client against the real session over a bad line that corrupts, repeats and delays, with resets of the
 //! device.
 
-#[allow(dead_code, unreachable_pub)]
-mod parties;
-
-use parties::{Device, Noise};
+use crate::parties::{Device, Noise};
 use protocol::{
     client::{ATTEMPTS, Client, FLASH_ATTEMPTS, Output, Poll, RETRY_AFTER_US},
     error::{Refusal, WireError},

@@ -20,25 +20,21 @@ use crate::steps::{Clock, Counts, Ran, Tests};
 const LONG: [(&str, &str); 13] = [
     ("host-tool", "models"),
     ("calibration", "verdict"),
+    ("firmware-rig", "all"),
+    ("firmware-capsule", "all"),
     ("calibration", "recovery"),
-    ("firmware-rig", "sequences"),
     ("calibration", "strokes"),
     ("calibration", "simulation_based"),
-    ("firmware-capsule", "scenarios"),
     ("host-tool", "commands"),
     ("calibration", "closed_loop"),
     ("host-tool", "campaigns"),
-    ("locomotion", "comparison"),
+    ("locomotion", "all"),
     ("calibration", "closed_forms"),
     ("fuzz", "bounded"),
 ];
 
 /// Programs that also run what plain `cargo test` leaves out: the slice of a long series.
-const SLICES: [(&str, &str); 3] = [
-    ("firmware-rig", "sequences"),
-    ("protocol", "fuzz"),
-    ("protocol", "link"),
-];
+const SLICES: [(&str, &str); 2] = [("firmware-rig", "all"), ("protocol", "all")];
 
 /// Programs that wait for a line in real time and compute little: they run beside those that compute.
 const WAITING: [(&str, &str); 5] = [

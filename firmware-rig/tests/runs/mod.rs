@@ -1,8 +1,5 @@
 //! Random runs, and the strokes of a path.
 
-// Each test file uses a part of it.
-#![allow(dead_code)]
-
 use firmware_rig::periods::Path;
 use motion::{
     axis::{Acceleration, Axis, Direction},

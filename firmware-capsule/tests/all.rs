@@ -1,0 +1,11 @@
+//! All tests of the crate in one program: each program more takes seconds to build and link.
+
+mod control;
+mod kept;
+mod limits;
+mod manual;
+mod partial;
+mod scenarios;
+mod sense;
+mod settings;
+mod states;

@@ -1,0 +1,11 @@
+//! All tests of the crate in one program: each program more takes seconds to build and link.
+
+mod client;
+mod document;
+mod frame;
+mod fuzz;
+mod link;
+mod parties;
+mod session;
+mod texts;
+mod wire;
