@@ -366,7 +366,7 @@ mod anything {
         check(0..100_000);
     }
 
-    /// `cargo test -p firmware-rig --test sequences -- --ignored`
+    /// `cargo test -p firmware-rig --test all sequences -- --ignored`
     #[test]
     #[ignore = "a long series, a step of `cargo xtask ci`"]
     fn holds_in_a_long_series() {
@@ -524,7 +524,7 @@ mod executed {
         check(0..3_000);
     }
 
-    /// `cargo test -p firmware-rig --test sequences -- --ignored`
+    /// `cargo test -p firmware-rig --test all sequences -- --ignored`
     #[test]
     #[ignore = "a long series, a step of `cargo xtask ci`"]
     fn holds_in_a_long_series() {

@@ -1,5 +1,5 @@
 //! docs/protocol.md agrees with the code. This file makes its tables and examples from the schema of the messages,
-//! their doc comments and the exemplars: `BLESS=1 cargo test -p protocol --test document` writes them. The parts
+//! their doc comments and the exemplars: `BLESS=1 cargo test -p protocol --test all document` writes them. The parts
 //! written by hand (ranges, refusals, effects of a request) are compared name by name, and the failure names the
 //! missing row.
 
@@ -54,7 +54,7 @@ const SOURCES: [(&str, &str, &str); 6] = [
     ),
 ];
 
-const BLESS: &str = "`BLESS=1 cargo test -p protocol --test document` writes what is generated";
+const BLESS: &str = "`BLESS=1 cargo test -p protocol --test all document` writes what is generated";
 const HOW: &str = "docs/protocol.md must be enough to write a client without reading Rust";
 
 // ---- The document ----
@@ -103,7 +103,7 @@ fn check(name: &str, wanted: &str) {
     let list = |lines: Vec<&String>| lines.iter().fold(String::new(), |all, l| all + l + "\n");
     panic!(
         "docs/protocol.md, part `{name}`, is not what the code says.\n\nadd these lines:\n{}\nremove these lines:\n{}\n\
-         `BLESS=1 cargo test -p protocol --test document` does both.",
+         `BLESS=1 cargo test -p protocol --test all document` does both.",
         list(should.difference(&is).collect()),
         list(is.difference(&should).collect()),
     );

@@ -1,5 +1,5 @@
 //! The bytes on the wire. A change here is a change of the protocol: raise the version, then regenerate with
-//! `BLESS=1 cargo test -p protocol --test wire`.
+//! `BLESS=1 cargo test -p protocol --test all wire`.
 
 use protocol::{
     frame::{Deframer, Kind, MAX_BODY, encode},

@@ -68,6 +68,8 @@ const APART: [(&str, &[&str], &str); 4] = [
         "it shows what is going on; `report` evaluates it",
     ),
 ];
+/// Root of the one test program of a crate.
+const ALL_TESTS: &str = "tests/all.rs";
 /// Where the figure of the crates is.
 const FIGURE: &str = "docs/architecture.md";
 
@@ -92,7 +94,9 @@ pub(crate) fn check() -> Result<()> {
     let packages = packages()?;
     let mut wrong = vec![];
     for package in &packages {
-        for unit in units(&package.folder)? {
+        let units = units(&package.folder)?;
+        wrong.extend(unnamed(&package.folder, &units));
+        for unit in units {
             let imports = unit.imports()?;
             wrong.extend(
                 circles(&imports)
@@ -178,7 +182,11 @@ fn units(folder: &Path) -> Result<Vec<Unit>> {
         .lines()
         .filter_map(|line| line.strip_prefix("path = \"src/"));
     roots.extend(named.map(|rest| folder.join("src").join(rest.trim_end_matches('"'))));
+    roots.push(folder.join(ALL_TESTS));
     for kind in ["tests", "examples"] {
+        if kind == "tests" && folder.join(ALL_TESTS).is_file() {
+            continue;
+        }
         let Ok(entries) = fs::read_dir(folder.join(kind)) else {
             continue;
         };
@@ -194,6 +202,26 @@ fn units(folder: &Path) -> Result<Vec<Unit>> {
     roots.sort();
     roots.dedup();
     roots.iter().map(|root| Unit::read(root)).collect()
+}
+
+/// Test files that no program names: they would not be built.
+fn unnamed(folder: &Path, units: &[Unit]) -> Vec<String> {
+    let entries = fs::read_dir(folder.join("tests")).into_iter().flatten();
+    let files = entries.flatten().map(|entry| entry.path());
+    let files = files.filter(|path| path.extension().is_some_and(|end| end == "rs"));
+    let is_named = |path: &PathBuf| {
+        let mut files = units.iter().flat_map(|unit| unit.modules.values());
+        files.any(|named| named == path)
+    };
+    files
+        .filter(|path| !is_named(path))
+        .map(|path| {
+            format!(
+                "{} is in no test program: name it in {ALL_TESTS}",
+                path.display()
+            )
+        })
+        .collect()
 }
 
 impl Unit {

@@ -64,7 +64,7 @@ fn the_sentences_keep_these_draws() {
     });
     if bless {
         let mut text = String::from(
-            "//! Numbers of the draws that agree with the paper's words. Written by `BLESS=1 cargo test -p locomotion --test prior`.\n",
+            "//! Numbers of the draws that agree with the paper's words. Written by `BLESS=1 cargo test -p locomotion --test all prior`.\n",
         );
         for (name, doc, list) in [("RIG", "rig", &found[0]), ("TUBE", "tube", &found[1])] {
             write!(

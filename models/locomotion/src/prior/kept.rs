@@ -1,4 +1,4 @@
-//! Numbers of the draws that agree with the paper's words. Written by `BLESS=1 cargo test -p locomotion --test prior`.
+//! Numbers of the draws that agree with the paper's words. Written by `BLESS=1 cargo test -p locomotion --test all prior`.
 
 /// On the rig.
 #[rustfmt::skip]
