@@ -1004,7 +1004,7 @@ fn compare_prints_the_table_of_the_manual() {
     let out = folder.path().to_str().expect("UTF-8");
     let (code, said, err) = retrograde(&["simulate", "compare", "--out", out]);
     assert_eq!((code, err.as_str()), (0, ""));
-    let manual = include_str!("../../../docs/science.md").replace("\r\n", "\n");
+    let manual = include_str!("../../../docs/paper-comparison.md").replace("\r\n", "\n");
     let (_, rest) = manual
         .split_once("comparison: begin -->\n")
         .expect("a table");

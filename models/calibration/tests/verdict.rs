@@ -213,8 +213,8 @@ fn a_coupling_that_changes_with_the_indentation_is_not_reliable() {
     assert!(has(&fit, Check::ChiSquare), "{:?}", fit.verdict);
 }
 
-/// A late recovery of 1 mm is not seen, and moves the friction ratio beyond the truth: `docs/science.md` says so. 2 mm
-/// are tried with `RETROGRADE_CAMPAIGN=full` only, because the chains mix slowly.
+/// A late recovery of 1 mm is not seen, and moves the friction ratio beyond the truth: `docs/model-calibration.md` says so.
+/// 2 mm are tried with `RETROGRADE_CAMPAIGN=full` only, because the chains mix slowly.
 #[test]
 fn wings_that_recover_late_are_doubted() {
     let recoveries_mm: &[f64] = if full() { &[2.0, 4.0] } else { &[4.0] };
@@ -243,7 +243,7 @@ fn a_contact_that_gives_before_it_slips_is_doubted() {
 }
 
 /// A friction ratio of 40 that falls to 10 at the slip speed of the rig's one speed is a body with 10. No check can see
-/// it, and `docs/science.md` says so.
+/// it, and `docs/model-calibration.md` says so.
 #[test]
 fn a_friction_ratio_that_falls_with_the_slip_speed_is_invisible() {
     let fast = body(&[("body.friction_ratio", 10.0)]);

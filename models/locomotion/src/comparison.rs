@@ -1,7 +1,7 @@
 //! Each sentence of the paper's sections II and III that states a number or a trend, beside a model's result.
 //!
-//! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/science.md`. A [`Condition`]
-//! says what a sentence requires of the value; [`odds`] counts how many of several bodies meet it.
+//! The rows are data for reports; [`Table`] prints them as the Markdown table of `docs/paper-comparison.md`. A
+//! [`Condition`] says what a sentence requires of the value; [`odds`] counts how many of several bodies meet it.
 
 mod condition;
 mod figures;

@@ -1,4 +1,4 @@
-//! The comparison as the Markdown table of `docs/science.md`.
+//! The comparison as the Markdown table of `docs/paper-comparison.md`.
 
 use core::fmt;
 
