@@ -1,4 +1,4 @@
-//! `cargo xtask board`: runs the image of the measurements on a board, and prints the table for docs/silicon.md.
+//! `cargo xtask board`: runs the image of the measurements on a board, and prints the table for docs/first-board.md.
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
@@ -44,7 +44,7 @@ const PREPARATION: &str = "
 Before: motor supply off, the driver out of its socket, `retrograde settings export` kept: one settings sector is
 erased and written back. Wires as in docs/rig.md; a row whose wire is missing is NOT AS EXPECTED or not measured.
 Afterwards: `cargo rig`, for the board keeps the image of the measurements.
-Not here, because it takes a hand, a meter or an oscilloscope: docs/silicon.md, \"The first hour with a board\".
+Not here, because it takes a hand, a meter or an oscilloscope: docs/first-board.md, \"The first hour with a board\".
 ";
 
 fn measure() -> Result<()> {
@@ -162,7 +162,7 @@ fn plan() -> String {
     text
 }
 
-/// The table that docs/silicon.md takes.
+/// The table that docs/first-board.md takes.
 fn table(rows: &[Row], place: Place) -> String {
     let mut text = String::from(
         "| item | name | measured | expected | value | verdict |\n|---|---|---|---|---|---|\n",

@@ -74,7 +74,7 @@ cargo xtask <command>
   images [--check]  build the images, check their layout and sizes (--check: only check them)
   flash MACHINE     build the images, flash `rig` or `capsule` with probe-rs, show its log
   board [--dry-run] measure on a board what the bench cannot show, over probe-rs; prints the table for
-                    docs/silicon.md and leaves a file to send (--dry-run: what would be measured, and its wires)
+                    docs/first-board.md and leaves a file to send (--dry-run: what would be measured, and its wires)
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
