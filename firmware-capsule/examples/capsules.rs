@@ -1,4 +1,4 @@
-//! Tries the firmware's library on many seeded capsules and prints the tables of `docs/capsule.md`.
+//! Tries the firmware's library on many seeded capsules and prints the tables of `docs/capsule-figures.md`.
 //!
 //! `cargo run --release -p firmware-capsule --example capsules [CASES PER FAULT]`, 500 unless told; with `--sensitivity` before it, what
 //! each effect does alone.

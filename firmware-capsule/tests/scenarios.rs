@@ -78,7 +78,7 @@ fn zero_and_end_force_do_not_depend_on_stiffness_friction_or_cell() {
     }
 }
 
-/// Part of the table in `docs/capsule.md`; `examples/capsules.rs` makes all of it.
+/// Part of the table in `docs/capsule-figures.md`; `examples/capsules.rs` makes all of it.
 #[test]
 fn every_defect_has_its_name() {
     for kind in Kind::ALL {

@@ -1,4 +1,4 @@
-//! Identifies seeded capsules and prints how often, and how narrowly: the table of `docs/capsule.md`.
+//! Identifies seeded capsules and prints how often, and how narrowly: the table of `docs/capsule-figures.md`.
 //!
 //! `cargo run --release -p simulated-machines --features links --example identify [CAPSULES]`, 100 unless told.
 #![allow(clippy::print_stdout)]
