@@ -41,7 +41,7 @@ pub const STOPPED: u8 = 130;
 
 /// A failure specific to one command.
 pub trait CommandFailure: Diagnostic + Send + Sync {
-    /// The exit code; the table is in `docs/host-tool.md`.
+    /// The exit code; the table is in `docs/records.md`.
     fn exit_code(&self) -> u8;
 
     /// Adds the fields that `--json` shows beside the error.
@@ -303,7 +303,7 @@ impl Failure {
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     }
 
-    /// The exit code; the table is in `docs/host-tool.md`.
+    /// The exit code; the table is in `docs/records.md`.
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {

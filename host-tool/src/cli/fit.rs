@@ -74,7 +74,7 @@ fn unusable(error: TrialsError) -> Failure {
         TrialsError::Changed { folder, findings } => Own::Changed { folder, findings }.into(),
         TrialsError::Csv { .. } => Failure::Input {
             why,
-            help: "docs/host-tool.md lists the columns; rows are counted from the one after the header"
+            help: "docs/model-commands.md lists the columns; rows are counted from the one after the header"
                 .to_owned(),
         },
         TrialsError::NoUncertainty(_) => Failure::Input {
