@@ -87,7 +87,10 @@ fn the_manual_holds_this_table() {
     }
     .to_string();
     if std::env::var_os("BLESS").is_some() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/paper-comparison.md");
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../../docs/paper-comparison.md"
+        );
         std::fs::write(path, manual.replace(table, &rows)).unwrap();
     }
     assert_eq!(
@@ -178,7 +181,10 @@ fn each_row_is_of_a_kind() {
         arithmetic > 5 && input > 20 && chosen > 5 && nearly_all >= 5 && miss > 10,
         "{counts:?}"
     );
-    assert_eq!(evidence, 0, "docs/paper-comparison.md says that no row is evidence");
+    assert_eq!(
+        evidence, 0,
+        "docs/paper-comparison.md says that no row is evidence"
+    );
 }
 
 /// A wider or weaker condition would call these met.
