@@ -11,7 +11,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, dependencies, images, programs, python, structure};
+use crate::{bench, dependencies, images, manual, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -35,6 +35,11 @@ const STRUCTURE: Step = Step::new(
     "structure",
     "no imports in circles or upwards, no crate and no file too large",
     structure::check,
+);
+const MANUAL: Step = Step::new(
+    "manual",
+    "every link in Markdown leads somewhere, no page of docs/ too long, no line too wide",
+    manual::check,
 );
 const LINT_HOST: Step = Step::new(
     "lint host",
@@ -78,6 +83,7 @@ pub(crate) fn lint() -> ExitCode {
     steps::run(&[
         FORMAT,
         STRUCTURE,
+        MANUAL,
         DEPENDENCIES,
         LINT_HOST,
         DOCS,
@@ -91,6 +97,7 @@ pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
         STRUCTURE,
+        MANUAL,
         HOST_TESTS,
         LINT_HOST,
         DOCS,

@@ -7,6 +7,7 @@
 //! | `programs.rs` | builds test programs and runs them side by side |
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
 //! | `structure.rs` | what crates and files may import, and how large they may be |
+//! | `manual.rs` | where the links in Markdown lead, and how long pages and lines may be |
 //! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `dependencies.rs` | checks licences and sources of other people's crates |
@@ -34,6 +35,7 @@ mod dependencies;
 mod fuzz;
 mod images;
 mod layout;
+mod manual;
 mod mutants;
 mod pictures;
 mod places;
@@ -57,8 +59,9 @@ cargo xtask <command>
   test [host]       build the images, run the host tests with slices of the long series, and the tests of the images
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
-  lint [structure]  format, structure, licences, clippy for host and chip, documentation; no warning allowed
-                    (structure: only that, in a second)
+  lint [structure|manual]
+                    format, structure, manual, licences, clippy for host and chip, documentation; no warning allowed
+                    (structure, manual: only that, in a second; manual: links, length and width of pages)
   ci                everything that has to pass before a change is merged
   mutants [PACKAGE [OPTIONS]]
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
@@ -105,6 +108,7 @@ fn main() -> ExitCode {
         ("test", [which]) if which == "host" => return checks::test_host(),
         ("lint", []) => return checks::lint(),
         ("lint", [which]) if which == "structure" => structure::check(),
+        ("lint", [which]) if which == "manual" => manual::check(),
         ("ci", []) => return checks::ci(),
         ("mutants", arguments) => mutants::run(arguments),
         ("fuzz", arguments) => fuzz::run(arguments),
