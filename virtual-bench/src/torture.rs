@@ -164,11 +164,11 @@ pub trait Victim: Default {
     }
     /// Does that to the machine at the present instant or later.
     fn inflict(board: &mut Self::Board, now_ns: u64, happening: &Happening);
-    /// Takes everything away that is wrong with the machine.
+    /// Takes everything away that is wrong with the machine, and says whether it could.
     ///
     /// # Errors
     /// The bench failed.
-    fn cure(&mut self, bench: &Bench<Self::Board>) -> Result<(), BenchError>;
+    fn cure(&mut self, bench: &Bench<Self::Board>) -> Result<bool, BenchError>;
     /// Whether nothing is going on, by the firmware's word: only to wait for.
     ///
     /// # Errors

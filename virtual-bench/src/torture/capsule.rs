@@ -220,9 +220,18 @@ impl Victim for Judge {
         }
     }
 
-    fn cure(&mut self, bench: &Bench<CapsuleBoard>) -> Result<(), BenchError> {
-        self.is_blind = false;
-        bench.visit(|visit| visit.board().capsule.exchange(Parameters::nominal()))
+    /// By another capsule, which would be driven past its zero by a motion that goes on.
+    fn cure(&mut self, bench: &Bench<CapsuleBoard>) -> Result<bool, BenchError> {
+        let is_cured = bench.visit(|visit| {
+            let capsule = &mut visit.board().capsule;
+            let can_be = !capsule.is_awake() && !capsule.is_moving();
+            if can_be {
+                capsule.exchange(Parameters::nominal());
+            }
+            can_be
+        })?;
+        self.is_blind &= !is_cured;
+        Ok(is_cured)
     }
 
     fn is_at_rest(device: &mut Device) -> Result<bool, ClientError> {

@@ -398,7 +398,7 @@ impl Victim for Judge {
         }
     }
 
-    fn cure(&mut self, bench: &Bench<RigBoard>) -> Result<(), BenchError> {
+    fn cure(&mut self, bench: &Bench<RigBoard>) -> Result<bool, BenchError> {
         self.flag_is_wrong = false;
         bench.visit(|visit| {
             let now_ns = visit.now_ns();
@@ -421,6 +421,7 @@ impl Victim for Judge {
             for cure in cures {
                 rig.act(cure, now_ns);
             }
+            true
         })
     }
 

@@ -523,7 +523,13 @@ impl<M: Victim> Trial<M> {
     /// With everything in order the machine answers, has its settings and works.
     fn examine(&mut self) -> Result<(), End> {
         self.story.push_str("everything in order\n");
-        self.judge.cure(&self.bench)?;
+        let end_ns = self.now_ns() + ENDS_NS;
+        while !self.judge.cure(&self.bench)? {
+            self.wait(100_000)?;
+            if self.now_ns() > end_ns {
+                return Err("it hangs: a motion never ends".to_owned().into());
+            }
+        }
         self.bench.visit(|visit| visit.serial().forget_faults())?;
         locked(&self.sent).twice = 0;
         (self.bad_bytes, self.is_weak) = ((0, 0), false);
