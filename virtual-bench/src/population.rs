@@ -269,7 +269,7 @@ impl Moved {
 }
 
 /// Tries `cases` of each kind, or of those in `only`, twice as many healthy ones, and writes the table of
-/// `docs/capsule.md`, line by line.
+/// `docs/capsule-figures.md`, line by line.
 ///
 /// # Errors
 /// As [`Workbench::try_case`].

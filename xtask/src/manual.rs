@@ -18,8 +18,6 @@ const MOST_LINES: usize = 400;
 const LONGER: &str = "docs/protocol.md";
 /// Longest line of prose, columns.
 const MOST_COLUMNS: usize = 120;
-/// Pages that still have wider lines. Take one out once it is wrapped.
-const WIDER: [&str; 2] = ["docs/performance.md", "docs/testing.md"];
 
 /// Checks every Markdown file that git knows.
 pub(crate) fn check() -> Result<()> {
@@ -52,7 +50,6 @@ fn objections(pages: &BTreeMap<PathBuf, String>, exists: &dyn Fn(&Path) -> bool)
         if in_docs && count > MOST_LINES && page != Path::new(LONGER) {
             wrong.push(format!("{name}: {count} lines, {MOST_LINES} at most"));
         }
-        let narrow = in_docs && !WIDER.iter().any(|wider| page == Path::new(wider));
         for (number, line, generated) in prose(text) {
             for link in links(line) {
                 if let Some(reason) = broken(page, &link, pages, exists) {
@@ -60,7 +57,7 @@ fn objections(pages: &BTreeMap<PathBuf, String>, exists: &dyn Fn(&Path) -> bool)
                 }
             }
             let columns = line.chars().count();
-            if narrow && !generated && columns > MOST_COLUMNS && !line.starts_with(['|', '!']) {
+            if in_docs && !generated && columns > MOST_COLUMNS && !line.starts_with(['|', '!']) {
                 wrong.push(format!(
                     "{name}:{number}: {columns} columns, {MOST_COLUMNS} at most"
                 ));

@@ -22,7 +22,7 @@
 //! * [`design`]: which trials tell most.
 //! * [`chance`]: random streams of a seed.
 //!
-//! `docs/science.md` states the assumptions and the results of the tests.
+//! `docs/model-calibration.md` states the assumptions and the results of the tests.
 #![forbid(unsafe_code)]
 
 pub mod belief;

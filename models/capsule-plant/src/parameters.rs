@@ -25,7 +25,7 @@ pub const SENSE_MV_PER_MA: f64 = 1.0;
 /// Ratio of the battery's voltage divider.
 pub const BATTERY_DIVIDER: f64 = 2.0;
 
-/// One capsule. [`Parameters::nominal`] is the model capsule of `docs/science.md`.
+/// One capsule. [`Parameters::nominal`] has the parts of `docs/capsule.md`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameters {
     /// Winding resistance, ohm: 5.4 (data sheet of the motor 0816K003SR).

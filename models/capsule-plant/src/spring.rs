@@ -7,7 +7,7 @@ const HEIGHT_MM: f64 = 0.01;
 /// Step of the table in travel, mm.
 const STEP_MM: f64 = 0.005;
 
-/// Force of the nine crescents at a travel, N, by the beam estimate of `docs/science.md`:
+/// Force of the nine crescents at a travel, N, by a beam estimate:
 /// F = 0.2055 N/mm a / (d psi / da), travel = 9 (psi(0) - psi(a)), with the paper's Eqs. (2) to (5) and (7).
 #[must_use]
 pub fn force_n(travel_mm: f64) -> f64 {

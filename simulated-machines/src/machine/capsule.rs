@@ -22,7 +22,7 @@ const ASLEEP_US: u64 = 100_000;
 /// Longest time that a motor coasts, us.
 const COASTS_US: u64 = 500_000;
 
-/// Thread length of the folded capsule, um: 6 N at 20.7 mm of travel (docs/science.md) plus 1 mm of slack.
+/// Thread length of the folded capsule, um: 6 N at 20.7 mm of travel (docs/capsule.md) plus 1 mm of slack.
 pub const FOLDED_UM: i32 = 21_510;
 
 /// A capsule.

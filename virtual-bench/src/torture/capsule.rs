@@ -21,7 +21,7 @@ use crate::plants::capsule::Defect;
 const BRAKING_NS: u64 = 300_000_000;
 /// Longest pause within what one order moves, ns.
 const PAUSE_NS: u64 = 1_500_000_000;
-/// A thread has to bear this (docs/capsule.md), N.
+/// A thread has to bear this (docs/capsule-figures.md), N.
 const MOST_N: f64 = 25.0;
 /// Travel of a folded nominal capsule, and thread left on the spool of an unfolded one, mm.
 const FOLDED_MM: f64 = 19.5;
