@@ -24,7 +24,7 @@ use trials::trial::{RecordError, Status};
 use crate::CampaignError;
 use crate::conduct::modelled::DisplacementModel;
 use crate::folder::Folder;
-use crate::ledger::{AttemptOutcome, LedgerRow, Standing};
+use crate::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
 use crate::prompts::{self, Answer, Halt, Question};
 use crate::readings::ReadingRow;
 
@@ -38,7 +38,7 @@ pub trait Desk {
     /// Waits for an answer. Calls `keep_alive` several times a second meanwhile.
     ///
     /// # Errors
-    /// [`Halt`].
+    /// [`Halt`]; nothing that was typed is lost with it.
     fn answer(
         &mut self,
         question: &Question<'_>,
@@ -324,6 +324,45 @@ impl<'a> Conduct<'a> {
         Ok(self.folder.append_reading(row, now, origin)?)
     }
 
+    fn note(&mut self, trial: u32, text: String) -> Result<(), Broken> {
+        let said = format!("  noted on trial {trial}: {text}");
+        self.row(LedgerRow::of(LedgerEvent::Note, trial, None).saying(Some(text)))?;
+        self.desk.say(&said);
+        Ok(())
+    }
+
+    /// Takes the latest entry back: that a trial is left out, or else a displacement.
+    fn undo(&mut self) -> Result<(), Broken> {
+        let campaign = self.folder.campaign();
+        let not_note = |row: &&LedgerRow| row.event != LedgerEvent::Note;
+        let left_out = (campaign.rows.iter().rfind(not_note))
+            .filter(|row| matches!(row.event, LedgerEvent::Skipped | LedgerEvent::Excluded))
+            .and_then(|row| row.trial);
+        let last = campaign.state.last_measured(&campaign.rows);
+        let excluded = last.map(|(trial, _)| trial).filter(|trial| {
+            campaign.state.trial(*trial).map(TrialState::standing) == Some(Standing::Excluded)
+        });
+        let (row, said) = match (left_out.or(excluded), last) {
+            (Some(trial), _) => (
+                LedgerRow::of(LedgerEvent::Included, trial, None),
+                format!(
+                    "  trial {trial} is taken in again, as by `campaign edit ... include {trial}`"
+                ),
+            ),
+            (None, Some((trial, attempt))) => (
+                LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)),
+                format!("  the displacement of trial {trial} is taken back"),
+            ),
+            (None, None) => {
+                self.desk.say("  no displacement was entered yet");
+                return Ok(());
+            }
+        };
+        self.row(row)?;
+        self.desk.say(&said);
+        Ok(())
+    }
+
     // Questions.
 
     /// Asks until the answer is clear. None: the operator leaves.
@@ -337,6 +376,7 @@ impl<'a> Conduct<'a> {
         if person {
             self.desk.say(&format!("  ({})", question.hint()));
         }
+        let mut said = false;
         loop {
             let machines = &mut *self.machines;
             let mut keep_alive = || machines.keep_alive();
@@ -345,7 +385,14 @@ impl<'a> Conduct<'a> {
                 Err(Halt::Left) => return Ok(None),
                 // The operator's stop also ends the waiting.
                 Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
-                Err(Halt::Client(error)) => return Err(error.into()),
+                // An answer needs no machine, so what is being typed must not be lost with the line.
+                Err(Halt::Client(error)) => {
+                    if !std::mem::replace(&mut said, true) {
+                        self.desk
+                            .say(&format!("  {error}; the answer is waited for even so"));
+                    }
+                    continue;
+                }
             };
             match prompts::parse(&text) {
                 Answer::Quit => return Ok(None),

@@ -519,6 +519,14 @@ impl TrialState {
             | LedgerEvent::Excluded => {}
         }
         let standing = self.standing();
+        if row.event == LedgerEvent::Undone
+            && matches!(standing, Standing::Skipped | Standing::Excluded)
+        {
+            let left_out = format!("{standing:?}").to_lowercase();
+            return Err(format!(
+                "trial {number} is {left_out}: `include {number}` takes it in again"
+            ));
+        }
         let attempts = self.attempts.len();
         let Some(last) = self.attempts.last_mut() else {
             return Err(format!("trial {number} has no attempt"));

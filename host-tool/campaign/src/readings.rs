@@ -291,6 +291,9 @@ pub fn refusal(
     }
 }
 
+/// Share of the plan's `width_about_mm` by which D may differ from it unasked.
+const FAR_OFF: f64 = 0.2;
+
 /// The questions to ask about a set before it is accepted.
 #[must_use]
 pub fn questions(plan: &CampaignPlan, readings: &Readings, set: &Set) -> Vec<String> {
@@ -306,6 +309,15 @@ pub fn questions(plan: &CampaignPlan, readings: &Readings, set: &Set) -> Vec<Str
         ));
     }
     let Some(name) = &set.indentation else {
+        let about_mm = plan.readings.width_about_mm.map(Millimetres::mm);
+        if let Some(about_mm) = about_mm
+            && (summary.mean_mm - about_mm).abs() > FAR_OFF * about_mm
+        {
+            questions.push(format!(
+                "D = {:.3} mm, and the plan says about {about_mm} mm",
+                summary.mean_mm
+            ));
+        }
         return questions;
     };
     let (Some(own), Some(rank)) = (readings.indentation_mm(set), plan.rank(name)) else {

@@ -393,14 +393,18 @@ fn sit_down(
     };
     let mut desk = Counter::new(screen, places, who);
     let ended = Conduct::new(folder, &mut machines, &mut desk, &Models).carry_out(session.trials);
+    drop(desk);
+    if let Err(Broken::Experiment(_)) = &ended {
+        screen.hint(&again(&path));
+    }
     ended.map_err(|broken| failure(broken, &path))
 }
 
+fn again(folder: &Path) -> String {
+    format!("`retrograde campaign resume {}` goes on", folder.display())
+}
+
 fn failure(broken: Broken, folder: &Path) -> Failure {
-    let again = format!(
-        "the attempt does not count; `retrograde campaign resume {}` goes on",
-        folder.display()
-    );
     match broken {
         Broken::Campaign(error) => Own::from(error).into(),
         Broken::Experiment(error) => error.into(),
@@ -412,7 +416,10 @@ fn failure(broken: Broken, folder: &Path) -> Failure {
             action,
             status,
             reason,
-            help: format!("`retrograde info` shows the machine; {again}"),
+            help: format!(
+                "`retrograde info` shows the machine; the attempt does not count; {}",
+                again(folder)
+            ),
         },
         Broken::NotReady { why, help } => Failure::Refused { why, help },
     }

@@ -817,6 +817,106 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     assert_eq!(campaign.state.notes, ["all well"]);
 }
 
+/// What is typed while a machine does not answer counts. A lost machine ends the session only where it is needed, and
+/// the way on is named.
+#[test]
+fn a_line_that_falls_silent_loses_no_answer() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let mut rig = Script::new(DeviceKind::Rig);
+    // Two keep-alives in vain, with their repetitions.
+    rig.deaf_to = vec![("KeepAlive", 8)];
+    let memory = Memory::with(vec![rig.clone(), Script::new(DeviceKind::Capsule)]);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("waited for even so", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let values = |campaign: &Campaign| campaign.readings.sets[0].values.clone();
+    assert_eq!(values(&whole(&out)).len(), 1, "{shown}");
+
+    rig.deaf_to = vec![("KeepAlive", u32::MAX), ("Home", u32::MAX)];
+    let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
+    let (code, shown) = converse(
+        &memory,
+        &["resume", &out],
+        vec![
+            ("waited for even so", "24.4"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "20.4"),
+            ("Reading 2 of 2: i", "20.4"),
+            ("Trial 1 of 6", ""),
+        ],
+    );
+    assert_eq!(code, 7, "{shown}");
+    let goes_on = format!("`retrograde campaign resume {out}` goes on");
+    assert!(shown.contains(&goes_on), "{shown}");
+    let campaign = whole(&out);
+    assert_eq!(values(&campaign).len(), 2);
+    assert_eq!(campaign.readings.sets[1].values.len(), 2);
+}
+
+#[test]
+fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "500"),
+            ("Reading 2 of 2: D", "500"),
+            ("the plan says about 24.4 mm", "again"),
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "20.4"),
+            ("Reading 2 of 2: i", "20.4"),
+            ("Trial 1 of 6", "note 21 degC"),
+            ("noted on trial 1: 21 degC", "camera IMG_1.MOV"),
+            ("camera = \"none\"", ""),
+            ("Displacement of the tail", "12.5"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "14.3"),
+            ("Trial 2 of 6", "skip no soap"),
+            // Not the displacement of trial 1, which was entered before.
+            ("Trial 3 of 6", "undo"),
+            (
+                "trial 2 is taken in again, as by `campaign edit ... include 2`",
+                "exclude torn",
+            ),
+            ("trial 1 is excluded", "undo"),
+            ("trial 1 is taken in again", "undo"),
+            ("the displacement of trial 1 is taken back", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let campaign = whole(&out);
+    let standing = |trial| campaign.state.trial(trial).expect("there").standing();
+    assert_eq!(
+        [1, 2].map(standing),
+        [Standing::Unmeasured, Standing::Open],
+        "{shown}"
+    );
+    assert_eq!(campaign.state.trials[0].attempts[0].camera_file, None);
+    let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &out], args].concat());
+    assert_eq!(edit(&["skip", "2"]).0, 0);
+    let (code, _, err) = edit(&["undo", "2"]);
+    assert!(
+        code == 2 && err.contains("trial 2 is skipped: `include 2` takes it in again"),
+        "{code} {err}"
+    );
+}
+
 #[test]
 fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     let place = place(&small_plan(&[]));

@@ -87,14 +87,7 @@ impl Conduct<'_> {
                         .say("  what was said of the last stroke is taken back");
                     return Ok(());
                 }
-                match campaign.state.last_measured(&campaign.rows) {
-                    None => self.desk.say("  no displacement was entered yet"),
-                    Some((last, of)) => {
-                        self.row(LedgerRow::of(LedgerEvent::Undone, last, Some(of)))?;
-                        self.desk
-                            .say(&format!("  the displacement of trial {last} is taken back"));
-                    }
-                }
+                self.undo()?;
             }
             Answer::Repeat(reason) => {
                 let row =
@@ -106,7 +99,9 @@ impl Conduct<'_> {
             }
             Answer::Skip(reason) => {
                 self.row(LedgerRow::of(LedgerEvent::Skipped, trial, None).saying(Some(reason)))?;
-                self.desk.say(&format!("  trial {trial} is skipped"));
+                self.desk.say(&format!(
+                    "  trial {trial} is skipped; undo takes it in again"
+                ));
             }
             Answer::Exclude(reason) => {
                 let row =
@@ -114,9 +109,7 @@ impl Conduct<'_> {
                 self.row(row)?;
                 self.desk.say(&format!("  trial {trial} is excluded"));
             }
-            Answer::Note(text) => {
-                self.row(LedgerRow::of(LedgerEvent::Note, trial, None).saying(Some(text)))?;
-            }
+            Answer::Note(text) => self.note(trial, text)?,
             Answer::Camera(_) | Answer::Clamp => {
                 self.desk.say("  that is for the next trial");
             }

@@ -48,15 +48,7 @@ impl Conduct<'_> {
         let last = campaign.state.last_measured(&campaign.rows);
         match answer {
             Answer::Enter | Answer::Yes => return Ok(Then::Go),
-            Answer::Undo => match last {
-                None => self.desk.say("  no displacement was entered yet"),
-                Some((trial, attempt)) => {
-                    self.row(LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)))?;
-                    self.desk.say(&format!(
-                        "  the displacement of trial {trial} is taken back"
-                    ));
-                }
-            },
+            Answer::Undo => self.undo()?,
             Answer::Exclude(reason) => match last {
                 None => self.desk.say("  no trial is done yet"),
                 Some((trial, attempt)) => {
@@ -67,7 +59,7 @@ impl Conduct<'_> {
                     {
                         self.row(row)?;
                         self.desk.say(&format!(
-                            "  trial {trial} is excluded; `campaign edit` includes it again"
+                            "  trial {trial} is excluded; undo takes it in again"
                         ));
                     } else {
                         self.desk
@@ -79,11 +71,16 @@ impl Conduct<'_> {
                 self.row(
                     LedgerRow::of(LedgerEvent::Skipped, planned.trial, None).saying(Some(reason)),
                 )?;
-                self.desk
-                    .say(&format!("  trial {} is skipped", planned.trial));
+                self.desk.say(&format!(
+                    "  trial {} is skipped; undo takes it in again",
+                    planned.trial
+                ));
             }
-            Answer::Note(text) => {
-                self.row(LedgerRow::of(LedgerEvent::Note, planned.trial, None).saying(Some(text)))?;
+            Answer::Note(text) => self.note(planned.trial, text)?,
+            Answer::Camera(_) if campaign.plan.metadata.camera == "none" => {
+                self.desk.say(
+                    "  the plan says `camera = \"none\"`, so no file is noted; `note TEXT` keeps a remark",
+                );
             }
             Answer::Camera(file) => self.camera = Some(file),
             Answer::Clamp => self.clamped_anew = true,

@@ -117,8 +117,8 @@ impl Desk for Counter<'_, '_> {
                 Ok(line) => return Ok(line),
                 Err(TryRecvError::Disconnected) => return Err(Halt::Left),
                 Err(TryRecvError::Empty) => {
-                    keep_alive().map_err(Halt::Client)?;
                     thread::sleep(TURN);
+                    keep_alive().map_err(Halt::Client)?;
                 }
             }
         }
