@@ -63,7 +63,7 @@ use operations::arguments::{
 };
 use operations::connector::Connector;
 use operations::delivery::{Delivery, Told};
-use operations::failure::{DONE, Failure, USAGE, usage};
+use operations::failure::{DONE, Failure, USAGE, usage, usage_text};
 use operations::names;
 use operations::places::{self, Places};
 use protocol::capsule::ActuationKind;
@@ -360,7 +360,7 @@ fn run_in(
         Ok(cli) => cli,
         Err(error) => {
             let error = without_environment(error, &args);
-            let text = error.render().to_string();
+            let text = usage_text(&error);
             let text = visible::lines(&text);
             let wanted = !error.use_stderr();
             let _ = if wanted {

@@ -562,7 +562,7 @@ impl fmt::Display for RunError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Cycles { cycles } => {
-                write!(f, "{cycles} cycles: use 1..={MAX_CYCLES}")
+                write!(f, "{cycles} cycles: use 1 to {MAX_CYCLES}")
             }
             Self::Stroke { stroke, longest } => write!(
                 f,

@@ -215,8 +215,8 @@ fn refusals_say_what_to_do() {
     };
     let paper = |request: RunRequest, text: &str| refused(&LIMITS, request, text);
     let cycles = |cycles| RunRequest { cycles, ..PAPER };
-    paper(cycles(0), "0 cycles: use 1..=10000");
-    paper(cycles(10_001), "10001 cycles: use 1..=10000");
+    paper(cycles(0), "0 cycles: use 1 to 10000");
+    paper(cycles(10_001), "10001 cycles: use 1 to 10000");
     let stroke = |stroke_um| RunRequest { stroke_um, ..PAPER };
     paper(
         stroke(0),

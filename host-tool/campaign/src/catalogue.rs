@@ -10,7 +10,7 @@ use jiff::tz::TimeZone;
 use serde::Serialize;
 use trials::listing::Listing;
 use trials::sidecar::heading;
-use trials::trial::Trial;
+use trials::trial::{Status, Trial};
 
 use crate::contents::Campaign;
 use crate::differences::read_manifest;
@@ -20,6 +20,20 @@ use crate::order::doing;
 
 /// Greatest depth of nested folders that are searched.
 const DEPTH: u32 = 3;
+
+/// All outcomes of entries: of campaigns, of attempts, of trials outside campaigns.
+pub const OUTCOMES: [&str; 10] = [
+    "open",
+    "under_way",
+    AttemptOutcome::Complete.name(),
+    AttemptOutcome::Refused.name(),
+    AttemptOutcome::Stopped.name(),
+    AttemptOutcome::LinkLost.name(),
+    AttemptOutcome::Faulted.name(),
+    AttemptOutcome::Lost.name(),
+    Status::Running.name(),
+    Status::Unknown.name(),
+];
 
 /// Search criteria; an entry has to match all that are given.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use client::identity::Origin;
-use client::{limited, plain};
+use client::{limited, plain, wording};
 use jiff::{SignedDuration, Timestamp};
 use protocol::rig::Direction;
 use serde::Deserialize;
@@ -229,7 +229,7 @@ fn conditions_differ(
     };
     let says: Conditions = match serde_json::from_str(&text) {
         Ok(says) => says,
-        Err(json) => return Some(format!("cannot be read: {json}")),
+        Err(json) => return Some(format!("cannot be read: {}", wording::unreadable(&json))),
     };
     let differs = |what: &str| Some(format!("and {TRIALS} differ in {what}"));
     match () {

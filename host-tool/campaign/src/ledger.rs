@@ -288,6 +288,15 @@ impl TrialState {
         }
     }
 
+    /// How it is left out, if it is.
+    fn left_out(&self) -> Option<&'static str> {
+        match self.standing() {
+            Standing::Skipped => Some("skipped"),
+            Standing::Excluded => Some("excluded"),
+            _ => None,
+        }
+    }
+
     /// The displacement, if it counts.
     #[must_use]
     pub fn counted(&self) -> Option<Displacement> {
@@ -414,6 +423,14 @@ impl CampaignState {
                 else {
                     return Err(wrong(format!("there is no trial {trial}")));
                 };
+                let left_out = state
+                    .left_out()
+                    .filter(|_| row.event == LedgerEvent::Undone);
+                if let Some(how) = left_out {
+                    return Err(wrong(format!(
+                        "trial {trial} is {how}: `include {trial}` takes it in again"
+                    )));
+                }
                 state.apply(row).map_err(wrong)?;
             }
         }
@@ -519,14 +536,6 @@ impl TrialState {
             | LedgerEvent::Excluded => {}
         }
         let standing = self.standing();
-        if row.event == LedgerEvent::Undone
-            && matches!(standing, Standing::Skipped | Standing::Excluded)
-        {
-            let left_out = format!("{standing:?}").to_lowercase();
-            return Err(format!(
-                "trial {number} is {left_out}: `include {number}` takes it in again"
-            ));
-        }
         let attempts = self.attempts.len();
         let Some(last) = self.attempts.last_mut() else {
             return Err(format!("trial {number} has no attempt"));

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
 
-use client::decimal;
+use client::{decimal, wording};
 use locomotion::roller;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::system::SetTelemetry;
@@ -405,7 +405,7 @@ impl CampaignPlan {
             )
         };
         let file: File = toml::from_str(text)
-            .map_err(|error| wrong(format!("not a plan: {}", error.to_string().trim_end())))?;
+            .map_err(|error| wrong(format!("not a plan: {}", wording::unreadable(&error))))?;
         Self::from_file(file).map_err(wrong)
     }
 

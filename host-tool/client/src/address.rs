@@ -10,7 +10,7 @@ pub enum Address {
     Auto,
     /// A serial port: `/dev/ttyACM0`, `COM3`.
     Serial(String),
-    /// `HOST:PORT` of a TCP server that speaks the same bytes.
+    /// `HOST:PORT` of a TCP server that speaks the same bytes, also written `tcp:HOST:PORT`.
     Tcp(String),
     /// The virtual bench in this process.
     Virtual,
@@ -38,7 +38,7 @@ impl FromStr for Address {
             "" => Err(AddressError::Empty),
             "auto" => Ok(Self::Auto),
             "virtual" => Ok(Self::Virtual),
-            _ => match text.strip_prefix("tcp:") {
+            _ => match text.strip_prefix("tcp:").or_else(|| server(text)) {
                 Some(rest) => match rest.rsplit_once(':') {
                     Some((host, port))
                         if !host.is_empty() && port.parse::<u16>().is_ok_and(|port| port > 0) =>
@@ -58,6 +58,13 @@ impl FromStr for Address {
             },
         }
     }
+}
+
+/// `HOST:PORT` without its `tcp:`. No name of a machine and no serial port ends in a colon and a number, but for paths.
+fn server(text: &str) -> Option<&str> {
+    let (host, port) = text.rsplit_once(':')?;
+    let number = !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit());
+    (number && !host.is_empty() && !host.contains(['/', '\\'])).then_some(text)
 }
 
 impl fmt::Display for Address {
@@ -100,8 +107,20 @@ mod tests {
         ] {
             assert!(text.parse::<Address>().is_err(), "{text:?}");
         }
+        for (text, address) in [
+            ("127.0.0.1:7301", "tcp:127.0.0.1:7301"),
+            ("left-bench.local:7301", "tcp:left-bench.local:7301"),
+            (
+                "/dev/serial/by-path/pci-0:1:1",
+                "/dev/serial/by-path/pci-0:1:1",
+            ),
+        ] {
+            let read = text.parse::<Address>().map(|address| address.to_string());
+            assert_eq!(read, Ok(address.to_owned()));
+        }
         let port = |text: &str| text.parse::<Address>().map_err(|error| error.to_string());
         let no = "port 99999 does not exist: ports are 1 to 65535";
         assert_eq!(port("tcp:host:99999"), Err(no.to_owned()));
+        assert_eq!(port("host:99999"), Err(no.to_owned()));
     }
 }

@@ -21,11 +21,21 @@ pub enum DecimalError {
     #[error("not a number: write digits, for example 130 or 12.5")]
     NotANumber,
     /// Finer than the smallest unit.
-    #[error("more than {0} decimals: the finest step here is 1/{scale}", scale = 10_u64.pow(*.0))]
+    #[error("{}", too_fine(*.0))]
     TooFine(u32),
     /// Beyond the largest value that can be sent.
     #[error("too large: use at most {0}")]
     TooLarge(u64),
+}
+
+fn too_fine(decimals: u32) -> String {
+    match decimals {
+        0 => "not a whole number: write for example 5".to_owned(),
+        _ => format!(
+            "more than {decimals} decimals: the finest step is {}",
+            write(1, decimals)
+        ),
+    }
 }
 
 /// Reads a decimal number as a multiple of `10^-decimals`, at most `max` of these.
@@ -149,6 +159,11 @@ mod tests {
 
     #[test]
     fn what_is_not_a_number_says_so() {
+        assert_eq!(
+            DecimalError::TooFine(0).to_string(),
+            "not a whole number: write for example 5"
+        );
+        assert!(DecimalError::TooFine(3).to_string().ends_with("0.001"));
         let cases = [
             ("NaN", DecimalError::NotANumber),
             ("nan", DecimalError::NotANumber),

@@ -139,7 +139,7 @@ pub enum ClientError {
     },
 
     /// A request that changes nothing was not answered.
-    #[error("{place} did not answer {request}, which moves nothing")]
+    #[error("{place} did not answer a question ({request}); asking moves nothing")]
     #[diagnostic(
         code(retrograde::no_reply),
         help("look whether the machine stands; check cable and supply, then try again")
@@ -242,7 +242,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::not_homed),
         help(
-            "look at the rig, then `retrograde home` again; `retrograde status` shows a latched fault, and docs/rig.md what to do about it"
+            "look at the rig, then `retrograde home` again; `retrograde info rig` shows a latched fault, and docs/rig.md what to do about it"
         )
     )]
     NotHomed {

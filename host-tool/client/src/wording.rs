@@ -83,6 +83,24 @@ fn named(field: Field) -> (&'static str, u32, &'static str) {
     }
 }
 
+/// Text of a file that cannot be read as JSON or TOML, without the names of Rust's types.
+#[must_use]
+pub fn unreadable(error: &impl ToString) -> String {
+    let mut text = error.to_string().trim_end().to_owned();
+    for (jargon, said) in [
+        ("expected ident", "this is no JSON"),
+        ("expected value", "this is no JSON"),
+        ("expected u8", "expected a whole number from 0 to 255"),
+        ("expected u16", "expected a whole number from 0 to 65535"),
+        ("expected u32", "expected a whole number of at least 0"),
+        ("expected u64", "expected a whole number of at least 0"),
+        ("expected f64", "expected a number"),
+    ] {
+        text = text.replace(jargon, said);
+    }
+    text
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -7,9 +7,9 @@ use std::io;
 use std::path::Path;
 
 use client::identity::{Origin, kind_name};
-use client::limited;
 use client::plain::{self, replace};
 use client::subject::Subject;
+use client::{limited, wording};
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
@@ -131,7 +131,8 @@ impl Commissioning {
             Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(io) => return Err(error(io.to_string())),
         };
-        let record: Self = serde_json::from_str(&text).map_err(|json| error(json.to_string()))?;
+        let record: Self =
+            serde_json::from_str(&text).map_err(|json| error(wording::unreadable(&json)))?;
         if record.format != FORMAT {
             return Err(error(format!(
                 "format {}, this tool reads {FORMAT}",

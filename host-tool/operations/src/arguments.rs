@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use client::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
+use motion::run::MAX_CYCLES;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::system::{DeviceKind, SetTelemetry};
 
@@ -248,10 +249,13 @@ where
     Ok(value)
 }
 
-/// Accepts 0, because the planner's refusal explains more.
 fn cycles(text: &str) -> Result<u16, String> {
-    let value = client::decimal::parse(text, 0, 10_000).map_err(|error| error.to_string())?;
-    u16::try_from(value).map_err(|_| "too large: use at most 10000".to_owned())
+    let outside = || format!("use 1 to {MAX_CYCLES}");
+    let value = match client::decimal::parse(text, 0, u64::from(MAX_CYCLES)) {
+        Ok(0) | Err(DecimalError::TooLarge(_)) => return Err(outside()),
+        value => value.map_err(|error| error.to_string())?,
+    };
+    u16::try_from(value).map_err(|_| outside())
 }
 
 /// Reads `away` or `home`.

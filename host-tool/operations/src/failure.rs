@@ -244,6 +244,12 @@ pub fn wrong_name(name: &str, place: &str, carried: &str) -> String {
     }
 }
 
+/// Text of a command line that cannot be understood; clap writes ranges as Rust does.
+#[must_use]
+pub fn usage_text(error: &clap::Error) -> String {
+    error.render().to_string().replace("..=", " to ")
+}
+
 /// Value for `--json` of a command line that cannot be understood; `text` is the message for a person.
 pub fn usage(text: &str) -> Value {
     let mut parts = text.trim().splitn(2, "\n\n");

@@ -5,6 +5,7 @@ use std::time::Duration;
 use axum::body::{Body, Bytes, to_bytes};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
+use client::wording;
 use serde_json::{Map, Value};
 use tokio::time::timeout;
 
@@ -42,7 +43,10 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
         )),
         Err(why) => Err(boxed(
             StatusCode::BAD_REQUEST,
-            &format!("the body is no JSON: {why}; nothing was done"),
+            &format!(
+                "the body cannot be read: {}; nothing was done",
+                wording::unreadable(&why)
+            ),
             "send for example {\"cycles\": 5}",
         )),
     }

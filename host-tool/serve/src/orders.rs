@@ -168,7 +168,7 @@ fn parse<A: Args>(
         .try_get_matches_from(words)
         .and_then(|matches| A::from_arg_matches(&matches));
     parsed.map_err(|error| {
-        let usage = failure::usage(&error.render().to_string());
+        let usage = failure::usage(&failure::usage_text(&error));
         let why = usage["error"]["message"].as_str().unwrap_or_default();
         Failure::Input {
             why: why.to_owned(),
@@ -176,10 +176,7 @@ fn parse<A: Args>(
                 Some(field) if !body.contains_key(field) => {
                     format!("nothing was done; the field `{field}` is missing")
                 }
-                _ => {
-                    "nothing was done; fields are the options of the command line, with `_` for `-`"
-                        .to_owned()
-                }
+                _ => "nothing was done; correct the value and send it again".to_owned(),
             },
         }
     })
@@ -312,7 +309,7 @@ mod tests {
                 json!({ "duration_s": 40, "speed_mm_s": 5 }),
                 "cannot be used with",
             ),
-            ("run", json!({ "telemetry_ms": 1 }), "1 is not in 5..=1000"),
+            ("run", json!({ "telemetry_ms": 1 }), "1 is not in 5 to 1000"),
             ("run", json!({ "duration_s": 1 }), "too little time"),
             (
                 "run",

@@ -192,7 +192,7 @@ fn list(rig: &mut Device, kind: DeviceKind, screen: &mut Screen<'_>) -> Result<V
             format!(", default {}", range.default)
         };
         screen.say(&format!(
-            "{:<20} {value:>10} {:<10} {}..={}{note}",
+            "{:<20} {value:>10} {:<10} {} to {}{note}",
             key.name(),
             key.unit(),
             range.min,

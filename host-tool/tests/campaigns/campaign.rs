@@ -246,6 +246,11 @@ fn passes_that_would_not_be_isolated_are_refused() {
         ("per_stroke = true", "per_stroke = 1", "expected a boolean"),
         ("cycles = 5", "cycles = 51", "at most 50 cycles"),
         (
+            "cycles = 5",
+            "cycles = \"five\"",
+            "expected a whole number from 0 to 65535",
+        ),
+        (
             "uncertainty_mm = 0.2",
             "uncertainty_mm = 0",
             "no measurement is exact",

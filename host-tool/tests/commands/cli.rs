@@ -1,5 +1,6 @@
 //! The command line: refusals before a byte is sent, exit codes, JSON, and commands against machines in memory.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use crate::support::tool::{Memory, ready};
@@ -33,7 +34,7 @@ fn impossible_runs_are_refused_before_a_link_is_opened() {
     for (args, code, says) in [
         (&["--stroke-mm", "131"][..], 3, "at most 130.000 mm"),
         (&["--stroke-mm", "0"], 3, "more than zero"),
-        (&["--cycles", "0"], 3, "use 1..=10000"),
+        (&["--cycles", "0"], 2, "use 1 to 10000"),
         (&["--duration-s", "10"], 3, "--duration-s 31.430613"),
         (&["--duration-s", "0"], 3, "--duration-s 31.430613"),
         (&["--accel-mm-s2", "0"], 3, "acceleration is zero"),
@@ -46,10 +47,11 @@ fn impossible_runs_are_refused_before_a_link_is_opened() {
         (&["--stroke-mm", "99999999999999999999"], 2, "too large"),
         (&["--duration-s", "1e999"], 2, "has an exponent"),
         (&["--duration-s", "NaN"], 2, "not a number"),
-        (&["--cycles", "10001"], 2, "at most 10000"),
-        (&["--cycles", "2.5"], 2, "more than 0 decimals"),
+        (&["--cycles", "10001"], 2, "use 1 to 10000"),
+        (&["--cycles", "70000"], 2, "use 1 to 10000"),
+        (&["--cycles", "2.5"], 2, "not a whole number"),
         (&["--cycles", "-1"], 2, ""),
-        (&["--telemetry-ms", "4"], 2, "5..=1000"),
+        (&["--telemetry-ms", "4"], 2, "5 to 1000"),
         (&["--return-speed-mm-s", "10"], 2, "--speed-mm-s"),
         (&["--on-link-loss", "carry-on"], 2, "stop, finish"),
     ] {
@@ -680,4 +682,49 @@ fn an_identification_begins_unfolded_and_ends_with_the_first_fault() {
     };
     let (code, out, err, files) = identify(stopped, &[]);
     assert_eq!((code, files.len()), (130, 2), "{out}{err}");
+}
+
+/// Commands and options that messages, help and comments of the tool quote. A remedy that does not exist helps nobody.
+#[test]
+fn every_command_that_the_tool_quotes_is_there() {
+    let (mut folders, mut texts) = (vec![], vec![]);
+    folders.push(Path::new(env!("CARGO_MANIFEST_DIR")).to_owned());
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() && !path.ends_with("tests") {
+                folders.push(path);
+            } else if path
+                .extension()
+                .is_some_and(|it| it == "rs" || it == "html")
+            {
+                texts.push(std::fs::read_to_string(path).expect("text"));
+            }
+        }
+    }
+    let is_word = |word: &&str| word.bytes().all(|c| c.is_ascii_lowercase() || c == b'-');
+    let mut quoted = BTreeSet::new();
+    for line in texts.iter().flat_map(|text| text.lines()) {
+        for quote in line.split("`retrograde ").skip(1) {
+            let command = quote.split('`').next().unwrap_or_default();
+            let words = command.split_whitespace();
+            let words = words.take_while(|word| is_word(word) && !word.starts_with('-'));
+            let options = command
+                .split(|c: char| !c.is_ascii_alphanumeric() && c != '-')
+                .filter(|word| word.len() > 2 && word.starts_with("--"));
+            quoted.insert((
+                words.take(2).collect::<Vec<_>>(),
+                options.collect::<Vec<_>>(),
+            ));
+        }
+    }
+    assert!(quoted.len() > 40, "{quoted:?}");
+    let mut wrong = vec![];
+    for (words, options) in quoted {
+        let (code, out, err) = retrograde(&[&words[..], &["--help"]].concat());
+        if code != 0 || options.iter().any(|option| !out.contains(option)) {
+            wrong.push(format!("{words:?} {options:?}: {code} {err}"));
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }

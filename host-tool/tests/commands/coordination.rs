@@ -298,7 +298,7 @@ fn the_command_line_says_what_is_wrong_before_anything_moves() {
             2,
             "the run has 3",
         ),
-        (&["--fold-at-cycle", "0"], &ready_one, 2, "count from 1"),
+        (&["--fold-at-cycle", "0"], &ready_one, 2, "use 1 to 10000"),
         (
             &["--fold-at-cycle", "2", "--at-mm", "10.001"],
             &ready_one,

@@ -82,7 +82,7 @@ fn defaults() -> Vec<u32> {
 #[test]
 fn a_file_with_anything_wrong_is_refused_before_the_first_change() {
     for (text, says) in [
-        ("no JSON", "expected"),
+        ("no JSON", "this is no JSON at line 1 column 2"),
         (r#"{"settings": {}}"#, "missing field `name`"),
         (r#"{"name": "", "settings": []}"#, "settings"),
         (
@@ -145,6 +145,24 @@ fn a_file_with_anything_wrong_is_refused_before_the_first_change() {
 fn all_that_is_wrong_with_a_file_is_said_at_once() {
     let (_, _, err) = rig().import(r#"{"name": "", "settings": {"lead": 1, "microsteps": 512}}"#);
     assert!(err.contains("`lead`") && err.contains("512"), "{err}");
+}
+
+#[test]
+fn the_file_of_the_other_machine_is_one_sentence() {
+    let capsule: Vec<_> = (SettingKey::of(DeviceKind::Capsule))
+        .map(|key| format!("{:?}: {}", key.name(), key.range().default))
+        .collect();
+    let bench = rig();
+    let text = format!(r#"{{"name": "", "settings": {{{}}}}}"#, capsule.join(", "));
+    let (code, _, err) = bench.import(&text);
+    assert_eq!(code, 2, "{err}");
+    assert!(
+        err.contains("import.json: these are the settings of a capsule, not of a rig")
+            && err.contains("`settings --of capsule import` takes them")
+            && err.lines().count() <= 2,
+        "{err}"
+    );
+    assert!(bench.rig.heard().is_empty());
 }
 
 #[test]

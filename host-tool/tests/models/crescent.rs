@@ -247,10 +247,10 @@ fn what_would_do_nothing_or_too_little_is_refused() {
         (&["--tube-poisson", "0.4"], "crescent-inputs.csv"),
         (&["--draws", "20"], "of 20 draws do as the paper says"),
         (&["--draws", "20"], "draw more: of 2000 about 60 are kept"),
-        (&["--draws", "19"], "20..=20000"),
-        (&["--draws", "20001"], "20..=20000"),
+        (&["--draws", "19"], "20 to 20000"),
+        (&["--draws", "20001"], "20 to 20000"),
         (&["--seed", "-1"], "--seed"),
-        (&["--threads", "0"], "1..=256"),
+        (&["--threads", "0"], "1 to 256"),
     ] {
         let out = out.to_str().expect("UTF-8");
         let line = [&["simulate", "crescent", "--out", out], args].concat();

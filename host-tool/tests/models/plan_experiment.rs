@@ -191,7 +191,7 @@ fn what_cannot_be_planned_is_refused() {
             "ripples",
         ),
         (vec![], "--uncertainty-mm"),
-        ([&good[..], &["--trials", "0"]].concat(), "1..=40"),
+        ([&good[..], &["--trials", "0"]].concat(), "1 to 40"),
         (
             [&good[..], &["--indentations-mm", "0,2"]].concat(),
             "does not reach the wall",

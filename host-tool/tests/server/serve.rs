@@ -462,7 +462,7 @@ fn bad_input_is_refused_with_the_texts_of_the_command_line() {
             400,
             "negative: use a number of at least 0",
         ),
-        ("rig/run", json!({ "cycles": 0 }), 409, "cycle"),
+        ("rig/run", json!({ "cycles": 0 }), 400, "use 1 to 10000"),
         (
             "rig/run",
             json!({ "duration_s": 1 }),

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use client::identity::{IdentityRecord, Origin};
 use client::plain::{self, replace};
-use client::{Begun, Observer, Progress, decimal, limited};
+use client::{Begun, Observer, Progress, decimal, limited, wording};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
@@ -84,7 +84,7 @@ pub enum Status {
 impl Status {
     /// Its name, as in records.
     #[must_use]
-    pub fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Running => "running",
             Self::Complete => "complete",
@@ -409,8 +409,8 @@ impl Trial {
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let text =
             plain::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
-        let mut trial: Self =
-            serde_json::from_str(&text).map_err(|json| RecordError::read(path, json))?;
+        let mut trial: Self = serde_json::from_str(&text)
+            .map_err(|json| RecordError::read(path, wording::unreadable(&json)))?;
         if trial.format != FORMAT {
             let why = format!("format {}, this tool reads {FORMAT}", trial.format);
             return Err(RecordError::read(path, why));

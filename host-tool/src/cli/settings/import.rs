@@ -7,7 +7,7 @@ use std::path::Path;
 
 use client::error::ClientError;
 use client::limited::{self, BY_HAND};
-use client::{Device, identity};
+use client::{Device, identity, wording};
 use operations::failure::Failure;
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use protocol::system::DeviceKind;
@@ -65,8 +65,8 @@ pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
     };
     let written = "give a file that `retrograde settings export` wrote";
     let text = limited::read_text(file, BY_HAND).map_err(|io| unusable(io.to_string(), written))?;
-    let parsed: File =
-        serde_json::from_str(&text).map_err(|error| unusable(error.to_string(), written))?;
+    let parsed: File = serde_json::from_str(&text)
+        .map_err(|error| unusable(wording::unreadable(&error), written))?;
     let mut wrong = vec![];
     let name = match &parsed.name {
         Value::String(name) => checked_name(name),
@@ -76,6 +76,21 @@ pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
         wrong.push(why);
         heapless::String::new()
     });
+    let keys: Vec<_> = (parsed.settings.0.iter())
+        .filter_map(|(name, _)| name.parse().ok())
+        .collect();
+    let other = match kind {
+        DeviceKind::Rig => DeviceKind::Capsule,
+        DeviceKind::Capsule => DeviceKind::Rig,
+    };
+    let foreign = keys.iter().any(|Key(key)| !key.is_of(kind));
+    if foreign && keys.iter().all(|Key(key)| key.is_of(other)) {
+        let (other, own) = (identity::kind_name(other), identity::kind_name(kind));
+        return Err(unusable(
+            format!("these are the settings of a {other}, not of a {own}"),
+            &format!("`settings --of {other} import` takes them"),
+        ));
+    }
     let mut settings = vec![];
     let mut names = BTreeSet::new();
     for (name, value) in &parsed.settings.0 {
