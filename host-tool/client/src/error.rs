@@ -109,7 +109,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::owned),
         help(
-            "wait until that process ends, or end it with Ctrl-C in its terminal; meanwhile `watch`, `info`, `health`, `settings list`, `hold`, `resume`, `ack`, `stop` and `estop` work from here"
+            "wait until it is done (`serve` and `watch` then give the line up), or end it with Ctrl-C in its terminal; meanwhile `watch`, `info`, `health`, `settings list`, `hold`, `resume`, `ack`, `stop` and `estop` work from here"
         )
     )]
     Owned {
@@ -275,7 +275,8 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
 fn unharmed(impact: Impact) -> &'static str {
     match impact {
         Impact::Flash => "nothing was changed",
-        _ => "nothing was moved",
+        // Other requests of the same command may have moved something.
+        _ => "nothing was moved by this request",
     }
 }
 

@@ -11,6 +11,7 @@ use client::door::server::GUESTS;
 use client::door::shared::Shared;
 use client::door::window::Window;
 use client::link::halves::Halves;
+use client::link::owner::Owner;
 use client::link::serial::{self, Serial};
 use client::link::tcp::Tcp;
 use client::link::{Link, OpenError, Reason};
@@ -143,16 +144,7 @@ fn way_in(
         };
         let left = limit.saturating_sub(begin.elapsed());
         if left.is_zero() {
-            let who = owner.map_or_else(
-                || "another `retrograde`".to_owned(),
-                |owner| owner.to_string(),
-            );
-            return Err(OpenError {
-                place: doorway.place().to_owned(),
-                reason: Reason::OwnerSilent,
-                why: format!("it belongs to {who}, which does not answer"),
-                remedy: "wait until that process ends, or end it with Ctrl-C in its terminal; one that hangs ends with `kill -9`, and the rig stops by itself 1 s later".to_owned(),
-            });
+            return Err(silent(doorway, owner));
         }
         if let Ok(window) = Window::open(doorway, left) {
             if window.is_full() && purpose != Purpose::Stop {
@@ -166,6 +158,31 @@ fn way_in(
             return Ok(Box::new(window));
         }
         thread::sleep(AGAIN);
+    }
+}
+
+/// The owner of the line does not answer. A server that owns it is not told to end itself.
+fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
+    let (why, remedy) = match owner {
+        Some(owner) if owner.pid == std::process::id() => {
+            ("this server is busy with it".to_owned(), "try again")
+        }
+        owner => {
+            let who = owner.map_or_else(
+                || "another `retrograde`".to_owned(),
+                |owner| owner.to_string(),
+            );
+            (
+                format!("it belongs to {who}, which does not answer"),
+                "wait until that process ends, or end it with Ctrl-C in its terminal; one that hangs ends with `kill -9`, and the rig stops by itself 1 s later",
+            )
+        }
+    };
+    OpenError {
+        place: doorway.place().to_owned(),
+        reason: Reason::OwnerSilent,
+        why,
+        remedy: remedy.to_owned(),
     }
 }
 
@@ -276,6 +293,20 @@ impl Connector for Ports {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_server_is_not_told_to_end_itself() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = Doorway::new(folder.path().to_owned(), "line", "line".to_owned());
+        let own = silent(&doorway, Some(Owner::this_process()));
+        assert_eq!(own.remedy, "try again");
+        let other = Owner {
+            pid: 1,
+            ..Owner::this_process()
+        };
+        let other = silent(&doorway, Some(other));
+        assert!(other.why.contains("process 1") && other.remedy.contains("kill -9"));
+    }
 
     /// A slow disk or port may delay an owner between writing its name and opening its door.
     #[test]

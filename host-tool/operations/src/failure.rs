@@ -152,6 +152,15 @@ pub enum Failure {
         /// The places that were found instead.
         there: String,
     },
+    /// The server has no contact to the machine, or too much to do at once.
+    #[error("{why}")]
+    #[diagnostic(code(retrograde::not_found), help("{help}"))]
+    Unreached {
+        /// The reason.
+        why: String,
+        /// The remedy.
+        help: String,
+    },
     /// The action did not end as planned.
     #[error("{action} {}{}", ended(*.status), reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(code(retrograde::ended), help("{help}"))]
@@ -318,7 +327,8 @@ impl Failure {
             | Self::NotFound { .. }
             | Self::Ambiguous { .. }
             | Self::WrongName { .. }
-            | Self::NothingFound { .. } => NO_DEVICE,
+            | Self::NothingFound { .. }
+            | Self::Unreached { .. } => NO_DEVICE,
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),

@@ -130,8 +130,9 @@ pub fn run<'scope>(
             }
             DirectRequest::Ask { question, reply } => match Counted::take(questions) {
                 None => {
-                    let _ = reply.send(Err(Failure::NothingFound {
-                        there: "too many questions at once: ask again".to_owned(),
+                    let _ = reply.send(Err(Failure::Unreached {
+                        why: "too many questions at once".to_owned(),
+                        help: "ask again".to_owned(),
                     }));
                 }
                 Some(counted) => {

@@ -662,8 +662,10 @@ async fn order(
             if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
                 worker.orders.try_send(order)
             {
-                let failure = Failure::NothingFound {
-                    there: format!("too many orders for the {machine} at once; nothing was sent"),
+                let failure = Failure::Unreached {
+                    why: format!("too many orders for the {machine} at once"),
+                    help: "this one was not sent; send it again when the others are done"
+                        .to_owned(),
                 };
                 board.ended(number, Value::Null, Some(&failure));
             }

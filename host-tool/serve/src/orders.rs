@@ -163,15 +163,19 @@ fn parse<A: Args>(
     body: &Map<String, Value>,
 ) -> Result<A, Failure> {
     let words = words(options, argument, body)?;
-    let command = A::augment_args(Command::new("retrograde").no_binary_name(true));
+    let mut command = A::augment_args(Command::new("retrograde").no_binary_name(true));
     let parsed = command
-        .try_get_matches_from(words)
+        .try_get_matches_from_mut(words)
         .and_then(|matches| A::from_arg_matches(&matches));
     parsed.map_err(|error| {
         let usage = failure::usage(&failure::usage_text(&error));
         let why = usage["error"]["message"].as_str().unwrap_or_default();
+        // Name the field, not the option: who uses the page has no command line.
+        let why = command.get_arguments().fold(why.to_owned(), |why, arg| {
+            why.replace(&format!("'{arg}'"), &format!("`{}`", arg.get_id()))
+        });
         Failure::Input {
-            why: why.to_owned(),
+            why,
             help: match argument {
                 Some(field) if !body.contains_key(field) => {
                     format!("nothing was done; the field `{field}` is missing")
@@ -341,6 +345,35 @@ mod tests {
         ] {
             let said = refused(name, body.clone());
             assert!(said.contains(text), "{name} {body}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_refusal_names_the_field_and_no_option() {
+        for (name, body, says) in [
+            (
+                "run",
+                json!({ "stroke_mm": -5 }),
+                "invalid value '-5' for `stroke_mm`: negative",
+            ),
+            (
+                "run",
+                json!({ "duration_s": 40, "speed_mm_s": 5 }),
+                "the argument `duration_s` cannot be used with `speed_mm_s`",
+            ),
+            (
+                "move",
+                json!({ "position_mm": "x" }),
+                "invalid value 'x' for `position_mm`",
+            ),
+        ] {
+            let failure = read(DeviceKind::Rig, name, body).expect_err("refused");
+            let said = failure.in_one_line();
+            assert!(said.contains(says), "{said}");
+            assert!(
+                !said.contains("--") && !said.contains("command line"),
+                "{said}"
+            );
         }
     }
 

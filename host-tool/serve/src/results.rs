@@ -28,8 +28,12 @@ pub fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failur
 
 /// Failure of an order that arrives without a connection.
 pub fn lost(failure: &Failure) -> Failure {
-    Failure::NothingFound {
-        there: format!("nothing was sent: {}", failure.in_one_line()),
+    Failure::Unreached {
+        why: format!("nothing was sent, there is no contact: {failure}"),
+        help: failure.json()["error"]["help"]
+            .as_str()
+            .unwrap_or_default()
+            .to_owned(),
     }
 }
 
@@ -37,7 +41,8 @@ pub fn lost(failure: &Failure) -> Failure {
 pub fn overtaken() -> Failure {
     Failure::Refused {
         why: "a stop came after this order".to_owned(),
-        help: "nothing was moved; look at the machine, then order it again".to_owned(),
+        help: "nothing was moved by this order; look at the machine, then order it again"
+            .to_owned(),
     }
 }
 
@@ -45,6 +50,26 @@ pub fn overtaken() -> Failure {
 pub fn server_ends() -> Failure {
     Failure::Refused {
         why: "the server ends".to_owned(),
-        help: "nothing was moved; start it again".to_owned(),
+        help: "nothing was moved by this order; start the server again".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use operations::failure::NO_DEVICE;
+
+    use super::*;
+
+    #[test]
+    fn an_order_without_a_contact_has_the_remedy_of_the_contact() {
+        let failure = lost(&Failure::Refused {
+            why: "it is away".to_owned(),
+            help: "plug it in".to_owned(),
+        });
+        assert_eq!(failure.exit_code(), NO_DEVICE);
+        assert_eq!(
+            failure.in_one_line(),
+            "nothing was sent, there is no contact: it is away; plug it in"
+        );
     }
 }

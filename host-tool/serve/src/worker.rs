@@ -290,7 +290,7 @@ impl Worker<'_> {
                     "the order came too late: the server was busy with the line for {} s",
                     at.elapsed().as_secs()
                 ),
-                help: "nothing was moved; look at the machine, then again".to_owned(),
+                help: "nothing was moved by this order; look at the machine, then again".to_owned(),
             };
             self.board.ended(action, Value::Null, Some(&failure));
             return Ok(());

@@ -97,6 +97,18 @@ fn a_virtual_machine_is_homed_or_referenced_in_the_same_command() {
     }
 }
 
+/// The command has homed before: only the refused request moved nothing.
+#[test]
+fn a_refusal_after_the_homing_does_not_deny_it() {
+    let new = New::default();
+    let (code, out, err) = new.run(&["--rig", "virtual", "move", "130.5"]);
+    assert_eq!(code, 3, "{out}{err}");
+    assert!(
+        out.contains("homes first") && err.contains("nothing was moved by this request"),
+        "{out}{err}"
+    );
+}
+
 #[test]
 fn a_real_machine_is_not() {
     for (args, first) in [
