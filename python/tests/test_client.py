@@ -241,6 +241,18 @@ class ClientTest(unittest.TestCase):
                 self.lab.rig.run(**run)
         self.assertEqual(len(self.posts()), sent)
 
+    def test_what_a_notebook_shows_says_what_it_is_and_keeps_the_token(self) -> None:
+        self.assertEqual(repr(self.lab), f"Lab({self.url!r})")
+        self.assertEqual(repr(self.lab.rig), f"<Rig of Lab({self.url!r})>")
+        error = {"code": "x", "message": "a <fault>", "help": "home"}
+        data = action("faulted", result={"strokes": 3}, files={"csv": "run.csv"}, error=error)["action"]
+        shown: retrograde.Action[Any] = retrograde.Action(self.lab, data)
+        self.assertEqual(repr(shown), "<Action abc123-1: rig home, faulted, a <fault>>")
+        page = shown._repr_html_()
+        for row in ("<th>state</th><td>faulted</td>", "a &lt;fault&gt;", "<th>strokes</th><td>3</td>", "<th>csv</th><td>run.csv</td>"):
+            self.assertIn(row, page)
+        self.assertEqual(self.server.calls, [])
+
     def test_a_machine_that_the_server_does_not_have(self) -> None:
         self.answers({})
         with self.assertRaises(retrograde.NoMachine):

@@ -78,6 +78,7 @@ class OpenApiTest(unittest.TestCase):
             with self.subTest(name):
                 self.assertEqual(self.fields(name) - known, set(), f"add these to types.{kind.__name__}")
         self.assertEqual(self.fields("Run"), set(client.RUN_NUMBERS) | set(client.RUN_TEXTS))
+        self.assertEqual(self.fields("Run"), set(types.RunOptions.__annotations__))
         samples = [self.schemas[name]["properties"]["samples"]["items"] for name in ("RigSamples", "CapsuleSamples")]
         fields = {field for sample in samples for field in sample.get("properties", {})}
         self.assertEqual(fields - set(types.Sample.__annotations__), set(), "add these to types.Sample")

@@ -22,10 +22,14 @@ from __future__ import annotations
 import datetime
 import threading
 import time
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
 
 from .client import Action, Lab
 from .errors import RetrogradeError, Stopped
+from .types import RunOptions
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 # Value and time stamp, as bluesky describes them.
 Reading = Any
@@ -111,12 +115,12 @@ class Rig:
 
     parent = None
 
-    def __init__(self, lab: Lab, name: str = "rig", **run: Any) -> None:
+    def __init__(self, lab: Lab, name: str = "rig", **run: Unpack[RunOptions]) -> None:
         """`run` says which run is flown, as in `retrograde.Rig.run`; the paper's if nothing is said."""
         self.name = name
         self._lab = lab
         self._rig = lab.rig
-        self._run: Dict[str, Any] = run
+        self._run: Dict[str, Any] = {**run}
         self._flown: Optional[Action[Any]] = None
         self._flight: Optional[Status] = None
         self._moving: Optional[Action[Any]] = None

@@ -7,6 +7,7 @@ Waiting for the end of a motion that is interrupted, by Ctrl-C or an exception i
 from __future__ import annotations
 
 import csv
+import html
 import io
 import json
 import os
@@ -19,7 +20,7 @@ import urllib.parse
 import uuid
 from decimal import Decimal
 from http.client import HTTPConnection, HTTPException
-from typing import Any, Callable, Dict, Generic, Iterator, List, Optional, Tuple, TypeVar, Union, cast
+from typing import TYPE_CHECKING, Any, Callable, Dict, Generic, Iterator, List, Optional, Tuple, TypeVar, Union, cast
 
 from . import errors
 from .errors import NoMachine, NoServer, NotStopped, OutcomeUnknown, RetrogradeError, WrongRequest
@@ -33,11 +34,15 @@ from .types import (
     Number,
     RecordEntry,
     RigState,
+    RunOptions,
     RunRecord,
     Sample,
     Setting,
     State,
 )
+
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 Result = TypeVar("Result")
 Progress = Callable[[ActionData], None]
@@ -120,6 +125,9 @@ class Lab:
         self.rig = Rig(self)
         self.capsule = Capsule(self)
 
+    def __repr__(self) -> str:
+        return f"Lab({self.url!r})"
+
     def __enter__(self) -> "Lab":
         return self
 
@@ -171,7 +179,7 @@ class Lab:
         text = io.StringIO(self.record(name).decode("utf-8"), newline="")
         return [{key: _value(cell) for key, cell in row.items()} for row in csv.DictReader(text)]
 
-    def plan(self, **run: Any) -> Dict[str, Any]:
+    def plan(self, **run: Unpack[RunOptions]) -> Dict[str, Any]:
         """What a run asks of a rig as delivered; takes what `Rig.run` takes. Asks no machine."""
         status, answer = self._post("/api/v1/plan", _run_body(**run), None, ANSWER_S)
         if status != 200:
@@ -323,6 +331,20 @@ class Action(Generic[Result]):
         self.data = data
         """As the server told it last."""
 
+    def __repr__(self) -> str:
+        return f"<Action {self.id}: {', '.join(self._told().values())}>"
+
+    def _repr_html_(self) -> str:
+        result = self.data.get("result")
+        cells = {**self._told(), **(result if isinstance(result, dict) else {}), **self.files}
+        rows = (f"<tr><th>{html.escape(name)}</th><td>{html.escape(str(cell))}</td></tr>" for name, cell in cells.items())
+        return f"<table>{''.join(rows)}</table>"
+
+    def _told(self) -> Dict[str, str]:
+        error = self.data.get("error") or {}
+        told = {"action": f"{self.data.get('machine')} {self.data.get('kind')}", "state": self.state, "error": error.get("message", "")}
+        return {name: value for name, value in told.items() if value}
+
     @property
     def id(self) -> str:
         """Its name for `Lab.action`."""
@@ -395,6 +417,9 @@ class _Machine:
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
 
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of {self._lab!r}>"
+
     def _start(self, command: str, body: Optional[Dict[str, object]] = None) -> Action[Any]:
         return Action(self._lab, self._lab._command(self.name, command, body or {}))
 
@@ -459,11 +484,11 @@ class Rig(_Machine):
         """Finds the reference and goes to 0."""
         return self.start_home().wait(on_progress)
 
-    def start_run(self, **run: Any) -> Action[RunRecord]:
+    def start_run(self, **run: Unpack[RunOptions]) -> Action[RunRecord]:
         """Begins a run; takes what `run` takes. `data["accepted"]` has the plan."""
         return self._start("run", _run_body(**run))
 
-    def run(self, on_progress: Optional[Progress] = None, **run: Any) -> RunRecord:
+    def run(self, on_progress: Optional[Progress] = None, **run: Unpack[RunOptions]) -> RunRecord:
         """A run from position 0, recorded: the paper's, 5 cycles of 130 mm in 40 s, unless told otherwise.
 
         `cycles`, `stroke_mm`; one of `duration_s`, `speed_mm_s` (with `return_speed_mm_s`), `waves_per_minute`, `preset` (`paper`, `wave`);

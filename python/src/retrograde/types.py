@@ -12,6 +12,25 @@ from decimal import Decimal
 Number = Union[int, float, str, Decimal]
 
 
+class RunOptions(TypedDict, total=False):
+    """What a run may be told; docs/serve.md has the defaults."""
+
+    cycles: Optional[Number]
+    stroke_mm: Optional[Number]
+    duration_s: Optional[Number]
+    speed_mm_s: Optional[Number]
+    return_speed_mm_s: Optional[Number]
+    waves_per_minute: Optional[Number]
+    preset: Optional[str]
+    accel_mm_s2: Optional[Number]
+    far_dwell_s: Optional[Number]
+    home_dwell_s: Optional[Number]
+    start_delay_s: Optional[Number]
+    on_link_loss: Optional[str]
+    telemetry_ms: Optional[Number]
+    note: Optional[str]
+
+
 class Fault(TypedDict, total=False):
     """What happened and what to do now."""
 
