@@ -103,6 +103,11 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     );
     let report = Path::new(&out).join("report");
     assert!(report.join("report.html").is_file() && report.join("figure7.svg").is_file());
+    let (code, _, err) = memory.run(&["report", &out]);
+    assert!(
+        code == 1 && err.contains("`--force` replaces it") && !err.contains("--out"),
+        "a campaign's report takes no `--out`: {err}"
+    );
     let campaign = whole(&out);
     assert!(
         campaign

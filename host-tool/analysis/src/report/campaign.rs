@@ -41,6 +41,13 @@ pub enum CampaignReportError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Report(#[from] ReportError),
+    /// The page already exists; a campaign has no other place for it.
+    #[error("{path} is there already; nothing was written", path = path.display())]
+    #[diagnostic(code(retrograde::exists), help("`--force` replaces it"))]
+    Exists {
+        /// The page.
+        path: PathBuf,
+    },
 }
 
 /// The files written, and warnings about them.
@@ -86,7 +93,7 @@ pub fn write(
     let into = report_folder(folder);
     let page_path = into.join(PAGE);
     if existing == Existing::Keep && fs::symlink_metadata(&page_path).is_ok() {
-        return Err(ReportError::Exists { path: page_path }.into());
+        return Err(CampaignReportError::Exists { path: page_path });
     }
     let evaluation = evaluate(folder)?;
     let band = band(&evaluation, model);
