@@ -538,7 +538,7 @@ fn what_cannot_be_asked_is_refused_with_what_to_do() {
         (&["--indentation-mm", "9.9"], "from 0 to 9.76 mm"),
         (&["--least-alpha-deg", "41"], "at most 40 deg"),
         (&["--least-core-ratio", "0.7"], "at most 0.6"),
-        (&["--tries", "99"], "100..=100000"),
+        (&["--tries", "99"], "100 to 100000"),
         (&["--per", "hour"], "wave, crescent"),
         (&["--svg", "a.svg"], "cannot be used with"),
         (&["--most-thread-mm", "1"], "--most-thread-mm by"),
