@@ -206,22 +206,23 @@ fn units(folder: &Path) -> Result<Vec<Unit>> {
 
 /// Test files that no program names: they would not be built.
 fn unnamed(folder: &Path, units: &[Unit]) -> Vec<String> {
-    let entries = fs::read_dir(folder.join("tests")).into_iter().flatten();
-    let files = entries.flatten().map(|entry| entry.path());
-    let files = files.filter(|path| path.extension().is_some_and(|end| end == "rs"));
-    let is_named = |path: &PathBuf| {
-        let mut files = units.iter().flat_map(|unit| unit.modules.values());
-        files.any(|named| named == path)
-    };
-    files
-        .filter(|path| !is_named(path))
-        .map(|path| {
-            format!(
-                "{} is in no test program: name it in {ALL_TESTS}",
-                path.display()
-            )
-        })
-        .collect()
+    let named: BTreeSet<_> = units
+        .iter()
+        .flat_map(|unit| unit.modules.values())
+        .collect();
+    let (mut folders, mut wrong) = (vec![folder.join("tests")], vec![]);
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            // Other folders hold what programs share by `#[path]`.
+            if path.join("main.rs").is_file() {
+                folders.push(path);
+            } else if path.extension().is_some_and(|end| end == "rs") && !named.contains(&path) {
+                wrong.push(format!("{} is in no test program", path.display()));
+            }
+        }
+    }
+    wrong
 }
 
 impl Unit {
