@@ -129,18 +129,11 @@ pub fn rig(dice: &mut Dice) -> Vec<Happening> {
             26 => Happening::Clock(dice.roll(1_000..2_000_000)),
             _ => common(dice, &RIG_SETTINGS),
         };
-        let is_stop = matches!(happening, Happening::Stop(Urgent::EStop));
         if matches!(happening, Happening::Silence(_)) && dice.roll(0..2) == 0 {
             // The host is lost in a run.
             lead_to(&mut all, &Request::Hold(Hold), dice);
         }
-        all.push(happening);
-        all.push(Happening::Wait(dice.roll(20_000..600_000)));
-        if is_stop && dice.roll(0..2) == 0 {
-            // Nobody acknowledges the stop first.
-            all.push(Happening::Ask(Request::Home(Home)));
-            all.push(Happening::Wait(dice.roll(20_000..600_000)));
-        }
+        add(&mut all, happening, Request::Home(Home), 600_000, dice);
     }
     all
 }
@@ -174,7 +167,6 @@ pub fn capsule(dice: &mut Dice) -> Vec<Happening> {
             23 => Happening::Capsule(0, Defect::Battery(dice.roll(2_300..4_200) as f64)),
             _ => common(dice, &CAPSULE_SETTINGS),
         };
-        let is_stop = matches!(happening, Happening::Stop(Urgent::EStop));
         if matches!(happening, Happening::Silence(_)) && dice.roll(0..2) == 0 {
             prepare(
                 &mut all,
@@ -182,14 +174,31 @@ pub fn capsule(dice: &mut Dice) -> Vec<Happening> {
                 dice.roll(100_000..2_000_000),
             );
         }
-        all.push(happening);
-        all.push(Happening::Wait(dice.roll(20_000..3_000_000)));
-        if is_stop && dice.roll(0..2) == 0 {
-            all.push(Happening::Ask(Request::Reference(Reference)));
-            all.push(Happening::Wait(dice.roll(20_000..3_000_000)));
-        }
+        add(
+            &mut all,
+            happening,
+            Request::Reference(Reference),
+            3_000_000,
+            dice,
+        );
     }
     all
+}
+
+/// Adds a happening and a pause. Half of the emergency stops are followed by an order that waits for no acknowledgement.
+fn add(
+    all: &mut Vec<Happening>,
+    happening: Happening,
+    order: Request,
+    longest_us: u64,
+    dice: &mut Dice,
+) {
+    let is_stop = matches!(happening, Happening::Stop(Urgent::EStop));
+    let pause = |dice: &mut Dice| Happening::Wait(dice.roll(20_000..longest_us));
+    all.extend([happening, pause(dice)]);
+    if is_stop && dice.roll(0..2) == 0 {
+        all.extend([Happening::Ask(order), pause(dice)]);
+    }
 }
 
 /// Brings the rig where it accepts this request, if nothing else comes in between.
