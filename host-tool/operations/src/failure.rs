@@ -310,6 +310,12 @@ fn ended(status: Status) -> &'static str {
 }
 
 impl Failure {
+    /// The remedy; empty where there is none.
+    #[must_use]
+    pub fn remedy(&self) -> String {
+        self.help().map(|help| help.to_string()).unwrap_or_default()
+    }
+
     /// Text with its remedy, in one line.
     #[must_use]
     pub fn in_one_line(&self) -> String {

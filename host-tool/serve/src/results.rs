@@ -30,10 +30,7 @@ pub fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failur
 pub fn lost(failure: &Failure) -> Failure {
     Failure::Unreached {
         why: format!("nothing was sent, there is no contact: {failure}"),
-        help: failure.json()["error"]["help"]
-            .as_str()
-            .unwrap_or_default()
-            .to_owned(),
+        help: failure.remedy(),
     }
 }
 
