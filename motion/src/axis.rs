@@ -546,7 +546,7 @@ impl fmt::Display for OutsideStroke {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(
             f,
-            "step {} is outside the stroke: go no further than 0 to {}",
+            "step {} is outside the stroke: stay within 0 to {}",
             self.wanted, self.last
         )
     }

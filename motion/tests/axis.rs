@@ -167,7 +167,7 @@ fn units_read_as_an_operator_does() {
     let outside = Axis::REFERENCE.position(Steps(104_001)).unwrap_err();
     assert_eq!(
         outside.to_string(),
-        "step 104001 is outside the stroke: go no further than 0 to 104000"
+        "step 104001 is outside the stroke: stay within 0 to 104000"
     );
 }
 

@@ -40,7 +40,7 @@ pub(crate) fn check() -> Result<()> {
     ))
 }
 
-/// What is wrong with these pages; `exists` knows all files.
+/// Objections to these pages; `exists` knows all files.
 fn objections(pages: &BTreeMap<PathBuf, String>, exists: &dyn Fn(&Path) -> bool) -> Vec<String> {
     let mut wrong = vec![];
     for (page, text) in pages {
@@ -163,7 +163,7 @@ fn anchors(text: &str) -> BTreeSet<String> {
 mod tests {
     use super::*;
 
-    /// What is wrong with two pages, one of which is `docs/a.md` with this text.
+    /// Objections to two pages, one of which is `docs/a.md` with this text.
     fn wrong(text: &str) -> Vec<String> {
         let other = "# It's `b`, (c): d\n## Twice\n```\n# Code\n```\n## Twice\n".to_owned();
         let pages: BTreeMap<_, _> = [("docs/a.md", text.to_owned()), ("b/README.md", other)]

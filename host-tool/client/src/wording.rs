@@ -89,10 +89,12 @@ pub fn unreadable(error: &impl ToString) -> String {
     let mut text = error.to_string().trim_end().to_owned();
     for (jargon, said) in [
         ("expected ident", "this is no JSON"),
-        ("expected value", "this is no JSON"),
         ("expected u8", "expected a whole number from 0 to 255"),
         ("expected u16", "expected a whole number from 0 to 65535"),
-        ("expected u32", "expected a whole number of at least 0"),
+        (
+            "expected u32",
+            "expected a whole number from 0 to 4294967295",
+        ),
         ("expected u64", "expected a whole number of at least 0"),
         ("expected f64", "expected a number"),
     ] {

@@ -29,7 +29,7 @@ pub struct ListArgs {
     /// A part of the specimen's description, or of the note of a trial outside campaigns.
     #[arg(long, value_name = "TEXT")]
     pub specimen: Option<String>,
-    /// What became of it: a campaign is `complete` or `open`.
+    /// Its outcome; a campaign is `complete` or `open`.
     #[arg(long, value_name = "OUTCOME", ignore_case = true, value_parser = catalogue::OUTCOMES)]
     pub outcome: Option<String>,
 }

@@ -698,6 +698,10 @@ fn converse(
     (code, shown.text())
 }
 
+fn standings<const N: usize>(campaign: &Campaign, trials: [u32; N]) -> [Standing; N] {
+    trials.map(|trial| campaign.state.trial(trial).expect("there").standing())
+}
+
 #[test]
 fn a_person_is_asked_again_until_the_answer_can_be() {
     let plan = small_plan(&[("camera = \"none\"", "camera = \"overhead\"")]);
@@ -773,9 +777,8 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     );
     assert_eq!(code, 130, "{shown}");
     let campaign = whole(&out);
-    let standing = |trial| campaign.state.trial(trial).expect("there").standing();
     assert_eq!(
-        [1, 2, 3, 4].map(standing),
+        standings(&campaign, [1, 2, 3, 4]),
         [
             Standing::Done,
             Standing::Excluded,
@@ -822,8 +825,8 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     assert_eq!(campaign.state.notes, ["all well"]);
 }
 
-/// What is typed while a machine does not answer counts. A lost machine ends the session only where it is needed, and
-/// the way on is named.
+/// An answer counts that is typed while a machine does not answer. A lost machine ends the session only where it is
+/// needed, and the way on is named.
 #[test]
 fn a_line_that_falls_silent_loses_no_answer() {
     let place = place(&small_plan(&[]));
@@ -906,9 +909,8 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
     );
     assert_eq!(code, 130, "{shown}");
     let campaign = whole(&out);
-    let standing = |trial| campaign.state.trial(trial).expect("there").standing();
     assert_eq!(
-        [1, 2].map(standing),
+        standings(&campaign, [1, 2]),
         [Standing::Unmeasured, Standing::Open],
         "{shown}"
     );

@@ -90,7 +90,7 @@ pub struct Fit {
     pub conditions: Vec<Condition>,
     /// The draws.
     pub draws: Draws,
-    /// What some draws predict of each condition.
+    /// Predictions of the conditions by some of the draws.
     pub predicted: Predictions,
     /// How well each unknown is sampled.
     pub mixing: [Mixing; UNKNOWNS],

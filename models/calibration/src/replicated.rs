@@ -1,4 +1,4 @@
-//! What single draws predict of each condition, for programs that read the draws: displacement, repetition, density.
+//! Predictions of the conditions by single draws, for programs that read the draws: displacement, repetition, density.
 
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
@@ -15,19 +15,19 @@ use crate::target::{Target, Without};
 /// About how many draws of a posterior get predictions: whole steps of all walkers, evenly spread.
 const PREDICTED: usize = 4_000;
 
-/// What one draw predicts of a condition.
+/// Prediction of a condition by one draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Predicted {
     /// The model's displacement, mm.
     pub model_mm: f64,
     /// Mean that a repetition of the same trials would give, mm.
     pub replicated_mm: f64,
-    /// Natural logarithm of the density, 1/mm, of the measured mean, given the draw and the means of all other conditions;
-    /// none for a draw of the prior.
+    /// Natural logarithm of the density, 1/mm, of the measured mean, given the draw and the means of all other
+    /// conditions; none for a draw of the prior.
     pub log_density: Option<f64>,
 }
 
-/// What draws predict of all conditions.
+/// Predictions of all conditions, draw by draw.
 pub type Predictions = Vec<(Place, Vec<Predicted>)>;
 
 /// Means of a repetition of all trials, mm. Conditions of a family share the model's errors, as in [`crate::target`].
@@ -58,7 +58,7 @@ fn replicated_mm(
         .collect()
 }
 
-/// What draws of the posterior predict of each condition, by the target's table and with its errors.
+/// Predictions of the conditions by draws of the posterior, from the target's table and with its errors.
 #[must_use]
 pub fn predicted(target: &Target<'_>, draws: &Draws, seed: u64) -> Predictions {
     let mut random = stream(seed, u64::MAX - 2);
@@ -87,7 +87,7 @@ pub fn predicted(target: &Target<'_>, draws: &Draws, seed: u64) -> Predictions {
     .collect()
 }
 
-/// Independent draws of the prior, as one chain, and what each predicts of each condition, by the model itself with this
+/// Independent draws of the prior, as one chain, and their predictions of the conditions, by the model itself with this
 /// step of the rollers.
 ///
 /// # Errors

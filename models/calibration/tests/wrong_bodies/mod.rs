@@ -1,5 +1,5 @@
 //! Bodies that are not those of the model, for data that a fit has to doubt: a chain of its own, written from
-//! `docs/model-calibration.md`, with wings that recover late and with play between body and wall.
+//! `docs/science.md`, with wings that recover late and with play between body and wall.
 
 use locomotion::body::FrictionRatio;
 use locomotion::kinematics::Design;
