@@ -55,7 +55,7 @@ impl Program {
 pub(super) struct Usable {
     pub(super) inner: Box<dyn Processor>,
     pub(super) program: Program,
-    /// Its state when it was made.
+    /// Its state after a reset, before it has executed anything.
     pub(super) fresh: Vec<u8>,
     /// Memory that was mapped: start, length, and whether it can be written.
     pub(super) mapped: Vec<(u64, u64, bool)>,
