@@ -262,6 +262,8 @@ proptest! {
                 }
                 Item::Period(_) => {}
                 Item::End => break,
+                // The stop came between the last pulse of a stroke and the stroke's end.
+                Item::StrokeEnd { .. } => prop_assert_eq!((emitted, left), (0, 0)),
                 other => prop_assert!(false, "{:?} after a stop", other),
             }
         }
