@@ -75,13 +75,15 @@ class Trial:
 
 
 def trials_in(folder):
-    """All trials of an ordinary folder, in the order of their start."""
+    """All trials of an ordinary folder, in the order of their start. What a machine refused is none: nothing was done."""
     found = []
     for path in sorted(pathlib.Path(folder).glob("*.json")):
         try:
-            found.append(Trial(path))
+            trial = Trial(path)
         except (ValueError, KeyError):
             continue
+        if trial.sidecar.get("status") != "refused":
+            found.append(trial)
     return sorted(found, key=lambda trial: trial.sidecar["started_utc"])
 
 

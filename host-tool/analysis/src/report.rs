@@ -18,7 +18,7 @@ use client::plain;
 use maud::html;
 use miette::Diagnostic;
 use trials::sidecar::{heading, other};
-use trials::trial::{RecordError, Trial};
+use trials::trial::{RecordError, Status, Trial};
 
 use crate::figures::FigureError;
 use crate::report::remark::Remark;
@@ -170,7 +170,7 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
 /// Prefixes of a record's files.
 const STEMS: [&str; 5] = ["run-", "fold-", "unfold-", "reference-", "check-"];
 
-/// Classifies a file: a trial if it is a sidecar; none if it needs no mention; otherwise why it is omitted, and
+/// Classifies a file: a trial if it is a sidecar of an action that began; none if it needs no mention; otherwise why it is omitted, and
 /// whether it is part of a trial's record.
 fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
     let stem = file.file_name().unwrap_or_default().to_string_lossy();
@@ -209,6 +209,10 @@ fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
             named.display()
         );
         return Err((why, true));
+    }
+    if trial.status == Status::Refused && !trial.has_begun() {
+        let why = trial.error.unwrap_or_else(|| "it was refused".to_owned());
+        return Err((format!("nothing was done: {why}"), false));
     }
     Ok(Some(trial))
 }

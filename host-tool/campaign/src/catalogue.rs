@@ -21,19 +21,24 @@ use crate::order::doing;
 /// Greatest depth of nested folders that are searched.
 const DEPTH: u32 = 3;
 
+/// Outcome of a campaign with trials that are still to be done.
+pub const OPEN: &str = "open";
+/// Outcome of an attempt that has not ended.
+const UNDER_WAY: &str = "under_way";
+
 /// All outcomes of entries: of campaigns, of attempts, of trials outside campaigns.
-pub const OUTCOMES: [&str; 10] = [
-    "open",
-    "under_way",
-    AttemptOutcome::Complete.name(),
-    AttemptOutcome::Refused.name(),
-    AttemptOutcome::Stopped.name(),
-    AttemptOutcome::LinkLost.name(),
-    AttemptOutcome::Faulted.name(),
-    AttemptOutcome::Lost.name(),
-    Status::Running.name(),
-    Status::Unknown.name(),
-];
+#[must_use]
+pub fn outcomes() -> Vec<&'static str> {
+    let mut all = vec![OPEN, UNDER_WAY];
+    let of_attempts = AttemptOutcome::ALL.iter().map(|outcome| outcome.name());
+    let of_trials = Status::ALL.iter().map(|status| status.name());
+    for name in of_attempts.chain(of_trials) {
+        if !all.contains(&name) {
+            all.push(name);
+        }
+    }
+    all
+}
 
 /// Search criteria; an entry has to match all that are given.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -173,7 +178,12 @@ impl Catalogue {
                 if sealed { "" } else { ", without hashes" }
             ),
             specimen: Some(specimen.clone()),
-            outcome: if is_closed { "complete" } else { "open" }.to_owned(),
+            outcome: if is_closed {
+                AttemptOutcome::Complete.name()
+            } else {
+                OPEN
+            }
+            .to_owned(),
             origin,
         });
         if !trials {
@@ -182,7 +192,7 @@ impl Catalogue {
         for state in all {
             let planned = &state.planned;
             for attempt in &state.attempts {
-                let outcome = attempt.outcome.map_or("under_way", AttemptOutcome::name);
+                let outcome = attempt.outcome.map_or(UNDER_WAY, AttemptOutcome::name);
                 let displacement = attempt
                     .displacement
                     .map(|displacement| format!(", {} mm", displacement.value));

@@ -114,9 +114,7 @@ impl Broken {
             Self::NotReady { .. } => AttemptOutcome::Refused,
             Self::Ended { status, .. } => AttemptOutcome::from(*status),
             Self::Experiment(ExperimentError::Client(error)) => match error {
-                ClientError::Refused { .. }
-                | ClientError::Rejected { .. }
-                | ClientError::Owned { .. } => AttemptOutcome::Refused,
+                error if error.is_refusal() => AttemptOutcome::Refused,
                 ClientError::Interrupted { .. } => AttemptOutcome::Stopped,
                 ClientError::NotHomed { fault: None } => AttemptOutcome::Stopped,
                 ClientError::NotHomed { .. } | ClientError::Overdue { .. } => {

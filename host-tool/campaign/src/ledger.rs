@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use client::identity::Origin;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use trials::outcomes;
 use trials::trial::Status;
 
 use crate::order::{Condition, Planned};
@@ -43,36 +44,21 @@ pub enum LedgerEvent {
     Note,
 }
 
-/// How an attempt ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum AttemptOutcome {
-    /// As planned.
-    Complete,
-    /// The machine refused it.
-    Refused,
-    /// The operator stopped it.
-    Stopped,
-    /// The machine stopped by itself because it no longer heard from the tool.
-    LinkLost,
-    /// A fault ended it.
-    Faulted,
-    /// The tool ended during the attempt, or lost the machine.
-    Lost,
-}
-
-impl AttemptOutcome {
-    /// Name in the ledger.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Complete => "complete",
-            Self::Refused => "refused",
-            Self::Stopped => "stopped",
-            Self::LinkLost => "link_lost",
-            Self::Faulted => "faulted",
-            Self::Lost => "lost",
-        }
+outcomes! {
+    /// How an attempt ended.
+    AttemptOutcome {
+        /// As planned.
+        Complete: "complete",
+        /// The machine refused it.
+        Refused: "refused",
+        /// The operator stopped it.
+        Stopped: "stopped",
+        /// The machine stopped by itself because it no longer heard from the tool.
+        LinkLost: "link_lost",
+        /// A fault ended it.
+        Faulted: "faulted",
+        /// The tool ended during the attempt, or lost the machine.
+        Lost: "lost",
     }
 }
 
@@ -80,6 +66,7 @@ impl From<Status> for AttemptOutcome {
     fn from(status: Status) -> Self {
         match status {
             Status::Complete => Self::Complete,
+            Status::Refused => Self::Refused,
             Status::Stopped => Self::Stopped,
             Status::LinkLost => Self::LinkLost,
             Status::Faulted => Self::Faulted,

@@ -251,6 +251,17 @@ pub enum ClientError {
     },
 }
 
+impl ClientError {
+    /// Whether the request was not carried out, with certainty.
+    #[must_use]
+    pub const fn is_refusal(&self) -> bool {
+        matches!(
+            self,
+            Self::Refused { .. } | Self::Rejected { .. } | Self::Owned { .. }
+        )
+    }
+}
+
 fn mismatch_text(place: &str, found: &Identity) -> String {
     let name = identity::kind_name(found.device);
     let remedy = if found.protocol.major > VERSION.major {

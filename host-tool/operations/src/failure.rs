@@ -300,6 +300,7 @@ fn way_out(error: &RunError) -> String {
 fn ended(status: Status) -> &'static str {
     match status {
         Status::Complete => "is complete",
+        Status::Refused => "was refused, and not begun",
         Status::Stopped => "was stopped on request; the position is kept",
         Status::LinkLost => {
             "was stopped by the device, which had not heard from the host for too long"
@@ -425,6 +426,7 @@ pub fn client_code(error: &ClientError) -> u8 {
 fn status_code(status: Status) -> u8 {
     match status {
         Status::Complete => DONE,
+        Status::Refused => REFUSED,
         Status::Stopped => STOPPED,
         Status::LinkLost | Status::Faulted => FAULT,
         Status::Running | Status::Unknown => UNKNOWN,

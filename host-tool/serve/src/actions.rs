@@ -63,6 +63,7 @@ impl Standing {
                 trials::trial::Status::LinkLost => Self::LinkLost,
                 trials::trial::Status::Stopped => Self::Stopped,
                 trials::trial::Status::Faulted => Self::Faulted,
+                trials::trial::Status::Refused => Self::Refused,
                 _ => Self::Unknown,
             },
             failure => match failure.exit_code() {

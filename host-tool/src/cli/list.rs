@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use campaign::catalogue::{self, Wanted};
 use clap::Args;
+use clap::builder::PossibleValuesParser;
 use jiff::civil::Date;
 use operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
 use operations::failure::Failure;
@@ -30,7 +31,7 @@ pub struct ListArgs {
     #[arg(long, value_name = "TEXT")]
     pub specimen: Option<String>,
     /// Its outcome; a campaign is `complete` or `open`.
-    #[arg(long, value_name = "OUTCOME", ignore_case = true, value_parser = catalogue::OUTCOMES)]
+    #[arg(long, value_name = "OUTCOME", ignore_case = true, value_parser = PossibleValuesParser::new(catalogue::outcomes()))]
     pub outcome: Option<String>,
 }
 

@@ -364,22 +364,13 @@ const EVENTS: [LedgerEvent; 11] = [
     LedgerEvent::Note,
 ];
 
-const OUTCOMES: [AttemptOutcome; 6] = [
-    AttemptOutcome::Complete,
-    AttemptOutcome::Refused,
-    AttemptOutcome::Stopped,
-    AttemptOutcome::LinkLost,
-    AttemptOutcome::Faulted,
-    AttemptOutcome::Lost,
-];
-
 /// A random row, which may be impossible at this point.
 fn any_row(chance: &mut Chance, trials: usize) -> LedgerRow {
     let trial = chance.below(trials) as u32 + 1;
     let attempt = chance.below(3) as u32 + 1;
     let mut row = LedgerRow::of(EVENTS[chance.below(EVENTS.len())], trial, Some(attempt));
     row.origin = Origin::Virtual;
-    row.outcome = Some(OUTCOMES[chance.below(8).saturating_sub(2)]);
+    row.outcome = Some(AttemptOutcome::ALL[chance.below(8).saturating_sub(2)]);
     row.displacement_mm = Some(Millimetres::from_um(chance.below(1_000) as i64));
     row.source = Some(Source::Measured);
     row.text = Some("because".to_owned());
@@ -557,7 +548,7 @@ fn a_trial_goes_through_its_standings() {
         state.next().expect("more to do").planned.trial
     };
     use Standing::{Done, Excluded, Open, Skipped, UnderWay, Unmeasured};
-    for outcome in OUTCOMES.into_iter().skip(1).zip(1..) {
+    for outcome in AttemptOutcome::ALL.iter().copied().skip(1).zip(1..) {
         step(LedgerEvent::Began, outcome.1, None, UnderWay);
         let next = step(LedgerEvent::Ended, outcome.1, Some(outcome.0), Open);
         assert_eq!(next, 1, "it is still to be done");

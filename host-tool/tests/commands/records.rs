@@ -1,23 +1,26 @@
 //! Records on disk: read back, identical for identical runs, readable after a crash, and the paper's experiment.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use analysis::report;
-use analysis::report::Found;
 use analysis::report::remark::Remark;
+use analysis::report::{Found, LeftOut};
 use campaign::catalogue::{self, Wanted};
 use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationKind, ActuationOutcome};
-use protocol::rig::{Run, RunOutcome, RunTiming};
+use protocol::rig::{MoveTo, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Identity, Urgent};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, link};
+use trials::check;
 use trials::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
 };
@@ -250,22 +253,85 @@ fn an_emergency_stop_behind_the_end_is_in_the_record() {
     assert_eq!(told.status, Status::Faulted, "{:?}", told.error);
 }
 
+/// What a machine refuses was never begun: it is recorded as refused, and no list or report takes it for a trial.
 #[test]
-fn a_refused_run_leaves_a_record_that_says_so() {
+fn a_refused_action_leaves_a_record_that_says_so() {
     let folder = tempfile::tempdir().expect("folder");
-    let mut rig =
-        Device::connect(link(Script::new(DeviceKind::Rig)).0, DeviceKind::Rig, 1).expect("there");
-    let error = experiment::run(
-        &mut rig,
-        SHORT_RUN,
-        &recording(folder.path()),
-        &mut Unobserved,
-    )
-    .expect_err("not homed");
-    assert!(error.to_string().contains("home first"), "{error}");
-    let trial = Trial::read(&folder.path().join("run-19700101T000000Z.json")).expect("sidecar");
-    assert_eq!(trial.status, Status::Unknown);
-    assert!(trial.error.expect("why").contains("home first"));
+    let connected = |kind| Device::connect(link(Script::new(kind)).0, kind, 1).expect("there");
+    let mut rig = connected(DeviceKind::Rig);
+    let mut capsule = connected(DeviceKind::Capsule);
+    let recording = |stem: &str| Recording {
+        stem: stem.to_owned(),
+        ..recording(folder.path())
+    };
+    let to = MoveTo {
+        position_um: 10_000,
+        speed_um_s: 5_000,
+    };
+    let seen = &mut Unobserved;
+    let run = experiment::run(&mut rig, SHORT_RUN, &recording("run"), seen).map(drop);
+    let pass = experiment::move_to(&mut rig, to, &recording("pass"), seen).map(drop);
+    let kind = ActuationKind::Fold;
+    let fold = experiment::actuate(&mut capsule, kind, &recording("fold"), seen).map(drop);
+    for (stem, result, why) in [
+        ("run", run, "home first"),
+        ("pass", pass, "home first"),
+        ("fold", fold, "reference first"),
+    ] {
+        let error = result.expect_err(stem).to_string();
+        assert!(error.contains(why), "{error}");
+        let sidecar = folder.path().join(format!("{stem}-19700101T000000Z.json"));
+        let trial = Trial::read(&sidecar).expect("sidecar");
+        assert_eq!(trial.status.name(), "refused", "{trial:?}");
+        let defects = match trial.device.device.as_str() {
+            "rig" => check::rig(&sidecar, &trial).1,
+            _ => check::capsule(&sidecar, &trial).1,
+        };
+        assert_eq!(defects.all(), [""; 0]);
+        assert!(trial.error.expect("why").contains(why));
+    }
+    let folders = [folder.path().to_owned()];
+    let count = |outcome: &str| {
+        let outcome = Some(outcome.to_owned());
+        let wanted = Wanted {
+            outcome,
+            ..Wanted::default()
+        };
+        catalogue::list(&folders, true, &wanted).entries.len()
+    };
+    assert_eq!((count("refused"), count("unknown")), (3, 0));
+    // Without a trial beside them there is nothing to report; with one they are left out, and nothing is lost.
+    let none = report::find(&folders).expect_err("no trial").to_string();
+    assert!(none.contains("nothing was done: "), "{none}");
+    recorded_run(folder.path());
+    let found = report::find(&folders).expect("a folder");
+    assert_eq!(found.sidecars.len(), 1, "{found:?}");
+    let left = |left: &LeftOut| left.why.contains("nothing was done: ") && !left.is_record;
+    assert_eq!(found.left_out.len(), 3, "{found:?}");
+    assert!(found.left_out.iter().all(left), "{found:?}");
+    // As the reader in Python counts.
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples");
+    let program = "import sys, retrograde_data as data; print(len(data.trials_in(sys.argv[1])))";
+    let mut python = Command::new("python3");
+    python.env("PYTHONDONTWRITEBYTECODE", "1");
+    python.current_dir(examples).args(["-c", program]);
+    // Without Python there is no reader.
+    if let Ok(output) = python.arg(folder.path()).output() {
+        assert_eq!(String::from_utf8_lossy(&output.stdout), "1\n", "{output:?}");
+    }
+}
+
+/// No outcome that an entry may have is unknown to `list --outcome`.
+#[test]
+fn each_outcome_can_be_asked_for() {
+    let all = catalogue::outcomes();
+    for status in Status::ALL {
+        assert!(all.contains(&status.name()), "{status:?}");
+        let written = serde_json::to_string(status).expect("JSON");
+        assert_eq!(written, format!("{:?}", status.name()));
+    }
+    let once: BTreeSet<_> = all.iter().collect();
+    assert_eq!(once.len(), all.len(), "{all:?}");
 }
 
 /// A ready machine with an operator who stops it under way, then presses the emergency stop once it stands and has

@@ -374,6 +374,9 @@ pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
 /// Checks that apply to the telemetry of both machines.
 fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
     let mut defects = Defects::default();
+    if trial.status == Status::Refused && trial.has_begun() {
+        defects.say("it is called refused, and the machine accepted it");
+    }
     let name = &trial.telemetry;
     // While a trial runs, its sidecar does not know the final number of samples.
     if trial.status != Status::Running {

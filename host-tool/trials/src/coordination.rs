@@ -256,12 +256,14 @@ impl Partner<'_> {
             self.turn(rig_us + on_us, None);
         }
         let mut cue_time = None;
-        let outcome: Result<ActuationRecord, String> = match &self.phase {
-            Phase::Waiting => Err(format!(
+        let outcome: Result<ActuationRecord, Ending> = match &self.phase {
+            Phase::Waiting => Err(Ending::Refused(format!(
                 "the run ended before cycle {} came to its place",
                 self.cue.cycle
+            ))),
+            Phase::Cued { asked: false, .. } => Err(Ending::Refused(
+                "the run ended in the dwell before it".into(),
             )),
-            Phase::Cued { asked: false, .. } => Err("the run ended in the dwell before it".into()),
             Phase::Cued {
                 cue_us,
                 clock,
@@ -269,9 +271,11 @@ impl Partner<'_> {
                 ..
             } => {
                 cue_time = Some((*cue_us, *clock));
-                Err("the run ended before the capsule answered".into())
+                Err(Ending::Lost(
+                    "the run ended before the capsule answered".into(),
+                ))
             }
-            Phase::Failed(error) => Err(error.to_string()),
+            Phase::Failed(error) => Err(experiment::without_record(&self.recorder, error)),
             Phase::Accepted {
                 cue_us,
                 clock,
@@ -283,7 +287,7 @@ impl Partner<'_> {
                     began_us: &mut self.began_us,
                 };
                 let ended = self.capsule.wait_actuation(accepted, &mut noting);
-                ended.map_err(|error| error.to_string())
+                ended.map_err(|error| Ending::Lost(error.to_string()))
             }
         };
         let coordination = self.coordination(run, cue_time);
@@ -302,7 +306,7 @@ impl Partner<'_> {
         }
         let finished = match &outcome {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
-            Err(why) => self.recorder.finish(Ending::Lost(why.clone()), lost),
+            Err(ending) => self.recorder.finish(ending.clone(), lost),
         };
         self.capsule.records(None);
         let trial = match (finished, outcome) {
@@ -313,13 +317,13 @@ impl Partner<'_> {
                 csv,
                 sidecar,
             }),
-            (Ok(trial), Err(why)) => Err(ExperimentError::Incomplete {
+            (Ok(trial), Err(_)) => Err(ExperimentError::Incomplete {
                 step: match self.shaping {
                     Shaping::Fold => "folding",
                     Shaping::Unfold => "unfolding",
                 },
                 status: trial.status,
-                reason: Some(why),
+                reason: trial.error,
                 sidecar,
             }),
         };

@@ -388,7 +388,7 @@ fn verdict(ending: &Ending) -> String {
             "the move ended as {:?} at {} steps",
             moved.outcome, moved.position_steps
         ),
-        Ending::Lost(why) => why.clone(),
+        Ending::Refused(why) | Ending::Lost(why) => why.clone(),
     }
 }
 
@@ -399,7 +399,7 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
         Ending::Run(record) => record.outcome == RunOutcome::Stopped,
         Ending::Actuation(record) => record.outcome == ActuationOutcome::Stopped,
         Ending::Move(moved) => moved.outcome == RunOutcome::Stopped,
-        Ending::Lost(_) => false,
+        Ending::Refused(_) | Ending::Lost(_) => false,
     };
     if !is_stopped && device.interrupted().is_none() {
         return None;
@@ -444,12 +444,21 @@ fn finish<T>(
             }
         }
         Err(error) => {
-            let lost = Ending::Lost(error.to_string());
-            if let Err(record) = recorder.finish(lost, lost_events) {
+            let ending = without_record(&recorder, &error);
+            if let Err(record) = recorder.finish(ending, lost_events) {
                 observer.unrecorded(&record.to_string());
             }
             Err(error.into())
         }
+    }
+}
+
+/// The end of an action of which the machine has given no record.
+pub(crate) fn without_record(recorder: &Recorder, error: &ClientError) -> Ending {
+    if error.is_refusal() && !recorder.has_begun() {
+        Ending::Refused(error.to_string())
+    } else {
+        Ending::Lost(error.to_string())
     }
 }
 

@@ -1,6 +1,7 @@
 //! Actions that are executed once and recorded.
 //!
 //! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
+//! * [`status`]: how a trial ended.
 //! * [`writer`]: writes files on a thread of its own.
 //! * [`check`]: whether a record contradicts itself.
 //! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
@@ -28,5 +29,6 @@ pub mod plan;
 pub mod progress;
 pub mod recorded;
 pub mod sidecar;
+pub mod status;
 pub mod trial;
 pub mod writer;

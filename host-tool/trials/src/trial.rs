@@ -22,6 +22,7 @@ use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
 
 use crate::cue::Coordination;
+pub use crate::status::Status;
 use crate::writer::{Appender, Writer};
 
 /// A folder that contains this file belongs to a campaign. The campaign completes its own records.
@@ -59,63 +60,6 @@ impl RecordError {
             path: path.to_owned(),
             why: why.to_string(),
             remedy: "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file",
-        }
-    }
-}
-
-/// How a trial ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Status {
-    /// Not ended yet, or the host stopped before it ended.
-    Running,
-    /// Ended as planned.
-    Complete,
-    /// Stopped on request.
-    Stopped,
-    /// Stopped by the device, because the host was silent.
-    LinkLost,
-    /// Ended by a fault.
-    Faulted,
-    /// The host lost the device: see `error`.
-    Unknown,
-}
-
-impl Status {
-    /// Its name, as in records.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Running => "running",
-            Self::Complete => "complete",
-            Self::Stopped => "stopped",
-            Self::LinkLost => "link_lost",
-            Self::Faulted => "faulted",
-            Self::Unknown => "unknown",
-        }
-    }
-}
-
-impl From<RunOutcome> for Status {
-    fn from(outcome: RunOutcome) -> Self {
-        match outcome {
-            RunOutcome::None | RunOutcome::Running => Self::Unknown,
-            RunOutcome::Complete => Self::Complete,
-            RunOutcome::Stopped => Self::Stopped,
-            RunOutcome::LinkLost => Self::LinkLost,
-            RunOutcome::Faulted(_) => Self::Faulted,
-        }
-    }
-}
-
-impl From<ActuationOutcome> for Status {
-    fn from(outcome: ActuationOutcome) -> Self {
-        match outcome {
-            ActuationOutcome::None | ActuationOutcome::Running => Self::Unknown,
-            ActuationOutcome::Complete => Self::Complete,
-            ActuationOutcome::Stopped => Self::Stopped,
-            ActuationOutcome::LinkLost => Self::LinkLost,
-            ActuationOutcome::Faulted(_) => Self::Faulted,
         }
     }
 }
@@ -367,6 +311,16 @@ impl Trial {
         }
     }
 
+    /// Whether the machine has accepted it. What it refused was never begun, and counts nowhere as a trial.
+    #[must_use]
+    pub const fn has_begun(&self) -> bool {
+        match &self.action {
+            Action::Run { achieved, .. } => achieved.is_some(),
+            Action::Move { accepted, .. } => accepted.is_some(),
+            Action::Actuation { accepted, .. } => accepted.is_some(),
+        }
+    }
+
     /// Notes how the trial ended.
     pub fn end(&mut self, ending: Ending) {
         match (&mut self.action, ending) {
@@ -383,6 +337,10 @@ impl Trial {
                     self.error = Some(fault.to_string());
                 }
                 *slot = Some(record);
+            }
+            (_, Ending::Refused(why)) => {
+                self.status = Status::Refused;
+                self.error = Some(why);
             }
             (_, Ending::Lost(error)) => {
                 self.status = Status::Unknown;
@@ -583,6 +541,11 @@ impl Recorder {
         &self.csv_path
     }
 
+    /// Whether the machine has accepted the action.
+    pub(crate) fn has_begun(&self) -> bool {
+        self.trial.has_begun()
+    }
+
     /// Notes how the start was tied to a run.
     pub(crate) fn coordinated(&mut self, coordination: Coordination) {
         self.trial.coordination = Some(coordination);
@@ -709,6 +672,8 @@ pub enum Ending {
     Actuation(ActuationRecord),
     /// Where a move ended.
     Move(Moved),
+    /// The reason why it never began.
+    Refused(String),
     /// The reason why there is no record.
     Lost(String),
 }

@@ -336,6 +336,7 @@ pub(crate) fn status(status: Status, defects: &[String]) -> Markup {
     let (text, good) = match status {
         Status::Running => ("not ended: the host ended first", false),
         Status::Complete => ("complete", true),
+        Status::Refused => ("refused; nothing was done", false),
         Status::Stopped => ("stopped on request", false),
         Status::LinkLost => ("ended by link loss", false),
         Status::Faulted => ("ended by a fault", false),

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 /// The newest incomplete campaign.
 pub(crate) fn newest() -> Option<PathBuf> {
     let wanted = Wanted {
-        outcome: Some("open".to_owned()),
+        outcome: Some(catalogue::OPEN.to_owned()),
         ..Wanted::default()
     };
     let found = catalogue::list(&[PathBuf::from(CAMPAIGNS_FOLDER)], false, &wanted);
