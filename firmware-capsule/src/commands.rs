@@ -148,8 +148,8 @@ fn respond(
 
 /// Refuses unless the motor is at rest: the chip executes nothing while it writes its flash.
 fn may_write(capsule: &Capsule, context: &Context<'_>) -> Result<(), Refusal> {
-    // Check `is_moving` too: a motion may have been accepted since the last reading.
-    if capsule.is_moving() || !context.rests {
+    // Check motion and bridge too: a motion may have been accepted since the last reading, and stopped.
+    if capsule.is_moving() || capsule.drive() != Drive::Off || !context.rests {
         return Err(Refusal::CapsuleBusy(capsule.state()));
     }
     Ok(())

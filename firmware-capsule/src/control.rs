@@ -276,5 +276,9 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
         });
         let actions = self.machine.step(self.capsule.now_us(), command);
         self.perform(&actions);
+        // A fault that is latched already, such as that of a crash, may keep its name; a reset must not undo the stop.
+        if urgent == Urgent::EStop && actions.events.is_empty() {
+            self.capsule.keep_latched(Some(EStop::Frame));
+        }
     }
 }

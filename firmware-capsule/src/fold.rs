@@ -569,6 +569,10 @@ impl Capsule {
                 return Ok(());
             }
             Decision::Arrived | Decision::Unfolded => {
+                // At the end with a tension that was never measured: nothing shows that the thread holds.
+                if actuation.leg.measures_tension() {
+                    return Err(CapsuleFault::SlipOrBreak);
+                }
                 if actuation.found.is_some() {
                     actions.calibrated = self.calibration;
                 }
@@ -585,6 +589,8 @@ impl Capsule {
         actuation.leg = next;
         actuation.detector = Detector::new(next.spooling(), from_us, actuation.rest_mv);
         actuation.governor = Governor::default();
+        // The old leg's effort must not drive this one, should an order come before the next reading.
+        actuation.effort = Effort::Brake;
         actuation.circuit = Circuit::default();
         actuation.near = false;
         actuation.slack_from = None;

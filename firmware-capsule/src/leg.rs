@@ -239,6 +239,17 @@ impl Leg {
         }
     }
 
+    /// The tension of the thread is still to be measured.
+    pub fn measures_tension(self) -> bool {
+        matches!(
+            self,
+            Leg::PayOut {
+                taut_to: Some(_),
+                ..
+            }
+        )
+    }
+
     /// Speed and current for `thread` on the spool. `near` is the result of [`is_near`].
     pub fn aim(self, thread: Thread, no_load_ma: u16, near: bool, settings: &Settings) -> Aim {
         let slow = Aim {

@@ -322,6 +322,24 @@ fn an_estop_is_kept_over_a_reset_until_it_is_acknowledged() {
     assert_eq!(device.state(), (CapsuleState::Unreferenced, None));
 }
 
+/// The crash keeps its name as the fault, but only an acknowledgement undoes the stop.
+#[test]
+fn an_estop_after_a_crash_is_kept_over_a_reset() {
+    for cause in [ResetCause::Watchdog, ResetCause::Panic] {
+        let mut device = Device::start(FRESH, cause);
+        device.read();
+        let fault = device.state().1;
+        device.control.answer(Inbound::Urgent(Urgent::EStop));
+        assert_eq!(device.state().1, fault);
+        let latched = device.board().latched.last().copied().flatten();
+        let left = Retained { latched, ..FRESH };
+        let mut device = Device::start(left, ResetCause::Pin);
+        assert_eq!(device.state().1, Some(CapsuleFault::EStopFrame));
+        device.accepted(Request::Acknowledge(Acknowledge));
+        assert_eq!(device.board().latched, [None]);
+    }
+}
+
 #[test]
 fn other_faults_are_not_kept_over_a_reset() {
     let mut device = Device::referencing();
@@ -481,6 +499,19 @@ fn what_is_the_rigs_is_refused() {
 
 fn set(key: SettingKey, value: u32) -> Request {
     Request::SetSetting(Setting { key, value })
+}
+
+/// No reading has shown yet that the motor was driven.
+#[test]
+fn nothing_is_written_right_after_a_motion_that_was_stopped_at_once() {
+    let mut device = Device::ready();
+    rest(&mut device);
+    device.accepted(Request::Calibrate(Calibrate));
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    assert_eq!(device.drive(), Drive::Brake);
+    let refused = device.ask(set(SettingKey::EndForceMa, 120));
+    assert!(matches!(refused, Reply::Refused(Refusal::CapsuleBusy(_))));
+    assert_eq!(device.flash.operations(), []);
 }
 
 /// A setting is in force only once it is in flash, and nothing is written while the motor may turn. An encoder line at

@@ -6,7 +6,7 @@ use device::settings::Values;
 use firmware_capsule::{
     commands::{self, Change, Context},
     fold::{Capsule, Command, Drive, Event},
-    mechanics::Thread,
+    mechanics::{Counts, Thread},
     settings::Settings,
 };
 use firmware_capsule::{kept::Totals, trace::Recording};
@@ -197,6 +197,58 @@ fn after_a_failed_start_nothing_moves_until_acknowledged() {
         sim.run(Command::Reference);
         assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
     }
+}
+
+/// A motion that turns round brakes, and the next reading drives it on. An order in between must not: the effort of the
+/// leg before would be in force for it.
+#[test]
+fn a_refused_order_drives_nothing_between_two_legs() {
+    let mut sim = sim_in(CapsuleState::Folded);
+    sim.order(Command::Unfold);
+    while sim.capsule.drive() != Drive::Brake {
+        sim.tick();
+    }
+    assert_eq!(sim.capsule.state(), CapsuleState::Unfolding);
+    for after_us in [39_999, 40_000, 40_999] {
+        let mut capsule = sim.capsule.clone();
+        let actions = capsule.step(sim.now_us + after_us, Event::Command(Command::Fold));
+        let busy = Refusal::CapsuleBusy(CapsuleState::Unfolding);
+        assert_eq!(actions.refusal, Some(busy));
+        assert_eq!(actions.drive, Drive::Brake, "{after_us} us later");
+    }
+}
+
+/// The reading that follows, with the count this much further.
+fn leap(sim: &mut Simulation, counts: i32) {
+    let mut sample = *sim.capsule.sample();
+    sample.counts = Counts(sample.counts.0 + counts);
+    sim.now_us += 1_000;
+    sim.give(Event::Sample(sample));
+}
+
+/// Millimetres of thread within a millisecond: whatever the encoder says ends in a fault, and in no overflow.
+#[test]
+fn a_count_that_leaps_is_a_fault() {
+    for counts in [-4_000_000, 4_000_000] {
+        let mut sim = sim_in(CapsuleState::Unfolded);
+        sim.run_past(Command::Fold, 10.0);
+        leap(&mut sim, counts);
+        assert_eq!(sim.capsule.state(), CapsuleState::Faulted, "{counts}");
+    }
+}
+
+/// A calibration that is at its zero before it has measured the tension has calibrated nothing.
+#[test]
+fn a_leap_to_zero_does_not_complete_a_calibration() {
+    let mut sim = Simulation::nominal();
+    sim.order(Command::Calibrate);
+    while !matches!(sim.capsule.drive(), Drive::Millivolts(..0)) {
+        sim.tick();
+    }
+    leap(&mut sim, -20_000);
+    assert_eq!(sim.capsule.fault(), Some(CapsuleFault::SlipOrBreak));
+    assert!(!sim.capsule.referenced());
+    assert_eq!((sim.capsule.calibration(), sim.kept), (None, None));
 }
 
 #[test]

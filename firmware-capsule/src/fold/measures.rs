@@ -55,6 +55,8 @@ const MOST_CREPT_UM: i32 = 800;
 const CREEPS_UM: i32 = 30;
 /// Largest distance by which friction may bring the end force forward, um.
 const MOST_EARLY_UM: i32 = 800;
+/// Largest length that is computed with, um.
+const MOST_UM: i32 = 1_000_000;
 /// Range to which friction may scale the end force, in thousandths.
 pub(super) const FRICTION_FORCE: (i32, i32) = (600, 1_350);
 
@@ -113,7 +115,8 @@ impl Capsule {
             return;
         }
         let rise_um = calibration.rise.0.max(1);
-        let left_um = end.0 - thread.0;
+        // Within what the arithmetic below bears: an encoder may say anything.
+        let left_um = end.0.saturating_sub(thread.0).clamp(-MOST_UM, MOST_UM);
         // The origami's force grows faster towards the folded end.
         let steep_um = rise_um * 85 / 100;
         let (from_um, to_um) = COMPARED_UM;
