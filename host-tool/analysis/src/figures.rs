@@ -3,19 +3,23 @@
 //! The size of a chart makes its letters 12 px high on a telephone 390 px wide, and lets two charts fit beside each
 //! other on a desktop screen.
 
+mod clip;
 pub(crate) mod escaped;
 pub(crate) mod palette;
 mod pdf;
+mod profile;
 
 use client::identity::Origin;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
-use protocol::rig::{Run, Stroke};
-use trials::trial::{Achieved, CapsuleSample, RigSample, Screw};
+use trials::trial::{CapsuleSample, RigSample};
 
+use crate::figures::clip::{clipped, edges};
 use crate::figures::escaped::escaped;
 use crate::figures::palette::{INK, MEASURED, PLANNED, WARNING};
 use crate::figures::pdf::{Drawn, Page};
+pub use crate::figures::profile::{Planned, planned, position_at};
 
 /// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
 /// and displayed small.
@@ -29,9 +33,6 @@ const LETTER_WIDTH: i32 = 22;
 
 /// Opacity of an area.
 const PALE: f64 = 0.16;
-
-/// Points of the planned profile per ramp.
-const RAMP_POINTS: u32 = 24;
 
 /// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]
@@ -125,7 +126,7 @@ impl Heading {
 }
 
 /// How a curve is drawn.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Mark {
     /// A line of this width.
     Line(u32),
@@ -135,6 +136,8 @@ pub(crate) enum Mark {
     Segments(u32),
     /// The points are the outline of a pale area.
     Area,
+    /// The same behind the data: it does not widen the axis, and ends where the plot does.
+    Backdrop,
 }
 
 /// One curve. Without a label it has no entry in the legend.
@@ -152,81 +155,6 @@ pub(crate) struct Chart {
     /// The y axis includes 0, so that differences appear in proportion.
     pub(crate) y_from_zero: bool,
     pub(crate) curves: Vec<Curve>,
-}
-
-/// Position and velocity of a plan over time: (s, mm) and (s, mm/s).
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Planned {
-    /// (s, mm).
-    pub position: Vec<(f64, f64)>,
-    /// (s, mm/s).
-    pub velocity: Vec<(f64, f64)>,
-}
-
-/// The exact continuous profile of a run, sampled finely enough to draw. Time 0 is the run's start.
-#[must_use]
-pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
-    let seconds = |ticks: u64| ticks as f64 * 1e-8;
-    let (far, home) = (
-        f64::from(run.far_dwell_us) * 1e-6,
-        f64::from(run.home_dwell_us) * 1e-6,
-    );
-    let mut planned = Planned::default();
-    let mut start = f64::from(run.start_delay_us) * 1e-6;
-    for cycle in 0..run.cycles {
-        stroke(&mut planned, screw, &achieved.forward, start, false);
-        start += seconds(achieved.forward.duration_ticks) + far;
-        if cycle + 1 == run.cycles {
-            // The last dwell absorbs the remainder from the division of the total.
-            start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
-        }
-        stroke(&mut planned, screw, &achieved.back, start, true);
-        start += seconds(achieved.back.duration_ticks) + home;
-    }
-    planned
-}
-
-/// The exact position of a plan at `time_s` after the run's start, mm.
-#[must_use]
-pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -> f64 {
-    let seconds = |ticks: u64| ticks as f64 * 1e-8;
-    let (far, home) = (
-        f64::from(run.far_dwell_us) * 1e-6,
-        f64::from(run.home_dwell_us) * 1e-6,
-    );
-    let mut start = f64::from(run.start_delay_us) * 1e-6;
-    for cycle in 0..run.cycles {
-        if time_s < start + seconds(achieved.forward.duration_ticks) + far {
-            return way(screw, &achieved.forward, time_s - start);
-        }
-        start += seconds(achieved.forward.duration_ticks) + far;
-        if cycle + 1 == run.cycles {
-            start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
-        }
-        if time_s < start + seconds(achieved.back.duration_ticks) + home {
-            let length = screw.mm(f64::from(achieved.back.steps));
-            return length - way(screw, &achieved.back, time_s - start);
-        }
-        start += seconds(achieved.back.duration_ticks) + home;
-    }
-    0.0
-}
-
-/// Distance since the beginning of a stroke, mm; constant before and after it.
-fn way(screw: &Screw, stroke: &Stroke, time_s: f64) -> f64 {
-    let (t, r) = (
-        stroke.duration_ticks as f64 * 1e-8,
-        stroke.ramp_ticks as f64 * 1e-8,
-    );
-    let length = screw.mm(f64::from(stroke.steps));
-    let speed = length / (t - r);
-    match time_s {
-        time if time <= 0.0 => 0.0,
-        time if time >= t => length,
-        time if time < r => speed / r * time * time / 2.0,
-        time if time <= t - r => speed * (time - r / 2.0),
-        time => length - speed / r * (t - time) * (t - time) / 2.0,
-    }
 }
 
 /// Keeps, for each of `stretches` equal stretches, the points with the least and the greatest value: the curve looks
@@ -250,38 +178,6 @@ pub(crate) fn thinned(points: &[(f64, f64)], stretches: usize) -> Vec<(f64, f64)
         }
     }
     thin
-}
-
-fn stroke(planned: &mut Planned, screw: &Screw, stroke: &Stroke, start: f64, back: bool) {
-    let steps = f64::from(stroke.steps);
-    let (t, r) = (
-        stroke.duration_ticks as f64 * 1e-8,
-        stroke.ramp_ticks as f64 * 1e-8,
-    );
-    let length = screw.mm(steps);
-    let (speed, acceleration) = (length / (t - r), length / (t - r) / r);
-    let mut point = |time: f64, way: f64, speed: f64| {
-        let (position, velocity) = if back {
-            (length - way, -speed)
-        } else {
-            (way, speed)
-        };
-        planned.position.push((start + time, position));
-        planned.velocity.push((start + time, velocity));
-    };
-    for index in 0..=RAMP_POINTS {
-        let time = r * f64::from(index) / f64::from(RAMP_POINTS);
-        point(time, acceleration * time * time / 2.0, acceleration * time);
-    }
-    point(t - r, length - speed * r / 2.0, speed);
-    for index in (0..RAMP_POINTS).rev() {
-        let left = r * f64::from(index) / f64::from(RAMP_POINTS);
-        point(
-            t - left,
-            length - acceleration * left * left / 2.0,
-            acceleration * left,
-        );
-    }
 }
 
 /// Position and velocity against time, measured over planned.
@@ -527,7 +423,9 @@ where
     let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
     let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
     let zero = (*y_from_zero).then_some(0.0);
-    let (y_low, y_high) = span(all().map(|point| point.1).chain(zero), 0.06);
+    let shown = curves.iter().filter(|curve| curve.mark != Mark::Backdrop);
+    let heights = shown.flat_map(|curve| &curve.points).map(|point| point.1);
+    let (y_low, y_high) = span(heights.chain(zero), 0.06);
     let legend = Legend::of(curves);
     let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
     let mut chart = ChartBuilder::on(root)
@@ -552,54 +450,88 @@ where
         .y_desc(y_label)
         .draw()?;
     // Put the legend above the plot, where no curve runs.
-    let mut entry = 0;
-    for Curve {
-        label,
-        colour,
-        mark,
-        points,
-    } in curves
-    {
-        if !label.is_empty() {
-            let (x, y) = legend.place(entry);
-            entry += 1;
-            match mark {
-                &(Mark::Line(width) | Mark::Segments(width)) => root.draw(&PathElement::new(
-                    [(x, y), (x + 60, y)],
-                    colour.stroke_width(width),
-                ))?,
-                Mark::Area => root.draw(&Rectangle::new(
-                    [(x, y - 14), (x + 60, y + 14)],
-                    colour.mix(PALE).filled(),
-                ))?,
-                &Mark::Dots(radius) => {
-                    root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?;
-                }
-            }
-            let anchored = text(LETTERS - 2).pos(Pos::new(HPos::Left, VPos::Center));
-            root.draw(&Text::new(label.clone(), (x + 76, y), anchored))?;
+    let labelled = curves.iter().filter(|curve| !curve.label.is_empty());
+    for (entry, curve) in labelled.enumerate() {
+        draw_entry(root, legend.place(entry), curve)?;
+    }
+    for curve in curves {
+        draw_curve(&mut chart, curve, (y_low, y_high))?;
+    }
+    Ok(())
+}
+
+/// A curve's entry in the legend.
+fn draw_entry<B: DrawingBackend>(
+    root: &DrawingArea<B, plotters::coord::Shift>,
+    (x, y): (i32, i32),
+    curve: &Curve,
+) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let colour = curve.colour;
+    let line = |y: i32, style: ShapeStyle| PathElement::new([(x, y), (x + 60, y)], style);
+    match curve.mark {
+        Mark::Line(width) | Mark::Segments(width) => {
+            root.draw(&line(y, colour.stroke_width(width)))?;
         }
-        let finite = points
-            .iter()
-            .copied()
-            .filter(|point| point.0.is_finite() && point.1.is_finite());
-        match *mark {
-            Mark::Line(width) => {
-                chart.draw_series(LineSeries::new(finite, colour.stroke_width(width)))?;
-            }
-            Mark::Dots(radius) => {
-                chart.draw_series(finite.map(|at| Circle::new(at, radius, colour.filled())))?;
-            }
-            Mark::Segments(width) => {
-                let points: Vec<_> = finite.collect();
-                let segments = points.chunks_exact(2);
-                let style = colour.stroke_width(width);
-                chart.draw_series(segments.map(|ends| PathElement::new(ends.to_vec(), style)))?;
-            }
-            Mark::Area => {
-                let points: Vec<_> = finite.collect();
-                chart.draw_series([Polygon::new(points, colour.mix(PALE).filled())])?;
-            }
+        Mark::Area | Mark::Backdrop => {
+            let corners = [(x, y - 14), (x + 60, y + 14)];
+            root.draw(&Rectangle::new(corners, colour.mix(PALE).filled()))?;
+        }
+        Mark::Dots(radius) => root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?,
+    }
+    if curve.mark == Mark::Backdrop {
+        for y in [y - 14, y + 14] {
+            root.draw(&line(y, edge(colour)))?;
+        }
+    }
+    let letters = ("sans-serif", LETTERS - 2).into_font().color(&INK);
+    let anchored = letters.pos(Pos::new(HPos::Left, VPos::Center));
+    root.draw(&Text::new(curve.label.clone(), (x + 76, y), anchored))?;
+    Ok(())
+}
+
+/// The edge of a backdrop, which shows where a pale area on a dark page ends.
+fn edge(colour: RGBColor) -> ShapeStyle {
+    colour.mix(0.6).stroke_width(2)
+}
+
+type Plot<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// A curve in the plot, which goes from one height to another.
+fn draw_curve<B: DrawingBackend>(
+    plot: &mut Plot<'_, B>,
+    curve: &Curve,
+    (low, high): (f64, f64),
+) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let colour = curve.colour;
+    let is_finite = |point: &&(f64, f64)| point.0.is_finite() && point.1.is_finite();
+    let points: Vec<_> = curve.points.iter().filter(is_finite).copied().collect();
+    match curve.mark {
+        Mark::Line(width) => {
+            plot.draw_series(LineSeries::new(points, colour.stroke_width(width)))?;
+        }
+        Mark::Dots(radius) => {
+            let dots = points.into_iter();
+            plot.draw_series(dots.map(|at| Circle::new(at, radius, colour.filled())))?;
+        }
+        Mark::Segments(width) => {
+            let segments = points.chunks_exact(2);
+            let style = colour.stroke_width(width);
+            plot.draw_series(segments.map(|ends| PathElement::new(ends.to_vec(), style)))?;
+        }
+        Mark::Area => {
+            plot.draw_series([Polygon::new(points, colour.mix(PALE).filled())])?;
+        }
+        Mark::Backdrop => {
+            let area = clipped(&points, low, high);
+            plot.draw_series([Polygon::new(area, colour.mix(PALE).filled())])?;
+            let lines = edges(&points, low, high).into_iter();
+            plot.draw_series(lines.map(|ends| PathElement::new(ends, edge(colour))))?;
         }
     }
     Ok(())
@@ -666,76 +598,7 @@ fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use trials::experiment::PAPER_RUN;
-    use trials::plan::{REFERENCE_LIMITS, summary};
-
     use super::*;
-    use motion::axis::Axis;
-    use planning::solve;
-
-    #[test]
-    fn the_planned_curve_goes_out_and_home_and_ends_with_the_run() {
-        let plan = solve(&PAPER_RUN, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
-        let summary = summary(&PAPER_RUN, &Axis::REFERENCE, &plan);
-        let planned = planned(&summary.screw, &PAPER_RUN, &summary.achieved);
-        let highest = planned
-            .position
-            .iter()
-            .map(|point| point.1)
-            .fold(0.0, f64::max);
-        assert!((highest - 130.0).abs() < 1e-9, "{highest}");
-        let (time, position) = planned.position.last().copied().expect("points");
-        assert!(
-            (time - 40.0).abs() < 1e-9 && position.abs() < 1e-9,
-            "{time} {position}"
-        );
-        assert!(
-            planned.position.is_sorted_by(|a, b| a.0 <= b.0),
-            "time never steps back"
-        );
-        let fastest = planned
-            .velocity
-            .iter()
-            .map(|point| point.1)
-            .fold(0.0, f64::max);
-        let peak = f64::from(summary.achieved.forward.peak_um_s) / 1e3;
-        assert!((fastest - peak).abs() < 1e-3, "{fastest} {peak}");
-    }
-
-    #[test]
-    fn the_position_of_a_plan_is_on_its_curve() {
-        let run = Run {
-            far_dwell_us: 300_000,
-            home_dwell_us: 200_000,
-            start_delay_us: 500_000,
-            ..PAPER_RUN
-        };
-        let plan = solve(&run, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
-        let summary = summary(&run, &Axis::REFERENCE, &plan);
-        let curve = planned(&summary.screw, &run, &summary.achieved).position;
-        for (time, position) in &curve {
-            let at = position_at(&summary.screw, &run, &summary.achieved, *time);
-            assert!((at - position).abs() < 1e-6, "{time}: {at} {position}");
-        }
-        for (pair, at) in curve
-            .windows(2)
-            .filter(|pair| pair[1].0 - pair[0].0 > 0.1)
-            .map(|pair| {
-                let middle = (pair[0].0 + pair[1].0) / 2.0;
-                (
-                    pair,
-                    position_at(&summary.screw, &run, &summary.achieved, middle),
-                )
-            })
-        {
-            let straight = (pair[0].1 + pair[1].1) / 2.0;
-            assert!((at - straight).abs() < 1e-6, "{pair:?}: {at}");
-        }
-        for time in [-1.0, 0.2, 41.0] {
-            let at = position_at(&summary.screw, &run, &summary.achieved, time);
-            assert_eq!(at, 0.0, "{time}");
-        }
-    }
 
     #[test]
     fn a_thinned_curve_keeps_its_extremes_and_its_order() {
@@ -762,16 +625,72 @@ mod tests {
         assert_eq!(said, 2, "in the description and in the picture: {svg}");
     }
 
+    /// The numbers at the axes of a drawing.
+    fn numbers(svg: &str) -> Vec<f64> {
+        let texts = svg.split("<text").skip(1);
+        let texts = texts.filter_map(|text| text.split_once('>')?.1.split_once('<'));
+        texts
+            .filter_map(|(text, _)| text.trim().parse().ok())
+            .collect()
+    }
+
     #[test]
-    fn a_pdf_says_all_that_the_svg_says() {
-        let heading = Heading::new("Fig. 9: a test", Source::Records(Origin::Board));
-        let curves =
-            [Mark::Line(3), Mark::Dots(7), Mark::Segments(2), Mark::Area].map(|mark| Curve {
+    fn a_backdrop_does_not_widen_the_axis_and_ends_with_the_plot() {
+        let drawn = |mark| {
+            let curve = |mark, points| Curve {
                 label: "a label".to_owned(),
                 colour: MEASURED,
                 mark,
-                points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
-            });
+                points,
+            };
+            let wide = vec![(0.0, -50.0), (0.0, 100.0), (2.0, 100.0), (2.0, -50.0)];
+            let dots = vec![(0.0, 1.0), (1.0, 3.0), (2.0, 2.0)];
+            let chart = Chart {
+                x_label: "x",
+                y_label: "y".to_owned(),
+                y_from_zero: true,
+                curves: vec![curve(mark, wide), curve(Mark::Dots(7), dots)],
+            };
+            let heading = Heading::new("a", Source::Model);
+            figure(&heading, vec![chart]).expect("drawn")
+        };
+        let most = |svg: &str| numbers(svg).into_iter().fold(0.0, f64::max);
+        assert_eq!(most(&drawn(Mark::Area)), 100.0);
+        let svg = drawn(Mark::Backdrop);
+        assert_eq!(most(&svg), 3.0, "{svg}");
+        let outline = svg
+            .split("<polygon")
+            .nth(1)
+            .and_then(|rest| rest.split("points=\"").nth(1))
+            .and_then(|rest| rest.split('"').next());
+        let heights = outline
+            .expect("an area")
+            .split(' ')
+            .filter_map(|point| point.split_once(','));
+        let heights: Vec<u32> = heights.map(|(_, y)| y.parse().expect("within")).collect();
+        let plot = HEAD..HEAD + SIZE.1 - 124;
+        assert!(
+            heights.len() >= 4 && heights.iter().all(|y| plot.contains(y)),
+            "{heights:?}"
+        );
+    }
+
+    #[test]
+    fn a_pdf_says_all_that_the_svg_says() {
+        let heading = Heading::new("Fig. 9: a test", Source::Records(Origin::Board));
+        let curves = [
+            Mark::Line(3),
+            Mark::Dots(7),
+            Mark::Segments(2),
+            Mark::Area,
+            Mark::Backdrop,
+        ]
+        .map(|mark| Curve {
+            label: "a label".to_owned(),
+            colour: MEASURED,
+            mark,
+            points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
+        });
         let chart = Chart {
             x_label: "time / s",
             y_label: "way / mm".to_owned(),

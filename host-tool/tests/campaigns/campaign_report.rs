@@ -1,5 +1,6 @@
 //! The report of a campaign: which trials count, its numbers, its files.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -729,4 +730,76 @@ fn every_colour_of_a_figure_changes_on_a_dark_page() {
         }
     }
     assert!(count > 100, "{count}");
+}
+
+/// Where an SVG's dots of this colour stand, sideways; without the one in the legend.
+fn dots(svg: &str, colour: &str) -> BTreeSet<String> {
+    let tags = svg.split("<circle ").skip(1);
+    let tags = tags.filter_map(|rest| rest.split('>').next());
+    let of_colour = tags.filter(|tag| tag.contains(colour));
+    let sideways = of_colour.filter_map(|tag| tag.split("cx=\"").nth(1)?.split('"').next());
+    let in_plot = sideways.filter(|x| *x != "90");
+    in_plot.map(str::to_owned).collect()
+}
+
+/// The texts of an SVG, such as the numbers at its axes.
+fn texts(svg: &str) -> Vec<String> {
+    let parts = svg.split("<text ").skip(1);
+    let texts = parts.filter_map(|part| part.split_once('>')?.1.split_once('<'));
+    texts.map(|(text, _)| text.trim().to_owned()).collect()
+}
+
+#[test]
+fn figures_show_the_trials_beside_each_other_and_what_is_the_same_once() {
+    let (_place, path) = made();
+    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let read = |name: &str| fs::read_to_string(report_folder(&path).join(name)).expect(name);
+    let (figure7, page) = (read("figure7.svg"), read("report.html"));
+    // The axis goes as far as the trials, not as far as the model's band.
+    let most_mm = (1..14).map(displacement_um).max().expect("trials") as f64 / 1e3;
+    let numbers: Vec<f64> = texts(&figure7)
+        .iter()
+        .filter_map(|text| text.parse().ok())
+        .collect();
+    assert!(
+        numbers.iter().all(|mm| *mm < 2.0 * most_mm),
+        "{most_mm} {numbers:?}"
+    );
+    assert!(page.contains("the plot shows as much of it as lies beside the trials"));
+    // Dry and lubricated at the same indentation do not hide each other.
+    let (dry, wet) = (dots(&figure7, "#C06A10"), dots(&figure7, "#1F5AA8"));
+    assert!(dry.len() > 1 && dry.is_disjoint(&wet), "{dry:?} {wet:?}");
+    assert!(page.contains("residual / µm") && !page.contains("/ um"));
+}
+
+/// A telephone shows 102 trials as 102 lines, and paper none of them, unless the reader opens them.
+#[test]
+fn trials_are_folded_unless_they_do_not_count() {
+    let (_place, path) = made();
+    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let page = fs::read_to_string(report_folder(&path).join("report.html")).expect("a page");
+    let trials: Vec<_> = page.split("<details class=\"trial\"").skip(1).collect();
+    assert_eq!(trials.len(), 13);
+    for (trial, number) in trials.into_iter().zip(1..) {
+        let (head, rest) = trial.split_once("<summary>").expect("a summary");
+        assert_eq!(
+            head.contains("open"),
+            number == 5,
+            "trial 5 is excluded: {number} {head}"
+        );
+        // The link in the table leads into the folded part, which browsers then open.
+        let (_, folded) = rest.split_once("</summary>").expect("its end");
+        assert!(
+            folded.contains(&format!("id=\"trial-{number}\"")),
+            "{number}"
+        );
+    }
+    let (_, files) = page
+        .split_once("files, with their SHA-256</summary>")
+        .expect("folded");
+    assert!(files.contains("plan.toml"));
+    assert!(
+        page.contains("details:not([open]){display:none}"),
+        "on paper"
+    );
 }

@@ -103,6 +103,9 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     );
     let report = Path::new(&out).join("report");
     assert!(report.join("report.html").is_file() && report.join("figure7.svg").is_file());
+    // Both carriages went the same way: they are one line.
+    let figure8 = fs::read_to_string(report.join("figure8.svg")).expect("a figure");
+    assert!(figure8.contains("unfolded, folded: the same"), "{figure8}");
     let (code, _, err) = memory.run(&["report", &out]);
     assert!(
         code == 1 && err.contains("`--force` replaces it") && !err.contains("--out"),

@@ -38,5 +38,9 @@ pub(crate) fn dark_style() -> String {
         let (light, dark) = (hex(*light), hex(*dark));
         ["fill", "stroke"].map(|kind| format!("svg [{kind}='#{light}' i]{{{kind}:#{dark}}}"))
     });
-    rules.collect()
+    // On a dark page the area of a band needs more of its colour to be seen.
+    let band = hex(BAND);
+    let areas =
+        ["polygon", "rect"].map(|area| format!("svg {area}[fill='#{band}' i]{{opacity:.3}}"));
+    rules.chain(areas).collect()
 }

@@ -197,6 +197,9 @@ struct Figures {
     passes: Option<Drawings>,
 }
 
+/// Why dots do not stand at their indentation.
+const BESIDE: &str = "Conditions of one indentation stand beside each other, dry on the left.";
+
 fn html(
     evaluation: &Evaluation,
     figures: &Figures,
@@ -212,7 +215,7 @@ fn html(
     }
     let of_series = format!(
         "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least \
-         squares through all dots, the pale area of its colour its band of 95 % confidence. {}",
+         squares through all dots, the pale area of its colour its band of 95 % confidence. {BESIDE} {}",
         band.map_or("", |band| &band.meaning)
     );
     let body = html! {
@@ -237,14 +240,18 @@ fn html(
             h2 { "Isolated passes" }
             (figure(figures.passes.as_ref().map(|figure| &*figure.svg), "No isolated pass counts yet: no figure.",
                 "Each dot is one stroke of the rollers over a body that they met at rest, each bar the mean of a condition with one standard deviation up and down. \
-                 Antegrade is from head to tail, returning from tail to head."))
+                 Antegrade is from head to tail, returning from tail to head. Conditions of one indentation stand beside each other."))
             (conditions(evaluation, &[Purpose::AntegradePass, Purpose::ReturningPass], Some("pass")))
         } }
         section { h2 { "Left out" } (left_out(evaluation)) }
         section { h2 { "Conditions" } (setting(evaluation)) }
         section { h2 { "Ledger, glitches, energy" } (totals(evaluation)) }
         section { h2 { "All trials" } (all_trials(evaluation)) }
-        @for trial in &trials { (trial) }
+        @if !trials.is_empty() { section {
+            h2 { "Each trial" }
+            p { "A trial opens by a click; those that do not count are open. What is closed is not printed." }
+            @for trial in &trials { (trial) }
+        } }
         section { h2 { "Provenance" } (provenance(evaluation)) }
     };
     Ok(page::page(&title, &body))
@@ -507,8 +514,10 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
     };
     let key = format!("trials/{}", row.trial);
     Ok(html! {
-        section.trial id={ "trial-" (row.trial) } {
-            h3 { (name) (page::tag(evaluation.origin)) }
+        // The link's target is in the folded part, so that a browser opens what it leads to.
+        details.trial open[row.reason.is_some()] {
+            summary { (name) (page::tag(evaluation.origin)) }
+            div.within id={ "trial-" (row.trial) } {
             @if let Some(why) = &row.reason { p.bad { (why) } }
             (figure(svg.as_deref(), "No telemetry with a plan: no figure.", caption))
             div.facts {
@@ -535,6 +544,7 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
                     span.hash { "SHA-256 " (evaluation.hash(&part.sidecar).unwrap_or_else(|| "not listed".to_owned())) }
                 }
                 (reasons(&part.defects))
+            }
             }
             }
         }
@@ -567,9 +577,12 @@ fn provenance(evaluation: &Evaluation) -> Markup {
         }
         h3 { "Files" }
         p.hash { (manifest::NAME) ": SHA-256 " (evaluation.manifest_sha256) }
-        div.wide { table {
-            thead { tr { th { "file" } th { "SHA-256, as listed" } } }
-            tbody { @for (path, hash) in &evaluation.manifest.0 { tr { td { (path) } td.hash { (manifest::hex(hash)) } } } }
-        } }
+        details {
+            summary { (evaluation.manifest.0.len()) " files, with their SHA-256" }
+            div.wide { table {
+                thead { tr { th { "file" } th { "SHA-256, as listed" } } }
+                tbody { @for (path, hash) in &evaluation.manifest.0 { tr { td { (path) } td.hash { (manifest::hex(hash)) } } } }
+            } }
+        }
     }
 }

@@ -106,15 +106,18 @@ pub fn band(evaluation: &Evaluation, source: &BandSource) -> Option<ModelBand> {
         }
         _ => "",
     };
+    let outline = Bands::of(&at, &found).outline();
+    let heights = || outline.iter().map(|point| point.1);
+    let (low, high) = (heights().reduce(f64::min)?, heights().reduce(f64::max)?);
     Some(ModelBand {
-        outline: Bands::of(&at, &found).outline(),
+        outline,
         label: match source.posterior {
             Some(_) => "model, 5 to 95 % of fitted bodies",
             None => "model, 5 to 95 % of bodies that fit the paper's words",
         },
         meaning: format!(
             "The grey area is a model's, not validated against a rig: net displacement of 5 to 95 % of {of}, each under rollers \
-             that go as the plan says.{fitted_to_these}"
+             that go as the plan says. It goes from {low:.1} to {high:.1} mm; the plot shows as much of it as lies beside the trials.{fitted_to_these}"
         ),
     })
 }

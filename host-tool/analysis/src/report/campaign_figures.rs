@@ -44,11 +44,51 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
     ]
 }
 
+/// Room between conditions at the same indentation, mm: enough that dots do not lie on each other.
+fn room_mm(evaluation: &Evaluation, purposes: &[Purpose]) -> f64 {
+    let walls = [Lubrication::Dry, Lubrication::Lubricated];
+    let of = |purpose: &Purpose| walls.map(|wall| evaluation.points(*purpose, wall)).concat();
+    let depths = purposes.iter().flat_map(of).map(|(a_mm, _)| a_mm);
+    let (least, most) = depths.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+    if least < most {
+        0.04 * (most - least)
+    } else {
+        0.08
+    }
+}
+
+/// Dots and bars of a condition's trials, this far beside their indentation.
+fn dots_and_bars(
+    evaluation: &Evaluation,
+    (purpose, lubrication): (Purpose, Lubrication),
+    (label, colour, size): (&str, RGBColor, i32),
+    (aside_mm, room_mm): (f64, f64),
+) -> Option<[Curve; 2]> {
+    let beside = |(x, y)| (x + aside_mm, y);
+    let points: Vec<_> = (evaluation.points(purpose, lubrication).into_iter())
+        .map(beside)
+        .collect();
+    if points.is_empty() {
+        return None;
+    }
+    let rows = evaluation
+        .conditions
+        .iter()
+        .filter(|row| row.purpose == purpose && row.lubrication == lubrication && row.n > 0);
+    let label = format!("{label}, n = {}", points.len());
+    let bars = bars(rows, 0.2 * room_mm).into_iter().map(beside).collect();
+    Some([
+        curve(label, colour, Mark::Dots(size), points),
+        curve("", colour, Mark::Segments(4), bars),
+    ])
+}
+
 /// Displacement against indentation, with the model's band behind it if there is one; none without a trial that
 /// counts.
 #[must_use]
 pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figure> {
     let mut curves = vec![];
+    let room = room_mm(evaluation, &[Purpose::Series]);
     for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
         let points = evaluation.points(Purpose::Series, lubrication);
         if points.is_empty() {
@@ -78,26 +118,28 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
             let through = vec![(ends.0, line.at(ends.0)), (ends.1, line.at(ends.1))];
             curves.push(curve("", colour, Mark::Line(3), through));
         }
-        let name = lubrication.name();
-        let rows = evaluation.conditions.iter().filter(|row| {
-            row.purpose == Purpose::Series && row.lubrication == lubrication && row.n > 0
-        });
-        let label = format!("{name}, n = {}", points.len());
-        curves.push(curve(label, colour, Mark::Dots(7), points));
-        // Use different widths, so that both bars are visible where they overlap.
-        let half_width = if lubrication == Lubrication::Dry {
-            0.08
+        let aside = if lubrication == Lubrication::Dry {
+            -0.5
         } else {
-            0.05
+            0.5
         };
-        curves.push(curve("", colour, Mark::Segments(4), bars(rows, half_width)));
+        let condition = (Purpose::Series, lubrication);
+        let look = (lubrication.name(), colour, 7);
+        curves.extend(
+            dots_and_bars(evaluation, condition, look, (aside * room, room))
+                .into_iter()
+                .flatten(),
+        );
     }
     if curves.is_empty() {
         return None;
     }
     // Insert first, so that the band is behind all curves.
     if let Some(band) = band {
-        curves.insert(0, curve(band.label, BAND, Mark::Area, band.outline.clone()));
+        curves.insert(
+            0,
+            curve(band.label, BAND, Mark::Backdrop, band.outline.clone()),
+        );
     }
     let chart = Chart {
         x_label: "indentation a / mm",
@@ -114,24 +156,26 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
 #[must_use]
 pub fn passes(evaluation: &Evaluation) -> Option<Figure> {
     let mut curves = vec![];
-    let ways = [
-        (Purpose::AntegradePass, 9, 0.08),
-        (Purpose::ReturningPass, 5, 0.05),
+    let room = room_mm(
+        evaluation,
+        &[Purpose::AntegradePass, Purpose::ReturningPass],
+    );
+    let conditions = [
+        (Purpose::AntegradePass, Lubrication::Dry, DRY, 9, -1.5),
+        (Purpose::AntegradePass, Lubrication::Lubricated, WET, 9, 0.5),
+        (Purpose::ReturningPass, Lubrication::Dry, DRY, 5, -0.5),
+        (Purpose::ReturningPass, Lubrication::Lubricated, WET, 5, 1.5),
     ];
-    for (purpose, size, half_width) in ways {
-        for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
-            let points = evaluation.points(purpose, lubrication);
-            if points.is_empty() {
-                continue;
-            }
-            let rows = evaluation.conditions.iter().filter(|row| {
-                row.purpose == purpose && row.lubrication == lubrication && row.n > 0
-            });
-            let (way, walls) = (doing(purpose, Form::Unfolded), lubrication.name());
-            let label = format!("{way}, {walls}, n = {}", points.len());
-            curves.push(curve(label, colour, Mark::Dots(size), points));
-            curves.push(curve("", colour, Mark::Segments(4), bars(rows, half_width)));
-        }
+    for (purpose, lubrication, colour, size, aside) in conditions {
+        let (way, walls) = (doing(purpose, Form::Unfolded), lubrication.name());
+        let label = format!("{way}, {walls}");
+        let condition = (purpose, lubrication);
+        let look = (label.as_str(), colour, size);
+        curves.extend(
+            dots_and_bars(evaluation, condition, look, (aside * room, room))
+                .into_iter()
+                .flatten(),
+        );
     }
     if curves.is_empty() {
         return None;
@@ -197,12 +241,25 @@ pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
             && let Some(run) = run_of(parts)
             && let Some(points) = positions(run)
         {
-            let width = if carriages.is_empty() { 9 } else { 3 };
-            carriages.push(curve(name, colour, Mark::Line(width), points));
+            match carriages
+                .iter_mut()
+                .find(|other: &&mut Curve| coincide(&other.points, &points))
+            {
+                Some(other) => other.label = format!("{}, {name}", other.label),
+                None => {
+                    let width = if carriages.is_empty() { 9 } else { 3 };
+                    carriages.push(curve(name, colour, Mark::Line(width), points));
+                }
+            }
         }
     }
     if displacements.is_empty() {
         return None;
+    }
+    for carriage in &mut carriages {
+        if carriage.label.contains(", ") {
+            carriage.label.push_str(": the same");
+        }
     }
     let chart = |y_label: &str, y_from_zero, curves| Chart {
         x_label: "time / s",
@@ -219,6 +276,29 @@ pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
         charts.push(chart("carriage / mm", false, carriages));
     }
     Some(Figure::new(heading, charts))
+}
+
+/// Largest difference of curves that one line can stand for, relative to their height: less than the line is wide.
+const SAME: f64 = 0.01;
+
+/// Whether one curve lies on another, to less than the width of a line. Both go from left to right.
+fn coincide(one: &[(f64, f64)], other: &[(f64, f64)]) -> bool {
+    let heights = || one.iter().chain(other).map(|point| point.1);
+    let most = heights().fold(f64::MIN, f64::max);
+    let least = heights().fold(f64::MAX, f64::min);
+    let lies_on = |points: &[(f64, f64)], line: &[(f64, f64)]| {
+        points.iter().all(|(x, y)| {
+            let next = line.partition_point(|point| point.0 < *x);
+            let between = &line[next.saturating_sub(1)..line.len().min(next + 1)];
+            let at = match between {
+                [(x0, y0), (x1, y1)] if x1 > x0 => y0 + (y1 - y0) * ((x - x0) / (x1 - x0)).min(1.0),
+                [.., (_, y)] => *y,
+                [] => return false,
+            };
+            (y - at).abs() <= SAME * (most - least)
+        })
+    };
+    lies_on(one, other) && lies_on(other, one)
 }
 
 /// Position of the carriage over time.
@@ -297,7 +377,7 @@ pub fn run_over_plan(name: &str, run: &Part) -> Result<Option<String>, FigureErr
         let in_um: Vec<_> = deviations.iter().map(|(s, mm)| (*s, mm * 1e3)).collect();
         charts.push(Chart {
             x_label: "time / s",
-            y_label: "residual / um".to_owned(),
+            y_label: "residual / µm".to_owned(),
             y_from_zero: true,
             curves: vec![curve(
                 format!("{measured} less planned"),

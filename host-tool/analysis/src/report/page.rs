@@ -20,15 +20,16 @@ th,td{border-bottom:1px solid var(--line);padding:.22rem .8rem .22rem 0;text-ali
 .short table{width:auto}.short th{padding-right:2rem}td.n,th.n{text-align:right}td.n{white-space:nowrap}td.hash{overflow-wrap:anywhere}\
 th{font-weight:600;color:var(--soft)}figure{margin:.6rem 0;display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,27rem),1fr));gap:.6rem 1.2rem}\
 figure.one{max-width:36rem;grid-template-columns:1fr}\
-.trial{display:grid;grid-template-columns:minmax(0,1fr) minmax(0,1fr);column-gap:1.4rem;align-items:start;border-top:1px solid var(--line)}\
-.trial>h3,.trial>.bad{grid-column:1/-1}figcaption{color:var(--soft);font-size:.9rem;grid-column:1/-1}svg{width:100%;height:auto;display:block}\
+.within{display:grid;grid-template-columns:minmax(0,1fr) minmax(0,1fr);column-gap:1.4rem;align-items:start}\
+.trial{border-top:1px solid var(--line)}summary{cursor:pointer;padding:.5rem 0;font-weight:600}.within>.bad{grid-column:1/-1}figcaption{color:var(--soft);font-size:.9rem;grid-column:1/-1}svg{width:100%;height:auto;display:block}\
 .ok{color:var(--ok)}.bad{color:var(--bad);font-weight:600}ul.bad{font-weight:400;padding-left:1.2rem;margin:.3rem 0}\
 .banner{background:var(--alarm);color:#fff;padding:.7rem 1rem;border-radius:.4rem;font-weight:600;font-size:1.05rem}\
 .tag{font-size:.8rem;font-weight:600;border:1px solid var(--bad);color:var(--bad);border-radius:.3rem;padding:.05rem .4rem;white-space:nowrap}\
 code{font-size:.92em}.hash{font-family:ui-monospace,monospace;font-size:.8rem;overflow-wrap:anywhere}\
-@media (max-width:36rem){body{font-size:14px;padding:0 1rem}.wide table{font-size:12.5px}th,td{padding-right:.4rem}.trial{grid-template-columns:minmax(0,1fr)}}\
+@media (max-width:36rem){body{font-size:14px;padding:0 1rem}.wide table{font-size:12.5px}th,td{padding-right:.4rem}.within{grid-template-columns:minmax(0,1fr)}}\
 @media print{@page{margin:14mm}body{max-width:none;margin:0;padding:0;font-size:10pt}h1,h2,h3{break-after:avoid;break-inside:avoid}\
-figure,tr,.banner,li,.trial{break-inside:avoid}.trial{font-size:8.5pt;grid-template-columns:60mm minmax(0,1fr)}.trial h3{margin:.5rem 0 .2rem}thead{display:table-header-group}.wide{overflow:visible}.short{break-inside:avoid}\
+figure,tr,.banner,li,.trial{break-inside:avoid}.trial{font-size:8.5pt}.within{grid-template-columns:60mm minmax(0,1fr)}details:not([open]){display:none}\
+thead{display:table-header-group}.wide{overflow:visible}.short{break-inside:avoid}\
 .banner{-webkit-print-color-adjust:exact;print-color-adjust:exact}a{color:inherit;text-decoration:none}\
 section>p,section>ul{break-after:avoid}figure{grid-template-columns:minmax(0,1fr) minmax(0,1fr)}figure.one{grid-template-columns:1fr;max-width:150mm}}";
 

@@ -284,7 +284,7 @@ fn move_rows(
             accepted.map_or_else(dash, |accepted| {
                 let stroke = &accepted.stroke;
                 format!(
-                    "{} steps in {} s, {} mm/s at most, ramps of {} mm/s2",
+                    "{} steps in {} s, {} mm/s at most, ramps of {} mm/s²",
                     stroke.steps,
                     decimal::write(stroke.duration_ticks, 8),
                     milli(stroke.peak_um_s),
