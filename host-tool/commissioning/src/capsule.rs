@@ -358,8 +358,8 @@ fn unfold(work: &mut Work<'_>) -> Result<(), Halt> {
     }
     if record.thread_um.abs() > UNFOLDED_UM {
         return Err(Halt::Defect(format!(
-            "the thread is paid out to {} um, not to its zero",
-            record.thread_um
+            "the thread is paid out to {} mm, not to its zero",
+            decimal::write_signed(record.thread_um.into(), 3)
         )));
     }
     Ok(())

@@ -1,6 +1,7 @@
 //! Why a measurement was broken off, and what faults mean on a new machine.
 
 use client::error::ClientError;
+use client::wording;
 use protocol::error::Refusal;
 use protocol::rig::RigFault;
 
@@ -34,7 +35,7 @@ impl From<ClientError> for Halt {
 pub(super) fn refused(refusal: &Refusal) -> String {
     match refusal {
         Refusal::RigFaulted(fault) => fault_text(*fault),
-        refusal => format!("the machine refuses: {refusal}"),
+        refusal => format!("the machine refuses: {}", wording::refusal(refusal)),
     }
 }
 
@@ -64,5 +65,16 @@ pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
         RigFault::EStopLoop => "the E-stop loop opened while homing. If the carriage stands at its left end, the motor is reversed: turn one motor coil around; at its right end, the home flag is not ahead of the end-of-travel switch".to_owned(),
         RigFault::FlagNotFound(_) => format!("{fault}; motor supply, driver current, coupling"),
         fault => fault_text(fault),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_speaks_in_the_units_of_the_options() {
+        let text = refused(&Refusal::NotAtHome { position_um: 1_500 });
+        assert!(text.contains("the carriage stands at 1.5 mm"), "{text}");
     }
 }

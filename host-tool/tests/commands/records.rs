@@ -321,6 +321,31 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     }
 }
 
+/// A gap is told in seconds, its length and its place alike.
+#[test]
+fn what_the_telemetry_lacks_is_told_in_one_unit() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut rig = ready(DeviceKind::Rig);
+    let to = MoveTo {
+        position_um: 10_000,
+        speed_um_s: 5_000,
+    };
+    let recording = recording(folder.path());
+    let moved = experiment::move_to(&mut rig, to, &recording, &mut Unobserved).expect("recorded");
+    let rows = fs::read_to_string(&moved.csv).expect("rows");
+    let rows: Vec<_> = rows.lines().collect();
+    let gaps = |kept: &[&[&str]]| {
+        fs::write(&moved.csv, kept.concat().join("\n") + "\n").expect("written");
+        check::rig(&moved.sidecar, &moved.trial).1.gaps.join("; ")
+    };
+    let (cut, short) = (gaps(&[&rows[..20], &rows[40..]]), gaps(&[&rows[..20]]));
+    assert!(cut.contains("no lost samples explain"), "{cut}");
+    assert!(short.contains("the telemetry lasts 0."), "{short}");
+    for text in [cut, short] {
+        assert!(text.contains(" s") && !text.contains(" us"), "{text}");
+    }
+}
+
 /// No outcome that an entry may have is unknown to `list --outcome`.
 #[test]
 fn each_outcome_can_be_asked_for() {

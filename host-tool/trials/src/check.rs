@@ -302,7 +302,9 @@ pub fn movement(trial: &Trial, samples: &[RigSample]) -> Defects {
         let least_us = accepted.stroke.duration_ticks / 100;
         if lasted_us.saturating_add(every_us.saturating_mul(2) + LATE_US) < least_us {
             defects.lack(format!(
-                "the telemetry lasts {lasted_us} us, and the move took {least_us} us"
+                "the telemetry lasts {} s, and the move took {} s",
+                seconds(lasted_us),
+                seconds(least_us)
             ));
         }
     } else if samples.is_empty() {
@@ -466,11 +468,11 @@ fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Defects) {
     let gaps: Vec<_> = samples.windows(2).filter(is_gap).collect();
     if let Some(first) = gaps.first() {
         defects.lack(format!(
-            "{} gaps in {} that no lost samples explain, the first of {} s at {} us",
+            "{} gaps in {} that no lost samples explain, the first of {} s at {} s",
             gaps.len(),
             trial.telemetry,
             seconds(first[1].time_us() - first[0].time_us()),
-            first[0].time_us()
+            seconds(first[0].time_us())
         ));
     }
 }

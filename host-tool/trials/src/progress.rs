@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use client::decimal;
-use client::{Begun, Observer, Pace, Progress, homing_limit_us, visible};
+use client::{Begun, Observer, Pace, Progress, homing_limit_us, visible, wording};
 use indicatif::{ProgressBar, ProgressStyle};
 use protocol::capsule::CapsuleEvent;
 use protocol::error::Refusal;
@@ -169,7 +169,7 @@ fn refused_text(pace: Pace, refusal: &Refusal) -> String {
         Pace::Hold => "not held",
         Pace::Resume => "not resumed",
     };
-    format!("  {what}: {refusal}")
+    format!("  {what}: {}", wording::refusal(refusal))
 }
 
 /// The action that has begun and its duration, in words.
@@ -226,4 +226,19 @@ fn milli(value: u32) -> String {
 fn tenths(us: u64) -> String {
     let tenths = us.saturating_add(50_000) / 100_000;
     format!("{}.{}", tenths / 10, tenths % 10)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refused_hold_speaks_in_the_units_of_the_options() {
+        let refusal = Refusal::NotAtHome { position_um: 1_500 };
+        let text = refused_text(Pace::Resume, &refusal);
+        assert!(
+            text.contains("not resumed: the carriage stands at 1.5 mm"),
+            "{text}"
+        );
+    }
 }

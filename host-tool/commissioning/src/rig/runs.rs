@@ -1,5 +1,6 @@
 //! Runs: every step counted and timed, and what ends a run.
 
+use client::decimal;
 use protocol::rig::{
     Direction, GetRigHardware, GetRigHealth, Jog, LinkLossPolicy, RigFault, RigHardware, RigState,
     RigStatus, Run, RunOutcome, RunTiming,
@@ -253,8 +254,9 @@ pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
     let farthest = i64::from(speed_um_s) * (i64::from(dead_man_ms) + 200) / 1_000;
     if status.state != RigState::Ready || i64::from(status.position_um) > farthest {
         return Err(Halt::Defect(format!(
-            "a jog that was not renewed went {} um and is {:?}",
-            status.position_um, status.state
+            "a jog that was not renewed went {} mm and is {:?}",
+            decimal::write_signed(status.position_um.into(), 3),
+            status.state
         )));
     }
     // The rig takes no new motion while a repetition of the jog might be under way.
@@ -265,8 +267,9 @@ pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
     let step = i64::from(there.lead_um.div_ceil(there.steps_per_rev.max(1)));
     if (i64::from(there.position_um) - i64::from(target)).abs() > step {
         return Err(Halt::Defect(format!(
-            "a move to {target} um ended at {} um",
-            there.position_um
+            "a move to {} mm ended at {} mm",
+            decimal::write(target.into(), 3),
+            decimal::write_signed(there.position_um.into(), 3)
         )));
     }
     work.go_to(0).map(|_| ())
