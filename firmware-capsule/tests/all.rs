@@ -7,5 +7,6 @@ mod manual;
 mod partial;
 mod scenarios;
 mod sense;
+mod sequences;
 mod settings;
 mod states;

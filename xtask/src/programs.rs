@@ -34,7 +34,11 @@ const LONG: [(&str, &str); 13] = [
 ];
 
 /// Programs that also run what plain `cargo test` leaves out: the slice of a long series.
-const SLICES: [(&str, &str); 2] = [("firmware-rig", "all"), ("protocol", "all")];
+const SLICES: [(&str, &str); 3] = [
+    ("firmware-rig", "all"),
+    ("firmware-capsule", "all"),
+    ("protocol", "all"),
+];
 
 /// Programs that wait for a line in real time and compute little: they run beside those that compute.
 const WAITING: [(&str, &str); 5] = [
