@@ -17,9 +17,10 @@ use motion::{
 pub const LEAD_TICKS: u32 = 800_000;
 /// Fewest periods to keep in the ring: a few long ones reach the lead, but must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
-/// Periods at which the ring counts as full. It holds some more. But at the highest step rates it plays periods as
-/// fast as they are prepared, so filling it completely would never end and would starve the other tasks.
-const FULL_QUEUE: u32 = 104;
+/// Periods at which the ring counts as full. It holds four more, but on a steep ramp at the highest step rates it plays
+/// periods as fast as they are prepared: filling it completely would never end and would starve the other tasks. With
+/// 104 a ramp of 7 m/s2 at 207 kHz ran dry.
+const FULL_QUEUE: u32 = 120;
 /// Most periods to prepare before showing them to the ring. The captured edges are compared after each batch: on a
 /// steep ramp the ring plays nearly as fast as it is filled, so a round lasts as long as the ramp and the capture
 /// buffer would overflow.
