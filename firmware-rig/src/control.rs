@@ -150,9 +150,21 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         if let Event::PathEnded(PathEnd::Underrun, _) = event {
             self.underruns = self.underruns.saturating_add(1);
         }
+        let estop = match event {
+            Event::Command(Command::EStop) => Some(EStop::Frame),
+            Event::LoopOpened => Some(EStop::Loop),
+            _ => None,
+        };
+        let fault = self.machine.fault();
         let now = self.rig.now();
         let actions = self.machine.step(&now, event);
         self.perform(actions);
+        // Another fault that is latched already keeps its name, but no reset may undo the stop.
+        let is_estop = |fault| matches!(fault, RigFault::EStopLoop | RigFault::EStopFrame);
+        if estop.is_some() && fault.is_some_and(|fault| !is_estop(fault)) {
+            self.left.latched = estop;
+            self.rig.keep_latched(estop);
+        }
     }
 
     /// Changes a setting, in flash first: the settings in force are always those that the next start will find.

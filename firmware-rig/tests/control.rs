@@ -11,7 +11,7 @@ use device::{
 use firmware_rig::{
     control::{self, Control, ROUND_US},
     execution::Order,
-    machine::{Event, Now, PathEnd},
+    machine::{Command, Event, Now, PathEnd},
     settings::Settings,
 };
 use motion::{axis::Axis, units::StepPosition};
@@ -986,6 +986,37 @@ mod emergency_stop {
         bench.control.event(Event::FarLimit);
         assert_eq!(bench.status().fault, Some(RigFault::FarLimit));
         assert_eq!(bench.board().latched, [None]);
+    }
+
+    /// The other fault keeps its name, but only an acknowledgement undoes the stop.
+    #[test]
+    fn in_another_fault_is_kept_over_a_reset() {
+        for (event, estop) in [
+            (Event::Command(&Command::EStop), EStop::Frame),
+            (Event::LoopOpened, EStop::Loop),
+        ] {
+            let mut bench = Bench::homed();
+            bench.control.event(Event::FarLimit);
+            bench.control.event(event);
+            assert_eq!(bench.status().fault, Some(RigFault::FarLimit));
+            assert_eq!(bench.board().latched, [None, Some(estop)]);
+            bench.accepted(Request::Acknowledge(Acknowledge));
+            assert_eq!(bench.board().latched, [None, Some(estop), None]);
+        }
+    }
+
+    /// The restart with the clock takes what the first start had left.
+    #[test]
+    fn without_a_clock_is_kept_over_the_restart() {
+        let mut bench = Bench::start_with(Flash::blank(), FRESH, ResetCause::PowerOn, |board| {
+            board.clock = system::Clock::Internal;
+        });
+        bench.control.answer(Inbound::Urgent(Urgent::EStop));
+        assert_eq!(bench.status().fault, Some(RigFault::ClockMissing));
+        bench.board().clock_has_come = true;
+        bench.control.tick();
+        let (left, _) = &bench.board().started_again[0];
+        assert_eq!(left.latched, Some(EStop::Frame));
     }
 }
 
