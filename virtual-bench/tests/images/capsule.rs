@@ -211,7 +211,7 @@ fn it_folds_on_force_and_unfolds_by_count_again_and_again() {
         assert!(lowest >= 0.0, "round {round}: paid out to {lowest} mm");
         assert_eq!(capsule.state().0, CapsuleState::Unfolded);
         assert!(
-            folded.duration_ms <= 2_010 && unfolded.duration_ms <= 1_500,
+            folded.duration_ms <= 2_000 && unfolded.duration_ms <= 1_500,
             "{folded:?} {unfolded:?}"
         );
         let energy_mj = folded.energy_mj + unfolded.energy_mj;
