@@ -162,9 +162,14 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         // Another fault that is latched already keeps its name, but no reset may undo the stop.
         let is_estop = |fault| matches!(fault, RigFault::EStopLoop | RigFault::EStopFrame);
         if estop.is_some() && fault.is_some_and(|fault| !is_estop(fault)) {
-            self.left.latched = estop;
-            self.rig.keep_latched(estop);
+            self.keep_latched(estop);
         }
+    }
+
+    /// Keeps an emergency stop for the next start, or forgets it.
+    fn keep_latched(&mut self, estop: Option<EStop>) {
+        self.left.latched = estop;
+        self.rig.keep_latched(estop);
     }
 
     /// Changes a setting, in flash first: the settings in force are always those that the next start will find.
@@ -214,8 +219,9 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             }
         }
         self.event(Event::Tick);
-        // The break interrupt reports an opening while pulses are armed; this one reports it at rest.
-        if self.rig.now().inputs.estop_loop && self.machine.state() != RigState::Faulted {
+        // The break interrupt reports an opening while pulses are armed; this one reports it at rest, in a fault once.
+        let is_known = self.machine.state() == RigState::Faulted && self.left.latched.is_some();
+        if self.rig.now().inputs.estop_loop && !is_known {
             self.event(Event::LoopOpened);
         }
         self.watch_link();
@@ -273,7 +279,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
                 Action::SetPosition(position) => self.rig.set_position(position),
                 Action::Emit(event) => {
                     if let RigEvent::Faulted(fault) = event {
-                        self.rig.keep_latched(match fault {
+                        self.keep_latched(match fault {
                             RigFault::EStopLoop => Some(EStop::Loop),
                             RigFault::EStopFrame => Some(EStop::Frame),
                             _ => None,
@@ -325,7 +331,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
             Effect::None => {}
             Effect::Telemetry { period_ms } => self.rig.set_telemetry(period_ms),
             Effect::Acknowledged => {
-                self.rig.keep_latched(None);
+                self.keep_latched(None);
                 self.emit(What::Acknowledged);
             }
             Effect::Store(change) => {

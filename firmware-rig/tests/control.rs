@@ -1005,6 +1005,20 @@ mod emergency_stop {
         }
     }
 
+    /// Pressed and released at rest, while another fault is latched.
+    #[test]
+    fn by_the_loop_at_rest_in_another_fault_is_kept_over_a_reset() {
+        let mut bench = Bench::homed();
+        bench.control.event(Event::FarLimit);
+        bench.carriage().pressed = true;
+        bench.ticks(5);
+        assert_eq!(bench.status().fault, Some(RigFault::FarLimit));
+        assert_eq!(bench.board().latched, [None, Some(EStop::Loop)], "once");
+        bench.carriage().pressed = false;
+        bench.ticks(5);
+        assert_eq!(bench.board().latched, [None, Some(EStop::Loop)]);
+    }
+
     /// The restart with the clock takes what the first start had left.
     #[test]
     fn without_a_clock_is_kept_over_the_restart() {
