@@ -850,6 +850,18 @@ fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String)
     );
     capsule.check_at_rest();
     let words = capsule.device.last_words().expect("they are kept");
+    // The crash keeps its name as the fault; the next start knows of the stop.
+    capsule.device.urgent(Urgent::EStop).expect("it is heard");
+    assert_eq!(capsule.state(), (CapsuleState::Faulted, Some(fault), false));
+    capsule.bench.reset().expect("the bench runs");
+    capsule.device.hello(3).expect("it answers again");
+    let stopped = Some(CapsuleFault::EStopFrame);
+    assert_eq!(
+        capsule.state(),
+        (CapsuleState::Faulted, stopped, false),
+        "{}",
+        capsule.log()
+    );
     capsule.device.acknowledge().expect("the cause is gone");
     (resets[0].0 - armed_ns, words)
 }
