@@ -40,7 +40,7 @@ struct Board {
 }
 
 /// A healthy chip.
-const CHIP: system::Chip = system::Chip {
+pub const CHIP: system::Chip = system::Chip {
     clock: system::Clock::External,
     brown_out: system::BrownOut::Off,
     supply_low: false,

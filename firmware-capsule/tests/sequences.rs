@@ -48,7 +48,7 @@ fn is_at_rest(state: CapsuleState) -> bool {
     )
 }
 
-/// What was met.
+/// Number of times that a series has met each state, motion, fault and request.
 #[derive(Default)]
 struct Met {
     states: [u64; 10],
@@ -144,7 +144,7 @@ fn flash(calibration: Option<Calibration>, folded: bool) -> Vec<u8> {
         store.keep(CALIBRATION, kept).unwrap();
     }
     store.keep(TOTALS, kept).unwrap();
-    // So that ends which wander are met.
+    // Tight enough for folded ends that wander to be met.
     store.set(SettingKey::DriftUm, DRIFT_UM).unwrap();
     flash.bytes()
 }
@@ -557,7 +557,7 @@ impl Met {
         let rest = [self.stopped, self.lost, self.drifted, self.flat];
         assert!(all(&rest), "stopped, link lost, drifted, flat: {rest:?}");
         for (name, (accepted, refused)) in Request::NAMES.iter().zip(&self.requests) {
-            // What only tells something is asked for by the test itself.
+            // The test itself sends the requests that only tell something.
             let (accepts, refuses) = match *name {
                 "Reference" | "Calibrate" | "CheckFolded" | "Fold" | "Unfold" | "FoldTo"
                 | "Acknowledge" | "SetSetting" | "FactoryReset" | "SetName" | "SetTelemetry" => {

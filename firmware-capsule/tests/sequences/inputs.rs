@@ -1,4 +1,4 @@
-//! What happens in a random sequence, one thing after the other.
+//! The inputs of a random sequence: each is drawn when it is its turn, mostly one that suits the present state.
 
 use protocol::{
     capsule::{Calibrate, CapsuleState, CheckFolded, Fold, FoldTo, GetTrace, Reference, Unfold},
@@ -11,7 +11,7 @@ use simulated_machines::dice::Dice;
 
 use super::world::Mishap;
 
-/// What happens next.
+/// One input of a sequence.
 #[derive(Debug)]
 pub enum Input {
     /// At most this many readings, until the motion ends.

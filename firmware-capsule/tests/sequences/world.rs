@@ -1,5 +1,5 @@
-//! What control sees in a random sequence: a board without hardware, and readings of a motor that nobody models. They
-//! skip what takes long: a fold is some 20 readings, spread over its two seconds.
+//! The surroundings of control in a random sequence: a board without hardware, and readings that no model of a motor
+//! made. They are far apart, to be quick: a fold is some 20 readings, spread over its two seconds.
 
 use device::{
     common::Surroundings,
@@ -12,6 +12,8 @@ use protocol::{
 };
 use simulated_machines::dice::Dice;
 
+use crate::control::CHIP;
+
 /// The rest of the capsule, as control sees it.
 #[derive(Default)]
 pub struct Board {
@@ -19,7 +21,7 @@ pub struct Board {
     /// When the host was last heard.
     pub heard_us: u64,
     pub supply_low: bool,
-    /// What the bridge is set to.
+    /// The present drive of the bridge.
     pub drive: Drive,
     pub shown: Option<CapsuleTelemetry>,
     /// Events that the judge has not seen yet.
@@ -30,7 +32,7 @@ pub struct Board {
 }
 
 impl Board {
-    /// What the memory that outlives a reset holds for the next start.
+    /// Contents of the memory that outlives a reset, for the next start.
     pub fn retained(&self, clock_failed: bool) -> Retained {
         Retained {
             boot_id: 1,
@@ -59,10 +61,8 @@ impl Surroundings for Board {
 
     fn chip(&self) -> system::Chip {
         system::Chip {
-            clock: system::Clock::External,
-            brown_out: system::BrownOut::Off,
             supply_low: self.supply_low,
-            option_bytes: 0x00FF_AAED,
+            ..CHIP
         }
     }
 
@@ -93,7 +93,7 @@ pub fn counts(um: i32) -> i32 {
     (f64::from(um) / 1.227_185).round() as i32
 }
 
-/// What is wrong with the capsule.
+/// A defect of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mishap {
     None,

@@ -253,7 +253,7 @@ fn an_emergency_stop_behind_the_end_is_in_the_record() {
     assert_eq!(told.status, Status::Faulted, "{:?}", told.error);
 }
 
-/// What a machine refuses was never begun: it is recorded as refused, and no list or report takes it for a trial.
+/// A refused action never begins: it is recorded as refused, and no list or report counts it as a trial.
 #[test]
 fn a_refused_action_leaves_a_record_that_says_so() {
     let folder = tempfile::tempdir().expect("folder");
