@@ -363,7 +363,7 @@ impl fmt::Display for Refusal {
                 write!(f, "the carriage stands at {position_um} um, a run starts at 0: move to 0 or home first")
             }
             Refusal::BatteryLow { battery_mv, min_mv } => {
-                write!(f, "the battery is at {battery_mv} mV, {min_mv} mV are needed: charge it")
+                write!(f, "the battery is at {battery_mv} mV, {min_mv} mV are needed: charge or change it; a reset measures the cell anew")
             }
             Refusal::AlreadyThere => f.write_str("already there: nothing to do"),
             Refusal::SettingRange { key, requested } => {
