@@ -182,10 +182,15 @@ fn no_accepted_run_runs_dry() {
         return trial(number).check(&format!("run {number}"));
     }
     let next = AtomicU64::new(0);
+    let end = trials(4, RUNS);
     let runs = || {
         for number in from_fn(|| Some(next.fetch_add(1, Relaxed))) {
-            if number >= trials(4, RUNS) {
+            if number >= end {
                 return;
+            }
+            // With `--nocapture`, for who waits an hour for the full series.
+            if number % 100 == 0 {
+                eprintln!("run {number} of {end}");
             }
             trial(number).check(&format!("run {number} of seed {SEED:#x}"));
         }
