@@ -80,7 +80,7 @@ fn respond(
         return Ok(answer);
     }
     let mut command = |machine: &mut Machine, command| {
-        *actions = machine.step(&context.now, Event::Command(&command));
+        machine.handle(&context.now, Event::Command(&command), actions);
         actions.refusal.map_or(Ok(()), Err)
     };
     let response = match request {

@@ -157,8 +157,9 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         };
         let fault = self.machine.fault();
         let now = self.rig.now();
-        let actions = self.machine.step(&now, event);
-        self.perform(actions);
+        let mut actions = Actions::default();
+        self.machine.handle(&now, event, &mut actions);
+        self.perform(&actions);
         // Another fault that is latched already keeps its name, but no reset may undo the stop.
         let is_estop = |fault| matches!(fault, RigFault::EStopLoop | RigFault::EStopFrame);
         if estop.is_some() && fault.is_some_and(|fault| !is_estop(fault)) {
@@ -241,7 +242,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         let now = self.rig.now();
         let actions = press_button(&mut self.machine, self.settings.values(), &now);
         let refused = actions.refusal.is_some();
-        self.perform(actions);
+        self.perform(&actions);
         if refused {
             self.emit(What::Rig(RigEvent::ButtonIgnored));
         }
@@ -262,30 +263,30 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         }
     }
 
-    fn perform(&mut self, actions: Actions) {
-        for action in actions.list {
+    fn perform(&mut self, actions: &Actions) {
+        for action in &actions.list {
             match action {
                 Action::Start { path, window } => {
                     let settings = self.machine.settings();
                     self.rig.start(Order {
-                        path,
-                        window,
+                        path: path.clone(),
+                        window: *window,
                         stop_accel: settings.stop_accel,
                         pulse_ticks: settings.pulse_ticks,
                     });
                 }
                 Action::StopPath => self.rig.stop_path(),
                 Action::Cut => self.rig.cut(),
-                Action::SetPosition(position) => self.rig.set_position(position),
+                Action::SetPosition(position) => self.rig.set_position(*position),
                 Action::Emit(event) => {
-                    if let RigEvent::Faulted(fault) = event {
+                    if let RigEvent::Faulted(fault) = *event {
                         self.keep_latched(match fault {
                             RigFault::EStopLoop => Some(EStop::Loop),
                             RigFault::EStopFrame => Some(EStop::Frame),
                             _ => None,
                         });
                     }
-                    self.emit(What::Rig(event));
+                    self.emit(What::Rig(*event));
                 }
             }
         }
@@ -342,7 +343,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
                 }
             }
         }
-        self.perform(executed.actions);
+        self.perform(&executed.actions);
         reply
     }
 

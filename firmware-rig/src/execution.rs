@@ -30,8 +30,9 @@ const BATCH: usize = 32;
 const LEAST_BATCH: u32 = 8;
 /// Most edges compared in one look.
 pub const EDGES_PER_LOOK: u32 = 64;
-/// Looks needed to drain the capture buffer. The bound keeps noise on the wire from holding up motion.
-const LOOKS: u32 = 16;
+/// Looks needed to drain the capture buffer: 1,024 edges, and one more look, because each ends at the buffer's end. The
+/// bound keeps noise on the wire from holding up motion.
+const LOOKS: u32 = 17;
 /// Compare edges only with this many periods in the ring, or with half the lead: then there is time.
 const AMPLE_QUEUE: u32 = 64;
 
@@ -195,9 +196,9 @@ impl MotionTask {
     /// One round.
     pub fn round(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
         if let Some(execution) = &mut self.execution {
-            self.untold = execution.advance(ring, mailbox);
-            if self.untold.is_some() {
-                self.execution = None;
+            let ended = execution.advance(ring, mailbox);
+            if ended.is_some() {
+                (self.execution, self.untold) = (None, ended);
             }
         } else if self.untold.is_none()
             && let Some(order) = mailbox.take_order()
@@ -207,11 +208,11 @@ impl MotionTask {
                 Err(end) => self.untold = Some(end),
             }
         }
-        if let Some(event) = self.untold.take()
-            && !mailbox.notify(event)
+        // If control's queue is full, the next round tries again: this event must not be lost.
+        if let Some(event) = &self.untold
+            && mailbox.notify(*event)
         {
-            // Control's queue is full, but this event must not be lost: try again in the next round.
-            self.untold = Some(event);
+            self.untold = None;
         }
     }
 }

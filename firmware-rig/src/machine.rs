@@ -342,30 +342,35 @@ impl Machine {
         self.started_us
     }
 
-    /// Handles one event.
+    /// Handles one event, and returns what is to be done.
     pub fn step(&mut self, now: &Now, event: Event<'_>) -> Actions {
         let mut actions = Actions::default();
+        self.handle(now, event, &mut actions);
+        actions
+    }
+
+    /// Handles one event, and adds what is to be done to `actions`: these are too large to be copied at each tick.
+    pub fn handle(&mut self, now: &Now, event: Event<'_>, actions: &mut Actions) {
         if self.recording {
             self.record.glitches = now.glitches.wrapping_sub(self.glitches_at_start);
         }
         match event {
             Event::Command(command) => {
-                actions.refusal = self.command(now, command, &mut actions).err();
+                actions.refusal = self.command(now, command, actions).err();
             }
-            Event::FlagEdge { opening, count } => self.flag_edge(opening, count, &mut actions),
-            Event::FarLimit => self.latch(RigFault::FarLimit, &mut actions),
-            Event::SwitchNoise(switch) => self.latch(RigFault::SwitchNoise(switch), &mut actions),
-            Event::LoopOpened => self.latch(RigFault::EStopLoop, &mut actions),
+            Event::FlagEdge { opening, count } => self.flag_edge(opening, count, actions),
+            Event::FarLimit => self.latch(RigFault::FarLimit, actions),
+            Event::SwitchNoise(switch) => self.latch(RigFault::SwitchNoise(switch), actions),
+            Event::LoopOpened => self.latch(RigFault::EStopLoop, actions),
             Event::StrokeDone {
                 stroke,
                 commanded,
                 counted,
-            } => self.stroke_done(stroke, commanded, counted, &mut actions),
-            Event::PathEnded(end, report) => self.path_ended(now, end, report, &mut actions),
-            Event::LinkSilent => self.link_silent(&mut actions),
-            Event::Tick => self.tick(now.time_us, &mut actions),
+            } => self.stroke_done(stroke, commanded, counted, actions),
+            Event::PathEnded(end, report) => self.path_ended(now, end, report, actions),
+            Event::LinkSilent => self.link_silent(actions),
+            Event::Tick => self.tick(now.time_us, actions),
         }
-        actions
     }
 
     fn command(

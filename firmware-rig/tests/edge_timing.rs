@@ -1,7 +1,7 @@
 //! Captured edges against the periods that were given out: the comparison finds moved, missing and added edges.
 
 use crate::runs::any_run;
-use core::iter;
+use core::{iter, sync::atomic::AtomicU32};
 use firmware_rig::{
     periods::{Item, Path, Period, Periods},
     settings::Settings,
@@ -76,7 +76,7 @@ impl Watch {
     }
 
     fn compare(&mut self, instants: impl ExactSizeIterator<Item = u32>) {
-        let instants: Vec<u32> = instants.collect();
+        let instants: Vec<_> = instants.map(AtomicU32::new).collect();
         self.timing.compare(&self.line, &instants);
     }
 

@@ -1,5 +1,7 @@
 //! Compares the intervals between edges captured at the pin with the planned ones, tick by tick.
 
+use core::sync::atomic::{AtomicU32, Ordering};
+
 use crate::timeline::Timeline;
 
 /// Result of the comparison on a path.
@@ -32,8 +34,8 @@ pub struct EdgeTiming {
     to_come: u32,
     /// Ticks between these edges.
     interval: u32,
-    /// Planned time of the next of these edges, on the path's clock.
-    planned: u32,
+    /// When the next of these edges is due, on the captures' clock: one interval after the last edge.
+    due: u32,
     /// The captures' clock minus the path's, at the last edge.
     offset: u32,
     /// Captures or periods were lost: nothing more can be compared on this path.
@@ -72,52 +74,53 @@ impl EdgeTiming {
         self.intervals
     }
 
-    /// Compares edges captured at these instants; their clock wraps. Runs once per step, so each edge costs a few
-    /// instructions.
+    /// Compares edges captured at these instants, which DMA has written; their clock wraps. Runs once per step, so each
+    /// edge costs a few instructions.
     // Not inlined, so that its state stays in registers although its caller is optimised for size.
     #[inline(never)]
-    pub fn compare(&mut self, line: &Timeline, instants: &[u32]) {
+    pub fn compare(&mut self, line: &Timeline, instants: &[AtomicU32]) {
         // Without the jumper no edges arrive, and the timeline forgets periods before they are compared.
         self.lost |= !line.remembers(self.next);
         if self.lost {
             return;
         }
-        let edges = self.timed.edges.wrapping_add(instants.len() as u32);
-        let (begins, mut added) = (self.next == 0, 0_u32);
-        let (mut to_come, mut interval) = (self.to_come, self.interval);
-        let (mut planned, mut offset, mut next) = (self.planned, self.offset, self.next);
-        for &at in instants {
+        let given = line.given_with_pulses();
+        let (mut next, mut to_come, mut due) = (self.next, self.to_come, self.due);
+        let (mut interval, mut offset) = (self.interval, self.offset);
+        let mut edges = instants.iter();
+        let mut additional = 0;
+        while let Some(at) = edges.next() {
+            let at = at.load(Ordering::Relaxed);
             if to_come == 0 {
-                if next == line.given_with_pulses() {
+                if next == given {
                     self.timed.worst_error_ticks = u32::MAX;
-                    added = added.wrapping_add(1);
-                    continue;
+                    additional = 1 + edges.len();
+                    break;
                 }
                 let pulses = line.pulses(next);
+                // The first edge has no interval before it.
+                if next == 0 {
+                    offset = at.wrapping_sub(pulses.first);
+                    self.intervals.exact = self.intervals.exact.wrapping_sub(1);
+                }
                 next = next.wrapping_add(1);
-                planned = pulses.first;
-                interval = pulses.steps.interval;
-                to_come = pulses.steps.steps;
+                due = pulses.first.wrapping_add(offset);
+                (interval, to_come) = (pulses.steps.interval, pulses.steps.steps);
             }
             to_come = to_come.wrapping_sub(1);
-            let now = at.wrapping_sub(planned);
-            if now != offset {
-                // The first edge has no interval before it.
-                let is_first = next == 1 && to_come + 1 == line.pulses(0).steps.steps;
-                if !is_first {
-                    self.differ(now.wrapping_sub(offset));
-                }
-                offset = now;
+            if at != due {
+                let by = at.wrapping_sub(due);
+                self.differ(by);
+                offset = offset.wrapping_add(by);
+                due = at;
             }
-            planned = planned.wrapping_add(interval);
+            due = due.wrapping_add(interval);
         }
-        (self.to_come, self.interval) = (to_come, interval);
-        (self.planned, self.offset, self.next) = (planned, offset, next);
-        self.timed.edges = edges;
-        // `differ` has already subtracted the intervals that are off. The first edge has no interval before it, and an
-        // additional edge ends none.
-        let intervals = (instants.len() as u32).wrapping_sub(added);
-        let intervals = intervals.wrapping_sub(u32::from(begins && intervals > 0));
+        (self.next, self.to_come, self.due) = (next, to_come, due);
+        (self.interval, self.offset) = (interval, offset);
+        self.timed.edges = self.timed.edges.wrapping_add(instants.len() as u32);
+        // `differ` has already subtracted the intervals that are off. An additional edge ends none.
+        let intervals = instants.len().wrapping_sub(additional) as u32;
         self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 

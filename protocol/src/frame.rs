@@ -15,8 +15,8 @@ const MAX_COBS: usize = cobs::max_encoding_length(MAX_RAW);
 /// Largest frame on the wire, with both delimiters.
 pub const MAX_FRAME: usize = MAX_COBS + 2;
 
-/// CRC-32C without a lookup table, which would cost 1 KB of flash; the time does not matter here.
-const CRC32C: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISCSI);
+/// CRC-32C with a lookup table, 1 KB of flash: the rig sends up to 200 frames a second.
+const CRC32C: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISCSI);
 
 /// An encoded frame, ready for the wire.
 pub type Encoded = heapless::Vec<u8, MAX_FRAME>;
@@ -129,11 +129,10 @@ impl Raw {
         if self.too_long {
             return Err(TooLong);
         }
-        let mut frame = Encoded::new();
-        frame.resize_default(MAX_FRAME).map_err(|_| TooLong)?;
-        let coded = cobs::try_encode(&self.bytes, &mut frame[1..]).map_err(|_| TooLong)?;
+        // The zeros around the block are its delimiters.
+        let mut frame = Encoded::from_array([0; MAX_FRAME]);
+        let coded = cobs::try_encode(&self.bytes, &mut frame[1..=MAX_COBS]).map_err(|_| TooLong)?;
         frame.truncate(coded + 2);
-        frame[coded + 1] = 0;
         Ok(frame)
     }
 }

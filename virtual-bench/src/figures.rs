@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use client::error::ClientError;
 use client::link::Link as _;
-use client::{Device, Unobserved};
+use client::{Device, KEEP_ALIVE_US, Unobserved};
 use protocol::frame::{Header, Kind, encode};
 use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
 use protocol::settings::{Setting, SettingKey};
@@ -388,7 +388,8 @@ type CycleCase<'a> = (
     &'a str,
 );
 
-/// Cycles of the worst cases by the model, each step timed.
+/// Cycles of the worst cases by the model, each step timed. Each case is followed for as long as the host is silent
+/// between two signs of life: a shorter window would count its requests too often.
 fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), FigureError> {
     let fine = [(SettingKey::LeadUm, 2_000), (SettingKey::Microsteps, 64)];
     let cases: [CycleCase<'_>; 5] = [
@@ -414,7 +415,7 @@ fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), Figur
             &[],
             800,
             Some(UNEVEN_CYCLE),
-            300_000,
+            50_000,
             "",
         ),
         (
@@ -436,7 +437,7 @@ fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), Figur
                 telemetry_ms,
                 run,
                 after_us,
-                lasts_us: 20_000,
+                lasts_us: KEEP_ALIVE_US,
             })?;
             let percent =
                 |[least, most]: [f64; 2]| format!("{:.1} to {:.1} %", least * 1e2, most * 1e2);

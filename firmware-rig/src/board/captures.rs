@@ -4,13 +4,8 @@
 //! timer, 100 MHz, so that an interval has to be the planned one to the tick. The time base of the firmware is
 //! another timer.
 
-#![allow(unsafe_code)]
-
 use super::channels::{DMA_ERRORS, LOST_CAPTURES};
-use core::{
-    cell::UnsafeCell,
-    sync::atomic::{Ordering, compiler_fence},
-};
+use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 use embassy_stm32::pac::{self, DMA1, TIM5, timer::regs::SrGp16};
 
 /// Size of the capture ring: 4 ms at the highest step rate. Motion reads it every 2.5 ms.
@@ -21,11 +16,8 @@ const DMA_CHANNEL: u8 = 6;
 /// Channel 2's index in the registers that channels 1 and 2 share.
 const CHANNEL: usize = 1;
 
-#[repr(C, align(4))]
-struct Ring(UnsafeCell<[u32; INSTANTS]>);
-// SAFETY: written by the DMA controller only, read by the one `Captures` with volatile loads.
-unsafe impl Sync for Ring {}
-static RING: Ring = Ring(UnsafeCell::new([0; INSTANTS]));
+/// Written by the DMA controller only.
+static RING: [AtomicU32; INSTANTS] = [const { AtomicU32::new(0) }; INSTANTS];
 
 /// The captured instants; one exists.
 pub struct Captures {
@@ -73,9 +65,9 @@ impl Captures {
         };
     }
 
-    /// Fills `instants` with unread ones, and returns how many. None if some have been overwritten, in the ring or in
-    /// the capture register, or if DMA has stopped.
-    pub fn take(&mut self, instants: &mut [u32]) -> Option<usize> {
+    /// Takes up to `at_most` unread instants, up to the ring's end. None if some have been overwritten, in the ring or
+    /// in the capture register, or if DMA has stopped.
+    pub fn take(&mut self, at_most: usize) -> Option<&'static [AtomicU32]> {
         let Written {
             end,
             at_end,
@@ -100,16 +92,16 @@ impl Captures {
         if self.unread >= INSTANTS {
             return None;
         }
-        let count = self.unread.min(instants.len());
-        let mut at = self.next;
-        for instant in &mut instants[..count] {
-            // SAFETY: an index of the ring; volatile, because DMA writes it.
-            *instant = unsafe { RING.0.get().cast::<u32>().add(at).read_volatile() };
-            at = at.wrapping_add(1) % INSTANTS;
-        }
-        self.next = at;
+        let (_, from_next) = RING.split_at(self.next);
+        let count = self.unread.min(at_most).min(from_next.len());
+        self.next = (self.next + count) % INSTANTS;
         self.unread -= count;
-        Some(count)
+        Some(&from_next[..count])
+    }
+
+    /// Instants seen by the last [`Captures::take`] that it did not take.
+    pub fn has_more(&self) -> bool {
+        self.unread > 0
     }
 }
 
@@ -117,7 +109,7 @@ impl Captures {
 fn start_stream() {
     let stream = DMA1.st(STREAM);
     stream.par().write_value(TIM5.ccr(CHANNEL).as_ptr() as u32);
-    stream.m0ar().write_value(RING.0.get() as u32);
+    stream.m0ar().write_value(RING.as_ptr() as u32);
     stream.ndtr().write(|w| w.set_ndt(INSTANTS as u16));
     stream.cr().write(|w| {
         w.set_chsel(DMA_CHANNEL);

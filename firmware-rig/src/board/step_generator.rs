@@ -32,7 +32,7 @@ use embassy_stm32::{
     pac::{self, DMA2, TIM1, TIM2},
 };
 use firmware_rig::{
-    execution::{EDGES_PER_LOOK, Ring, StartError, Underrun},
+    execution::{Ring, StartError, Underrun},
     machine::Event,
     periods::Period,
 };
@@ -92,8 +92,6 @@ pub struct StepGenerator {
     read_slot: u32,
     running: bool,
     captures: Captures,
-    /// Buffer for the captures of one look.
-    instants: [u32; EDGES_PER_LOOK as usize],
     timing: EdgeTiming,
     /// Width of a step pulse: a setting, no less than the driver's minimum (DRV8825: 1.9 us).
     pulse_ticks: u16,
@@ -130,7 +128,6 @@ impl StepGenerator {
             read_slot: 0,
             running: false,
             captures: Captures::new(),
-            instants: [0; EDGES_PER_LOOK as usize],
             timing: EdgeTiming::default(),
             pulse_ticks: 0,
         }
@@ -389,14 +386,13 @@ impl Ring for StepGenerator {
         if self.timing.is_over() {
             return true;
         }
-        let at_most = (at_most as usize).min(self.instants.len());
-        let Some(count) = self.captures.take(&mut self.instants[..at_most]) else {
+        let Some(instants) = self.captures.take(at_most as usize) else {
             self.timing.lose();
             return true;
         };
-        self.timing.compare(&self.line, &self.instants[..count]);
+        self.timing.compare(&self.line, instants);
         INTERVALS.show(self.timing.intervals());
-        count < at_most
+        !self.captures.has_more()
     }
 
     fn timed(&self, whole: bool) -> Timed {

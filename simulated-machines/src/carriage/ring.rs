@@ -11,7 +11,7 @@ use motion::{
     timeline::Timeline,
     units::StepPosition,
 };
-use std::collections::VecDeque;
+use std::{collections::VecDeque, sync::atomic::AtomicU32};
 
 /// How far the ring queues ahead.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,7 +61,7 @@ pub struct Slots {
     queued_at_halt: u32,
     /// The jumper to the capture input is fitted.
     pub captures: bool,
-    captured: Vec<u32>,
+    captured: Vec<AtomicU32>,
     line: Timeline,
     timing: EdgeTiming,
 }
@@ -114,7 +114,7 @@ impl Slots {
     /// Captures a pulse at the pin, if the jumper is fitted.
     pub fn capture(&mut self, at: u64) {
         if self.captures {
-            self.captured.push(at as u32);
+            self.captured.push(AtomicU32::new(at as u32));
         }
     }
 
@@ -319,7 +319,7 @@ impl Ring for Slots {
         let count = self.captured.len().min(at_most as usize);
         self.timing.compare(&self.line, &self.captured[..count]);
         self.captured.drain(..count);
-        count < at_most as usize
+        self.captured.is_empty()
     }
 
     fn timed(&self, whole: bool) -> Timed {
