@@ -1,5 +1,7 @@
-//! Tests the Python package against `retrograde serve` and the images on the virtual bench.
+//! An environment of Python below `target`, and in it the tests of the Python package, against `retrograde serve` and
+//! the images on the virtual bench.
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
@@ -58,7 +60,7 @@ fn prepared() -> Result<Command> {
     cargo.args(["--package", "host-tool", "--package", "virtual-bench"]);
     bench::accept_this_rust(&mut cargo);
     run(&mut cargo, "fix what the compiler reports above")?;
-    let python = with_packages(&target().join("python"));
+    let python = with_packages();
     if !answers(&python) {
         return Err(Failure::new(
             "there is no python3",
@@ -73,25 +75,16 @@ fn prepared() -> Result<Command> {
     Ok(tests)
 }
 
-/// A Python below `folder` with those of the packages that can be installed; the system's if there can be none.
-fn with_packages(folder: &Path) -> PathBuf {
-    let python = folder.join("bin/python");
-    let quiet = |command: &mut Command| {
-        let ended = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
-        ended.is_ok_and(|status| status.success())
-    };
-    if !answers(&python) && !quiet(Command::new("python3").args(["-m", "venv"]).arg(folder)) {
+/// The environment's Python with those of the packages that can be installed; the system's if there can be none.
+fn with_packages() -> PathBuf {
+    let Some(python) = environment() else {
         println!(
             "there can be no Python environment here: tests with bluesky and ArviZ are skipped"
         );
         return PathBuf::from("python3");
-    }
+    };
     for (modules, packages) in WANTED {
-        let has = || quiet(Command::new(&python).args(["-c", &format!("import {modules}")]));
-        let install = ["-m", "pip", "install", "--quiet", "--retries", "1"];
-        let installs = || quiet(Command::new(&python).args(install).args(packages));
-        let is_there = has() || (installs() && has());
-        if !is_there {
+        if !provides(&python, &format!("import {modules}"), packages) {
             println!(
                 "{} cannot be installed here: its tests are skipped",
                 packages[0]
@@ -99,6 +92,27 @@ fn with_packages(folder: &Path) -> PathBuf {
         }
     }
     python
+}
+
+/// The Python of the environment in `target/python`, made if need be; `None` if there can be none here.
+pub(crate) fn environment() -> Option<PathBuf> {
+    let folder = target().join("python");
+    let python = folder.join("bin/python");
+    let made = || quiet(Command::new("python3").args(["-m", "venv"]).arg(&folder));
+    (answers(&python) || made()).then_some(python)
+}
+
+/// Whether this Python carries a statement out, if need be after it has installed these packages.
+pub(crate) fn provides(python: &Path, statement: &str, packages: &[impl AsRef<OsStr>]) -> bool {
+    let has = || quiet(Command::new(python).args(["-c", statement]));
+    let install = ["-m", "pip", "install", "--quiet", "--retries", "1"];
+    let installs = || quiet(Command::new(python).args(install).args(packages));
+    has() || (installs() && has())
+}
+
+fn quiet(command: &mut Command) -> bool {
+    let ended = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
+    ended.is_ok_and(|status| status.success())
 }
 
 fn answers(python: &Path) -> bool {
