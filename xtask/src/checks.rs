@@ -11,7 +11,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, dependencies, images, manual, programs, python, structure};
+use crate::{bench, book, dependencies, images, manual, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -40,6 +40,11 @@ const MANUAL: Step = Step::new(
     "manual",
     "every link in Markdown leads somewhere, no page of docs/ too long, no line too wide",
     manual::check,
+);
+const BOOK: Step = Step::new(
+    "book",
+    "the book of the manual is built, each page in its navigation, no warning allowed",
+    book::check,
 );
 const LINT_HOST: Step = Step::new(
     "lint host",
@@ -84,6 +89,7 @@ pub(crate) fn lint() -> ExitCode {
         FORMAT,
         STRUCTURE,
         MANUAL,
+        BOOK,
         DEPENDENCIES,
         LINT_HOST,
         DOCS,
@@ -101,6 +107,7 @@ pub(crate) fn ci() -> ExitCode {
         HOST_TESTS,
         LINT_HOST,
         DOCS,
+        BOOK,
         DEPENDENCIES,
         IMAGES,
         LINT_IMAGES,

@@ -8,6 +8,7 @@
 //! | `checks.rs` | the steps of `test`, `lint` and `ci` |
 //! | `structure.rs` | what crates and files may import, and how large they may be |
 //! | `manual.rs` | where the links in Markdown lead, and how long pages and lines may be |
+//! | `book.rs` | makes a book of the manual, with MkDocs and `xtask/book` |
 //! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
 //! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
 //! | `dependencies.rs` | checks licences and sources of other people's crates |
@@ -20,6 +21,7 @@
 //! | `toolchain.rs` | finds a compiler for the STM32 |
 //! | `debian.rs` | one such compiler, from Debian packages |
 //! | `version.rs` | versions of Rust compilers |
+//! | `python.rs` | makes a Python environment, and tests the Python package in it |
 //! | `process.rs` | child processes and their environment |
 #![forbid(unsafe_code)]
 #![allow(
@@ -29,6 +31,7 @@
 
 mod bench;
 mod board;
+mod book;
 mod checks;
 mod debian;
 mod dependencies;
@@ -60,8 +63,11 @@ cargo xtask <command>
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
   lint [structure|manual]
-                    format, structure, manual, licences, clippy for host and chip, documentation; no warning allowed
+                    format, structure, manual, book, licences, clippy for host and chip, documentation; no warning
+                    allowed
                     (structure, manual: only that, in a second; manual: links, length and width of pages)
+  book              make a book of the manual in target/book, to browse and search; no server and no network needed
+                    to read it, no warning allowed
   ci                everything that has to pass before a change is merged
   mutants [PACKAGE [OPTIONS]]
                     change the code with cargo-mutants and count what the tests notice, in PACKAGE or
@@ -109,6 +115,7 @@ fn main() -> ExitCode {
         ("lint", []) => return checks::lint(),
         ("lint", [which]) if which == "structure" => structure::check(),
         ("lint", [which]) if which == "manual" => manual::check(),
+        ("book", []) => book::build(),
         ("ci", []) => return checks::ci(),
         ("mutants", arguments) => mutants::run(arguments),
         ("fuzz", arguments) => fuzz::run(arguments),
