@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use protocol::VERSION;
 use protocol::capsule::CapsuleState;
 use protocol::client::{Client, Output};
+use protocol::rig::RigStatus;
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Event, Identity, Urgent};
 use protocol::table::{Impact, Response, SCHEMA_KEY, Telemetry};
@@ -88,6 +89,14 @@ pub struct Device {
     clock: Option<Clock>,
     /// Whether something moves, according to the device's last answer.
     moves: bool,
+    /// An order to move was sent and is not answered.
+    ordered: bool,
+    /// The last order was a run that goes on to its end without the host.
+    finishes: bool,
+    /// Time after which the device stops without a request, ms.
+    link_timeout_ms: u32,
+    /// The rig's last status, and when it came, us.
+    last_status: Option<(u64, RigStatus)>,
     /// Index of the next event to deliver.
     next_event: u32,
     /// Events that arrived before an earlier one.
@@ -118,6 +127,10 @@ impl Device {
             posted: None,
             clock: None,
             moves: false,
+            ordered: false,
+            finishes: false,
+            link_timeout_ms: SettingKey::LinkTimeoutMs.range().default,
+            last_status: None,
             next_event: 0,
             early: BTreeMap::new(),
             events: VecDeque::new(),
@@ -177,8 +190,8 @@ impl Device {
     /// Interval of requests that keeps this device moving, us: at most a third of its link timeout.
     fn asked_keep_alive_us(&mut self) -> Result<u64, ClientError> {
         let key = SettingKey::LinkTimeoutMs;
-        let timeout_ms = self.call(GetSetting { key })?.value;
-        Ok(KEEP_ALIVE_US.min(u64::from(timeout_ms) * 1_000 / 3))
+        self.link_timeout_ms = self.call(GetSetting { key })?.value;
+        Ok(KEEP_ALIVE_US.min(u64::from(self.link_timeout_ms) * 1_000 / 3))
     }
 
     /// Makes sure that this is the wanted machine and that both ends speak the same protocol.

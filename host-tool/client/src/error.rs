@@ -9,6 +9,7 @@ use protocol::table::{Impact, SCHEMA_KEY};
 
 use crate::diagnosis::Sign;
 use crate::identity;
+use crate::last_seen::{self, LastSeen};
 use crate::link::LinkError;
 use crate::link::owner::Owner;
 use crate::wording;
@@ -23,6 +24,21 @@ pub enum ClientError {
         help("{}", .0.remedy())
     )]
     Link(#[from] LinkError),
+
+    /// The link failed while something moved, or after an order to move was sent.
+    #[error("{link}; {seen}")]
+    #[diagnostic(
+        code(retrograde::link_lost),
+        help(
+            "press the emergency stop button or cut the motor supply if it moves; then check cable and supply"
+        )
+    )]
+    Cut {
+        /// The link's own error.
+        link: LinkError,
+        /// What is known of the carriage.
+        seen: LastSeen,
+    },
 
     /// Nothing answered Hello.
     #[error("no answer from {place}: {sign}")]
@@ -92,7 +108,10 @@ pub enum ClientError {
     },
 
     /// The device no longer accepts the session.
-    #[error("{place} no longer knows this session: it was reset, or another program took it over")]
+    #[error(
+        "{place} no longer knows this session: it was reset, or another program took it over{}",
+        last_seen::after(seen.as_ref())
+    )]
     #[diagnostic(
         code(retrograde::session_lost),
         help(
@@ -102,6 +121,8 @@ pub enum ClientError {
     SessionLost {
         /// The machine's place, as the user named it.
         place: String,
+        /// What is known of the carriage; none if nothing moved.
+        seen: Option<LastSeen>,
     },
 
     /// Another process owns the line, and this request is for the owner alone.
@@ -149,10 +170,15 @@ pub enum ClientError {
         place: String,
         /// Name of the request.
         request: &'static str,
+        /// What is known of the carriage, for whoever knows that something may be moving.
+        seen: Option<LastSeen>,
     },
 
     /// The link fell silent while something moved.
-    #[error("{place} has fallen silent during {action}: it MAY BE MOVING")]
+    #[error(
+        "{place} has fallen silent during {action}: it MAY BE MOVING{}",
+        last_seen::after(seen.as_ref())
+    )]
     #[diagnostic(
         code(retrograde::silent),
         help(
@@ -164,11 +190,14 @@ pub enum ClientError {
         place: String,
         /// Name of the action.
         action: &'static str,
+        /// What is known of the carriage; none of a capsule.
+        seen: Option<LastSeen>,
     },
 
     /// A command was not answered: it may or may not have been carried out.
     #[error(
-        "outcome unknown: {place} did not answer {request}, which may or may not have been carried out"
+        "outcome unknown: {place} did not answer {request}, which may or may not have been carried out{}",
+        last_seen::after(seen.as_ref())
     )]
     #[diagnostic(
         code(retrograde::outcome_unknown),
@@ -181,10 +210,12 @@ pub enum ClientError {
         place: String,
         /// Name of the request.
         request: &'static str,
+        /// What is known of the carriage; none if nothing can have moved.
+        seen: Option<LastSeen>,
     },
 
     /// An urgent stop was not answered.
-    #[error("{place} did not confirm the stop")]
+    #[error("{place} did not confirm the stop{}", last_seen::after(seen.as_ref()))]
     #[diagnostic(
         code(retrograde::stop_unconfirmed),
         help(
@@ -194,6 +225,8 @@ pub enum ClientError {
     StopUnconfirmed {
         /// The machine's place, as the user named it.
         place: String,
+        /// What is known of the carriage; none if nothing moved.
+        seen: Option<LastSeen>,
     },
 
     /// The operator stopped the machine before or while a command was sent.
@@ -223,7 +256,10 @@ pub enum ClientError {
     },
 
     /// An action did not end in time and was stopped.
-    #[error("{action} on {place} did not end within {limit_ms} ms; a stop was sent")]
+    #[error(
+        "{action} on {place} did not end within {limit_ms} ms; a stop was sent{}",
+        last_seen::after(seen.as_ref())
+    )]
     #[diagnostic(
         code(retrograde::overdue),
         help("look at the machine and at `retrograde info`")
@@ -235,6 +271,8 @@ pub enum ClientError {
         action: &'static str,
         /// Time limit from its acceptance, ms.
         limit_ms: u64,
+        /// What is known of the carriage; none of a capsule.
+        seen: Option<LastSeen>,
     },
 
     /// Homing ended without a position.

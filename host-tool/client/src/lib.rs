@@ -7,6 +7,7 @@
 //! * [`diagnosis`]: the other end when no machine answers.
 //! * [`error`]: the reason why a request failed, and the remedy.
 //! * [`identity`]: names of machines, images and versions.
+//! * [`last_seen`]: what is known of the carriage of a lost rig.
 //! * [`named`]: the user's names for machines.
 //! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.
@@ -21,6 +22,7 @@ pub mod diagnosis;
 pub mod door;
 pub mod error;
 pub mod identity;
+pub mod last_seen;
 pub mod limited;
 pub mod link;
 pub mod named;

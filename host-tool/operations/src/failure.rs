@@ -398,6 +398,7 @@ impl Failure {
 pub fn client_code(error: &ClientError) -> u8 {
     match error {
         ClientError::Link(_)
+        | ClientError::Cut { .. }
         | ClientError::NoAnswer { .. }
         | ClientError::WrongDevice { .. }
         | ClientError::NoReply { .. }

@@ -10,6 +10,7 @@ mod coordination;
 mod fetched;
 mod fresh;
 mod loopback;
+mod lost;
 mod records;
 mod report;
 mod settings;

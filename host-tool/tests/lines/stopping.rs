@@ -262,6 +262,31 @@ fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
     }
 }
 
+/// What is known of a motion that the server has lost is in its answers, which its page shows.
+#[test]
+fn a_motion_that_the_server_has_lost_says_where_the_carriage_was() {
+    for broken in [SWALLOWED, DEAD] {
+        let mut bench = Bench::on_tcp(DeviceKind::Rig);
+        let line = breakable(&mut bench);
+        let server = Server::start(&bench);
+        let order = server.order("{\"position_mm\": 125, \"speed_mm_s\": 10}", 1);
+        order.finish().expect("an answer");
+        server.until("motion", |rig| rig["position_um"].as_i64() > Some(2_000));
+        line.store(broken, Ordering::SeqCst);
+        let over = |rig: &Value| !rig["action"]["error"].is_null();
+        let state = server.until("the end of the action", over);
+        let error = &state["machines"]["rig"]["action"]["error"];
+        let said = error["message"].as_str().expect("a message");
+        for part in [
+            "the carriage was at ",
+            "it may still be moving: the rig brakes once",
+            "`retrograde info rig` says",
+        ] {
+            assert!(said.contains(part), "{broken}: {error}");
+        }
+    }
+}
+
 /// An answer to an earlier stop does not confirm a later one that the machine has not heard.
 #[test]
 fn a_late_answer_confirms_no_later_press() {

@@ -2,7 +2,7 @@
 
 use protocol::client::{Client, Output, Poll};
 use protocol::error::WireError;
-use protocol::rig::{RigState, RunOutcome};
+use protocol::rig::{LinkLossPolicy, RigState, RunOutcome};
 use protocol::system::{DeviceKind, Urgent};
 use protocol::table::{Endpoint, Impact, Reply, Request, Response};
 
@@ -11,6 +11,8 @@ use crate::device::{Device, Posted, Turn, moves};
 use crate::diagnosis::{OVERHEARD, Sign};
 use crate::door;
 use crate::error::ClientError;
+use crate::last_seen::{LastSeen, Since};
+use crate::link::LinkError;
 
 /// Longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
@@ -39,6 +41,7 @@ impl Device {
             return Err(ClientError::Interrupted { request: name });
         }
         self.commanding = is_abandonable(impact);
+        self.note_order(&request);
         if self.client.request(&request).is_err() {
             return Err(self.session_lost());
         }
@@ -107,6 +110,7 @@ impl Device {
             return Err(ClientError::Interrupted { request: name });
         }
         self.commanding = is_abandonable(impact);
+        self.note_order(request);
         let at_us = self.now_us();
         let answer = self.asked(!command, |client| client.request(request));
         let answer = match answer {
@@ -157,20 +161,27 @@ impl Device {
             Some(Output::Accepted(response)) => {
                 self.note_clock(at_us, &response);
                 self.note_motion(impact, &response);
+                self.ordered = false;
                 Ok(response)
             }
-            Some(Output::Refused(refusal)) => Err(ClientError::Refused {
-                place,
-                request: request_name,
-                impact,
-                refusal,
-            }),
+            Some(Output::Refused(refusal)) => {
+                self.ordered = false;
+                Err(ClientError::Refused {
+                    place,
+                    request: request_name,
+                    impact,
+                    refusal,
+                })
+            }
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
-            Some(Output::Rejected(error)) => Err(ClientError::Rejected {
-                place,
-                request: request_name,
-                error,
-            }),
+            Some(Output::Rejected(error)) => {
+                self.ordered = false;
+                Err(ClientError::Rejected {
+                    place,
+                    request: request_name,
+                    error,
+                })
+            }
             _ if !command && self.link.owner().is_some() => Err(ClientError::OwnerBusy {
                 place,
                 request: request_name,
@@ -184,15 +195,61 @@ impl Device {
             _ if !command && self.moves => Err(ClientError::Silent {
                 place,
                 action: "a motion",
+                seen: self.lost_seen(),
             }),
             _ if command => Err(ClientError::OutcomeUnknown {
                 place,
                 request: request_name,
+                seen: self.lost_in_motion(),
             }),
             _ => Err(ClientError::NoReply {
                 place,
                 request: request_name,
+                seen: self.lost_seen(),
             }),
+        }
+    }
+
+    /// Notes an order to move before it is sent.
+    fn note_order(&mut self, request: &Request) {
+        if request.impact() == Impact::Motion {
+            self.ordered = true;
+            self.finishes =
+                matches!(request, Request::Run(run) if run.link_loss == LinkLossPolicy::Finish);
+        }
+    }
+
+    /// What is known of the carriage, and of what has become of its motion; none of a capsule.
+    pub(crate) fn last_seen(&self, since: Since) -> Option<LastSeen> {
+        let (came_us, status) = self.last_status.as_ref()?;
+        let age_us = self.now_us().saturating_sub(*came_us);
+        let at = status.homed.then_some((status.position_um, age_us));
+        Some(LastSeen { at, since })
+    }
+
+    /// As [`Device::last_seen`], of a rig that does not answer.
+    fn lost_seen(&self) -> Option<LastSeen> {
+        self.last_seen(if self.finishes {
+            Since::Finishes
+        } else {
+            Since::Brakes {
+                after_ms: self.link_timeout_ms,
+            }
+        })
+    }
+
+    /// As [`Device::lost_seen`], if something moves or was ordered to.
+    fn lost_in_motion(&self) -> Option<LastSeen> {
+        (self.moves || self.ordered)
+            .then(|| self.lost_seen())
+            .flatten()
+    }
+
+    /// The error of a link that has failed. A line that its owner has given up is free, and no rig is lost.
+    fn cut(&self, link: LinkError) -> ClientError {
+        match (link, self.lost_in_motion()) {
+            (link @ LinkError::Lost { .. }, Some(seen)) => ClientError::Cut { link, seen },
+            (link, _) => link.into(),
         }
     }
 
@@ -204,6 +261,9 @@ impl Device {
             _ => return,
         };
         self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
+        if let Response::GetRigStatus(status) = response {
+            self.last_status = Some((self.now_us(), *status));
+        }
     }
 
     /// Notes whether the machine moves, if an answer says so.
@@ -318,7 +378,8 @@ impl Device {
         let now_us = self.link.now_us();
         let until_us = match self.client.poll(now_us) {
             Poll::Transmit(frame) => {
-                self.link.send(&frame)?;
+                let sent = self.link.send(&frame);
+                sent.map_err(|link| self.cut(link))?;
                 return Ok(Turn::Nothing);
             }
             // A pending request waits until the urgent stop is done, so this time-out is the stop's.
@@ -330,9 +391,10 @@ impl Device {
             Poll::WaitUntil(time_us) => time_us.min(deadline_us),
         };
         let mut bytes = [0; 512];
-        let count = self
+        let received = self
             .link
-            .receive(&mut bytes, until_us.min(now_us.saturating_add(SLICE_US)))?;
+            .receive(&mut bytes, until_us.min(now_us.saturating_add(SLICE_US)));
+        let count = received.map_err(|link| self.cut(link))?;
         if let Some(overheard) = &mut self.overheard {
             let room = OVERHEARD.saturating_sub(overheard.len());
             overheard.extend(&bytes[..count.min(room)]);
@@ -385,6 +447,9 @@ impl Device {
     pub(crate) fn session_lost(&self) -> ClientError {
         ClientError::SessionLost {
             place: self.place(),
+            seen: (self.moves || self.ordered)
+                .then(|| self.last_seen(Since::Taken))
+                .flatten(),
         }
     }
 
@@ -405,6 +470,7 @@ impl Device {
     pub(crate) fn stop_unconfirmed(&self) -> ClientError {
         ClientError::StopUnconfirmed {
             place: self.place(),
+            seen: self.lost_in_motion(),
         }
     }
 }

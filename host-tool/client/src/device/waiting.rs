@@ -10,6 +10,7 @@ use protocol::system::{Event, Urgent, What};
 use crate::device::observer::{Begun, Clock, Homed, Observer, Pace, Progress, Unobserved};
 use crate::device::{Device, moves};
 use crate::error::ClientError;
+use crate::last_seen::Since;
 
 /// Interval between status requests during a move, us.
 const POLL_US: u64 = 50_000;
@@ -31,8 +32,12 @@ const MOST_POINTS: usize = 10_000;
 /// state of the machine is unknown.
 pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
-        ClientError::NoReply { place, .. } | ClientError::Silent { place, .. } => {
-            ClientError::Silent { place, action }
+        ClientError::NoReply { place, seen, .. } | ClientError::Silent { place, seen, .. } => {
+            ClientError::Silent {
+                place,
+                action,
+                seen,
+            }
         }
         error => error,
     }
@@ -462,6 +467,7 @@ impl Device {
                         place: self.place(),
                         action,
                         limit_ms: limit_us / 1_000,
+                        seen: self.last_seen(Since::Stopped),
                     });
                 }
             }

@@ -1,0 +1,105 @@
+//! What is known of the carriage when its rig is lost during a motion: one sentence for the error.
+
+use std::fmt;
+
+use crate::decimal;
+
+/// What the rig said last, and what the motion can have come to since.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LastSeen {
+    /// Position of the carriage and the age of the answer that gave it, both in us or um; none if the rig was not
+    /// homed then.
+    pub at: Option<(i32, u64)>,
+    /// What can have become of the motion.
+    pub since: Since,
+}
+
+/// What can have become of the motion since.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Since {
+    /// The rig brakes by itself when it has not heard from this tool for this long, ms.
+    Brakes {
+        /// The rig's `link_timeout_ms`.
+        after_ms: u32,
+    },
+    /// The run goes on to its end without this tool, as it was started.
+    Finishes,
+    /// The rig has confirmed a stop.
+    Stopped,
+    /// The rig was reset, which ends every motion, or another program commands it.
+    Taken,
+}
+
+impl fmt::Display for LastSeen {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.at {
+            Some((position_um, age_us)) => write!(
+                f,
+                "the carriage was at {} mm when the rig last answered, {} s before, ",
+                decimal::fixed(position_um.into(), 3),
+                decimal::fixed((age_us / 100_000).cast_signed(), 1)
+            )?,
+            None => {
+                f.write_str("where the carriage is was not known, because the rig was not homed, ")?
+            }
+        }
+        match self.since {
+            Since::Brakes { after_ms } => write!(
+                f,
+                "and it may still be moving: the rig brakes once it has not heard from this tool for {} s",
+                decimal::write(after_ms.into(), 3)
+            )?,
+            Since::Finishes => f.write_str(
+                "and it may still be moving: this run goes on to its end without this tool",
+            )?,
+            Since::Stopped => f.write_str("and the rig has confirmed a stop since")?,
+            Since::Taken => f.write_str(
+                "and it is not moving if the rig was reset, but may be if another program commands it",
+            )?,
+        }
+        f.write_str("; `retrograde info rig` says where it is now")
+    }
+}
+
+/// The sentence as the end of an error's text; empty if nothing could move.
+pub(crate) fn after(seen: Option<&LastSeen>) -> String {
+    seen.map(|seen| format!("; {seen}")).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_says_position_age_motion_and_command_in_one_sentence() {
+        let at = Some((43_210, 860_000));
+        for (at, since, text) in [
+            (
+                at,
+                Since::Brakes { after_ms: 1_000 },
+                "the carriage was at 43.210 mm when the rig last answered, 0.8 s before, and it may still be moving: the rig brakes once it has not heard from this tool for 1 s",
+            ),
+            (
+                Some((-5, 0)),
+                Since::Finishes,
+                "the carriage was at -0.005 mm when the rig last answered, 0.0 s before, and it may still be moving: this run goes on to its end without this tool",
+            ),
+            (
+                None,
+                Since::Stopped,
+                "where the carriage is was not known, because the rig was not homed, and the rig has confirmed a stop since",
+            ),
+            (
+                at,
+                Since::Taken,
+                "the carriage was at 43.210 mm when the rig last answered, 0.8 s before, and it is not moving if the rig was reset, but may be if another program commands it",
+            ),
+        ] {
+            let said = LastSeen { at, since }.to_string();
+            assert_eq!(
+                said,
+                format!("{text}; `retrograde info rig` says where it is now")
+            );
+        }
+    }
+}

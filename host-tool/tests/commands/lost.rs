@@ -1,0 +1,278 @@
+//! A motion whose rig is lost: each command says where the carriage was last, what may have become of it, and which
+//! command finds out.
+
+use client::address::Address;
+use client::error::ClientError;
+use client::link::owner::Owner;
+use client::link::{Link, LinkError, OpenError};
+use client::{Device, Observer, Progress};
+use host_tool::cli::run_at;
+use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
+use protocol::rig::Home;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Script, World, link};
+use trials::experiment::PAPER_RUN;
+
+use crate::support::tool::ready;
+
+/// What happens to the cable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fault {
+    /// It is pulled, and the system reports it.
+    Pulled,
+    /// It breaks silently.
+    Silent,
+    /// It belonged to another process, which gives it up.
+    GivenUp,
+}
+
+/// A cable with this fault from this instant of its clock on, us.
+struct Cable {
+    link: Box<dyn Link>,
+    fault: Option<(Fault, u64)>,
+}
+
+impl Cable {
+    fn fault(&self) -> Option<Fault> {
+        let (fault, at_us) = self.fault?;
+        (self.link.now_us() >= at_us).then_some(fault)
+    }
+
+    /// The error of a cable that is reported to be gone.
+    fn error(&self, fault: Fault) -> LinkError {
+        let place = self.link.place();
+        match fault {
+            Fault::GivenUp => LinkError::OwnerGone {
+                place,
+                owner: Box::new(Owner::this_process()),
+            },
+            Fault::Pulled | Fault::Silent => LinkError::Lost {
+                place,
+                why: "the device is gone".to_owned(),
+            },
+        }
+    }
+}
+
+impl Link for Cable {
+    fn place(&self) -> String {
+        self.link.place()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        match self.fault() {
+            Some(Fault::Silent) => Ok(()),
+            Some(fault) => Err(self.error(fault)),
+            None => self.link.send(bytes),
+        }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        match self.fault() {
+            Some(fault @ (Fault::Pulled | Fault::GivenUp)) => Err(self.error(fault)),
+            Some(Fault::Silent) => {
+                while self.link.now_us() < deadline_us {
+                    self.link.receive(&mut [0; 256], deadline_us)?;
+                }
+                Ok(0)
+            }
+            None => self.link.receive(buffer, deadline_us),
+        }
+    }
+}
+
+/// A computer with one rig at such a cable.
+struct Computer {
+    script: Script,
+    fault: Option<(Fault, u64)>,
+}
+
+impl Connector for Computer {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        Ok(Box::new(Cable {
+            link: link(self.script.clone()).0,
+            fault: self.fault,
+        }))
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Exit code and everything said.
+fn said(script: Script, fault: Option<(Fault, u64)>, args: &[&str]) -> (u8, String) {
+    let computer = Computer { script, fault };
+    let args = [&["retrograde", "--rig", "0"], args].concat();
+    let (mut out, mut err) = (vec![], vec![]);
+    let args = args.into_iter().map(Into::into);
+    let code = run_at(args, &computer, &mut out, &mut err, false, None);
+    let text = String::from_utf8([out, err].concat()).expect("UTF-8");
+    (code, text)
+}
+
+#[derive(Default)]
+struct LastProgress(Option<i32>);
+
+impl Observer for LastProgress {
+    fn progress(&mut self, progress: &Progress) {
+        if let Progress::Run { position_um, .. } = progress {
+            self.0 = Some(*position_um);
+        }
+    }
+}
+
+#[test]
+fn the_position_is_that_of_the_last_answer_and_its_age_grows_with_the_silence() {
+    for (fault, ages) in [(Fault::Pulled, 0..=2), (Fault::Silent, 3..=20)] {
+        let cable = Cable {
+            link: link(ready(DeviceKind::Rig)).0,
+            fault: Some((fault, 3_000_000)),
+        };
+        let mut rig = Device::connect(Box::new(cable), DeviceKind::Rig, 1).expect("a rig");
+        let accepted = rig.run(PAPER_RUN).expect("accepted");
+        let mut seen = LastProgress::default();
+        let error = rig.wait_run(&accepted, &mut seen).expect_err("lost");
+        let text = error.to_string();
+        let um = seen.0.expect("progress");
+        assert!(um > 50_000, "{um}");
+        let wanted = format!(
+            "the carriage was at {}.{:03} mm when the rig last answered, ",
+            um / 1_000,
+            um % 1_000
+        );
+        let (_, rest) = text.split_once(&wanted).expect(&text);
+        let age = rest.split_once(" s before").expect("an age").0;
+        let tenths: u32 = age.replace('.', "").parse().expect("a number");
+        assert!(ages.contains(&tenths), "{fault:?}: {text}");
+    }
+}
+
+#[test]
+fn a_command_that_loses_the_rig_says_what_is_known() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let out = folder.path().display().to_string();
+    let run = ["run", "--out", &out, "--duration-s", "40"];
+    let finishes = [&run[..], &["--on-link-loss", "finish"]].concat();
+    let with = |world| Script {
+        world: vec![(5_000_000, world)],
+        ..ready(DeviceKind::Rig)
+    };
+    let brakes =
+        "it may still be moving: the rig brakes once it has not heard from this tool for 1 s";
+    let at = Some(5_000_000);
+    let pulled = at.map(|at_us| (Fault::Pulled, at_us));
+    let silent = at.map(|at_us| (Fault::Silent, at_us));
+    let there = ready(DeviceKind::Rig);
+    for (script, fault, args, wanted, known) in [
+        (there.clone(), pulled, &run[..], 4, brakes),
+        (there.clone(), silent, &run, 7, brakes),
+        (
+            there.clone(),
+            pulled,
+            &finishes,
+            4,
+            "this run goes on to its end without this tool",
+        ),
+        (
+            with(World::Reset),
+            None,
+            &run,
+            4,
+            "it is not moving if the rig was reset",
+        ),
+        (
+            with(World::TimerStands),
+            None,
+            &run,
+            6,
+            "the rig has confirmed a stop since",
+        ),
+        (
+            there,
+            silent,
+            &["move", "120", "--speed-mm-s", "10"],
+            7,
+            brakes,
+        ),
+    ] {
+        let (code, said) = said(script, fault, args);
+        let what = format!("{fault:?} {args:?}: {code} {said}");
+        assert_eq!(code, wanted, "{what}");
+        assert!(said.contains("the carriage was at "), "{what}");
+        assert!(said.contains(" mm when the rig last answered, "), "{what}");
+        assert!(said.contains(known), "{what}");
+        assert!(said.contains("; `retrograde info rig` says"), "{what}");
+        assert!(!said.to_lowercase().contains("nothing was"), "{what}");
+    }
+    // The record says the same as the screen.
+    let lost: Vec<_> = std::fs::read_dir(folder.path())
+        .expect("records")
+        .map(|entry| entry.expect("an entry").path())
+        .filter(|path| path.extension().is_some_and(|kind| kind == "json"))
+        .map(|path| std::fs::read_to_string(path).expect("text"))
+        .collect();
+    assert_eq!(lost.len(), 5);
+    for text in lost {
+        assert!(text.contains("the carriage was at "), "{text}");
+    }
+}
+
+#[test]
+fn a_rig_that_was_not_homed_has_no_position_and_one_at_rest_needs_no_sentence() {
+    let fault = Some((Fault::Silent, 1_000_000));
+    let (code, said) = said(Script::new(DeviceKind::Rig), fault, &["home"]);
+    assert_eq!(code, 7, "{said}");
+    assert!(
+        said.contains("where the carriage is was not known, because the rig was not homed, and it may still be moving"),
+        "{said}"
+    );
+
+    let cable = Cable {
+        link: link(ready(DeviceKind::Rig)).0,
+        fault: Some((Fault::Pulled, 1_000_000)),
+    };
+    let mut rig = Device::connect(Box::new(cable), DeviceKind::Rig, 1).expect("a rig");
+    rig.rig_status().expect("there");
+    let error = rig.fall_silent(2_000_000).expect_err("pulled");
+    assert!(matches!(error, ClientError::Link(_)), "{error:?}");
+    // An order that may have arrived is another matter.
+    let error = rig.call(Home).expect_err("pulled");
+    assert!(error.to_string().contains("the carriage was at"), "{error}");
+}
+
+/// Whoever looks through another process's door goes on by itself when that process ends, also during a motion.
+#[test]
+fn a_line_that_its_owner_has_given_up_is_not_a_lost_rig() {
+    let cable = Cable {
+        link: link(ready(DeviceKind::Rig)).0,
+        fault: Some((Fault::GivenUp, 3_000_000)),
+    };
+    let mut rig = Device::connect(Box::new(cable), DeviceKind::Rig, 1).expect("a rig");
+    let accepted = rig.run(PAPER_RUN).expect("accepted");
+    let error = rig.wait_run(&accepted, &mut LastProgress::default());
+    let error = error.expect_err("given up");
+    assert!(
+        matches!(error, ClientError::Link(LinkError::OwnerGone { .. })),
+        "{error:?}"
+    );
+}
