@@ -3,6 +3,7 @@
 
 mod displacement;
 pub mod modelled;
+mod reach;
 mod readings;
 mod stage;
 mod strokes;
@@ -16,7 +17,7 @@ use jiff::Timestamp;
 use protocol::capsule::CapsuleState;
 use protocol::rig::RigState;
 use protocol::settings::GetName;
-use protocol::system::Urgent;
+use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use trials::experiment::ExperimentError;
 use trials::trial::{RecordError, Status};
@@ -30,6 +31,9 @@ use crate::readings::ReadingRow;
 
 /// Longest time between two calls that keep the machines' links alive while a question waits, us.
 const COMPANY_US: u64 = 50_000;
+
+/// Opens a session with a machine again, or says why not.
+pub type Connect<'a> = dyn FnMut(DeviceKind) -> Result<Device, String> + 'a;
 
 /// Shows text to the operator and asks for answers.
 pub trait Desk {
@@ -138,6 +142,8 @@ pub struct Machines {
     rig: Device,
     capsule: Option<Device>,
     origin: Origin,
+    /// What its commissioning lacks, or that it is complete.
+    commissioning: String,
     known: Value,
     /// When and how the position was found; none while it is unknown.
     homed: Option<(Timestamp, Homed)>,
@@ -149,39 +155,48 @@ impl Machines {
     /// # Errors
     /// As [`Device::call`].
     pub fn new(
-        mut rig: Device,
-        mut capsule: Option<Device>,
+        rig: Device,
+        capsule: Option<Device>,
         commissioning: Option<String>,
     ) -> Result<Self, ClientError> {
-        let subject = Subject::of(&mut rig)?;
-        let name = rig.call(GetName)?.name;
+        let origin = capsule
+            .as_ref()
+            .map_or(rig.origin(), |capsule| rig.origin().max(capsule.origin()));
+        let mut machines = Self {
+            rig,
+            capsule,
+            origin,
+            commissioning: commissioning.unwrap_or_else(|| "complete".to_owned()),
+            known: Value::Null,
+            homed: None,
+        };
+        machines.known = machines.facts()?;
+        Ok(machines)
+    }
+
+    /// The facts that do not change during a session.
+    fn facts(&mut self) -> Result<Value, ClientError> {
+        let subject = Subject::of(&mut self.rig)?;
+        let name = self.rig.call(GetName)?.name;
         let identity = |device: &Device| {
             let place = device.place();
             device
                 .identity()
                 .map(|identity| IdentityRecord::new(identity, &place))
         };
-        let mut origin = rig.origin();
         let mut known = json!({
             "rig": {
-                "identity": identity(&rig),
+                "identity": identity(&self.rig),
                 "name": name.as_str(),
                 "image": subject.image,
                 "settings": subject.settings,
-                "commissioning": commissioning.unwrap_or_else(|| "complete".to_owned()),
+                "commissioning": self.commissioning,
             },
         });
-        if let Some(capsule) = &mut capsule {
-            origin = origin.max(capsule.origin());
+        if let Some(capsule) = &self.capsule {
             known["capsule"] = json!({ "identity": identity(capsule) });
         }
-        Ok(Self {
-            rig,
-            capsule,
-            origin,
-            known,
-            homed: None,
-        })
+        Ok(known)
     }
 
     /// Stops every motion that is still going on. Such a motion belongs to an attempt that the tool has left, which
@@ -231,6 +246,9 @@ pub struct Conduct<'a> {
     machines: &'a mut Machines,
     desk: &'a mut dyn Desk,
     model: &'a dyn DisplacementModel,
+    connect: &'a mut Connect<'a>,
+    /// Whether a machine did not answer while a question waited, and was not reached since.
+    gone: bool,
     /// Name of the camera's next file, if the operator has given one.
     camera: Option<String>,
     /// Whether the rollers were clamped again within the block.
@@ -256,12 +274,15 @@ impl<'a> Conduct<'a> {
         machines: &'a mut Machines,
         desk: &'a mut dyn Desk,
         model: &'a dyn DisplacementModel,
+        connect: &'a mut Connect<'a>,
     ) -> Self {
         Self {
             folder,
             machines,
             desk,
             model,
+            connect,
+            gone: false,
             camera: None,
             clamped_anew: false,
             homed_in: None,
@@ -287,6 +308,7 @@ impl<'a> Conduct<'a> {
                 match self.set_up(&planned)? {
                     Then::Go => match self.stage(&planned)? {
                         Then::Go => match self.ask_ready(&planned, number + 1)? {
+                            Then::Go if !self.is_reached()? => Then::Look,
                             // While the check-list waited, another program may have moved the rollers.
                             Then::Go if !self.is_staged(&planned)? => {
                                 self.desk
@@ -374,7 +396,8 @@ impl<'a> Conduct<'a> {
         if person {
             self.desk.say(&format!("  ({})", question.hint()));
         }
-        let mut said = false;
+        // A machine that is still gone has been named already.
+        let mut said = self.gone;
         loop {
             let machines = &mut *self.machines;
             let mut keep_alive = || machines.keep_alive();
@@ -385,6 +408,7 @@ impl<'a> Conduct<'a> {
                 Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
                 // An answer needs no machine, so what is being typed must not be lost with the line.
                 Err(Halt::Client(error)) => {
+                    self.gone = true;
                     if !std::mem::replace(&mut said, true) {
                         self.desk
                             .say(&format!("  {error}; the answer is waited for even so"));

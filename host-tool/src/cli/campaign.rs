@@ -392,7 +392,12 @@ fn sit_down(
         }
     };
     let mut desk = Counter::new(screen, places, who);
-    let ended = Conduct::new(folder, &mut machines, &mut desk, &Models).carry_out(session.trials);
+    let mut connect = |kind| {
+        let device = places.connect(kind, Need::Own(command));
+        device.map_err(|failure| failure.in_one_line())
+    };
+    let ended = Conduct::new(folder, &mut machines, &mut desk, &Models, &mut connect)
+        .carry_out(session.trials);
     drop(desk);
     if let Err(Broken::Experiment(_)) = &ended {
         screen.hint(&again(&path));

@@ -21,6 +21,7 @@ use campaign::verify::verify;
 use client::identity::Origin;
 use host_tool::cli::run_at;
 use locomotion::roller::{Params, isolated_pass};
+use operations::connector::Connector;
 use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
@@ -29,7 +30,7 @@ use trials::check;
 use trials::trial::{Action, Moved, RigSample, Trial};
 
 /// The paper's plan with fewer trials, shorter runs and these changes.
-fn small_plan(changes: &[(&str, &str)]) -> String {
+pub fn small_plan(changes: &[(&str, &str)]) -> String {
     let small = [
         ("repeats = 10", "repeats = 1"),
         ("duration_s = 40", "duration_s = 8"),
@@ -53,19 +54,19 @@ fn machines(uid: Option<[u8; 12]>) -> Memory {
     )
 }
 
-fn place(plan: &str) -> tempfile::TempDir {
+pub fn place(plan: &str) -> tempfile::TempDir {
     let place = tempfile::tempdir().expect("a folder");
     fs::write(place.path().join("plan.toml"), plan).expect("written");
     place
 }
 
-fn path(place: &tempfile::TempDir, name: &str) -> String {
+pub fn path(place: &tempfile::TempDir, name: &str) -> String {
     place.path().join(name).display().to_string()
 }
 
 const AT: [&str; 4] = ["--rig", "0", "--capsule", "1"];
 
-fn whole(folder: &str) -> Campaign {
+pub fn whole(folder: &str) -> Campaign {
     let verified = verify(Path::new(folder)).expect("a folder");
     assert_eq!(verified.findings, vec![]);
     Campaign::read(Path::new(folder)).expect("a campaign")
@@ -676,8 +677,8 @@ impl BufRead for Person {
 }
 
 /// Returns the exit code and everything shown.
-fn converse(
-    memory: &Memory,
+pub fn converse(
+    memory: &dyn Connector,
     args: &[&str],
     lines: Vec<(&'static str, &'static str)>,
 ) -> (u8, String) {

@@ -6,5 +6,6 @@ mod support;
 mod campaign;
 mod campaign_report;
 mod campaign_run;
+mod gone;
 #[cfg(unix)]
 mod hostile;

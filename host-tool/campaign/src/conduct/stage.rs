@@ -29,6 +29,9 @@ impl Conduct<'_> {
                 return Ok(Then::Look);
             }
         }
+        if !self.is_reached()? {
+            return Ok(Then::Look);
+        }
         let begins_um = self.begins_um(planned);
         match self.drive_to(planned.block, begins_um) {
             // No attempt has begun, so there is nothing to record.
@@ -43,6 +46,10 @@ impl Conduct<'_> {
     pub(super) fn is_staged(&mut self, planned: &Planned) -> Result<bool, Broken> {
         if self.folder.campaign().plan.passes.is_none() {
             return Ok(true);
+        }
+        // The question that follows is also the one at which a rig that is gone is waited for.
+        if self.gone {
+            return Ok(false);
         }
         let status = self.machines.rig.rig_status()?;
         no_fault(&status)?;

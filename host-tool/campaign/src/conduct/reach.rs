@@ -1,0 +1,87 @@
+//! Reaches a machine again that was gone while a question waited: the cable was out, or the machine was switched off.
+
+use client::Device;
+use protocol::system::DeviceKind;
+use serde_json::Value;
+
+use crate::conduct::{Broken, Conduct, Connect, Machines};
+
+/// Facts of a start of the machine, which differ after each start, and a remark of the tool.
+const PASSING: [&str; 3] = ["boot_id", "reset_cause", "commissioning"];
+
+impl Machines {
+    /// Opens a new session with each machine that does not answer.
+    fn reconnect(&mut self, connect: &mut Connect<'_>) -> Result<(), String> {
+        let mut again = |device: &mut Device, kind| {
+            // The old link has the line until it is dropped.
+            device.hang_up();
+            connect(kind).map(|new| *device = new)
+        };
+        if self.rig.rig_status().is_err() {
+            again(&mut self.rig, DeviceKind::Rig)?;
+        }
+        if let Some(capsule) = &mut self.capsule
+            && capsule.capsule_status().is_err()
+        {
+            again(capsule, DeviceKind::Capsule)?;
+        }
+        Ok(())
+    }
+}
+
+impl Conduct<'_> {
+    /// Whether the machines answer. One that was gone while a question waited gets a new session if it is back and the
+    /// same; what needs it then begins with homing, as in a new session of the tool.
+    ///
+    /// # Errors
+    /// Another machine answers, or one with another image or other settings: the records of this session would mix
+    /// them.
+    pub(super) fn is_reached(&mut self) -> Result<bool, Broken> {
+        if !self.gone {
+            return Ok(true);
+        }
+        if let Err(why) = self.machines.reconnect(self.connect) {
+            self.desk
+                .say(&format!("  {why}; Enter tries again, q leaves"));
+            return Ok(false);
+        }
+        let found = self.machines.facts()?;
+        let differs = differences(&self.machines.known, &found, "");
+        if !differs.is_empty() {
+            return Err(Broken::NotReady {
+                why: format!("what answers now is not as before: {}", differs.join(", ")),
+                help: format!(
+                    "connect the former machine, or go on with this one in a new session: `retrograde campaign resume {}`",
+                    self.folder.campaign().folder.display()
+                ),
+            });
+        }
+        self.machines.known = found;
+        for machine in self.machines.come_to_rest()? {
+            self.desk.say(&format!(
+                "  the {machine} was moving, for nobody: it was stopped"
+            ));
+        }
+        self.machines.homed = None;
+        (self.gone, self.homed_in) = (false, None);
+        self.desk
+            .say("  the machine is back, and the same: on with it");
+        Ok(true)
+    }
+}
+
+/// What differs between the facts of two sessions, in words.
+fn differences(before: &Value, now: &Value, name: &str) -> Vec<String> {
+    match (before, now) {
+        (Value::Object(before), Value::Object(now)) => {
+            let facts = before.iter().filter(|(key, _)| !PASSING.contains(&&***key));
+            let differ = facts.flat_map(|(key, before)| {
+                let name = format!("{name} {key}");
+                differences(before, now.get(key).unwrap_or(&Value::Null), &name)
+            });
+            differ.collect()
+        }
+        _ if before == now => vec![],
+        _ => vec![format!("{} is {now}, was {before}", name.trim())],
+    }
+}

@@ -1,0 +1,151 @@
+//! A machine that is gone while a campaign asks, and comes back: the session goes on with the same one, and with no
+//! other.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use campaign::ledger::Standing;
+use client::address::Address;
+use client::link::{Link, OpenError, Reason};
+use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
+use protocol::settings::SettingKey;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Script, World};
+
+use crate::campaign_run::{converse, path, place, small_plan, whole};
+use crate::support::tool::Memory;
+
+/// A bench that is switched off while the first question waits, and is back after so many attempts to reach it.
+struct Restarted {
+    first: Memory,
+    then: Memory,
+    rigs: AtomicU32,
+    /// Attempts to reach the rig in vain.
+    vain: Mutex<u32>,
+}
+
+impl Restarted {
+    fn new(then: Script, vain: u32) -> Self {
+        let mut first = Script::new(DeviceKind::Rig);
+        // Connecting takes less; from then on this session is lost.
+        first.world = vec![(3_000_000, World::Reset)];
+        let capsule = Script::new(DeviceKind::Capsule);
+        Self {
+            first: Memory::with(vec![first, capsule.clone()]),
+            then: Memory::with(vec![then, capsule]),
+            rigs: AtomicU32::new(0),
+            vain: Mutex::new(vain),
+        }
+    }
+}
+
+impl Connector for Restarted {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        purpose: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        if kind == DeviceKind::Capsule || self.rigs.fetch_add(1, Ordering::SeqCst) == 0 {
+            return self.first.open(kind, address, baud, purpose);
+        }
+        let mut vain = self.vain.lock().expect("free");
+        if *vain > 0 {
+            *vain -= 1;
+            return Err(OpenError {
+                place: address.to_string(),
+                reason: Reason::Absent,
+                why: "it is switched off".to_owned(),
+                remedy: "switch it on".to_owned(),
+            });
+        }
+        self.then.open(kind, address, baud, purpose)
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// The answers up to the check-list of the first trial.
+const UP_TO_THE_TRIAL: [(&str, &str); 6] = [
+    ("waited for even so", ""),
+    ("Reading 1 of 2: D", "24.4"),
+    ("Reading 2 of 2: D", "24.4"),
+    ("Clamp both rollers", ""),
+    ("Reading 1 of 2: i", "20.4"),
+    ("Reading 2 of 2: i", "20.4"),
+];
+
+#[test]
+fn the_same_machine_is_reached_again_where_it_is_needed() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let bench = Restarted::new(Script::new(DeviceKind::Rig), 1);
+    let lines = [
+        &UP_TO_THE_TRIAL[..],
+        &[
+            ("Trial 1 of 6", ""),
+            ("it is switched off; switch it on; Enter tries again", ""),
+            ("the machine is back, and the same", ""),
+            ("Displacement of the tail", "12.5"),
+            ("Clamp both rollers", "q"),
+        ],
+    ];
+    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
+    assert_eq!(code, 130, "{shown}");
+    let campaign = whole(&out);
+    let first = campaign.state.trial(1).expect("there");
+    assert_eq!(
+        (first.standing(), first.attempts.len()),
+        (Standing::Done, 1)
+    );
+    // The new session knows no position, so it homes.
+    let heard = bench.then.heard();
+    assert!(
+        heard.contains(&"Home") && heard.contains(&"Run"),
+        "{heard:?}"
+    );
+    assert_eq!(shown.matches("waited for even so").count(), 1, "{shown}");
+}
+
+#[test]
+fn another_machine_is_named_and_nothing_moves() {
+    let mut other = Script::new(DeviceKind::Rig);
+    other.uid = *b"another rig\0";
+    let mut changed = Script::new(DeviceKind::Rig);
+    changed.settings = vec![(SettingKey::LinkTimeoutMs, 2_000)];
+    for (then, says) in [
+        (other, "rig identity uid is \"616e6f7468657220726967"),
+        (changed, "rig settings link_timeout_ms is 2000, was 1000"),
+    ] {
+        let place = place(&small_plan(&[]));
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let bench = Restarted::new(then, 0);
+        let lines = [&UP_TO_THE_TRIAL[..], &[("Trial 1 of 6", "")]].concat();
+        let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines);
+        assert_eq!(code, 3, "{shown}");
+        assert!(shown.contains(says), "{shown}");
+        let resume = format!("`retrograde campaign resume {out}`");
+        assert!(shown.contains(&resume), "{shown}");
+        let heard = bench.then.heard();
+        assert!(
+            !heard.contains(&"Home") && !heard.contains(&"Run"),
+            "{heard:?}"
+        );
+        let campaign = whole(&out);
+        let first = campaign.state.trial(1).expect("there");
+        assert_eq!(first.attempts.len(), 0, "no attempt has begun");
+        assert_eq!(campaign.readings.sets[1].values.len(), 2, "{shown}");
+    }
+}
