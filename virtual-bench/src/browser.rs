@@ -116,6 +116,14 @@ impl Browser {
         }
     }
 
+    /// Makes the page so wide, in pixels.
+    pub(crate) fn resize(&mut self, width: u32) -> Result<(), DoorError> {
+        let params =
+            json!({ "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false });
+        self.call("Emulation.setDeviceMetricsOverride", params)?;
+        Ok(())
+    }
+
     /// Position of an element's middle.
     pub(crate) fn middle_of(&mut self, id: &str) -> Result<(f64, f64), DoorError> {
         let expression = format!(

@@ -59,6 +59,7 @@ impl Hand {
         browser.wait(
             "document.readyState === 'complete' && /Ready|Unhomed/.test(document.body.innerText)",
         )?;
+        looked_over(&mut browser)?;
         let button = browser.middle_of("estop")?;
         Ok(Self::Page(Box::new(browser), button))
     }
@@ -96,6 +97,50 @@ impl Hand {
             }
         }
     }
+}
+
+/// Checks what only a browser shows: the page offers what the rig's state allows, keeps what was typed over a reload,
+/// tells in one place, always in sight, what went wrong, and shows no keys on a phone.
+fn looked_over(browser: &mut Browser) -> Result<(), DoorError> {
+    const BUTTONS: &str = "(() => {
+        const state = document.getElementById('rig-state').textContent;
+        const run = document.querySelector('[data-submits=\"rig/run\"]');
+        const home = document.querySelector('[data-command=\"rig/home\"]');
+        return run.disabled === (state !== 'Ready') && home.classList.contains('main') === (state === 'Unhomed');
+    })()";
+    browser.wait(BUTTONS)?;
+    browser.wait(
+        "(() => {
+            const cycles = document.querySelector('[name=cycles]');
+            cycles.value = '7';
+            cycles.dispatchEvent(new Event('input', { bubbles: true }));
+            window.before = true;
+            location.reload();
+            return true;
+        })()",
+    )?;
+    browser.wait("!window.before && document.querySelector('[name=cycles]').value === '7'")?;
+    browser.wait(
+        "(() => {
+            scrollTo(0, document.body.scrollHeight);
+            command('rig/move', { position_mm: '-4' });
+            return true;
+        })()",
+    )?;
+    browser.wait(
+        "(() => {
+            const told = Array.from(document.querySelectorAll('p, li, div.small'));
+            const where = told.filter((at) => at.textContent.includes('negative'));
+            return where.length === 1 && where[0].id === 'said' && where[0].getBoundingClientRect().top >= 0;
+        })()",
+    )?;
+    for (width, shown) in [(390, false), (1_200, true)] {
+        browser.resize(width)?;
+        browser.wait(&format!(
+            "Array.from(document.querySelectorAll('kbd')).every((key) => (key.getClientRects().length > 0) === {shown})"
+        ))?;
+    }
+    browser.wait("/Ready|Unhomed/.test(document.body.innerText)")
 }
 
 /// An interpreter connected to the server, which executes commands line by line.
