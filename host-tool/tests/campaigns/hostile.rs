@@ -143,6 +143,39 @@ fn a_row_without_a_hash_is_asked_about_and_more_are_refused() {
     );
 }
 
+/// Rows that a crash cannot have left are neither taken up by an edit nor sealed by it. A single one is shown, and
+/// nobody is at a terminal here who could say that it is theirs.
+#[test]
+fn an_edit_takes_up_no_forged_row() {
+    let (_place, folder) = made();
+    let ledger = folder.join(TRIALS);
+    let sealed = fs::read_to_string(&ledger).expect("there");
+    let list = fs::read(folder.join(manifest::NAME)).expect("there");
+    let rows = sealed.lines().count();
+    let row = |more: usize| {
+        let number = rows - 1 + more;
+        format!("{number},2026-01-21T12:55:00Z,note,1,,,,,,,,forged,board\n")
+    };
+    let (one, three) = (row(1), [1, 2, 3].map(row).concat());
+    for (rows, why) in [(&one, one.trim()), (&three, "3 rows are not in SHA256SUMS")] {
+        let forged = sealed.clone() + rows;
+        fs::write(&ledger, &forged).expect("written");
+        for edit in [
+            &["undo", "1"][..],
+            &["exclude", "1", "torn"],
+            &["skip", "14"],
+        ] {
+            let args = [&["campaign", "edit", text(&folder)], edit].concat();
+            let (code, _, err) = retrograde(&args);
+            assert_ne!(code, 0, "{edit:?}");
+            assert!(err.contains(why), "{edit:?}: {err}");
+        }
+        assert_eq!(fs::read_to_string(&ledger).expect("there"), forged);
+        assert_eq!(fs::read(folder.join(manifest::NAME)).expect("there"), list);
+        assert_ne!(findings(&folder), Vec::<String>::new());
+    }
+}
+
 /// Each forgery is sealed with a new manifest, so that only the files themselves tell.
 #[test]
 fn what_was_forged_and_sealed_is_found() {
@@ -258,6 +291,94 @@ fn an_attempt_that_is_a_link_is_not_read() {
             ["verify", "fit"].contains(&command[0]) || err.contains("nothing is read through it"),
             "{args:?}: {err}"
         );
+    }
+}
+
+/// Links in the place of a report's files, of their parts, and of its folder. `verify` does not look at a report.
+#[test]
+fn a_report_writes_through_no_link() {
+    let (place, folder) = made();
+    let at = |name: &str| place.path().join(name);
+    fs::write(at("victim"), SECRET).expect("written");
+    fs::create_dir(at("elsewhere")).expect("a folder");
+    let report = folder.join("report");
+    fs::create_dir(&report).expect("a folder");
+    for name in [
+        "report.html",
+        "report.html.part",
+        "figure7.svg.part",
+        "trials.csv",
+    ] {
+        symlink(at("victim"), report.join(name)).expect("a link");
+    }
+    for name in ["trials.csv.part", "attempts.csv", "readings.csv.part"] {
+        symlink(at("new"), report.join(name)).expect("a link");
+    }
+    let args = ["report", text(&folder), "--force"];
+    let (code, said, err) = retrograde(&args);
+    assert_eq!(code, 0, "{said}{err}");
+    assert_eq!(fs::read_to_string(at("victim")).expect("there"), SECRET);
+    assert!(!at("new").exists());
+    assert!(
+        report
+            .join("report.html")
+            .symlink_metadata()
+            .expect("a page")
+            .is_file()
+    );
+    fs::remove_dir_all(&report).expect("removed");
+    symlink(at("elsewhere"), &report).expect("a link");
+    for args in [&args[..2], &args] {
+        let (code, _, err) = retrograde(args);
+        assert_ne!(code, 0, "{args:?}");
+        assert!(err.contains("nothing is written through it"), "{err}");
+    }
+    assert_eq!(entries(&at("elsewhere")), Vec::<PathBuf>::new());
+}
+
+/// A record names the file of its telemetry. It may name no file elsewhere, no device and no pipe.
+#[test]
+fn telemetry_is_read_beside_its_record_only() {
+    let (place, folder) = made();
+    let campaign = Campaign::read(&folder).expect("read");
+    let sidecar = campaign.run_sidecar(1, 1).expect("a run");
+    let (csv, attempt) = (
+        sidecar.with_extension("csv"),
+        sidecar.parent().expect("a folder"),
+    );
+    let name = csv
+        .file_name()
+        .expect("a name")
+        .to_string_lossy()
+        .into_owned();
+    let outside = place.path().join("secret.csv");
+    // The rows are right, so that a reader that opens them finds nothing wrong but the word.
+    let rows = fs::read_to_string(&csv).expect("there");
+    fs::write(&outside, rows + SECRET + "\n").expect("written");
+    fifo(&attempt.join("pipe.csv"));
+    let record = fs::read_to_string(&sidecar).expect("there");
+    for (elsewhere, why) in [
+        ("/dev/zero", "telemetry lies beside its sidecar"),
+        ("../../../secret.csv", "telemetry lies beside its sidecar"),
+        (text(&outside), "telemetry lies beside its sidecar"),
+        ("pipe.csv", "it is no plain file"),
+    ] {
+        let named = |name: &str| format!("\"telemetry\": \"{name}\"");
+        let forged = record.replace(&named(&name), &named(elsewhere));
+        assert_ne!(forged, record);
+        fs::write(&sidecar, forged).expect("written");
+        for place in [text(&folder), text(attempt)] {
+            for command in ["verify", "list", "report"] {
+                let args = [command, place].map(str::to_owned);
+                let (code, said) = run(args.to_vec());
+                assert!(!said.contains(SECRET), "{elsewhere}, {command}: {said}");
+                let tells = command == "verify" && place == text(attempt);
+                assert!(
+                    !tells || code != 0 && said.contains(why),
+                    "{elsewhere}: {said}"
+                );
+            }
+        }
     }
 }
 
