@@ -107,16 +107,7 @@ pub fn fetch(device: &mut Device, now: Timestamp) -> Result<Result<Fetched, Noth
             (time_us, record.outcome.into(), Kept::Actuation(record))
         }
     };
-    let (mut events, mut lost_events) = (vec![], None);
-    loop {
-        let from = events.last().map_or(0, |event: &Event| event.index + 1);
-        let piece = device.events(from)?;
-        lost_events.get_or_insert(piece.oldest);
-        events.extend(piece.events.iter().copied());
-        if piece.events.is_empty() || events.last().is_some_and(|e| e.index + 1 >= piece.next) {
-            break;
-        }
-    }
+    let (events, lost_events) = device.kept_events()?;
     let identity = device.identity().copied();
     let Some(identity) = identity else {
         unreachable!("`Subject::of` has asked for it");
@@ -133,7 +124,7 @@ pub fn fetch(device: &mut Device, now: Timestamp) -> Result<Result<Fetched, Noth
         status,
         record,
         events,
-        lost_events: lost_events.unwrap_or(0),
+        lost_events,
     }))
 }
 

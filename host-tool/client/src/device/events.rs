@@ -22,6 +22,9 @@ fn is_end(event: &Event) -> bool {
     )
 }
 
+/// Most pieces of events that are fetched one after the other. The device keeps 11; more come while they are fetched.
+const MOST_PIECES: usize = 1_000;
+
 impl Device {
     /// Telemetry since the last call, oldest first, each sample with the number of those lost before it.
     pub fn take_telemetry(&mut self) -> Vec<(u16, Telemetry)> {
@@ -35,6 +38,35 @@ impl Device {
     pub fn take_events(&mut self) -> Result<Vec<Event>, ClientError> {
         self.fetch_events()?;
         Ok(self.events.drain(..).collect())
+    }
+
+    /// The events that the device keeps, and the number of those that it has lost.
+    ///
+    /// # Errors
+    /// As [`Device::call`]; [`ClientError::WrongResponse`] if they come to no end.
+    pub fn kept_events(&mut self) -> Result<(Vec<Event>, u32), ClientError> {
+        let (mut events, mut oldest, mut from) = (vec![], None, 0);
+        for _ in 0..MOST_PIECES {
+            let piece = self.events(from)?;
+            oldest.get_or_insert(piece.oldest);
+            for event in piece.events.iter().filter(|event| event.index >= from) {
+                events.push(*event);
+            }
+            // The largest index belongs to no event.
+            let last = piece.events.last();
+            from = last.map_or(u32::MAX, |event| event.index.saturating_add(1));
+            if from >= piece.next {
+                return Ok((events, oldest.unwrap_or(0)));
+            }
+        }
+        Err(self.endless())
+    }
+
+    fn endless(&self) -> ClientError {
+        ClientError::WrongResponse {
+            place: self.place(),
+            request: "GetEvents",
+        }
     }
 
     pub(crate) fn hand_out(&mut self, observer: &mut dyn Observer) {
@@ -72,7 +104,7 @@ impl Device {
 
     /// Fetches all events that the device has and this client lacks.
     pub(crate) fn fetch_events(&mut self) -> Result<(), ClientError> {
-        loop {
+        for _ in 0..MOST_PIECES {
             let from = self.next_event;
             let piece = self.events(from)?;
             if piece.oldest > self.next_event {
@@ -89,5 +121,6 @@ impl Device {
                 return Ok(());
             }
         }
+        Err(self.endless())
     }
 }
