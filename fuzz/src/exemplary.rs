@@ -8,7 +8,7 @@ use device::service::{Inbound, Incoming, Service};
 use protocol::capsule::CapsuleState;
 use protocol::error::Refusal;
 use protocol::rig::RigState;
-use protocol::system::{DeviceKind, Identity, ResetCause, Urgent};
+use protocol::system::{DeviceKind, Events, Identity, ResetCause, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 use simulated_machines::link::Peer;
 
@@ -38,7 +38,7 @@ pub struct Exemplary {
     kind: DeviceKind,
     /// Whether it accepts motions; otherwise it refuses them as not ready.
     willing: bool,
-    /// Whether its recording never ends.
+    /// Whether its recording and its events never end.
     endless: bool,
     service: Service,
     asked: Asked,
@@ -82,6 +82,9 @@ impl Exemplary {
         }
         match response(request) {
             // End the recording: the exemplar's points would be requested again and again.
+            Response::GetEvents(events) if self.endless => {
+                Reply::Accepted(Response::GetEvents(endless(request, events)))
+            }
             Response::GetTrace(mut trace) if !self.endless => {
                 trace.points.clear();
                 Reply::Accepted(Response::GetTrace(trace))
@@ -113,6 +116,24 @@ impl Peer for Exemplary {
     fn next_us(&self) -> u64 {
         u64::MAX
     }
+}
+
+/// The events that were asked for, as if as many as possible were still to come. A client that connects asks for the
+/// newest index, and is told 0.
+fn endless(request: &Request, mut events: Events) -> Events {
+    let Request::GetEvents(get) = request else {
+        return events;
+    };
+    if get.from == u32::MAX {
+        (events.oldest, events.next) = (0, 0);
+        events.events.clear();
+        return events;
+    }
+    (events.oldest, events.next) = (0, u32::MAX);
+    for (index, event) in (get.from..).zip(&mut events.events) {
+        event.index = index;
+    }
+    events
 }
 
 /// The exemplar of the response to a request; in a status the machine stands still.
@@ -148,19 +169,37 @@ mod tests {
     use client::Device;
     use client::error::ClientError;
     use simulated_machines::link::Memory;
+    use trials::fetched;
 
     use super::*;
 
-    #[test]
-    fn a_recording_without_an_end_is_given_up() {
+    fn endless() -> Device {
         let mut machine = Exemplary::new(DeviceKind::Capsule, true, &Asked::default());
         machine.endless = true;
         let link = Box::new(Memory::new("bench", machine));
-        let mut capsule = Device::connect(link, DeviceKind::Capsule, 1).expect("a capsule");
-        let error = capsule.trace().expect_err("no end");
+        Device::connect(link, DeviceKind::Capsule, 1).expect("a capsule")
+    }
+
+    #[test]
+    fn a_recording_without_an_end_is_given_up() {
+        let error = endless().trace().expect_err("no end");
         assert!(
             matches!(error, ClientError::WrongResponse { .. }),
             "{error}"
         );
+    }
+
+    #[test]
+    fn events_without_an_end_are_given_up() {
+        let now = jiff::Timestamp::UNIX_EPOCH;
+        for error in [
+            fetched::fetch(&mut endless(), now).expect_err("no end"),
+            endless().take_events().expect_err("no end"),
+        ] {
+            assert!(
+                matches!(error, ClientError::WrongResponse { .. }),
+                "{error}"
+            );
+        }
     }
 }

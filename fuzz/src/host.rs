@@ -1,7 +1,10 @@
-//! Target: anything a device might send, right or wrong, into the host tool's client and the server's worker.
+//! Target: anything a device might send, right or wrong, into the host tool's client, the server's worker and
+//! command lines.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::fs;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
+use crate::command;
 use crate::server::{self, INSTANCE, Server};
 use client::address::Address;
 use client::error::ClientError;
@@ -16,6 +19,8 @@ use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::{Reply, Telemetry};
 use serde::{Deserialize, Serialize};
 use simulated_machines::link::Peer;
+use tempfile::TempDir;
+use trials::fetched;
 
 use crate::exemplary::{Asked, Exemplary};
 use crate::model::{self, Good};
@@ -42,6 +47,8 @@ pub enum Wants {
     Client(Vec<Act>),
     /// The server, with a command by its index.
     Server(u8),
+    /// A command line, by its index, with `--json` if true.
+    Command(u8, bool),
 }
 
 /// An action of the client.
@@ -71,6 +78,8 @@ pub enum Act {
     Words,
     /// Asks for a setting.
     Setting(SettingKey),
+    /// Fetches the machine's record of its last action.
+    Fetch,
 }
 
 /// The device's next behaviour.
@@ -276,6 +285,7 @@ pub fn target(data: &[u8]) {
             }
         }
         Wants::Server(number) => server(line, kind, number),
+        Wants::Command(number, json) => command(line, kind, number, json),
     }
 }
 
@@ -313,12 +323,13 @@ fn client(line: Line, kind: DeviceKind, acts: &[Act]) -> Result<(), ClientError>
             Act::Urgent(urgent) => device.urgent(*urgent)?,
             Act::Words => drop(device.last_words()?),
             Act::Setting(key) => drop(device.call(GetSetting { key: *key })?),
+            Act::Fetch => drop(fetched::fetch(&mut device, Timestamp::UNIX_EPOCH)?),
         }
     }
     Ok(())
 }
 
-const RUN: Run = Run {
+pub(crate) const RUN: Run = Run {
     cycles: 1,
     stroke_um: 10_000,
     timing: RunTiming::Speeds {
@@ -365,6 +376,43 @@ impl Connector for Once {
 
     fn now(&self) -> Timestamp {
         Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Command lines that show what a machine says of itself.
+const LINES: [&[&str]; 7] = [
+    &["info"],
+    &["health"],
+    &["settings", "list"],
+    &["settings", "name"],
+    &["records", "fetch"],
+    &["ack"],
+    &["stop"],
+];
+
+/// Runs a command line; what the device says must leave the terminal as it is.
+fn command(line: Line, kind: DeviceKind, number: u8, json: bool) {
+    static OUT: OnceLock<TempDir> = OnceLock::new();
+    let out = OUT.get_or_init(|| tempfile::tempdir().expect("a folder"));
+    let out = out.path().to_str().expect("UTF-8");
+    let words = LINES[usize::from(number) % LINES.len()];
+    let place = match kind {
+        DeviceKind::Rig => "--rig",
+        DeviceKind::Capsule => "--capsule",
+    };
+    let mut args = vec![place, "/bench"];
+    args.extend(words);
+    match (words[0], kind) {
+        ("records", _) => args.extend(["--out", out]),
+        ("settings", DeviceKind::Capsule) => args.extend(["--of", "capsule"]),
+        _ => {}
+    }
+    if json {
+        args.push("--json");
+    }
+    command::run(&args, &Once(Mutex::new(Some(line))));
+    for entry in fs::read_dir(out).expect("a folder").flatten() {
+        let _ = fs::remove_file(entry.path());
     }
 }
 

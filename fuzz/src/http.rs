@@ -22,7 +22,7 @@ use tempfile::TempDir;
 use crate::exemplary::{Asked, Exemplary};
 use crate::script::steps;
 
-const TOKEN: &str = "0123456789abcdef0123456789abcdef";
+pub(crate) const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 const BEARER: &[u8] = b"Bearer 0123456789abcdef0123456789abcdef";
 
 /// Most steps of a script that are tried.
@@ -204,31 +204,82 @@ pub fn target(data: &[u8]) {
 }
 
 /// Removes the records: they are not needed, and many of them slow down later scripts.
-fn tidy(out: &Path) {
+pub(crate) fn tidy(out: &Path) {
     for entry in fs::read_dir(out).expect("a folder").flatten() {
         let _ = fs::remove_file(entry.path());
     }
 }
 
-fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<Vec<u8>>) {
-    let (method, uri) = line(&step.line);
-    let mut headers: Vec<(&str, Vec<u8>)> = step.headers.iter().map(header).collect();
-    if !headers.iter().any(|(name, _)| *name == "host") {
-        headers.push(("host", b"127.0.0.1:7080".to_vec()));
+/// A request as it is sent.
+pub(crate) struct Sent {
+    pub(crate) here: bool,
+    pub(crate) method: String,
+    pub(crate) uri: String,
+    headers: Vec<(&'static str, Vec<u8>)>,
+    body: Vec<u8>,
+}
+
+impl Sent {
+    pub(crate) fn new(step: &Step) -> Self {
+        let (method, uri) = line(&step.line);
+        let mut headers: Vec<_> = step.headers.iter().map(header).collect();
+        if !headers.iter().any(|(name, _)| *name == "host") {
+            headers.push(("host", b"127.0.0.1:7080".to_vec()));
+        }
+        Self {
+            here: step.here,
+            method,
+            uri,
+            headers,
+            body: body(&step.body),
+        }
     }
-    let headers: Vec<_> = headers
-        .iter()
-        .map(|(name, value)| (*name, &**value))
-        .collect();
-    let body = body(&step.body);
+
+    /// Its headers, borrowed.
+    pub(crate) fn headers(&self) -> Vec<(&str, &[u8])> {
+        let headers = self.headers.iter();
+        headers.map(|(name, value)| (*name, &**value)).collect()
+    }
+
+    pub(crate) fn asked<'a>(&'a self, headers: &'a [(&'a str, &'a [u8])]) -> server::Asked<'a> {
+        server::Asked {
+            here: self.here,
+            method: &self.method,
+            uri: &self.uri,
+            headers,
+            body: &self.body,
+        }
+    }
+
+    fn has(&self, name: &str, value: &[u8]) -> bool {
+        self.headers().contains(&(name, value))
+    }
+
+    /// Whether it may move or change something.
+    pub(crate) fn may_order(&self) -> bool {
+        self.has("authorization", BEARER) && !self.is_foreign()
+    }
+
+    /// Whether it may stop a machine.
+    pub(crate) fn may_stop(&self) -> bool {
+        self.may_order() || self.here && !self.is_foreign()
+    }
+
+    fn is_foreign(&self) -> bool {
+        self.has("origin", FOREIGN) || self.has("host", REBOUND)
+    }
+
+    pub(crate) fn key(&self) -> Option<Vec<u8>> {
+        let mut headers = self.headers.iter();
+        let key = headers.find(|(name, _)| *name == "idempotency-key");
+        key.map(|(_, key)| key.clone())
+    }
+}
+
+fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<Vec<u8>>) {
+    let sent = Sent::new(step);
     let before = asked.notes().clone();
-    let answer = server.ask(server::Asked {
-        here: step.here,
-        method: &method,
-        uri: &uri,
-        headers: &headers,
-        body: &body,
-    });
+    let answer = server.ask(sent.asked(&sent.headers()));
     let after = asked.notes().clone();
     let Some(answer) = answer else {
         assert_eq!(
@@ -237,31 +288,27 @@ fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<
         );
         return;
     };
-    judge(&answer, &method, &uri);
-    let has = |name: &str, value: &[u8]| headers.contains(&(name, value));
-    let is_foreign = has("origin", FOREIGN) || has("host", REBOUND);
-    let has_token = has("authorization", BEARER);
-    if !has_token || is_foreign {
+    judge(&answer, &sent.method, &sent.uri);
+    if !sent.may_order() {
         assert_eq!(
             after.changes[before.changes.len()..],
             [],
             "reached a machine without the token: {step:?}"
         );
     }
-    if is_foreign || (!has_token && !step.here) {
+    if !sent.may_stop() {
         let stops = &after.stops[before.stops.len()..];
         assert_eq!(stops, [], "stopped by somebody who must not: {step:?}");
     }
     // The same key must not execute anything twice.
     if after.changes.len() > before.changes.len() {
-        let key = headers.iter().find(|(name, _)| *name == "idempotency-key");
-        let key = key.expect("no command without a key").1.to_vec();
+        let key = sent.key().expect("no command without a key");
         assert!(keys.insert(key), "a second time: {step:?}");
     }
 }
 
 /// Checks that every answer has the right headers and is not an internal error of the server.
-fn judge(answer: &Answer, method: &str, uri: &str) {
+pub(crate) fn judge(answer: &Answer, method: &str, uri: &str) {
     let Answer {
         status,
         headers,

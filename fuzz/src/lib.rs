@@ -8,11 +8,17 @@
 //! * [`sidedoor`]: a second process at the door of a line.
 //! * [`http`]: requests to `retrograde serve`.
 //! * [`records`]: changed records into `verify` and the report's check.
+//! * [`documents`]: changed plans, settings, models, owner files and records of commissionings.
+//! * [`folders`]: changed folders of campaigns, with links and pipes.
+//! * [`together`]: crowds of requests to `retrograde serve`, and machines that die.
 #![forbid(unsafe_code)]
 
 pub mod bodies;
+mod command;
+pub mod documents;
 mod door;
 mod exemplary;
+pub mod folders;
 pub mod host;
 pub mod http;
 pub mod model;
@@ -21,6 +27,8 @@ pub mod script;
 mod server;
 pub mod sidedoor;
 pub mod stream;
+pub mod text;
+pub mod together;
 
 /// Longest input, bytes: enough for two dozen steps, and short enough that changing one of them often has an effect.
 pub const MAX_LEN: usize = 256;
@@ -35,7 +43,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 6] = [
+pub const TARGETS: [Target; 9] = [
     Target {
         name: "stream",
         run: stream::target,
@@ -59,5 +67,17 @@ pub const TARGETS: [Target; 6] = [
     Target {
         name: "records",
         run: records::target,
+    },
+    Target {
+        name: "documents",
+        run: documents::target,
+    },
+    Target {
+        name: "folders",
+        run: folders::target,
+    },
+    Target {
+        name: "together",
+        run: together::target,
     },
 ];

@@ -18,6 +18,7 @@ use trials::experiment;
 use trials::trial::{Recording, Trial};
 
 use crate::script::steps;
+use crate::text;
 use simulated_machines::machine::{Script, link};
 
 /// Most steps of a script that are tried.
@@ -28,7 +29,7 @@ const MOST_STEPS: usize = 8;
 pub enum Step {
     /// Replaces this many bytes by others.
     Replace(u8, u16, u8, Vec<u8>),
-    /// Replaces the next number by one of `NUMBERS`, most of them limits of integers.
+    /// Replaces the next number by one of [`text::NUMBERS`].
     Number(u8, u16, u8),
     /// Cuts the file off.
     Cut(u8, u16),
@@ -37,19 +38,6 @@ pub enum Step {
     /// Replaces the manifest.
     Manifest(Vec<u8>),
 }
-
-const NUMBERS: [&str; 10] = [
-    "0",
-    "-1",
-    "65535",
-    "2147483647",
-    "-2147483648",
-    "4294967295",
-    "9223372036854775807",
-    "18446744073709551615",
-    "1e308",
-    "0.1",
-];
 
 /// An intact record: sidecar, telemetry, manifest.
 struct Written {
@@ -115,42 +103,14 @@ fn manifest_of(data: &[u8]) {
 }
 
 fn change(files: &mut [Vec<u8>; 3], step: &Step) {
-    let place = |files: &[Vec<u8>; 3], file: u8, thousandths: u16| {
-        let file = usize::from(file) % files.len();
-        let length = files[file].len();
-        (file, length * usize::from(thousandths.min(1_000)) / 1_000)
-    };
+    let index = |file: &u8| usize::from(*file) % 3;
     match step {
         Step::Replace(file, at, count, bytes) => {
-            let (file, at) = place(files, *file, *at);
-            let end = (at + usize::from(*count)).min(files[file].len());
-            files[file].splice(at..end, bytes.iter().copied());
+            text::replace(&mut files[index(file)], *at, *count, bytes);
         }
-        Step::Number(file, at, number) => {
-            let (file, at) = place(files, *file, *at);
-            let of_number = |byte: &u8| byte.is_ascii_digit() || *byte == b'-';
-            let bytes = &mut files[file];
-            let Some(from) = bytes[at..].iter().position(of_number).map(|skip| at + skip) else {
-                return;
-            };
-            let count = bytes[from..]
-                .iter()
-                .take_while(|byte| of_number(byte))
-                .count();
-            let number = NUMBERS[usize::from(*number) % NUMBERS.len()];
-            bytes.splice(from..from + count, number.bytes());
-        }
-        Step::Cut(file, at) => {
-            let (file, at) = place(files, *file, *at);
-            files[file].truncate(at);
-        }
-        Step::Twice(file, at) => {
-            let (file, at) = place(files, *file, *at);
-            let bytes = &mut files[file];
-            let line = bytes[at..].iter().position(|byte| *byte == b'\n');
-            let rows = line.map_or(vec![], |line| bytes[at + line + 1..].to_vec());
-            bytes.extend(rows);
-        }
+        Step::Number(file, at, number) => text::number(&mut files[index(file)], *at, *number),
+        Step::Cut(file, at) => text::cut(&mut files[index(file)], *at),
+        Step::Twice(file, at) => text::twice(&mut files[index(file)], *at),
         Step::Manifest(bytes) => files[2].clone_from(bytes),
     }
 }

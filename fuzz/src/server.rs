@@ -4,11 +4,12 @@
 use std::collections::BTreeMap;
 use std::future::{Future, poll_fn};
 use std::path::Path;
-use std::pin::pin;
+use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::task::Poll;
+use std::time::Duration;
 
 use axum::Router;
 use axum::body::{Body, to_bytes};
@@ -64,6 +65,9 @@ pub struct Asked<'a> {
     /// Its body.
     pub body: &'a [u8],
 }
+
+/// A request that is being answered.
+type Answering = Pin<Box<dyn Future<Output = Answer>>>;
 
 /// A server.
 pub struct Server<'a> {
@@ -225,6 +229,35 @@ fn runtime() -> &'static Runtime {
 impl Server<'_> {
     /// The answer, and all that is done for it; `None` if this cannot be a request.
     pub fn ask(&mut self, asked: Asked<'_>) -> Option<Answer> {
+        self.ask_together(&[asked]).pop().flatten()
+    }
+
+    /// The answers to requests that come at once: all are there before anything is done for the first.
+    pub fn ask_together(&mut self, asked: &[Asked<'_>]) -> Vec<Option<Answer>> {
+        let mut answering: Vec<_> = asked.iter().map(|asked| self.answering(*asked)).collect();
+        let mut answers = vec![None; asked.len()];
+        runtime().block_on(poll_fn(|context| {
+            loop {
+                for (waiting, answer) in answering.iter_mut().zip(&mut answers) {
+                    if let Some(future) = waiting
+                        && let Poll::Ready(ready) = future.as_mut().poll(context)
+                    {
+                        (*answer, *waiting) = (Some(ready), None);
+                    }
+                }
+                if answering.iter().all(Option::is_none) {
+                    return Poll::Ready(());
+                }
+                if !self.work() {
+                    return Poll::Pending;
+                }
+            }
+        }));
+        self.work();
+        answers
+    }
+
+    fn answering(&self, asked: Asked<'_>) -> Option<Answering> {
         let mut request = Request::builder().method(asked.method).uri(asked.uri);
         for (name, value) in asked.headers {
             request = request.header(*name, *value);
@@ -233,7 +266,7 @@ impl Server<'_> {
         let body = Body::from(asked.body.to_vec());
         let request = request.extension(peer).body(body).ok()?;
         let mut router = self.router.clone();
-        let mut answering = pin!(async move {
+        Some(Box::pin(async move {
             let Ok(response) = router.call(request).await;
             let (head, body) = response.into_parts();
             let headers: BTreeMap<_, _> = head
@@ -254,19 +287,7 @@ impl Server<'_> {
                 headers,
                 body,
             }
-        });
-        let answer = runtime().block_on(poll_fn(|context| {
-            loop {
-                if let Poll::Ready(answer) = answering.as_mut().poll(context) {
-                    return Poll::Ready(answer);
-                }
-                if !self.work() {
-                    return Poll::Pending;
-                }
-            }
-        }));
-        self.work();
-        Some(answer)
+        }))
     }
 
     /// Does what was asked for; false if that was nothing.
@@ -281,7 +302,9 @@ impl Server<'_> {
                     wait,
                 } => {
                     if let Some(machine) = self.board.machine(machine) {
-                        direct::stop(self.places, self.board, machine, urgent, vec![wait]);
+                        // The worker would confirm it in a thread of its own; here it cannot meanwhile.
+                        let (places, board) = (self.places, self.board);
+                        direct::stop(places, board, machine, urgent, vec![wait], Duration::ZERO);
                     }
                 }
                 DirectRequest::Ask { question, reply } => {

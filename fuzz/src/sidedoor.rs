@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 
 use crate::door::{Door, Guest};
 use client::door::VERSION;
+use client::door::server::GUESTS as MOST_LOOKERS;
 use protocol::frame::Kind;
 use protocol::rig::{GetRigStatus, Home};
 use protocol::system::{DeviceKind, Done, Hello, Identity, ResetCause, Urgent};
@@ -57,11 +58,17 @@ pub enum Step {
     Confirm(u16, Urgent),
     /// The machine sends an exemplar, by its index.
     Tell(u8),
+    /// Silent guests come until the door has no room for another that looks.
+    Crowd,
+    /// The silent guests leave, but for this many.
+    Thin(u8),
 }
 
 /// A guest, with the state to check it by.
 struct Seat {
     guest: Guest,
+    /// It came to a full door, and may only stop.
+    stops_only: bool,
     said: Vec<u8>,
     once: Once,
     seq: u16,
@@ -77,6 +84,8 @@ struct Hall {
     /// Questions in good frames from guests, and questions that reached the owner.
     asked: usize,
     taken: usize,
+    /// Guests that say nothing, and may look.
+    silent: Vec<Guest>,
 }
 
 /// Runs a script.
@@ -109,6 +118,7 @@ impl Hall {
             unnoticed: false,
             asked: 0,
             taken: 0,
+            silent: vec![],
         }
     }
 
@@ -169,6 +179,8 @@ impl Hall {
                 let frames = frames();
                 self.door.hear(&frames[usize::from(index) % frames.len()]);
             }
+            Step::Crowd => self.crowd(),
+            Step::Thin(left) => self.silent.truncate(left.into()),
         }
         for seat in &self.seats {
             // Guests receive complete frames of a device only.
@@ -191,15 +203,33 @@ impl Hall {
         };
         assert!(knows, "let in without the token");
         assert_eq!(welcome.last(), Some(&b'\n'));
+        let stops_only = is_told_full(&welcome);
+        assert_eq!(stops_only, self.lookers() >= MOST_LOOKERS, "{welcome:?}");
         let rest = rest.to_vec();
         self.seats.push(Seat {
             guest,
+            stops_only,
             said: vec![],
             once: Once::default(),
             seq: 0,
             last: vec![],
         });
         self.say((self.seats.len() - 1) as u8, &rest);
+    }
+
+    /// Guests that may look.
+    fn lookers(&self) -> usize {
+        let seated = self.seats.iter().filter(|seat| !seat.stops_only);
+        self.silent.len() + seated.count()
+    }
+
+    fn crowd(&mut self) {
+        while self.lookers() < MOST_LOOKERS {
+            let greeting = greeting(false);
+            let (guest, welcome, _) = self.door.greet(&greeting).expect("let in");
+            assert!(!is_told_full(&welcome), "{} may look", self.lookers());
+            self.silent.push(guest);
+        }
     }
 
     fn request(&mut self, at: u8, ahead: u16, request: &Request) {
@@ -241,7 +271,12 @@ impl Hall {
         }
         let (said, _) = model::read(&whole);
         let stops: Vec<Urgent> = said.iter().filter_map(stop).collect();
-        self.asked += said.iter().filter(|frame| asks(frame)).count();
+        let stops_only = self.seats[index].stops_only;
+        if stops_only {
+            assert!(told.is_empty(), "it was told that it can only stop");
+        } else {
+            self.asked += said.iter().filter(|frame| asks(frame)).count();
+        }
         self.unnoticed |= !stops.is_empty();
         let (written, bad) = model::read(&self.door.written());
         assert_eq!(bad, 0);
@@ -280,9 +315,17 @@ impl Hall {
         }
     }
 
-    /// Checks that a new guest's stop still reaches the line at once, and its question the owner.
+    /// Checks that a new guest's stop still reaches the line at once, also past a full door, and its question the
+    /// owner when there is room.
     fn still_stops(&mut self) {
         self.seats.clear();
+        self.crowd();
+        self.come(&greeting(false));
+        let body = postcard::to_stdvec(&Urgent::Stop).expect("short");
+        self.say(0, &model::frame(Kind::Urgent as u8, 9, 9, &body));
+        self.take(Step::Notice);
+        self.seats.clear();
+        self.silent.clear();
         self.come(&greeting(false));
         let body = postcard::to_stdvec(&Urgent::EStop).expect("short");
         self.say(0, &model::frame(Kind::Urgent as u8, 9, 9, &body));
@@ -295,6 +338,11 @@ impl Hall {
         }
         assert!(self.taken > before, "the question reached nobody");
     }
+}
+
+/// Whether a guest's welcome says that it can only stop.
+fn is_told_full(welcome: &[u8]) -> bool {
+    String::from_utf8_lossy(welcome).contains("\"full\":true")
 }
 
 /// Identity of the machine on the line.

@@ -105,3 +105,18 @@ fn requests_over_http() {
 fn changed_records() {
     bounded("records", 4_000);
 }
+
+#[test]
+fn changed_documents() {
+    bounded("documents", 2_000);
+}
+
+#[test]
+fn changed_folders() {
+    bounded("folders", 300);
+}
+
+#[test]
+fn crowds_of_requests() {
+    bounded("together", 1_000);
+}

@@ -6,14 +6,19 @@ use std::fs;
 use std::path::Path;
 
 use fuzz::TARGETS;
-use fuzz::{bodies, host, http, records, sidedoor, stream};
+use fuzz::{bodies, host, records, sidedoor, stream};
 use protocol::capsule::{Calibrate, CheckFolded, FoldTo, GetTrace, Reference};
 use protocol::rig::{GetRigStatus, Hold, Home, Jog, MoveTo, Resume, RigEvent};
-use protocol::settings::{FactoryReset, Setting, SettingKey};
-use protocol::system::{Acknowledge, GetEvents, KeepAlive, SetTelemetry, Urgent, What};
+use protocol::settings::{FactoryReset, Name, Setting, SettingKey};
+use protocol::system::{Acknowledge, GetEvents, KeepAlive, LastWords, SetTelemetry, Urgent, What};
 use protocol::table::Reply::Accepted;
 use protocol::table::{Endpoint, Request, Response};
 use serde::Serialize;
+
+#[path = "corpus/files.rs"]
+mod files;
+#[path = "corpus/served.rs"]
+mod served;
 
 /// Target, name, bytes.
 type Example = (&'static str, &'static str, Vec<u8>);
@@ -337,6 +342,13 @@ fn of_host() -> Vec<Example> {
             wants: Wants::Server(number),
         })
     };
+    let shown = |number| {
+        bytes(&Plan {
+            capsule: false,
+            good: 1,
+            wants: Wants::Command(number, false),
+        })
+    };
     let started = |good, acts: &[host::Act]| {
         bytes(&Plan {
             capsule: false,
@@ -506,6 +518,35 @@ fn of_host() -> Vec<Example> {
             &[&good()[..], &[sample(3), Next(homed)], &good(), &good()].concat(),
         ),
         example(
+            "fetch",
+            started(9, &[host::Act::Fetch]),
+            &[good()[..].to_vec(), good()[..].to_vec()].concat(),
+        ),
+        example(
+            "last-words",
+            shown(0),
+            &[
+                &good()[..],
+                &[Reply(Accepted(Response::GetLastWords(LastWords {
+                    text: "\u{1b}[2J\u{202e}".try_into().expect("short"),
+                })))],
+                &good(),
+            ]
+            .concat(),
+        ),
+        example(
+            "name",
+            shown(3),
+            &[
+                &good()[..],
+                &[Reply(Accepted(Response::GetName(Name {
+                    name: "\u{9b}2J".try_into().expect("short"),
+                })))],
+            ]
+            .concat(),
+        ),
+        example("fetched", shown(4), &[good(), good(), good()].concat()),
+        example(
             "served-move",
             served(1),
             &[&good()[..], &[sample(3)], &good(), &good()].concat(),
@@ -540,12 +581,28 @@ fn far_away() -> protocol::rig::RigStatus {
 
 fn of_sidedoor() -> Vec<Example> {
     use sidedoor::Step::{
-        Again, Answer, Come, Confirm, Frame, Greeting, Hello, Leave, Machine, Noise, Notice, Order,
-        Request as Ask, Tell, Urgent as Stop, Wait,
+        Again, Answer, Come, Confirm, Crowd, Frame, Greeting, Hello, Leave, Machine, Noise, Notice,
+        Order, Request as Ask, Tell, Thin, Urgent as Stop, Wait,
     };
     let status = || Ask(0, 1, GetRigStatus.into_request());
     let example = |name, steps: &[sidedoor::Step]| ("sidedoor", name, script(&[], steps));
     vec![
+        example(
+            "full",
+            &[
+                Crowd,
+                Come(false),
+                Hello(0, 1),
+                status(),
+                Stop(0, 3, Urgent::Stop),
+                Confirm(0x8000, Urgent::Stop),
+                Thin(31),
+                Come(true),
+                Hello(1, 2),
+                Ask(1, 1, GetRigStatus.into_request()),
+                Answer(true),
+            ],
+        ),
         example(
             "look",
             &[
@@ -643,161 +700,6 @@ fn of_sidedoor() -> Vec<Example> {
     ]
 }
 
-fn of_http() -> Vec<Example> {
-    use http::Content::{Float, Known as Word, Other, Text, Thousandths};
-    use http::Field::{Any as AnyField, Known as AField};
-    use http::Header::{Foreign, Json, Key, Known, Rebound, Token};
-    use http::Line::{Any, Command, Route};
-    use http::{Body, Machines, Step};
-    let willing = Machines {
-        both: true,
-        willing: true,
-    };
-    let example =
-        |name, machines: Machines, steps: &[Step]| ("http", name, script(&bytes(&machines), steps));
-    let command = |number: u8, headers: &[http::Header], body: Body| Step {
-        here: true,
-        line: Route(number, String::new()),
-        headers: headers.to_vec(),
-        body,
-    };
-    let may = |key| vec![Token, Key(key), Json];
-    let speeds = Body::Fields(vec![
-        (AField(0), Thousandths(1_000)),
-        (AField(3), Thousandths(5_000)),
-    ]);
-    let position = Body::Fields(vec![(AField(14), Thousandths(12_500))]);
-    vec![
-        example(
-            "home",
-            willing,
-            &[
-                command(13, &may(1), Body::Empty),
-                command(13, &may(1), Body::Empty),
-                command(5, &[], Body::Empty),
-            ],
-        ),
-        example(
-            "home-without-token",
-            willing,
-            &[
-                command(13, &[Key(1), Json], Body::Empty),
-                command(13, &[Token, Key(1), Foreign], Body::Empty),
-                command(13, &[Token, Key(1), Rebound], Body::Empty),
-            ],
-        ),
-        example(
-            "run",
-            willing,
-            &[
-                command(14, &may(1), speeds.clone()),
-                command(9, &[], Body::Empty),
-                command(6, &[], Body::Empty),
-                command(7, &[], Body::Empty),
-            ],
-        ),
-        example(
-            "plan",
-            willing,
-            &[
-                command(10, &[Json], speeds),
-                command(10, &[Json], Body::Text("{\"cycles\":".to_owned())),
-            ],
-        ),
-        example(
-            "move",
-            willing,
-            &[
-                command(15, &may(1), position),
-                command(17, &may(2), Body::Renewal(1)),
-            ],
-        ),
-        example(
-            "jog",
-            willing,
-            &[
-                command(16, &may(1), Body::Fields(vec![(AField(15), Word(0))])),
-                command(17, &may(2), Body::Renewal(1)),
-            ],
-        ),
-        example(
-            "bad-fields",
-            willing,
-            &[command(
-                14,
-                &may(1),
-                Body::Fields(vec![
-                    (AField(1), Float(f64::MAX)),
-                    (AnyField("rig".to_owned()), Other(0)),
-                    (AField(13), Text("--note".to_owned())),
-                ]),
-            )],
-        ),
-        example(
-            "fold",
-            willing,
-            &[
-                command(25, &may(1), Body::Empty),
-                command(26, &may(2), Body::Empty),
-                command(21, &may(3), Body::Empty),
-            ],
-        ),
-        example(
-            "refused",
-            Machines {
-                both: false,
-                willing: false,
-            },
-            &[
-                command(13, &may(1), Body::Empty),
-                command(25, &may(2), Body::Empty),
-                command(18, &may(3), Body::Empty),
-            ],
-        ),
-        example(
-            "stop",
-            willing,
-            &[
-                command(11, &[], Body::Bytes(vec![255], 9)),
-                Step {
-                    here: false,
-                    ..command(12, &[], Body::Empty)
-                },
-                command(12, &[Known(4, b"10.0.0.9".to_vec())], Body::Empty),
-            ],
-        ),
-        example(
-            "look",
-            willing,
-            &[
-                command(0, &[], Body::Empty),
-                command(2, &[], Body::Empty),
-                command(3, &[], Body::Empty),
-                command(4, &[], Body::Empty),
-                command(8, &[], Body::Empty),
-            ],
-        ),
-        example(
-            "nothing-there",
-            willing,
-            &[
-                Step {
-                    here: true,
-                    line: Any("PUT".to_owned(), "/api/v1/rig/home?x".to_owned()),
-                    headers: may(1),
-                    body: Body::Empty,
-                },
-                Step {
-                    here: true,
-                    line: Command("rig".to_owned(), "dance".to_owned()),
-                    headers: may(1),
-                    body: Body::Empty,
-                },
-            ],
-        ),
-    ]
-}
-
 fn of_records() -> Vec<Example> {
     use records::Step::{Cut, Manifest, Number, Replace, Twice};
     let example = |name, steps: &[records::Step]| ("records", name, script(&[], steps));
@@ -834,8 +736,11 @@ fn the_corpus_is_that_of_the_scripts() {
         of_bodies(),
         of_host(),
         of_sidedoor(),
-        of_http(),
+        served::of_http(),
         of_records(),
+        files::of_documents(),
+        files::of_folders(),
+        served::of_together(),
     ]
     .concat();
     for (target, name, bytes) in &all {

@@ -8,7 +8,17 @@ use std::process::{Command, Stdio};
 use crate::process::{Failure, Result, host_cargo, installed, root};
 
 /// The targets, files of `fuzz/src`.
-const TARGETS: [&str; 6] = ["stream", "bodies", "host", "sidedoor", "http", "records"];
+const TARGETS: [&str; 9] = [
+    "stream",
+    "bodies",
+    "host",
+    "sidedoor",
+    "http",
+    "records",
+    "documents",
+    "folders",
+    "together",
+];
 
 /// Longest input, bytes; must equal `MAX_LEN` in `fuzz/src/lib.rs`.
 const MAX_LEN: u32 = 256;

@@ -107,7 +107,7 @@ pub fn run<'scope>(
             scope.spawn(move || {
                 while let Ok(first) = waiting.recv() {
                     let all = std::iter::once(first).chain(waiting.try_iter()).collect();
-                    stop(places, board, machine, urgent, all);
+                    stop(places, board, machine, urgent, all, WORKER_TIME);
                 }
             });
         }
@@ -148,13 +148,15 @@ pub fn run<'scope>(
 }
 
 /// Stops a machine once for everybody who waits for it. The stop goes through the door of the line's owner (usually
-/// the worker) or over a line of its own. If that fails, it waits for the worker, which sends the stop as well.
+/// the worker) or over a line of its own. If that fails, it waits for the worker, which sends the stop as well, for
+/// `patience` at most.
 pub fn stop(
     places: &Places<'_>,
     board: &Board,
     machine: &Machine,
     urgent: Urgent,
     waits: Vec<Wait>,
+    patience: Duration,
 ) {
     let target = Target {
         kind: Some(machine.kind),
@@ -169,7 +171,7 @@ pub fn stop(
     } else {
         let begin = Instant::now();
         let is_open = |wait: &Wait| !stops.is_confirmed(wait.ask);
-        while begin.elapsed() < WORKER_TIME && waits.iter().any(is_open) {
+        while begin.elapsed() < patience && waits.iter().any(is_open) {
             thread::sleep(Duration::from_millis(5));
         }
         if waits.iter().any(is_open) {
