@@ -1,6 +1,7 @@
 //! The settings' log in the STM32F411's flash, and its write operations.
 
 mod log;
+mod twice;
 
 use log::{KEPT, start, young};
 use protocol::settings::SettingKey;

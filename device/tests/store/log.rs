@@ -18,20 +18,20 @@ type Log = store::Store<Flash>;
 
 /// The content that a device finds when it starts.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Content {
-    values: Values,
-    name: String,
+pub struct Content {
+    pub values: Values,
+    pub name: String,
 }
 
 impl Content {
-    fn of(store: &Store) -> Self {
+    pub fn of(store: &Store) -> Self {
         Self {
             values: *store.values(),
             name: store.name().to_owned(),
         }
     }
 
-    fn default() -> Self {
+    pub fn default() -> Self {
         Self {
             values: Values::DEFAULT,
             name: String::new(),
@@ -46,12 +46,12 @@ pub fn start(flash: &Flash) -> Store {
     store
 }
 
-fn name(text: &str) -> heapless::String<MAX_NAME> {
+pub fn name(text: &str) -> heapless::String<MAX_NAME> {
     text.try_into().unwrap()
 }
 
 /// A name of the greatest length.
-fn long_name(number: u32) -> heapless::String<MAX_NAME> {
+pub fn long_name(number: u32) -> heapless::String<MAX_NAME> {
     name(&format!("{number:0width$}", width = MAX_NAME))
 }
 
@@ -74,7 +74,7 @@ pub fn young() -> Vec<u8> {
 }
 
 /// A flash whose next name drops a sector for the second time since [`KEPT`] was set, and the number of that name.
-static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
+pub static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
     let flash = Flash::holding(young());
     let mut store = start(&flash);
     let mut erasures = 0;
