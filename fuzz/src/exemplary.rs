@@ -82,8 +82,12 @@ impl Exemplary {
         }
         match response(request) {
             // End the recording: the exemplar's points would be requested again and again.
-            Response::GetEvents(events) if self.endless => {
-                Reply::Accepted(Response::GetEvents(endless(request, events)))
+            Response::GetEvents(events) => {
+                let events = match self.endless {
+                    true => endless(request, events),
+                    false => kept(request, events),
+                };
+                Reply::Accepted(Response::GetEvents(events))
             }
             Response::GetTrace(mut trace) if !self.endless => {
                 trace.points.clear();
@@ -116,6 +120,14 @@ impl Peer for Exemplary {
     fn next_us(&self) -> u64 {
         u64::MAX
     }
+}
+
+/// The exemplar's events from the wanted one on.
+fn kept(request: &Request, mut events: Events) -> Events {
+    if let Request::GetEvents(get) = request {
+        events.events.retain(|event| event.index >= get.from);
+    }
+    events
 }
 
 /// The events that were asked for, as if as many as possible were still to come. A client that connects asks for the

@@ -342,10 +342,10 @@ fn of_host() -> Vec<Example> {
             wants: Wants::Server(number),
         })
     };
-    let shown = |number| {
+    let shown = |number, good| {
         bytes(&Plan {
             capsule: false,
-            good: 1,
+            good,
             wants: Wants::Command(number, false),
         })
     };
@@ -517,35 +517,26 @@ fn of_host() -> Vec<Example> {
             served(0),
             &[&good()[..], &[sample(3), Next(homed)], &good(), &good()].concat(),
         ),
-        example(
-            "fetch",
-            started(9, &[host::Act::Fetch]),
-            &[good()[..].to_vec(), good()[..].to_vec()].concat(),
-        ),
+        example("fetch", started(200, &[host::Act::Fetch]), &[]),
+        example("fetched", shown(4, 200), &[]),
         example(
             "last-words",
-            shown(0),
+            shown(0, 3),
             &[
-                &good()[..],
                 &[Reply(Accepted(Response::GetLastWords(LastWords {
                     text: "\u{1b}[2J\u{202e}".try_into().expect("short"),
                 })))],
-                &good(),
+                &good()[..],
             ]
             .concat(),
         ),
         example(
             "name",
-            shown(3),
-            &[
-                &good()[..],
-                &[Reply(Accepted(Response::GetName(Name {
-                    name: "\u{9b}2J".try_into().expect("short"),
-                })))],
-            ]
-            .concat(),
+            shown(3, 3),
+            &[Reply(Accepted(Response::GetName(Name {
+                name: "\u{9b}2J".try_into().expect("short"),
+            })))],
         ),
-        example("fetched", shown(4), &[good(), good(), good()].concat()),
         example(
             "served-move",
             served(1),

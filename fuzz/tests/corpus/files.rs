@@ -34,6 +34,20 @@ pub fn of_documents() -> Vec<Example> {
             Kind::Settings,
             &[Replace(20, 3, "é\u{202e}".into())],
         ),
+        // The rig refuses the second one, and the first has to be put back.
+        example(
+            "settings-refused",
+            Kind::Settings,
+            &[
+                Cut(0),
+                Replace(
+                    0,
+                    0,
+                    br#"{"name": "new", "settings": {"dead_man_ms": 350, "microsteps": 24}}"#
+                        .to_vec(),
+                ),
+            ],
+        ),
         example("model", Kind::Model, &[]),
         example("model-word", Kind::Model, &[Word(0, 0), Word(980, 2)]),
         example("model-number", Kind::Model, &[Number(300, 8)]),
