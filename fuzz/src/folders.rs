@@ -207,10 +207,11 @@ impl Made {
         for finding in &verified.findings {
             command::check(&client::visible::lines(&finding.to_string()));
         }
-        // The lock is no part of the campaign, as long as it is a file.
+        // The lock is no part of the campaign, as long as it is an empty file.
         let covered = |entries: &Entries| {
-            let is_lock =
-                |name: &str, entry: &Entry| name == LOCK && matches!(entry, Entry::File(_));
+            let is_lock = |name: &str, entry: &Entry| {
+                name == LOCK && matches!(entry, Entry::File(text) if text.is_empty())
+            };
             let mut entries = entries.clone();
             entries.retain(|name, entry| !is_lock(name, entry));
             entries
