@@ -410,14 +410,7 @@ fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), Figur
             600_000,
             "< 6 %",
         ),
-        (
-            "ramp of the same",
-            &[],
-            800,
-            Some(UNEVEN_CYCLE),
-            50_000,
-            "",
-        ),
+        ("ramp of the same", &[], 800, Some(UNEVEN_CYCLE), 50_000, ""),
         (
             "249.7 kHz, 400.497 ticks a step",
             &fine,
