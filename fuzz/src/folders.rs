@@ -42,7 +42,7 @@ const DONE: u32 = 2;
 pub enum Step {
     /// Changes a file.
     Edit(u8, Change),
-    /// A link in the place of a file, to one of [`OUTSIDE`].
+    /// A link in the place of a file, to one of `OUTSIDE`.
     Link(u8, u8),
     /// A pipe in the place of a file.
     Pipe(u8),

@@ -13,7 +13,7 @@ pub enum Change {
     Cut(u16),
     /// Repeats all rows from there on.
     Twice(u16),
-    /// Puts one of [`WORDS`] into the next text in quotes, or there if none follows.
+    /// Puts one of `WORDS` into the next text in quotes, or there if none follows.
     Word(u16, u8),
 }
 
