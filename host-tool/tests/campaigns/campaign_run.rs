@@ -219,6 +219,51 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     }
 }
 
+/// The bench's displacements are those of `simulate` and of the report's band, with the plan's own stroke and cycles.
+#[test]
+fn a_virtual_campaign_has_the_rollers_of_its_plan() {
+    let memory = machines(Some(VIRTUAL_UID));
+    for (nth, stroke_mm) in (40..=130).step_by(10).enumerate() {
+        let (at, about_mm) = [("a2", 2.0), ("a5", 5.05)][nth % 2];
+        let (wall, friction) = [("dry", 0.20), ("lubricated", 0.08)][nth / 2 % 2];
+        let cycles = 1 + nth as u32 % 3;
+        let mut plan = changed(
+            PAPER,
+            &[
+                ("repeats = 10", "repeats = 1"),
+                ("stroke_mm = 130", &format!("stroke_mm = {stroke_mm}")),
+                ("cycles = 5", &format!("cycles = {cycles}")),
+                (r#"["dry", "lubricated"]"#, &format!("[\"{wall}\"]")),
+                (r#"["a1", "a2", "a3", "a4", "a5"]"#, &format!("[\"{at}\"]")),
+                ("count = 5", "count = 2"),
+            ],
+        );
+        let fold_test = plan.find("[fold_test]").expect("one");
+        let displacement = plan.find("[displacement]").expect("one");
+        plan.replace_range(fold_test..displacement, "");
+        let place = place(&plan);
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let run = [&["campaign", "run", &plan, "--out", &out, "--yes"][..], &AT].concat();
+        let (code, said, err) = memory.run(&run);
+        assert_eq!(code, 0, "{said}{err}");
+        let mm = whole(&out).state.trials[0]
+            .counted()
+            .expect("counts")
+            .value
+            .mm();
+        let mut params = Params::PAPER;
+        (params.stroke_mm, params.cycles) = (f64::from(stroke_mm), cycles);
+        params.body.friction = friction;
+        let expected = locomotion::roller::run(params, about_mm).expect("a run");
+        // The telemetry misses the carriage's turns by some micrometres, the caliper reads 0.01 mm.
+        assert!((mm - expected).abs() < 0.1, "{stroke_mm}: {mm} {expected}");
+        assert!(
+            expected > 0.5,
+            "{stroke_mm}: a body that stays says nothing"
+        );
+    }
+}
+
 #[test]
 fn the_capsule_folds_within_the_runs_that_the_plan_says() {
     let place = place(&small_plan(&[

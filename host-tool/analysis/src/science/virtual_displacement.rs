@@ -96,8 +96,7 @@ pub fn displacement(
         steps.map(|steps| screw.mm(f64::from(steps))).collect()
     };
     let unfolded = |samples: &[RigSample]| -> Result<f64, OutOfRange> {
-        let mut params = roller::Params::PAPER;
-        params.body.friction = friction;
+        let params = rollers(plan, planned.lubrication);
         let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
         for position in positions(samples) {
             body.carriage_to(position)?;
@@ -108,6 +107,9 @@ pub fn displacement(
         let design = Design::paper_printed();
         let mut params = folded::Params::PAPER.folded_by(&design, fold.thread_mm - SLACK_MM)?;
         params.friction = friction;
+        // As far along the stroke as in the paper.
+        params.tail_mm *= stroke_mm(plan) / params.stroke_mm;
+        params.stroke_mm = stroke_mm(plan);
         params.tail_mm += moved_mm;
         let mut body = folded::FoldedBody::new(params, indentation_mm)?;
         for position in positions(samples) {
@@ -159,8 +161,7 @@ pub fn after_stroke(
         return Err(RecordError::read(sidecar, "it is not the record of a run").into());
     };
     let friction = friction(planned.lubrication);
-    let mut params = roller::Params::PAPER;
-    params.body.friction = friction;
+    let params = rollers(plan, planned.lubrication);
     let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
     let mut strokes = samples
         .iter()
@@ -191,9 +192,7 @@ fn pass(
     samples: &[RigSample],
     rest_mm: Option<f64>,
 ) -> Result<f64, OutOfRange> {
-    let mut params = roller::Params::PAPER;
-    params.body.friction = friction(planned.lubrication);
-    params.stroke_mm = f64::from(plan.run.stroke_um) / 1e3;
+    let mut params = rollers(plan, planned.lubrication);
     params.body.tail_mm = plan.passes.map_or(0.0, |passes| passes.tail_mm.mm());
     let begins_mm = match planned.purpose.pass() {
         Some(Direction::Home) => params.stroke_mm,
@@ -247,6 +246,19 @@ fn noted(
         source,
         text,
     }
+}
+
+/// The rollers and the body of the paper, with the plan's stroke: at home the rollers stand as far from the body's start
+/// as the plan lets them travel.
+fn rollers(plan: &CampaignPlan, lubrication: Lubrication) -> roller::Params {
+    let mut params = roller::Params::PAPER;
+    params.body.friction = friction(lubrication);
+    params.stroke_mm = stroke_mm(plan);
+    params
+}
+
+fn stroke_mm(plan: &CampaignPlan) -> f64 {
+    f64::from(plan.run.stroke_um) / 1e3
 }
 
 /// An end of the paper's range of friction, as in `simulate roller`.
