@@ -4,6 +4,7 @@
 #![allow(clippy::print_stdout)]
 
 use capsule_plant::verdict;
+use simulated_machines::population::{missed, tried};
 
 fn main() {
     let count = std::env::args().nth(1).map_or(Ok(100), |text| text.parse());
@@ -11,7 +12,8 @@ fn main() {
         println!("say how many capsules, such as 100");
         return;
     };
-    let found = verdict::all(count, simulated_machines::population::tried);
+    let tried = verdict::all(count, tried);
+    let found: Vec<_> = tried.iter().flatten().collect();
     println!(
         "| parameter | within its uncertainty | median uncertainty | largest | largest error |"
     );
@@ -23,9 +25,9 @@ fn main() {
             .map(|(_, truth, found)| found.uncertainty / truth)
             .collect();
         shares.sort_by(f64::total_cmp);
-        let missed = column
+        let outside = column
             .iter()
-            .filter(|one| !simulated_machines::population::missed(&[**one]).is_empty())
+            .filter(|one| !missed(&[**one]).is_empty())
             .count();
         let worst = column
             .iter()
@@ -33,25 +35,19 @@ fn main() {
             .fold(0.0, f64::max);
         println!(
             "| `{name}` | {} of {count} | {:.1} % | {:.1} % | {:.1} % |",
-            column.len() - missed,
+            column.len() - outside,
             100.0 * shares[shares.len() / 2],
             100.0 * shares[shares.len() - 1],
             100.0 * worst
         );
     }
-    let whole = found
-        .iter()
-        .filter(|row| simulated_machines::population::missed(row).is_empty())
-        .count();
+    let whole = found.iter().filter(|row| missed(row).is_empty()).count();
     println!("all six: {whole} of {count}");
-    for (seed, row) in found
-        .iter()
-        .enumerate()
-        .filter(|(_, row)| !simulated_machines::population::missed(row).is_empty())
-    {
-        println!(
-            "seed {seed}: {:?}",
-            simulated_machines::population::missed(row)
-        );
+    for (seed, one) in tried.iter().enumerate() {
+        match one {
+            Ok(row) if missed(row).is_empty() => {}
+            Ok(row) => println!("seed {seed}: {:?}", missed(row)),
+            Err(error) => println!("seed {seed}: refused, {error}"),
+        }
     }
 }

@@ -5,7 +5,7 @@ use capsule_plant::Parameters;
 use firmware_capsule::fold::Command;
 use firmware_capsule::trace::Recording;
 use protocol::capsule::{ActuationOutcome, GetTrace, TracePoint};
-use trials::identify::{Estimate, Identified, REST_S, identify};
+use trials::identify::{Estimate, Identified, IdentifyError, REST_S, identify};
 
 /// Runs a motion and returns its trace, fetched in parts as the host does.
 fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {
@@ -37,8 +37,14 @@ pub fn recordings(truth: Parameters, seed: u64) -> [Vec<TracePoint>; 2] {
     [Command::Fold, Command::Unfold].map(|command| recorded(&mut sim, command))
 }
 
-/// Identifies the capsule of a seed, with all effects. Returns each parameter's name, true value and estimate.
-pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
+/// A parameter's name, true value and estimate.
+pub type Found = (&'static str, f64, Estimate);
+
+/// Identifies the capsule of a seed, with all effects.
+///
+/// # Errors
+/// Its readings fit no capsule of the design.
+pub fn tried(seed: u64) -> Result<Vec<Found>, IdentifyError> {
     let truth = Parameters::lifelike(seed);
     let [fold, unfold] = recordings(truth, seed);
     let Identified {
@@ -48,9 +54,9 @@ pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
         worm_friction,
         stiffness,
         slack_mm,
-    } = identify(&fold, &unfold).unwrap_or_else(|error| panic!("seed {seed}: {error}"));
+    } = identify(&fold, &unfold)?;
     let ohm = truth.winding_ohm + truth.bridge_ohm + truth.battery_ohm;
-    vec![
+    Ok(vec![
         ("circuit_ohm", ohm, circuit_ohm),
         (
             "motor_constant_mvs",
@@ -61,11 +67,11 @@ pub fn tried(seed: u64) -> Vec<(&'static str, f64, Estimate)> {
         ("worm_friction", truth.worm_friction, worm_friction),
         ("stiffness", truth.stiffness, stiffness),
         ("slack_mm", truth.slack_mm, slack_mm),
-    ]
+    ])
 }
 
 /// Names of the parameters whose true value lies outside the estimate's uncertainty.
-pub fn missed(found: &[(&'static str, f64, Estimate)]) -> Vec<&'static str> {
+pub fn missed(found: &[Found]) -> Vec<&'static str> {
     found
         .iter()
         .filter(|(_, truth, estimate)| (estimate.value - truth).abs() > estimate.uncertainty)
