@@ -253,8 +253,17 @@ impl Connector for Ports {
         };
         match (doorway, purpose) {
             (Some(doorway), Purpose::Stop) => {
-                if let Ok(link) = through(&doorway) {
-                    return Ok(link);
+                let begin = Instant::now();
+                loop {
+                    if let Ok(link) = through(&doorway) {
+                        return Ok(link);
+                    }
+                    match direct(address, baud, limit) {
+                        // The owner has the port for itself, so only it can pass the stop on. On a computer with much to
+                        // do it may need longer than its usual time.
+                        Err(error) if error.reason == Reason::Busy && begin.elapsed() < limit => {}
+                        opened => return opened,
+                    }
                 }
             }
             (Some(_), Purpose::StopDirectly) | (None, _) => {}
