@@ -161,6 +161,24 @@ fn way_in(
     }
 }
 
+/// Opens the line for a stop: through its owner, or else directly. An owner that has the port for itself is the only
+/// way; on a computer with much to do it may need longer than its usual time, so it is asked again while `may_wait`.
+fn way_to_stop<L>(
+    through: impl Fn() -> Result<L, OpenError>,
+    direct: impl Fn() -> Result<L, OpenError>,
+    may_wait: impl Fn() -> bool,
+) -> Result<L, OpenError> {
+    loop {
+        if let Ok(link) = through() {
+            return Ok(link);
+        }
+        match direct() {
+            Err(error) if error.reason == Reason::Busy && may_wait() => {}
+            opened => return opened,
+        }
+    }
+}
+
 /// The owner of the line does not answer. A server that owns it is not told to end itself.
 fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
     let (why, remedy) = match owner {
@@ -254,17 +272,11 @@ impl Connector for Ports {
         match (doorway, purpose) {
             (Some(doorway), Purpose::Stop) => {
                 let begin = Instant::now();
-                loop {
-                    if let Ok(link) = through(&doorway) {
-                        return Ok(link);
-                    }
-                    match direct(address, baud, limit) {
-                        // The owner has the port for itself, so only it can pass the stop on. On a computer with much to
-                        // do it may need longer than its usual time.
-                        Err(error) if error.reason == Reason::Busy && begin.elapsed() < limit => {}
-                        opened => return opened,
-                    }
-                }
+                return way_to_stop(
+                    || through(&doorway),
+                    || direct(address, baud, limit),
+                    || begin.elapsed() < limit,
+                );
             }
             (Some(_), Purpose::StopDirectly) | (None, _) => {}
             (Some(doorway), _) => return through(&doorway),
@@ -301,6 +313,8 @@ impl Connector for Ports {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
     use super::*;
 
     #[test]
@@ -315,6 +329,43 @@ mod tests {
         };
         let other = silent(&doorway, Some(other));
         assert!(other.why.contains("process 1") && other.remedy.contains("kill -9"));
+    }
+
+    /// The owner of a port is the only way to its machine, and was given up as soon as it had been slow once.
+    #[test]
+    fn a_stop_asks_the_owner_of_a_port_again_while_it_may_wait() {
+        let closed = |reason| OpenError {
+            place: "line".to_owned(),
+            reason,
+            why: String::new(),
+            remedy: String::new(),
+        };
+        for (answers_at, reason, patience, wanted, asked) in [
+            (1, Reason::Busy, 9, Ok("owner"), 1),
+            (4, Reason::Busy, 9, Ok("owner"), 4),
+            (9, Reason::Busy, 3, Err(Reason::Busy), 4),
+            (9, Reason::Absent, 9, Err(Reason::Absent), 1),
+        ] {
+            let (asks, waits) = (Cell::new(0), Cell::new(0));
+            let through = || {
+                asks.set(asks.get() + 1);
+                match asks.get() < answers_at {
+                    true => Err(closed(Reason::OwnerSilent)),
+                    false => Ok("owner"),
+                }
+            };
+            let may_wait = || {
+                waits.set(waits.get() + 1);
+                waits.get() <= patience
+            };
+            let opened = way_to_stop(through, || Err(closed(reason)), may_wait);
+            assert_eq!(opened.map_err(|error| error.reason), wanted);
+            assert_eq!(asks.get(), asked);
+        }
+        // The owner has left, and the port is free.
+        let silent = || Err(closed(Reason::OwnerSilent));
+        let opened = way_to_stop(silent, || Ok("port"), || true);
+        assert_eq!(opened.ok(), Some("port"));
     }
 
     /// A slow disk or port may delay an owner between writing its name and opening its door.

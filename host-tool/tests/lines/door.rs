@@ -191,20 +191,6 @@ fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
     run.wait().expect("ended");
 }
 
-/// The owner of a port is the only way. It was given up after a quarter of a second, which a busy computer takes.
-#[test]
-fn a_stop_waits_for_an_owner_of_a_port_that_is_slow() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
-    let run = bench.run(&["--on-link-loss", "finish"]);
-    kill(Signal::STOP, run.id());
-    let stop = bench.command(&["estop"]).spawn().expect("starts");
-    thread::sleep(Duration::from_millis(600));
-    kill(Signal::CONT, run.id());
-    assert_eq!(end(stop).0, Some(0));
-    assert_ne!(end(run).0, Some(0));
-    assert_eq!(bench.urgent().first(), Some(&Urgent::EStop));
-}
-
 #[test]
 fn the_capsule_has_a_door_of_its_own() {
     through_the_door_alone(|| {
