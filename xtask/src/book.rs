@@ -6,43 +6,17 @@ use std::process::Command;
 use crate::process::{Failure, Result, root, run, target};
 use crate::python;
 
-/// What makes the pages. Another version may warn of something else, and a warning is an error.
+/// The packages that make the pages. Another version may warn of something else, and a warning is an error.
 const PACKAGES: [(&str, &str); 2] = [("mkdocs", "1.6.1"), ("markdown-it-py", "4.3.0")];
 
 /// Builds the book into `target/book`.
 pub(crate) fn build() -> Result<()> {
-    match interpreter() {
-        Some(python) => build_with(python),
-        None => Err(Failure::new(
+    let python = interpreter().ok_or_else(|| {
+        Failure::new(
             "MkDocs cannot be installed here",
             "install Python 3.10 or newer with venv (Debian: `python3-venv`); the first time needs a network",
-        )),
-    }
-}
-
-/// As [`build`], but passes where MkDocs cannot be installed.
-pub(crate) fn check() -> Result<()> {
-    match interpreter() {
-        Some(python) => build_with(python),
-        None => {
-            println!("MkDocs cannot be installed here: the book is not built");
-            Ok(())
-        }
-    }
-}
-
-/// A Python with the packages.
-fn interpreter() -> Option<PathBuf> {
-    let wanted = PACKAGES.map(|(name, version)| format!("{name}=={version}"));
-    let versions = PACKAGES.map(|(name, version)| format!("version('{name}') == '{version}'"));
-    let statement = format!(
-        "from importlib.metadata import version; assert {}",
-        versions.join(" and ")
-    );
-    python::environment().filter(|python| python::provides(python, &statement, &wanted))
-}
-
-fn build_with(python: PathBuf) -> Result<()> {
+        )
+    })?;
     let book = target().join("book");
     let mut mkdocs = Command::new(python);
     mkdocs
@@ -58,4 +32,15 @@ fn build_with(python: PathBuf) -> Result<()> {
     let first = book.join("index.html");
     println!("{}", first.strip_prefix(root()).unwrap_or(&first).display());
     Ok(())
+}
+
+/// A Python with the packages.
+fn interpreter() -> Option<PathBuf> {
+    let wanted = PACKAGES.map(|(name, version)| format!("{name}=={version}"));
+    let versions = PACKAGES.map(|(name, version)| format!("version('{name}') == '{version}'"));
+    let statement = format!(
+        "from importlib.metadata import version; assert {}",
+        versions.join(" and ")
+    );
+    python::environment().filter(|python| python::provides(python, &statement, &wanted))
 }

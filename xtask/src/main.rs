@@ -63,8 +63,7 @@ cargo xtask <command>
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
   lint [structure|manual]
-                    format, structure, manual, book, licences, clippy for host and chip, documentation; no warning
-                    allowed
+                    format, structure, manual, licences, clippy for host and chip, documentation; no warning allowed
                     (structure, manual: only that, in a second; manual: links, length and width of pages)
   book              make a book of the manual in target/book, to browse and search; no server and no network needed
                     to read it, no warning allowed
