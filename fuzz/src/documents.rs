@@ -46,7 +46,7 @@ pub enum Kind {
     Settings,
     /// Model with a posterior.
     Model,
-    /// What the owner of a line leaves for others.
+    /// File of the owner of a line, for other processes.
     Owner,
     /// Record of a commissioning.
     Commissioning,

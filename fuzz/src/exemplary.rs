@@ -81,7 +81,6 @@ impl Exemplary {
             }
         }
         match response(request) {
-            // End the recording: the exemplar's points would be requested again and again.
             Response::GetEvents(events) => {
                 let events = match self.endless {
                     true => endless(request, events),
@@ -89,6 +88,7 @@ impl Exemplary {
                 };
                 Reply::Accepted(Response::GetEvents(events))
             }
+            // End the recording: the exemplar's points would be requested again and again.
             Response::GetTrace(mut trace) if !self.endless => {
                 trace.points.clear();
                 Reply::Accepted(Response::GetTrace(trace))

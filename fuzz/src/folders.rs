@@ -58,7 +58,7 @@ pub enum Step {
     Resume(bool),
 }
 
-/// What a link leads to, seen from the place of the campaign.
+/// Targets of the links, relative to the place of the campaign.
 const OUTSIDE: [&str; 4] = ["outside/secret.json", "outside", "/dev/zero", "nothing"];
 
 /// Command lines that read a folder.
@@ -69,7 +69,7 @@ const LINES: [&[&str]; 4] = [
     &["campaign", "status", "--json"],
 ];
 
-/// What has the name of a file.
+/// An entry of the folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Entry {
     File(Vec<u8>),
@@ -83,7 +83,7 @@ type Entries = BTreeMap<String, Entry>;
 struct Made {
     place: TempDir,
     whole: Entries,
-    /// What is on the disk.
+    /// The entries that are on the disk.
     there: Entries,
 }
 

@@ -273,7 +273,7 @@ impl Hall {
         let stops: Vec<Urgent> = said.iter().filter_map(stop).collect();
         let stops_only = self.seats[index].stops_only;
         if stops_only {
-            // What cannot be read is answered as such.
+            // A frame that cannot be read is answered as such.
             let accepts = |frame: &Good| {
                 let reply = postcard::take_from_bytes::<Reply>(&frame.body);
                 matches!(reply, Ok((Reply::Accepted(_), _)))

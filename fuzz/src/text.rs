@@ -31,7 +31,7 @@ pub const NUMBERS: [&str; 10] = [
     "0.1",
 ];
 
-/// What a terminal obeys, as itself and as JSON and TOML escape it, and ways out of a folder.
+/// Characters that a terminal obeys, as themselves and as JSON and TOML escape them, and ways out of a folder.
 const WORDS: [&str; 12] = [
     "\u{1b}]0;mine\u{7}",
     "\u{9b}2J",

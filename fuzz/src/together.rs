@@ -26,16 +26,16 @@ const MOST_CROWDS: usize = 4;
 /// Most requests of a crowd that are tried.
 const MOST_REQUESTS: usize = 6;
 
-/// The machines, and what becomes of them.
+/// The machines, and how they fail.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct Start {
     /// The machines.
     pub machines: Machines,
-    /// What becomes of them.
+    /// How they fail.
     pub fate: Fate,
 }
 
-/// What becomes of the machines.
+/// How the machines fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Fate {
     /// They live.
@@ -191,7 +191,7 @@ fn ask(server: &mut Server<'_>, here: &Here, crowd: &Crowd, keys: &mut BTreeSet<
     for (sent, answer) in sent.iter().zip(&answers) {
         let Some(answer) = answer else { continue };
         http::judge(answer, &sent.method, &sent.uri);
-        // Nobody is told `stopped` of a machine that has not confirmed it.
+        // A stop is confirmed only if a machine got one.
         if is_stop(sent) && answer.status == 200 {
             assert!(
                 !stops.is_empty(),
@@ -212,7 +212,7 @@ fn ask(server: &mut Server<'_>, here: &Here, crowd: &Crowd, keys: &mut BTreeSet<
             keys.extend(may);
         }
     }
-    // What was ordered before a stop is refused, wherever it waited.
+    // Orders from before a stop are refused, wherever they waited.
     let last = sent.iter().zip(crowd).zip(&answers).next_back();
     if let Some(((sent, step), Some(answer))) = last
         && is_stop(sent)
@@ -232,7 +232,7 @@ fn is_stop(sent: &Sent) -> bool {
     sent.method == "POST" && ["/api/v1/stop", "/api/v1/estop"].contains(&&*sent.uri)
 }
 
-/// Checks that a stop from this computer is answered by what has become of it.
+/// Checks that a stop from this computer is confirmed only if each machine got it.
 fn still_serves(server: &mut Server<'_>, here: &Here, machines: usize) {
     let before = here.asked.notes().stops.len();
     let answer = server.ask(server::Asked {

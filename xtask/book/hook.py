@@ -1,4 +1,4 @@
-"""What MkDocs makes the book from: pages, navigation and anchors, each as a forge has them.
+"""The pages, navigation and anchors of the book, each as a forge has them.
 
 A page keeps its path in the repository, so that its links are right as they stand. The tables of docs/README.md are
 the navigation; MkDocs warns of a page that is in none of them.
@@ -97,7 +97,7 @@ def on_page_markdown(markdown, **_):
 
 
 def anchor(heading, separator):
-    """What a forge makes of a heading, as in `anchors` of xtask/src/manual.rs."""
+    """The anchor that a forge gives a heading, as in `anchors` of xtask/src/manual.rs."""
     name = re.sub(r"[^\w-]", "", heading.strip().lower().replace(" ", separator))
     before = anchors.get(name, 0)
     anchors[name] = before + 1
@@ -110,7 +110,7 @@ def on_page_content(html, **_):
 
 
 def on_post_page(output, page, **_):
-    """Warns of what a page would load from the network."""
+    """Warns of each thing that a page would load from the network."""
     for element in LOADED.findall(output):
         log.warning("%s loads from elsewhere: %s", page.file.src_uri, element)
     return output

@@ -1,5 +1,5 @@
 //! Two cuts of the supply: one in a change, and one in the next change after it, each in every operation and in every
-//! way. What the first one leaves may be a log that no undisturbed device ever has.
+//! way. The first one may leave a log that no undisturbed device ever has.
 
 use device::store::StorageFailed;
 use protocol::settings::SettingKey;
@@ -7,7 +7,7 @@ use protocol::settings::SettingKey;
 use super::chip::{Cut, Flash};
 use super::log::{Content, OLD, Store, long_name, name, start, young};
 
-/// A change of what is stored.
+/// A change of the content.
 #[derive(Clone, Copy, Debug)]
 enum Change {
     Set(SettingKey, u32),
@@ -26,7 +26,7 @@ impl Change {
         }
     }
 
-    /// What is stored when it was made on this.
+    /// The content after this change of `before`.
     fn on(self, before: &Content) -> Content {
         let mut after = before.clone();
         match self {

@@ -142,7 +142,7 @@ pub struct Machines {
     rig: Device,
     capsule: Option<Device>,
     origin: Origin,
-    /// What its commissioning lacks, or that it is complete.
+    /// Gaps in the rig's commissioning, or `complete`.
     commissioning: String,
     known: Value,
     /// When and how the position was found; none while it is unknown.

@@ -1,20 +1,20 @@
-//! What is known of the carriage when its rig is lost during a motion: one sentence for the error.
+//! The last known place of the carriage when its rig is lost during a motion: one sentence for the error.
 
 use std::fmt;
 
 use crate::decimal;
 
-/// What the rig said last, and what the motion can have come to since.
+/// The rig's last answer, and the possible course of its motion since.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LastSeen {
     /// Position of the carriage and the age of the answer that gave it, both in us or um; none if the rig was not
     /// homed then.
     pub at: Option<(i32, u64)>,
-    /// What can have become of the motion.
+    /// Possible course of the motion since.
     pub since: Since,
 }
 
-/// What can have become of the motion since.
+/// Possible course of the motion since the last answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Since {
     /// The rig brakes by itself when it has not heard from this tool for this long, ms.

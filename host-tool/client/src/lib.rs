@@ -7,7 +7,7 @@
 //! * [`diagnosis`]: the other end when no machine answers.
 //! * [`error`]: the reason why a request failed, and the remedy.
 //! * [`identity`]: names of machines, images and versions.
-//! * [`last_seen`]: what is known of the carriage of a lost rig.
+//! * [`last_seen`]: the last known place of the carriage of a lost rig.
 //! * [`named`]: the user's names for machines.
 //! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.

@@ -70,7 +70,7 @@ impl Conduct<'_> {
     }
 }
 
-/// What differs between the facts of two sessions, in words.
+/// Differences between the facts of two sessions, in words.
 fn differences(before: &Value, now: &Value, name: &str) -> Vec<String> {
     match (before, now) {
         (Value::Object(before), Value::Object(now)) => {
