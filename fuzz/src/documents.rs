@@ -14,13 +14,11 @@ use client::address::Address;
 use client::door::lock::{Doorway, OwnerFile};
 use client::identity::Origin;
 use client::link::owner::Owner;
-use client::link::{Link, OpenError};
 use client::subject::Subject;
 use client::{Device, Unobserved};
 use commissioning::record::{Commissioning, StepOutcome, StepResult};
 use jiff::Timestamp;
 use locomotion::model::Model;
-use operations::connector::{Candidate, Connector, Purpose};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
@@ -29,6 +27,7 @@ use simulated_machines::machine::{Log, Script, link};
 use tempfile::TempDir;
 use trials::fetched;
 
+use crate::bench::{Bench, absent};
 use crate::command;
 use crate::host::RUN;
 use crate::script::steps;
@@ -97,6 +96,11 @@ fn of(path: &Path) -> &str {
     path.to_str().expect("UTF-8")
 }
 
+/// Runs a command line that needs no machine.
+fn alone(args: &[&str]) -> (u8, String) {
+    command::run(args, &Bench(|_| Err(absent())))
+}
+
 fn plan(folder: &Path, bytes: &[u8]) {
     let file = file(folder, "plan.toml", bytes);
     let text = std::str::from_utf8(bytes).unwrap_or("not a plan");
@@ -106,7 +110,7 @@ fn plan(folder: &Path, bytes: &[u8]) {
     }
     let out = folder.join("campaign");
     let args = ["campaign", "new", of(&file), "--out", of(&out)];
-    let (code, said) = command::run(&args, &Rig::default());
+    let (code, said) = alone(&args);
     assert_ne!(code, 0, "{said}");
     assert!(!out.exists(), "made of a plan that cannot be read");
 }
@@ -114,9 +118,15 @@ fn plan(folder: &Path, bytes: &[u8]) {
 /// Either all settings are those of the file afterwards, or none has changed.
 fn settings(folder: &Path, bytes: &[u8]) {
     let file = file(folder, "settings.json", bytes);
-    let rig = Rig::default();
-    let (code, said) = command::run(&["--rig", "/bench", "settings", "import", of(&file)], &rig);
-    let log = rig.log.lock().unwrap_or_else(PoisonError::into_inner);
+    let log: Mutex<Option<Arc<Mutex<Log>>>> = Mutex::default();
+    let bench = Bench(|_| {
+        let (link, new) = link(rig());
+        *log.lock().unwrap_or_else(PoisonError::into_inner) = Some(new);
+        Ok(link)
+    });
+    let args = ["--rig", "/bench", "settings", "import", of(&file)];
+    let (code, said) = command::run(&args, &bench);
+    let log = log.lock().unwrap_or_else(PoisonError::into_inner);
     let Some(log) = &*log else {
         assert_ne!(code, 0, "{said}");
         return;
@@ -146,7 +156,7 @@ fn model(folder: &Path, bytes: &[u8]) {
     let Some((model, posterior)) = built else {
         let (file, out) = (file(folder, "model.toml", bytes), folder.join("simulation"));
         let args = ["simulate", "--model", of(&file), "--out", of(&out)];
-        let (code, said) = command::run(&args, &Rig::default());
+        let (code, said) = alone(&args);
         assert_ne!(code, 0, "{said}");
         return;
     };
@@ -208,13 +218,7 @@ fn fetched_record(folder: &Path, bytes: &[u8]) {
     // With this beside it, it would be read like a trial.
     fs::write(file.with_extension("csv"), "").expect("a folder");
     let command = ["list", "verify", "report"][bytes.len() % 3];
-    command::run(&[command, of(&folder)], &Rig::default());
-}
-
-/// A rig of its own for each command line.
-#[derive(Default)]
-struct Rig {
-    log: Mutex<Option<Arc<Mutex<Log>>>>,
+    alone(&[command, of(&folder)]);
 }
 
 fn rig() -> Script {
@@ -232,32 +236,6 @@ fn untouched() -> (Vec<u32>, String) {
         (log.settings(), log.name())
     });
     before.clone()
-}
-
-impl Connector for Rig {
-    fn open(
-        &self,
-        _: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let (link, log) = link(rig());
-        *self.log.lock().unwrap_or_else(PoisonError::into_inner) = Some(log);
-        Ok(link)
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
-    }
 }
 
 impl Samples {

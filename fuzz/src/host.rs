@@ -4,14 +4,14 @@
 use std::fs;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
+use crate::bench::{Bench, Opened, absent};
 use crate::command;
 use crate::server::{self, INSTANCE, Server};
 use client::address::Address;
 use client::error::ClientError;
-use client::link::{Link, LinkError, OpenError, Reason};
+use client::link::{Link, LinkError};
 use client::{Device, Observer, Progress};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
 use protocol::frame::Kind;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::settings::{GetSetting, SettingKey};
@@ -343,40 +343,14 @@ pub(crate) const RUN: Run = Run {
     link_loss: LinkLossPolicy::Stop,
 };
 
-/// Opens the one link, once.
-struct Once(Mutex<Option<Line>>);
-
-impl Connector for Once {
-    fn open(
-        &self,
-        _: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let mut link = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        match link.take() {
-            Some(line) => Ok(Box::new(line)),
-            None => Err(OpenError {
-                place: "bench".to_owned(),
-                reason: Reason::Absent,
-                why: "it is gone".to_owned(),
-                remedy: "none".to_owned(),
-            }),
-        }
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
-    }
+/// Opens the one line, once.
+fn once(line: Line) -> Bench<impl Fn(DeviceKind) -> Opened> {
+    let line = Mutex::new(Some(line));
+    Bench(move |_| {
+        let mut line = line.lock().unwrap_or_else(PoisonError::into_inner);
+        let line = line.take().ok_or_else(absent)?;
+        Ok(Box::new(line))
+    })
 }
 
 /// Command lines that show what a machine says of itself.
@@ -410,7 +384,7 @@ fn command(line: Line, kind: DeviceKind, number: u8, json: bool) {
     if json {
         args.push("--json");
     }
-    command::run(&args, &Once(Mutex::new(Some(line))));
+    command::run(&args, &once(line));
     for entry in fs::read_dir(out).expect("a folder").flatten() {
         let _ = fs::remove_file(entry.path());
     }
@@ -424,39 +398,33 @@ fn server(line: Line, kind: DeviceKind, number: u8) {
     const TOKEN: &str = "0123456789abcdef";
     let places = [(kind, Address::Serial("bench".to_owned()))];
     let folder = std::env::temp_dir();
-    server::with(
-        &Once(Mutex::new(Some(line))),
-        &places,
-        TOKEN,
-        &folder,
-        |server| {
-            let command = COMMANDS[usize::from(number) % COMMANDS.len()];
-            let body = match command {
-                "rig/move" => "{\"position_mm\":1}",
-                _ => "{}",
-            };
-            let uri = format!("/api/v1/{command}");
-            let key = format!("{INSTANCE}-1");
-            let bearer = format!("Bearer {TOKEN}");
-            let headers: [(&str, &[u8]); 4] = [
-                ("host", b"localhost"),
-                ("authorization", bearer.as_bytes()),
-                ("idempotency-key", key.as_bytes()),
-                ("content-type", b"application/json"),
-            ];
-            let ask = |server: &mut Server<'_>, method, uri| {
-                let answer = server.ask(server::Asked {
-                    here: true,
-                    method,
-                    uri,
-                    headers: &headers,
-                    body: body.as_bytes(),
-                });
-                answer.expect("a request").status
-            };
-            ask(server, "POST", &uri);
-            assert_eq!(ask(server, "GET", "/api/v1/state"), 200);
-            assert_eq!(ask(server, "GET", "/api/v1/actions"), 200);
-        },
-    );
+    server::with(&once(line), &places, TOKEN, &folder, |server| {
+        let command = COMMANDS[usize::from(number) % COMMANDS.len()];
+        let body = match command {
+            "rig/move" => "{\"position_mm\":1}",
+            _ => "{}",
+        };
+        let uri = format!("/api/v1/{command}");
+        let key = format!("{INSTANCE}-1");
+        let bearer = format!("Bearer {TOKEN}");
+        let headers: [(&str, &[u8]); 4] = [
+            ("host", b"localhost"),
+            ("authorization", bearer.as_bytes()),
+            ("idempotency-key", key.as_bytes()),
+            ("content-type", b"application/json"),
+        ];
+        let ask = |server: &mut Server<'_>, method, uri| {
+            let answer = server.ask(server::Asked {
+                here: true,
+                method,
+                uri,
+                headers: &headers,
+                body: body.as_bytes(),
+            });
+            answer.expect("a request").status
+        };
+        ask(server, "POST", &uri);
+        assert_eq!(ask(server, "GET", "/api/v1/state"), 200);
+        assert_eq!(ask(server, "GET", "/api/v1/actions"), 200);
+    });
 }

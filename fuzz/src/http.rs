@@ -8,9 +8,6 @@ use std::sync::OnceLock;
 
 use crate::server::{self, Answer, INSTANCE, Server};
 use client::address::Address;
-use client::link::{Link, OpenError};
-use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -19,6 +16,7 @@ use serve::orders::RUN;
 use simulated_machines::link::Memory;
 use tempfile::TempDir;
 
+use crate::bench::Bench;
 use crate::exemplary::{Asked, Exemplary};
 use crate::script::steps;
 
@@ -141,37 +139,6 @@ const TEXTS: [&str; 8] = [
     "away", "home", "finish", "stop", "paper", "rig", "capsule", "-0",
 ];
 
-/// Opens links to the machines.
-struct Here {
-    asked: Asked,
-    willing: bool,
-}
-
-impl Connector for Here {
-    fn open(
-        &self,
-        kind: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let machine = Exemplary::new(kind, self.willing, &self.asked);
-        Ok(Box::new(Memory::new("bench", machine)))
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
-    }
-}
-
 /// Runs a script.
 ///
 /// # Panics
@@ -189,16 +156,17 @@ pub fn target(data: &[u8]) {
     if machines.both {
         places.push((DeviceKind::Capsule, place("capsule")));
     }
-    let here = Here {
-        asked: Asked::default(),
-        willing: machines.willing,
-    };
-    server::with(&here, &places, TOKEN, out, |server| {
+    let asked = Asked::default();
+    let bench = Bench(|kind| {
+        let machine = Exemplary::new(kind, machines.willing, &asked);
+        Ok(Box::new(Memory::new("bench", machine)))
+    });
+    server::with(&bench, &places, TOKEN, out, |server| {
         let mut keys = BTreeSet::new();
         for step in steps::<Step>(data).take(MOST_STEPS) {
-            ask(server, &here.asked, &step, &mut keys);
+            ask(server, &asked, &step, &mut keys);
         }
-        still_serves(server, &here.asked);
+        still_serves(server, &asked);
     });
     tidy(out);
 }

@@ -13,6 +13,7 @@
 //! * [`together`]: crowds of requests to `retrograde serve`, and machines that die.
 #![forbid(unsafe_code)]
 
+mod bench;
 pub mod bodies;
 mod command;
 pub mod documents;

@@ -6,9 +6,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use client::address::Address;
-use client::link::{Link, LinkError, OpenError, Reason};
-use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use client::link::{Link, LinkError};
 use protocol::system::DeviceKind;
 use protocol::table::Impact;
 use serde::{Deserialize, Serialize};
@@ -16,6 +14,7 @@ use simulated_machines::link::Memory;
 use std::sync::Arc;
 use tempfile::TempDir;
 
+use crate::bench::{Bench, Opened, absent};
 use crate::exemplary::{Asked, Exemplary};
 use crate::http::{self, Body, Machines, Sent, TOKEN};
 use crate::script::steps;
@@ -104,21 +103,10 @@ impl Link for Mortal {
     }
 }
 
-impl Connector for Here {
-    fn open(
-        &self,
-        kind: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
+impl Here {
+    fn open(&self, kind: DeviceKind) -> Opened {
         if self.fate == Fate::Absent {
-            return Err(OpenError {
-                place: "bench".to_owned(),
-                reason: Reason::Absent,
-                why: "there is none".to_owned(),
-                remedy: "plug it in".to_owned(),
-            });
+            return Err(absent());
         }
         let machine = Exemplary::new(kind, self.willing, &self.asked);
         Ok(Box::new(Mortal {
@@ -126,18 +114,6 @@ impl Connector for Here {
             fate: self.fate,
             frames: Arc::clone(&self.frames),
         }))
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
     }
 }
 
@@ -162,7 +138,8 @@ pub fn target(data: &[u8]) {
         fate: start.fate,
         frames: Arc::default(),
     };
-    server::with(&here, &places, TOKEN, out.path(), |server| {
+    let bench = Bench(|kind| here.open(kind));
+    server::with(&bench, &places, TOKEN, out.path(), |server| {
         let mut keys = BTreeSet::new();
         let machines = if start.machines.both { 2 } else { 1 };
         for crowd in steps::<Crowd>(data).take(MOST_CROWDS) {
