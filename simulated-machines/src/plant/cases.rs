@@ -453,6 +453,36 @@ pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
     (name, sim.plant.extremes_mm().0)
 }
 
+/// References past an obstacle of 0.5 to 300 N/mm in the last 4 mm of the way, and folds if that completes. Returns the
+/// outcome and by how much the fold is shorter than one without the obstacle, mm.
+pub fn referenced_short(seed: u64) -> (String, f64) {
+    let mut random = Random::new(seed ^ 0x5807);
+    let parameters = Parameters::lifelike(seed);
+    let folded_mm = |sim: &mut Simulation| {
+        let name = run(sim, Command::Fold);
+        (name, sim.plant.wound_mm())
+    };
+    let mut sim = Simulation::calibrated(parameters, seed);
+    let (_, whole_mm) = folded_mm(&mut sim);
+    let mut sim = Simulation::calibrated(parameters, seed);
+    let folded = sim.capsule.calibration().map_or(0, |one| one.folded.0);
+    let end_mm = f64::from(folded) / 1e3 - sim.plant.parameters.slack_mm;
+    sim.reset(false);
+    sim.plant.suffer(Defect::Obstacle {
+        at_mm: end_mm - random.between(0.0, 4.0),
+        n_per_mm: 0.5 * 600_f64.powf(random.unit()),
+    });
+    let name = run(&mut sim, Command::Reference);
+    if name != "Complete" {
+        return (name, 0.0);
+    }
+    let (name, short_mm) = folded_mm(&mut sim);
+    match name.as_str() {
+        "Complete" => (name, whole_mm - short_mm),
+        _ => (format!("then {name}"), 0.0),
+    }
+}
+
 /// Ends a motion, or the second after it, at a random instant by a cut of the power, a watchdog, an emergency stop or a
 /// silent host, then follows the manual's way out. Returns its end, the least thread on the spool and the thread left
 /// on it, mm.
