@@ -393,13 +393,13 @@ fn a_timer_that_is_reset_is_counted() {
     while resets(&mut rig) == 0 {
         assert!(cut < 60, "none in {cut} stops");
         cut += 1;
-        // A step every 417 us, and bursts of 320 us: longer than a stop waits.
+        // A step every 417 us, and bursts of 400 us: longer than a stop waits, which is some 300 us.
         let run = quick(1, 4_000, 3_000, 500_000);
         let accepted = rig.device.run(run).expect("accepted");
         rig.bench.advance_us(100_000).expect("the bench runs");
         let slow = Beats {
             first_ns: 500,
-            apart_ns: 80_000,
+            apart_ns: 100_000,
         };
         burst(&rig, slow).expect("the bench runs");
         let at_ns = rig.bench.now_ns() + dice.roll(20_000_000..50_000_000);
