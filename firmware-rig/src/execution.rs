@@ -10,27 +10,29 @@ use motion::{
     axis::{Acceleration, Direction},
     edge_timing::Timed,
     step_times::Equal,
-    units::{StepPosition, Steps, Window},
+    units::{StepPosition, Steps, TICKS_PER_US, Window},
 };
 
 /// Time prepared ahead in the ring, 8 ms. A stop takes effect only after it.
 pub const LEAD_TICKS: u32 = 800_000;
+/// Time at which the ring counts as full, 7.8 ms: steps leave it while it is filled, and to replace these at once would
+/// cost a batch each.
+const FULL_TICKS: u32 = LEAD_TICKS / 40 * 39;
 /// Fewest periods to keep in the ring: a few long ones reach the lead, but must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
 /// Periods at which the ring counts as full. It holds four more, but on a steep ramp at the highest step rates it plays
-/// periods as fast as they are prepared: filling it completely would never end and would starve the other tasks. With
-/// 104 a ramp of 7 m/s2 at 207 kHz ran dry.
-const FULL_QUEUE: u32 = 120;
+/// periods as fast as they are prepared: filling it completely would never end and would starve the other tasks.
+const FULL_QUEUE: u32 = 232;
 /// Most periods to prepare before showing them to the ring. The captured edges are compared after each batch: on a
 /// steep ramp the ring plays nearly as fast as it is filled, so a round lasts as long as the ramp and the capture
 /// buffer would overflow.
-const BATCH: usize = 32;
+const BATCH: usize = 64;
 /// Batches up to this size are always allowed. A larger one has at most half as many periods as wait in the ring, so
 /// that those outlast its preparation.
 const LEAST_BATCH: u32 = 8;
 /// Most edges compared in one look.
-pub const EDGES_PER_LOOK: u32 = 64;
-/// Looks needed to drain the capture buffer: 1,024 edges, and one more look, because each ends at the buffer's end. The
+pub const EDGES_PER_LOOK: u32 = 128;
+/// Looks needed to drain the capture buffer: 2,048 edges, and one more look, because each ends at the buffer's end. The
 /// bound keeps noise on the wire from holding up motion.
 const LOOKS: u32 = 17;
 /// Compare edges only with this many periods in the ring, or with half the lead: then there is time.
@@ -153,19 +155,22 @@ pub struct Order {
 pub enum Pace {
     /// Nothing to do.
     Idle,
-    /// The ring is full.
-    Filled,
+    /// The ring is full: half of it has played after this time.
+    Filled {
+        /// Time in us.
+        within_us: u32,
+    },
     /// A turn, the end or an answer is awaited.
     Waiting,
 }
 
 impl Pace {
     /// The next round has to come within this time, us. Rounds that find the ring full are most of the load of steady
-    /// motion, so they come as rarely as possible: the ring lasts three times as long.
-    pub const fn within_us(self) -> u64 {
+    /// motion, so they come as rarely as possible.
+    pub const fn within_us(self) -> u32 {
         match self {
-            Pace::Idle => CHECK_IN_MS * 1_000,
-            Pace::Filled => 2_500,
+            Pace::Idle => CHECK_IN_MS as u32 * 1_000,
+            Pace::Filled { within_us } => within_us,
             Pace::Waiting => 100,
         }
     }
@@ -187,7 +192,9 @@ impl MotionTask {
             Some(execution)
                 if execution.filling == Filling::Full && execution.ended_stroke.is_none() =>
             {
-                Pace::Filled
+                Pace::Filled {
+                    within_us: execution.half_us,
+                }
             }
             _ => Pace::Waiting,
         }
@@ -246,6 +253,8 @@ struct Execution {
     /// Tick of the last step before the ring's pulses.
     passed_tick: u64,
     filling: Filling,
+    /// Half of the time prepared in the ring, us.
+    half_us: u32,
     min_queue: Option<u16>,
     stopped: bool,
     /// Buffer in which steps are prepared for the ring.
@@ -284,6 +293,7 @@ impl Execution {
             passed: position,
             passed_tick: 0,
             filling: Filling::Full,
+            half_us: 0,
             min_queue: None,
             stopped: false,
             batch: [Equal::default(); BATCH],
@@ -413,6 +423,7 @@ impl Execution {
             }
             self.filling = self.top_up(ring);
             if self.filling == Filling::Full {
+                self.half_us = ring.lead() / (2 * TICKS_PER_US as u32);
                 return;
             }
         }
@@ -423,7 +434,7 @@ impl Execution {
         loop {
             let (lead, room) = (ring.lead(), ring.room());
             let waiting = ring.waiting();
-            if lead >= LEAD_TICKS && waiting >= MIN_QUEUE || waiting >= FULL_QUEUE || room == 0 {
+            if lead >= FULL_TICKS && waiting >= MIN_QUEUE || waiting >= FULL_QUEUE || room == 0 {
                 return Filling::Full;
             }
             let most = room.min((waiting / 2).max(LEAST_BATCH)) as usize;

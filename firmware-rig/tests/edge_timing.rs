@@ -260,21 +260,66 @@ fn after_a_loss_nothing_more_is_compared() {
     assert_eq!(timing.timed().edges, 1);
 }
 
-/// The comparison remembers the periods waiting in the ring, and those of half a ring played since the last look.
+/// The comparison remembers the periods waiting in the ring, and those of a whole ring played since the last look.
 #[test]
-fn a_look_may_come_half_a_ring_late() {
+fn a_look_may_come_a_ring_late() {
     let mut timing = Watch::default();
-    for _ in 0..128 + 64 {
+    for _ in 0..256 + 256 {
         timing.expect(steps(400, 0));
     }
-    for edge in 0..128 + 64 {
+    for edge in 0..256 + 256 {
         timing.compare(iter::once(edge * 400));
     }
     let expected = Timed {
-        edges: 192,
+        edges: 512,
         worst_error_ticks: 0,
     };
     assert_eq!(timing.timed(), expected);
+}
+
+/// More periods than the timeline remembers, as between two strokes.
+#[test]
+fn a_long_pause_is_passed_with_and_without_a_missing_edge() {
+    for (missing, expected) in [
+        (
+            0,
+            Timed {
+                edges: 4,
+                worst_error_ticks: 0,
+            },
+        ),
+        (
+            1,
+            Timed {
+                edges: 3,
+                worst_error_ticks: 65_536_100,
+            },
+        ),
+        // The comparison waits for the last but one, and the pause pushes it out of the timeline.
+        (
+            2,
+            Timed {
+                edges: 1,
+                worst_error_ticks: u32::MAX,
+            },
+        ),
+    ] {
+        let mut timing = Watch::default();
+        for _ in 0..3 {
+            timing.expect(steps(100, 0));
+        }
+        timing.compare([1_000, 1_100, 1_200].into_iter().take(3 - missing));
+        for _ in 0..1_000 {
+            timing.expect(Period {
+                pulse: false,
+                ..steps(65_536, 0)
+            });
+            timing.compare(iter::empty());
+        }
+        timing.expect(steps(100, 0));
+        timing.compare(iter::once(1_300 + 65_536_000));
+        assert_eq!(timing.timed(), expected, "{missing} missing");
+    }
 }
 
 /// Counts intervals by their error, over several paths. The first edge of a path ends no interval; an added edge

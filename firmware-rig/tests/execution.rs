@@ -245,8 +245,8 @@ fn the_papers_cycle_has_every_pulse_at_its_tick() {
     bench.assert_complete(&path);
     assert_eq!(bench.trace().len(), 208_000);
     assert_eq!(report.last_tick, 800_000_000);
-    // In cruise a period is 20 rounds of 35 us, and 5.5 ms are always there.
-    assert!(report.min_queue.unwrap() >= 8, "{report:?}");
+    // In cruise a period is 20 rounds of 35 us, and 3.9 ms are always there.
+    assert!(report.min_queue.unwrap() >= 5, "{report:?}");
 }
 
 /// A path that fits into the ring never leaves it short.
@@ -267,7 +267,7 @@ fn the_shortest_queue_is_reported_if_there_was_one() {
     // One round is late; the next ones are on time again.
     let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
     bench.run_for(2 * MS);
-    bench.neglect(3 * MS / 10);
+    bench.neglect(4 * MS / 10);
     let (end, report) = bench.finish();
     assert_eq!(end, PathEnd::Complete);
     let least = report.min_queue.unwrap();
@@ -290,7 +290,7 @@ fn a_stop_in_cruise_takes_effect_soon() {
         let took = bench.carriage.last_pulse - stopped;
         let lead = u64::from(LEAD_TICKS) + 80_000;
         assert!(took > 35 * MS && took < lead + 37 * MS, "{took}");
-        // 6 ms of 28.5 kHz before a look, and what a repetition adds after it.
+        // 4 ms of 28.5 kHz before a look, and what a repetition adds after it.
         assert!((171..=252).contains(&queued), "{queued}");
     }
 }
@@ -306,9 +306,17 @@ fn motion_looks_often_only_when_it_has_to() {
         "it is woken for an order"
     );
     bench.motion_round();
-    assert_eq!(bench.carriage.pace(), Pace::Filled);
+    let filled = |pace| {
+        matches!(
+            pace,
+            Pace::Filled {
+                within_us: 3_800..=4_400
+            }
+        )
+    };
+    assert!(filled(bench.carriage.pace()));
     bench.run_for(50 * MS);
-    assert_eq!(bench.carriage.pace(), Pace::Filled);
+    assert!(filled(bench.carriage.pace()));
     // The whole stroke and its dwell are queued: motion must now be in time for the turn.
     bench.run_for(bench.plan[7_999].at - 10 * US - bench.carriage.now);
     assert_eq!(bench.carriage.pace(), Pace::Waiting);
@@ -416,7 +424,7 @@ fn a_cut_path_reports_what_left() {
             let place = bench.carriage.place;
             let what = format!("{count} pulses, dead counter: {counter_is_dead}: {report:?}");
             if counter_is_dead {
-                // Without a counter, only the steps of the last round are in doubt: 2.5 ms and one period.
+                // Without a counter, only the steps of the last round are in doubt: 4 ms and one period.
                 let missing = report.commanded.distance_to(StepPosition(place)).0;
                 assert!(missing <= 200, "{missing}: {what}");
             } else {

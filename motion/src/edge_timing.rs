@@ -2,7 +2,7 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 
-use crate::timeline::Timeline;
+use crate::timeline::{Mark, REMEMBERED, Timeline};
 
 /// Result of the comparison on a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -28,9 +28,11 @@ pub struct Intervals {
 /// A missing, moved or additional edge shows as a wrong interval; at the last step, in [`EdgeTiming::timed_whole`].
 #[derive(Debug, Default)]
 pub struct EdgeTiming {
-    /// Number of the next period with pulses.
+    /// Number of the next period.
     next: u32,
-    /// Edges still to come of the period before it.
+    /// End of the period before it.
+    end: Mark,
+    /// Edges still to come of that period.
     to_come: u32,
     /// Ticks between these edges.
     interval: u32,
@@ -38,6 +40,8 @@ pub struct EdgeTiming {
     due: u32,
     /// The captures' clock minus the path's, at the last edge.
     offset: u32,
+    /// An edge of the path has come. The first one has no interval before it.
+    begun: bool,
     /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
     timed: Timed,
@@ -60,7 +64,7 @@ impl EdgeTiming {
 
     /// Result of a path of which every step has left. A last step without an edge shows in no interval.
     pub fn timed_whole(&self, line: &Timeline) -> Timed {
-        let missing = self.to_come > 0 || self.next != line.given_with_pulses();
+        let missing = self.to_come > 0 || self.end.pulses != line.end().pulses;
         let mut timed = self.timed;
         // Without the jumper nothing was timed.
         if missing && timed.edges > 0 && !self.lost {
@@ -79,60 +83,115 @@ impl EdgeTiming {
     // Not inlined, so that its state stays in registers although its caller is optimised for size.
     #[inline(never)]
     pub fn compare(&mut self, line: &Timeline, instants: &[AtomicU32]) {
-        // Without the jumper no edges arrive, and the timeline forgets periods before they are compared.
-        self.lost |= !line.remembers(self.next);
         if self.lost {
             return;
         }
-        let given = line.given_with_pulses();
-        let (mut next, mut to_come, mut due) = (self.next, self.to_come, self.due);
-        let (mut interval, mut offset) = (self.interval, self.offset);
-        let mut edges = instants.iter();
-        let mut additional = 0;
-        while let Some(at) = edges.next() {
-            let at = at.load(Ordering::Relaxed);
-            if to_come == 0 {
-                if next == given {
-                    self.timed.worst_error_ticks = u32::MAX;
-                    additional = 1 + edges.len();
-                    break;
-                }
-                let pulses = line.pulses(next);
-                // The first edge has no interval before it.
-                if next == 0 {
-                    offset = at.wrapping_sub(pulses.first);
-                    self.intervals.exact = self.intervals.exact.wrapping_sub(1);
-                }
-                next = next.wrapping_add(1);
-                due = pulses.first.wrapping_add(offset);
-                (interval, to_come) = (pulses.steps.interval, pulses.steps.steps);
+        if !line.remembers(self.next) {
+            self.lost = true;
+            // Not the steps behind a missing edge have pushed it out, but a pause: the jumper is there.
+            let behind = line.end().pulses.wrapping_sub(self.end.pulses);
+            if self.begun && instants.is_empty() && behind < REMEMBERED / 2 {
+                self.timed.worst_error_ticks = u32::MAX;
             }
-            to_come = to_come.wrapping_sub(1);
-            if at != due {
-                let by = at.wrapping_sub(due);
-                self.differ(by);
-                offset = offset.wrapping_add(by);
-                due = at;
-            }
-            due = due.wrapping_add(interval);
+            return;
         }
-        (self.next, self.to_come, self.due) = (next, to_come, due);
-        (self.interval, self.offset) = (interval, offset);
+        if !self.begun {
+            self.begin(line, instants);
+        }
+        let given = line.given();
+        let (mut next, mut end, mut to_come) = (self.next, self.end, self.to_come);
+        let (mut interval, mut due, mut offset) = (self.interval, self.due, self.offset);
+        let mut edges = instants.iter();
+        let additional = 'edges: loop {
+            while to_come > 0 {
+                let Some(at) = edges.next() else {
+                    break 'edges 0;
+                };
+                let at = at.load(Ordering::Relaxed);
+                if at != due {
+                    offset = offset.wrapping_add(self.differ(at, due));
+                }
+                due = at.wrapping_add(interval);
+                to_come -= 1;
+            }
+            // Periods of a single step each have a loop of their own: where periods are unlike, hardly any other comes.
+            let mark = loop {
+                if next == given {
+                    break 'edges edges.len();
+                }
+                let mark = line.at_end_of(next);
+                due = end.ticks.wrapping_add(offset);
+                let pulses = mark.pulses.wrapping_sub(end.pulses);
+                let edge = if pulses == 1 { edges.next() } else { None };
+                let Some(at) = edge else {
+                    to_come = pulses;
+                    break mark;
+                };
+                let at = at.load(Ordering::Relaxed);
+                if at != due {
+                    offset = offset.wrapping_add(self.differ(at, due));
+                }
+                end = mark;
+                next = next.wrapping_add(1);
+            };
+            let ticks = mark.ticks.wrapping_sub(end.ticks);
+            interval = ticks.checked_div(to_come).unwrap_or(0);
+            end = mark;
+            next = next.wrapping_add(1);
+        };
+        (self.next, self.end, self.to_come) = (next, end, to_come);
+        (self.interval, self.due, self.offset) = (interval, due, offset);
+        self.pass_pauses(line);
+        if additional > 0 {
+            self.timed.worst_error_ticks = u32::MAX;
+        }
         self.timed.edges = self.timed.edges.wrapping_add(instants.len() as u32);
         // `differ` has already subtracted the intervals that are off. An additional edge ends none.
         let intervals = instants.len().wrapping_sub(additional) as u32;
         self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 
-    /// Notes an interval that differs from the planned one.
+    /// Takes the first edge of a path for the time when its first step was due: no interval ends at it.
+    #[inline(never)]
+    fn begin(&mut self, line: &Timeline, instants: &[AtomicU32]) {
+        let Some(first) = instants.first() else {
+            return;
+        };
+        if line.end().pulses == 0 {
+            return; // an edge without a step
+        }
+        let first = first.load(Ordering::Relaxed);
+        if self.to_come > 0 {
+            // Its period was taken up by an earlier look.
+            (self.offset, self.due) = (first.wrapping_sub(self.due), first);
+        } else {
+            self.pass_pauses(line);
+            self.offset = first.wrapping_sub(self.end.ticks);
+        }
+        self.begun = true;
+        self.intervals.exact = self.intervals.exact.wrapping_sub(1);
+    }
+
+    /// Passes periods without pulses, even if an edge before them is still to come or missing: a long pause would push
+    /// it out of the timeline.
+    fn pass_pauses(&mut self, line: &Timeline) {
+        while self.next != line.given() && line.at_end_of(self.next).pulses == self.end.pulses {
+            self.end = line.at_end_of(self.next);
+            self.next = self.next.wrapping_add(1);
+        }
+    }
+
+    /// Notes an interval that differs from the planned one, and returns by how much.
     #[cold]
     #[inline(never)]
-    fn differ(&mut self, by: u32) {
+    fn differ(&mut self, at: u32, due: u32) -> u32 {
+        let by = at.wrapping_sub(due);
         let error = (by as i32).unsigned_abs();
         self.timed.worst_error_ticks = self.timed.worst_error_ticks.max(error);
         let off = &mut self.intervals.off[error.min(3) as usize - 1];
         *off = off.wrapping_add(1);
         self.intervals.exact = self.intervals.exact.wrapping_sub(1);
+        by
     }
 
     /// Whether nothing more can be compared on this path, as without the jumper.

@@ -16,6 +16,7 @@
 pub mod axis;
 pub mod edge_timing;
 pub mod run;
+pub mod slots;
 pub mod step_times;
 pub mod timeline;
 pub mod trapezoid;

@@ -534,7 +534,6 @@ impl Cruise {
     /// are any.
     #[inline(never)]
     fn batch(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
-        let mut taken = Taken::default();
         let Self {
             interval,
             slope,
@@ -543,49 +542,57 @@ impl Cruise {
             ..
         } = *self;
         if interval >= LONGEST_TAKEN {
-            return taken;
+            return Taken::default();
         }
         let back = double - slope;
         let most_alike = share.equal.min(share.equal_ticks / (interval + 1)).max(1) - 1;
-        for group in groups {
-            if taken.steps == most || taken.ticks >= share.ticks {
+        // No group begins after these steps. Counting them costs less than adding up the ticks.
+        let begun = most.min(share.ticks.div_ceil(interval + 1));
+        let (mut steps, mut longer) = (0, 0);
+        let most_groups = groups.len();
+        let mut free = groups.iter_mut();
+        while steps < begun {
+            let Some(group) = free.next() else {
                 break;
-            }
+            };
             // The first step of a group comes on top of the equal ones that follow it.
-            let most_alike = most_alike.min(most - taken.steps - 1);
-            let mut steps = 1;
+            steps += 1;
+            let mut alike = 0;
             let mut ticks = interval;
             if carry < back {
                 carry += slope;
                 if carry < back {
                     // Each equal step adds a slope to the carry, as long as the carry is below `back`.
-                    let alike = (back - 1 - carry)
+                    let more = (back - 1 - carry)
                         .checked_div(slope)
                         .map_or(u32::MAX, |more| more + 1);
-                    let alike = alike.min(most_alike);
-                    steps += alike;
+                    alike = more.min(most_alike).min(most - steps);
                     carry += alike * slope;
                 }
             } else {
                 ticks += 1;
                 carry -= back;
                 if carry >= back {
-                    let alike = (carry / back).min(most_alike);
-                    steps += alike;
+                    alike = (carry / back).min(most_alike).min(most - steps);
                     carry -= alike * back;
                 }
+                longer += 1 + alike;
             }
+            steps += alike;
             *group = Equal {
                 interval: ticks,
-                steps,
+                steps: 1 + alike,
             };
-            taken.groups += 1;
-            taken.steps += steps;
-            taken.ticks += ticks * steps;
         }
+        let count = most_groups - free.len();
+        let ticks = interval * steps + longer;
         self.carry = carry;
-        self.tick += u64::from(taken.ticks);
-        taken
+        self.tick += u64::from(ticks);
+        Taken {
+            groups: count,
+            steps,
+            ticks,
+        }
     }
 }
 

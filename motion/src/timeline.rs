@@ -1,13 +1,11 @@
-//! The planned periods as a line of ticks: the path's progress at the end of each of the latest periods, and the times
-//! of the latest pulses.
+//! The planned periods as a line of ticks and pulses: the path's progress at the end of each of the latest periods.
 
+use crate::slots::SLOTS;
 use crate::step_times::Equal;
 
-/// Periods whose ends are remembered; at least as many as the ring has slots.
-pub const REMEMBERED: u32 = 128;
-/// Periods with pulses that are remembered: those waiting in the ring, and those played since the captured edges were
-/// last compared. Each is at most one ring, so two rings.
-const PULSES_REMEMBERED: u32 = 256;
+/// Periods whose ends are remembered: those waiting in the ring, and those played since the captured edges were last
+/// compared. Each is at most one ring.
+pub const REMEMBERED: u32 = 2 * SLOTS as u32;
 
 /// Progress on a path; both values wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,6 +18,7 @@ pub struct Mark {
 
 impl Mark {
     /// Difference from an earlier mark to this one.
+    #[inline]
     #[must_use]
     pub fn since(self, before: Self) -> Self {
         Self {
@@ -27,15 +26,6 @@ impl Mark {
             pulses: self.pulses.wrapping_sub(before.pulses),
         }
     }
-}
-
-/// The pulses of a period.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Pulses {
-    /// Ticks from the path's start to the first one; wraps.
-    pub first: u32,
-    /// Their number and interval.
-    pub steps: Equal,
 }
 
 /// The latest periods of a path.
@@ -46,9 +36,6 @@ pub struct Timeline {
     /// End of the last period.
     end: Mark,
     given: u32,
-    /// Periods with pulses; the index is the number among these, modulo the array's length.
-    pulses: [Pulses; PULSES_REMEMBERED as usize],
-    given_with_pulses: u32,
 }
 
 impl Default for Timeline {
@@ -57,8 +44,6 @@ impl Default for Timeline {
             marks: [Mark::default(); REMEMBERED as usize],
             end: Mark::default(),
             given: 0,
-            pulses: [Pulses::default(); PULSES_REMEMBERED as usize],
-            given_with_pulses: 0,
         }
     }
 }
@@ -66,9 +51,8 @@ impl Default for Timeline {
 impl Timeline {
     /// Starts a new path.
     pub fn clear(&mut self) {
-        (self.given, self.given_with_pulses) = (0, 0);
-        self.end = Mark::default();
-        self.marks = [self.end; REMEMBERED as usize];
+        self.marks.fill(Mark::default());
+        (self.end, self.given) = (Mark::default(), 0);
     }
 
     /// Appends periods without pulses, as one.
@@ -82,23 +66,16 @@ impl Timeline {
     // Not inlined, so that the line stays in registers although its caller is optimised for size.
     #[inline(never)]
     pub fn extend(&mut self, groups: &[Equal]) {
-        let (mut given, mut with_pulses, mut end) = (self.given, self.given_with_pulses, self.end);
-        for &steps in groups {
-            self.pulses[(with_pulses % PULSES_REMEMBERED) as usize] = Pulses {
-                first: end.ticks,
-                steps,
-            };
-            with_pulses = with_pulses.wrapping_add(1);
+        let (mut given, mut end) = (self.given, self.end);
+        for &Equal { interval, steps } in groups {
             end = Mark {
-                ticks: end
-                    .ticks
-                    .wrapping_add(steps.interval.wrapping_mul(steps.steps)),
-                pulses: end.pulses.wrapping_add(steps.steps),
+                ticks: end.ticks.wrapping_add(interval.wrapping_mul(steps)),
+                pulses: end.pulses.wrapping_add(steps),
             };
             self.marks[(given % REMEMBERED) as usize] = end;
             given = given.wrapping_add(1);
         }
-        (self.given, self.given_with_pulses, self.end) = (given, with_pulses, end);
+        (self.given, self.end) = (given, end);
     }
 
     /// Number of periods since the start; wraps in runs of many hours.
@@ -115,28 +92,16 @@ impl Timeline {
 
     /// End of period `number`, counted from 0, which has to be one of the last [`REMEMBERED`]. Before the first period
     /// the progress is zero.
+    #[inline]
     #[must_use]
     pub fn at_end_of(&self, number: u32) -> Mark {
         self.marks[(number % REMEMBERED) as usize]
     }
 
-    /// Number of periods with pulses since the start; wraps.
-    #[must_use]
-    pub fn given_with_pulses(&self) -> u32 {
-        self.given_with_pulses
-    }
-
-    /// Whether all periods with pulses from number `from` on are remembered.
+    /// Whether all periods from number `from` on are remembered.
     #[must_use]
     pub fn remembers(&self, from: u32) -> bool {
-        self.given_with_pulses.wrapping_sub(from) <= PULSES_REMEMBERED
-    }
-
-    /// A period with pulses, by its number among these; it has to be remembered.
-    #[inline]
-    #[must_use]
-    pub fn pulses(&self, number: u32) -> Pulses {
-        self.pulses[(number % PULSES_REMEMBERED) as usize]
+        self.given.wrapping_sub(from) <= REMEMBERED
     }
 
     /// Ticks from the last emitted pulse to the end of the last period, if `unemitted` pulses are still to come.

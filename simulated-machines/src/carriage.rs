@@ -272,7 +272,7 @@ impl Carriage {
         self.motion.round(&mut self.ring, &mut self.mail);
         self.next_round = match self.pace() {
             Pace::Idle => u64::MAX,
-            pace => self.now + 100 * pace.within_us(),
+            pace => self.now + 100 * u64::from(pace.within_us()),
         };
         if self.round_end.is_none() && self.ring.plays() {
             self.round_end = Some(self.now);
@@ -310,9 +310,6 @@ impl Carriage {
                         return Vec::new();
                     };
                     self.round_end = Some(end + u64::from(round.ticks));
-                    if self.ring.interrupts() {
-                        self.wake();
-                    }
                     self.play(end, round)
                 }
                 _ if self.next_round == u64::MAX => Vec::new(),

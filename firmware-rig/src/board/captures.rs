@@ -8,8 +8,8 @@ use super::channels::{DMA_ERRORS, LOST_CAPTURES};
 use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 use embassy_stm32::pac::{self, DMA1, TIM5, timer::regs::SrGp16};
 
-/// Size of the capture ring: 4 ms at the highest step rate. Motion reads it every 2.5 ms.
-const INSTANTS: usize = 1_024;
+/// Size of the capture ring: 8 ms at the highest step rate. Motion reads it every 4 ms.
+const INSTANTS: usize = 2_048;
 const STREAM: usize = 4;
 /// TIM5_CH2 (RM0383 table 27).
 const DMA_CHANNEL: u8 = 6;

@@ -263,7 +263,6 @@ fn is_high(pin: Pin) -> bool {
 fn configure_priorities() {
     interrupt::TIM1_BRK_TIM9.set_priority(Priority::P1);
     interrupt::EXTI9_5.set_priority(Priority::P3);
-    interrupt::DMA2_STREAM5.set_priority(Priority::P4);
     interrupt::SPI5.set_priority(Priority::P6);
     // SAFETY: the handlers are in `switches.rs` and `step_generator.rs`; nothing they use is initialised later than
     // this.

@@ -23,10 +23,7 @@ use super::{
     clock::clock_failed,
     pins,
 };
-use core::{
-    cell::UnsafeCell,
-    sync::atomic::{Ordering, compiler_fence},
-};
+use core::sync::atomic::{Ordering, compiler_fence};
 use embassy_stm32::{
     interrupt::{self, InterruptExt},
     pac::{self, DMA2, TIM1, TIM2},
@@ -39,15 +36,12 @@ use firmware_rig::{
 use motion::{
     axis::Direction,
     edge_timing::{EdgeTiming, Timed},
+    slots::{SLOTS, Slots, WORDS},
     step_times::Equal,
     timeline::{Mark, Timeline},
     units::StepPosition,
 };
 
-/// Slots of the ring. At 28.5 kHz and no two periods alike it holds 4.3 ms.
-const SLOTS: usize = 128;
-/// Words of a burst.
-pub const WORDS: usize = 5;
 const RING_WORDS: u32 = (SLOTS * WORDS) as u32;
 /// Most periods that may wait in the ring. The remaining slots keep the zero slot away from the reader.
 const MAX_QUEUE: i32 = SLOTS as i32 - 4;
@@ -76,11 +70,8 @@ const PULSE_READS: u32 = 2_000;
 /// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
 const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
 
-#[repr(C, align(4))]
-struct Slots(UnsafeCell<[[u16; WORDS]; SLOTS]>);
-// SAFETY: written only by the one `StepGenerator` with volatile stores; the other reader is the DMA controller.
-unsafe impl Sync for Slots {}
-static RING: Slots = Slots(UnsafeCell::new([[0; WORDS]; SLOTS]));
+/// Read by the DMA controller.
+static RING: Slots = Slots::new();
 
 /// The generator; one exists.
 pub struct StepGenerator {
@@ -103,7 +94,7 @@ impl StepGenerator {
         configure_timer();
         let stream = DMA2.st(STREAM);
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
-        stream.m0ar().write_value(RING.0.get() as u32);
+        stream.m0ar().write_value(RING.as_ptr() as u32);
 
         // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.3, external clock mode 2). A level
         // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320
@@ -116,9 +107,8 @@ impl StepGenerator {
         TIM2.egr().write(|w| w.set_ug(true));
         TIM2.cr1().modify(|w| w.set_cen(true));
 
-        // SAFETY: both handlers are below; they touch registers and channels only.
+        // SAFETY: the handler is below; it touches registers and channels only.
         unsafe {
-            interrupt::DMA2_STREAM5.enable();
             interrupt::TIM1_BRK_TIM9.enable();
         }
         rearm_loop();
@@ -145,8 +135,7 @@ impl StepGenerator {
             let cut = cortex_m::interrupt::free(|_| {
                 self.update();
                 let slot = self.fetched.wrapping_sub(2);
-                // SAFETY: a word of a slot; only this generator writes it.
-                let last_tick = unsafe { words(slot).read_volatile() };
+                let last_tick = RING.last_tick(slot);
                 let left = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
                 // Safe to cut: the next pulse is too far away to begin before the outputs are off, or the counter is
                 // blocked.
@@ -172,10 +161,7 @@ impl StepGenerator {
     /// Publishes `count` slots from `first` on by writing the first word of the first one; all other words are written
     /// before. If DMA fetches a half-written slot anyway, its zero stops the counter.
     fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
-        compiler_fence(Ordering::SeqCst);
-        // SAFETY: as in `end_slot`.
-        unsafe { words(first).write_volatile(last_tick) };
-        compiler_fence(Ordering::SeqCst);
+        RING.show(first, last_tick);
         self.update();
         // If no other slot is queued, DMA has fetched the slot before these, and prefetched the first word of the
         // first one: perhaps still the zero that stops the counter.
@@ -198,7 +184,7 @@ impl Ring for StepGenerator {
         self.halt();
         self.pulse_ticks = pulse_ticks;
         for slot in 0..SLOTS as u32 {
-            end_slot(slot);
+            RING.end(slot);
         }
         DMA2.st(STREAM)
             .ndtr()
@@ -228,8 +214,8 @@ impl Ring for StepGenerator {
             0
         };
         let pulse = if period.pulse { self.pulse_ticks } else { 0 };
-        end_slot(slot.wrapping_add(1));
-        write_slot(words(slot), period.repeats.into(), sync as u16, pulse);
+        RING.end(slot.wrapping_add(1));
+        RING.write(slot, period.repeats.into(), sync as u16, pulse);
         self.show(slot, (period.ticks - 1) as u16, 1)
     }
 
@@ -239,18 +225,8 @@ impl Ring for StepGenerator {
         if !in_time {
             return Err(Underrun);
         }
-        end_slot(first.wrapping_add(groups.len() as u32));
-        let (mut slot, pulse) = (first, self.pulse_ticks);
-        for steps in groups {
-            let words = words(slot);
-            // Neither subtraction wraps: a group has at least one step, a step at least one tick.
-            write_slot(words, steps.steps.wrapping_sub(1) as u16, 0, pulse);
-            if slot != first {
-                // SAFETY: as in `end_slot`.
-                unsafe { words.write_volatile(steps.interval.wrapping_sub(1) as u16) };
-            }
-            slot = slot.wrapping_add(1);
-        }
+        RING.end(first.wrapping_add(groups.len() as u32));
+        RING.write_steps(first, groups, self.pulse_ticks);
         self.show(
             first,
             groups[0].interval.wrapping_sub(1) as u16,
@@ -309,8 +285,6 @@ impl Ring for StepGenerator {
             w.set_psize(pac::dma::vals::Size::BITS16);
             w.set_msize(pac::dma::vals::Size::BITS16);
             w.set_pl(pac::dma::vals::Pl::VERY_HIGH);
-            w.set_htie(true);
-            w.set_tcie(true);
         });
         compiler_fence(Ordering::SeqCst);
         stream.cr().modify(|w| w.set_en(true));
@@ -404,7 +378,6 @@ impl Ring for StepGenerator {
 }
 
 /// Clears the flags of the stream, which has to be off.
-/// Clears the stream's flags.
 pub fn clear_flags() {
     DMA2.ifcr(STREAM / 4).write(|w| {
         w.set_htif(STREAM % 4, true);
@@ -457,40 +430,6 @@ fn burst_is_whole() -> bool {
     })
 }
 
-/// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
-#[inline]
-fn end_slot(slot: u32) {
-    let words = words(slot);
-    // SAFETY: the five words of a slot lie inside the ring; volatile, because DMA reads them.
-    unsafe {
-        words.write_volatile(0);
-        words.add(1).write_volatile(0);
-        words.add(2).write_volatile(0);
-        words.add(4).write_volatile(0);
-    }
-    compiler_fence(Ordering::SeqCst);
-}
-
-/// Writes all words of a slot except the first (ARR): RCR, CCR1, CCR3. CCR2 is unused.
-// Once per step: inline, although the image is optimised for size.
-#[inline(always)]
-fn write_slot(words: *mut u16, repeats: u16, sync: u16, pulse: u16) {
-    // SAFETY: as in `end_slot`.
-    unsafe {
-        words.add(1).write_volatile(repeats);
-        words.add(2).write_volatile(sync);
-        words.add(4).write_volatile(pulse);
-    }
-}
-
-/// The first word of a slot. Slot numbers wrap at the end of the ring.
-#[inline]
-fn words(slot: u32) -> *mut u16 {
-    let slots = RING.0.get().cast::<[u16; WORDS]>();
-    // SAFETY: `slot % SLOTS` lies inside the ring.
-    unsafe { slots.add(slot as usize % SLOTS).cast::<u16>() }
-}
-
 /// Position by the read-back counter.
 pub fn counted() -> StepPosition {
     StepPosition(TIM2.cnt().read() as i32)
@@ -499,15 +438,6 @@ pub fn counted() -> StepPosition {
 /// Sets the read-back counter. Only while no pulse can come.
 pub fn set_counted(position: StepPosition) {
     TIM2.cnt().write_value(position.0 as u32);
-}
-
-#[pac::interrupt]
-fn DMA2_STREAM5() {
-    DMA2.ifcr(STREAM / 4).write(|w| {
-        w.set_htif(STREAM % 4, true);
-        w.set_tcif(STREAM % 4, true);
-    });
-    channels::MOTION_WAKE.signal(());
 }
 
 /// The E-stop loop opened, or the clock security broke the timer; the hardware has already cleared MOE.

@@ -109,7 +109,7 @@ fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 
     number + 1
 }
 
-/// Unmasks noisy lines whose time is over. Called every 10 ms, and every 2.5 ms while something moves.
+/// Unmasks noisy lines whose time is over. Called every 10 ms, and every 4 ms while something moves.
 pub fn tend() {
     WATCHES.iter().for_each(Watch::unmask_when_due);
 }

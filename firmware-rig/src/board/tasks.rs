@@ -46,14 +46,14 @@ use protocol::{
     table::Telemetry,
 };
 
-/// Highest task priority. Idle: every 100 ms. Moving: every 2.5 ms at the latest, for slow motion; else the ring wakes
-/// it twice a round. While a turn or the end is awaited: every 0.1 ms.
+/// Highest task priority. Idle: every 100 ms. Moving: when half of what is prepared has played, every 4 ms or, above
+/// 32 kHz where no two periods are alike, more often. While a turn or the end is awaited: every 0.1 ms.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGenerator) -> ! {
     let mut motion = MotionTask::default();
     loop {
         check_in(Client::Motion);
-        let wait = Duration::from_micros(motion.pace().within_us());
+        let wait = Duration::from_micros(motion.pace().within_us().into());
         // Run a round after a time-out as well as after a wake-up.
         let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
         switches::tend();

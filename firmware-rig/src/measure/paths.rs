@@ -110,7 +110,7 @@ fn play(
             _ => {}
         }
         feed();
-        let wait = motion.pace().within_us() as u32 * (MS / 1_000);
+        let wait = motion.pace().within_us() * (MS / 1_000);
         let began = DWT::cycle_count();
         while cycles_since(began) < wait && !MOTION_WAKE.signaled() {}
         MOTION_WAKE.reset();

@@ -6,15 +6,14 @@ use super::{MS, cycles_since, tell};
 use crate::board::{
     channels::INTERVALS,
     pins,
-    step_generator::{
-        DMA_CHANNEL, STREAM, StepGenerator, WORDS, clear_flags, is_armed, rearm_loop,
-    },
+    step_generator::{DMA_CHANNEL, STREAM, StepGenerator, clear_flags, is_armed, rearm_loop},
 };
 use core::cell::UnsafeCell;
 use cortex_m::{asm::delay, peripheral::DWT};
 use embassy_stm32::pac::{self, DMA2, TIM1, timer::regs::SrAdv};
 use firmware_rig::{execution::Ring, periods::Period};
 use measurements::Measurement as M;
+use motion::slots::WORDS;
 use motion::step_times::Equal;
 
 /// A period of 0, which blocks the counter. It comes into play as in the ring: preloaded, at an update.

@@ -7,6 +7,7 @@ use firmware_rig::{
 use motion::{
     axis::Direction,
     edge_timing::{EdgeTiming, Timed},
+    slots::SLOTS,
     step_times::Equal,
     timeline::Timeline,
     units::StepPosition,
@@ -22,8 +23,6 @@ pub enum Ahead {
     Slots,
 }
 
-/// Slots of the board's ring.
-const SLOTS: u64 = 128;
 /// Slots that stay empty: they keep the end mark away from the DMA's read position.
 const SPARE: u64 = 4;
 /// Slots that the hardware has already taken: one plays, one is preloaded.
@@ -38,8 +37,6 @@ pub struct Slots {
     /// Rounds of the first period that have begun.
     begun: u32,
     pub running: bool,
-    /// Periods played to their end since the start of the path.
-    played: u64,
     /// Ticks of all queued periods, counting the first one in full.
     ticks: u64,
     pulses: u32,
@@ -91,7 +88,6 @@ impl Slots {
             periods: VecDeque::new(),
             begun: 0,
             running: false,
-            played: 0,
             ticks: 0,
             pulses: 0,
             direction: Direction::Home,
@@ -153,14 +149,8 @@ impl Slots {
         }
         self.periods.pop_front();
         self.begun = 0;
-        self.played += 1;
         self.ticks -= u64::from(period.ticks) * u64::from(rounds);
         self.pulses -= if period.pulse { rounds } else { 0 };
-    }
-
-    /// DMA has just reached the middle or the end of the ring, where it interrupts.
-    pub fn interrupts(&self) -> bool {
-        self.begun == 1 && (self.played + TAKEN).is_multiple_of(SLOTS / 2)
     }
 
     /// Rounds left in the current period. They will play whatever is ordered, unless they are cut.
@@ -295,7 +285,7 @@ impl Ring for Slots {
         };
         self.queued_at_halt = self.pulses - playing;
         self.periods.clear();
-        (self.begun, self.played, self.ticks, self.pulses) = (0, 0, 0, 0);
+        (self.begun, self.ticks, self.pulses) = (0, 0, 0);
         (self.armed, self.running) = (false, false);
     }
 
