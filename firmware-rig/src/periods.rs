@@ -302,8 +302,8 @@ impl Periods {
         self.window.contains(next).then_some(next)
     }
 
-    /// Fills `groups` with the next steps of the stroke in progress, and returns how many groups. It stops at the
-    /// first one that reaches `ticks`. When it returns 0, call [`Periods::next_item`], which handles everything else
+    /// Fills `groups` with the next steps of the stroke in progress, and returns how many groups. None begins after
+    /// `ticks`. When it returns 0, call [`Periods::next_item`], which handles everything else
     /// and would give the same pulses for these steps.
     pub fn steps(&mut self, groups: &mut [Equal], ticks: u32) -> usize {
         if self.gap > 0 || self.after != After::Pulse || self.sync {

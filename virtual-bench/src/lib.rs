@@ -43,5 +43,6 @@ pub mod sidedoor;
 pub mod torture;
 pub mod unmeasured;
 pub mod verdicts;
+pub mod warm;
 #[cfg(unix)]
 pub mod webpage;

@@ -21,6 +21,8 @@ use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::population;
 use virtual_bench::serve::Server;
 use virtual_bench::torture;
+use virtual_bench::unmeasured::FigureError;
+use virtual_bench::warm;
 #[cfg(unix)]
 use virtual_bench::webpage::{self, By};
 
@@ -170,11 +172,18 @@ fn main() -> ExitCode {
     }
 }
 
-fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(), BenchError> {
+fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(), FigureError> {
     let (rig, capsule) = match (rig, capsule) {
         (None, None) => (Some(7001), Some(7002)),
         chosen => chosen,
     };
+    let warm = [
+        rig.map(|_| thread::spawn(warm::rig)),
+        capsule.map(|_| thread::spawn(warm::capsule)),
+    ];
+    for machine in warm.into_iter().flatten() {
+        machine.join().map_err(|_| panicked())??;
+    }
     let mut serving = Vec::new();
     if let Some(port) = rig {
         let bench = boards::rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
@@ -194,11 +203,13 @@ fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(
         serving.push(serve_one(bench, "capsule", port, plug)?);
     }
     for server in serving {
-        server
-            .join()
-            .map_err(|_| BenchError::Ended("a server failed".into()))??;
+        server.join().map_err(|_| panicked())??;
     }
     Ok(())
+}
+
+fn panicked() -> BenchError {
+    BenchError::Ended("a machine's thread failed".into())
 }
 
 fn serve_one<W: Wiring>(

@@ -1,0 +1,90 @@
+//! Executes the usual requests on a machine that nobody sees, before one is served in real time: the next machine with
+//! the same image takes over its translated code.
+//!
+//! The emulator translates code when it is first executed: in the first homing for 0.6 s of processor time. On a busy
+//! computer that is longer than a client waits for an answer, and what a machine cannot catch up is lost.
+
+use client::{Device, Unobserved};
+use protocol::rig::{GetRigHardware, GetRigHealth, Hold, Jog, MoveTo, Resume, Run, RunTiming};
+use protocol::settings::{Setting, SettingKey};
+use protocol::system::{DeviceKind, Urgent};
+use trials::experiment::{DEFAULT_TELEMETRY_MS, PAPER_RUN};
+
+use crate::boards;
+use crate::link::VirtualLink;
+use crate::plants::capsule::Parameters;
+use crate::plants::rig::RigOptions;
+use crate::unmeasured::FigureError;
+
+/// 10 mm there and back.
+const SHORT: Run = Run {
+    cycles: 1,
+    stroke_um: 10_000,
+    timing: RunTiming::Total {
+        total_us: 1_000_000,
+        accel_um_s2: 400_000,
+    },
+    ..PAPER_RUN
+};
+
+/// Homes a rig, runs, holds, resumes, moves and stops it.
+///
+/// # Errors
+/// As those of the machine that is served after it.
+pub fn rig() -> Result<(), FigureError> {
+    let bench = boards::rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
+    let link = Box::new(VirtualLink::new(&bench, "warming up"));
+    let mut device = Device::connect(link, DeviceKind::Rig, 1)?;
+    device.call(Setting {
+        key: SettingKey::PullOffUm,
+        value: 1_000,
+    })?;
+    let accepted = device.home()?;
+    device.wait_homing(&accepted, &mut Unobserved)?;
+    device.set_telemetry(DEFAULT_TELEMETRY_MS)?;
+    let accepted = device.run(SHORT)?;
+    device.idle(200_000, &mut Unobserved)?;
+    device.call(Hold)?;
+    device.idle(200_000, &mut Unobserved)?;
+    device.call(Resume)?;
+    device.wait_run(&accepted, &mut Unobserved)?;
+    let speed_um_s = 10_000;
+    let position_um = 5_000;
+    let accepted = device.call(MoveTo {
+        position_um,
+        speed_um_s,
+    })?;
+    device.wait_move(&accepted, &mut Unobserved)?;
+    let sense = protocol::rig::Direction::Away;
+    device.call(Jog { sense, speed_um_s })?;
+    device.idle(100_000, &mut Unobserved)?;
+    device.urgent(Urgent::Stop)?;
+    device.wait_rest()?;
+    device.call(GetRigHealth)?;
+    device.call(GetRigHardware)?;
+    device.kept_events()?;
+    device.urgent(Urgent::EStop)?;
+    device.acknowledge()?;
+    Ok(())
+}
+
+/// Lets a capsule begin to look for its reference, and stops it: the rest takes seconds of virtual time.
+///
+/// # Errors
+/// As those of the machine that is served after it.
+pub fn capsule() -> Result<(), FigureError> {
+    let bench = boards::capsule::start(Parameters::nominal())?;
+    let link = Box::new(VirtualLink::new(&bench, "warming up"));
+    let mut device = Device::connect(link, DeviceKind::Capsule, 1)?;
+    device.set_telemetry(DEFAULT_TELEMETRY_MS)?;
+    device.reference()?;
+    device.idle(300_000, &mut Unobserved)?;
+    device.urgent(Urgent::Stop)?;
+    device.idle(100_000, &mut Unobserved)?;
+    device.actuation_record()?;
+    device.trace()?;
+    device.kept_events()?;
+    device.urgent(Urgent::EStop)?;
+    device.acknowledge()?;
+    Ok(())
+}
