@@ -23,6 +23,8 @@ mod core;
 mod replay;
 mod thumb;
 
+use std::path::Path;
+
 use client::{Device, Unobserved};
 use object::{Object, ObjectSection, SectionKind};
 use protocol::rig::Run;
@@ -30,7 +32,7 @@ use protocol::settings::{Setting, SettingKey};
 use protocol::system::DeviceKind;
 
 pub use self::core::Accelerator;
-use self::core::{Code, Core};
+pub(crate) use self::core::{Code, Core, EXCEPTION};
 use self::replay::{Recorder, Replay, replay};
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::{self, RigBoard};
@@ -40,7 +42,7 @@ use crate::unmeasured::FigureError;
 /// The core's clock, Hz.
 pub const CORE_HZ: u64 = 100_000_000;
 /// FLASH_ACR (RM0383 section 3.8.1).
-const FLASH_ACR: u32 = 0x4002_3C00;
+pub(crate) const FLASH_ACR: u32 = 0x4002_3C00;
 /// Transfers of DMA per step: a slot of the step timer and a captured instant.
 const TRANSFERS_PER_STEP: u64 = 6;
 /// Most cycles that one of them can hold the core up: in memory and at the timer's bus.
@@ -158,7 +160,7 @@ pub fn measure(case: &Case) -> Result<Cost, FigureError> {
         board: board(),
         script,
         window_ns: begun_ns..ended_ns,
-        code: code(&options)?,
+        code: code(&options.image)?,
         cores: vec![Core::new(accelerator), Core::new(accelerator.off())],
     })?;
     let [core, bare] = &seen.cores[..] else {
@@ -186,10 +188,9 @@ pub fn measure(case: &Case) -> Result<Cost, FigureError> {
 }
 
 /// The code of the image: its largest section of instructions.
-fn code(options: &BenchOptions) -> Result<Code, BenchError> {
-    let path = &options.image;
+pub(crate) fn code(path: &Path) -> Result<Code, BenchError> {
     let bad = |why: String| BenchError::BadImage {
-        path: path.clone(),
+        path: path.to_owned(),
         why,
     };
     let file = std::fs::read(path).map_err(|why| bad(why.to_string()))?;

@@ -18,9 +18,11 @@ use crate::budget;
 use crate::cycles;
 use crate::faults::When;
 use crate::link::VirtualLink;
+use crate::peers;
+use crate::pins::EdgeLog;
 use crate::plants::rig::{Action, Rig, RigOptions, Switch};
 use crate::unmeasured::FigureError;
-use crate::verdicts::{Run, Verdict};
+use crate::verdicts::{Run, TICK_NS, Verdict};
 
 /// One cycle of the paper's run.
 const ONE_CYCLE: RunRequest = RunRequest {
@@ -361,8 +363,29 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
             "margin below 65",
         );
     }
-    cycles_of_cases(&mut line)?;
-    budget::run(&mut line)
+    let costs = cycles_of_cases(&mut line)?;
+    budget::run(&mut line)?;
+    peers::run(Some(&image(&edges, costs)), say)
+}
+
+/// What the table of the peers takes over: the edges of a stroke, and the costs without telemetry.
+fn image(edges: &EdgeLog, costs: [cycles::Cost; CASES]) -> peers::Image {
+    let [_, cruise, uneven, ramp, fine, quickest] = costs;
+    let per_case = |cost: cycles::Cost| (cost.steps, cost.instructions, cost.cycles);
+    let first = edges.iter().next().map_or(0, |edge| edge.at_ns);
+    let stroke = Run::paper().forward;
+    // The only origin of time is the first edge's nearest tick.
+    let origin = ((stroke.instant(1) + 500) / 1_000) as u64;
+    let ticks = edges
+        .iter()
+        .take(stroke.steps as usize)
+        .map(|edge| (edge.at_ns - first) / TICK_NS + origin);
+    peers::Image {
+        ticks: ticks.collect(),
+        costs: [ramp, cruise, uneven].map(per_case),
+        shares: [uneven, fine, quickest].map(|cost| cost.shares()[1]),
+        cycles_at_most: quickest.cycles[1] as f64 / quickest.steps as f64,
+    }
 }
 
 /// 20 mm there and back on a screw of 2 mm with 64 microsteps: 400.497 ticks a step.
@@ -378,6 +401,19 @@ const FINEST: RunRequest = RunRequest {
     ..PAPER_RUN
 };
 
+/// The same at 99.9 kHz: 1001.414 ticks a step.
+const FINE: RunRequest = RunRequest {
+    timing: RunTiming::Speeds {
+        forward_um_s: 15_603,
+        return_um_s: 15_603,
+        accel_um_s2: 2_000_000,
+    },
+    ..FINEST
+};
+
+/// Number of cases below.
+const CASES: usize = 6;
+
 /// Name, settings, steps per millimetre, run, start of the window in the run in us, and goal.
 type CycleCase<'a> = (
     &'a str,
@@ -389,10 +425,13 @@ type CycleCase<'a> = (
 );
 
 /// Cycles of the worst cases by the model, each step timed. Each case is followed for as long as the host is silent
-/// between two signs of life: a shorter window would count its requests too often.
-fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), FigureError> {
+/// between two signs of life: a shorter window would count its requests too often. Returns the costs without telemetry.
+fn cycles_of_cases(
+    line: &mut dyn FnMut(&str, String, &str),
+) -> Result<[cycles::Cost; CASES], FigureError> {
+    let mut costs = Vec::with_capacity(CASES);
     let fine = [(SettingKey::LeadUm, 2_000), (SettingKey::Microsteps, 64)];
-    let cases: [CycleCase<'_>; 5] = [
+    let cases: [CycleCase<'_>; CASES] = [
         ("at rest", &[], 800, None, 100_000, ""),
         (
             "paper's cruise, 28.5 kHz",
@@ -411,6 +450,14 @@ fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), Figur
             "< 6 %",
         ),
         ("ramp of the same", &[], 800, Some(UNEVEN_CYCLE), 50_000, ""),
+        (
+            "99.9 kHz, 1001.414 ticks a step",
+            &fine,
+            6_400,
+            Some(FINE),
+            100_000,
+            "",
+        ),
         (
             "249.7 kHz, 400.497 ticks a step",
             &fine,
@@ -432,6 +479,9 @@ fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), Figur
                 after_us,
                 lasts_us: KEEP_ALIVE_US,
             })?;
+            if telemetry_ms == 0 {
+                costs.push(cost);
+            }
             let percent =
                 |[least, most]: [f64; 2]| format!("{:.1} to {:.1} %", least * 1e2, most * 1e2);
             line(
@@ -454,5 +504,5 @@ fn cycles_of_cases(line: &mut dyn FnMut(&str, String, &str)) -> Result<(), Figur
             }
         }
     }
-    Ok(())
+    Ok(costs.try_into().expect("one for each case"))
 }

@@ -16,6 +16,7 @@ use virtual_bench::demo::{self, DemoOptions};
 use virtual_bench::emulator::Wiring;
 use virtual_bench::figures;
 use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
+use virtual_bench::peers;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::population;
@@ -43,6 +44,8 @@ enum Subcommand {
     },
     /// Measures the performance of the rig's image.
     Bench,
+    /// Only the last table of `bench`: the step generator beside its peers.
+    Peers,
     /// Tries the capsule's image on seeded capsules with one defect each, and prints what it called them.
     Capsules {
         /// Cases of each defect.
@@ -111,6 +114,10 @@ fn main() -> ExitCode {
         }
         Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
             .map_err(miette::Report::from),
+        Subcommand::Peers => peers::run(None, &mut |line| {
+            drop(writeln!(std::io::stdout(), "{line}"))
+        })
+        .map_err(miette::Report::from),
         Subcommand::Capsules { cases, only } => population::run(cases, &only, &mut |line| {
             drop(writeln!(std::io::stdout(), "{line}"))
         })

@@ -5,7 +5,8 @@
 use crate::process::{Failure, Result, host_cargo, installed, lines_of, root, run};
 
 /// Licences that let images and programs be used and passed on under ours (SPDX identifiers).
-const ALLOWED: [&str; 7] = [
+const ALLOWED: [&str; 8] = [
+    "0BSD",
     "MIT",
     "Apache-2.0",
     "Apache-2.0 WITH LLVM-exception",

@@ -66,6 +66,23 @@ pub(crate) fn build() -> Result<()> {
     check()
 }
 
+/// The image of the peers that the bench compares with the firmware. It is never flashed, so nothing checks its layout.
+const PEERS: [&str; 2] = ["--package", "step-peers"];
+
+/// Builds the image of the peers. Apart from the others: what its crates ask of those that both use must not get into
+/// the firmware.
+///
+/// # Errors
+/// No compiler, or a compile error.
+pub(crate) fn build_peers() -> Result<()> {
+    let mut cargo = toolchain::find()?.cargo("build");
+    cargo
+        .args(PEERS)
+        .arg("--target-dir")
+        .arg(root().join("target"));
+    run(&mut cargo, "fix what the compiler reports above")
+}
+
 /// Options that let a reset be a reset while the log is open. By default `probe-rs run` halts the core at each reset
 /// and processor fault: the reset button, a panic and the watchdog would then leave the machine standing.
 const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
@@ -125,7 +142,7 @@ fn of(machine: &str) -> Result<&'static Image> {
 pub(crate) fn lint() -> Result<()> {
     let toolchain = toolchain::find()?;
     let mut cargo = command(&toolchain, "clippy");
-    cargo.args(["--", "-D", "warnings"]);
+    cargo.args(PEERS).args(["--", "-D", "warnings"]);
     run(&mut cargo, "fix what the linter reports above")
 }
 

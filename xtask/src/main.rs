@@ -87,7 +87,8 @@ cargo xtask <command>
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
   pictures          draw the wiring diagrams of the manual from the pins that the images use
-  bench [OPTIONS]   measure the images on the virtual bench, and the computing time of the paper's models
+  bench [OPTIONS]   measure the images on the virtual bench, the step generator beside its peers in one table,
+                    and the computing time of the paper's models
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
 
@@ -104,6 +105,7 @@ fn main() -> ExitCode {
     let outcome = match (command, rest) {
         ("demo", options) => images::build().and_then(|()| bench::run_command("demo", options)),
         ("bench", options) => images::build()
+            .and_then(|()| images::build_peers())
             .and_then(|()| bench::run_command("bench", options))
             .and_then(|()| bench::models()),
         ("torture", options) => {

@@ -48,7 +48,7 @@ const LONGER_FUNCTIONS: [(&str, &str, &str); 4] = [
     ),
 ];
 /// Crates that only test: they count as tests, not as source.
-const TESTING: [&str; 3] = ["exemplars", "fuzz", "simulated-machines"];
+const TESTING: [&str; 4] = ["exemplars", "fuzz", "simulated-machines", "step-peers"];
 /// Crates that a crate must not import, and why.
 const APART: [(&str, &[&str], &str); 4] = [
     (

@@ -7,7 +7,7 @@ const REFILL: [u64; 2] = [1, 3];
 /// Entry into an exception and return from it, stacking included (ARM DDI 0439, section 3.9): 12 cycles each. A return
 /// takes 10 if the stack's words are already fetched. In the worst case the vector's read also waits for the flash, and
 /// the stack for DMA.
-const EXCEPTION: [u64; 2] = [22, 34];
+pub(crate) const EXCEPTION: [u64; 2] = [22, 34];
 /// Extra cycles of a register access over a memory access, by bus. The most: two cycles of a bus at half the core's
 /// clock, plus one to synchronise and one to return.
 const REGISTERS: [(std::ops::Range<u64>, [u64; 2]); 4] = [
@@ -187,23 +187,24 @@ struct Bound {
 
 /// The core.
 #[derive(Clone, Debug)]
-pub(super) struct Core {
+pub(crate) struct Core {
     bounds: [Bound; 2],
     /// The previous instruction and its address.
     before: Option<(u32, Instruction)>,
-    pub(super) exceptions: u64,
-    pub(super) instructions: u64,
+    pub(crate) exceptions: u64,
+    pub(crate) instructions: u64,
 }
 
 /// Code in flash, from its first address on.
-pub(super) struct Code {
-    pub(super) base: u32,
-    pub(super) bytes: Vec<u8>,
+#[derive(Clone)]
+pub(crate) struct Code {
+    pub(crate) base: u32,
+    pub(crate) bytes: Vec<u8>,
 }
 
 impl Code {
     /// Addresses at which an instruction may begin.
-    pub(super) fn addresses(&self) -> impl Iterator<Item = u32> {
+    pub(crate) fn addresses(&self) -> impl Iterator<Item = u32> {
         (self.base..self.base + self.bytes.len() as u32).step_by(2)
     }
 
@@ -219,7 +220,7 @@ impl Code {
 }
 
 impl Core {
-    pub(super) fn new(set: Accelerator) -> Self {
+    pub(crate) fn new(set: Accelerator) -> Self {
         let bound = |index| Bound {
             index,
             cycles: 0,
@@ -234,12 +235,12 @@ impl Core {
     }
 
     /// Least and most cycles so far.
-    pub(super) fn cycles(&self) -> [u64; 2] {
+    pub(crate) fn cycles(&self) -> [u64; 2] {
         self.bounds.each_ref().map(|bound| bound.cycles)
     }
 
     /// The core executes the instruction at `address`.
-    pub(super) fn execute(&mut self, address: u32, code: &Code) {
+    pub(crate) fn execute(&mut self, address: u32, code: &Code) {
         let instruction = code.instruction(address);
         let (mut taken, mut entered) = (false, false);
         let mut overlaps = false;

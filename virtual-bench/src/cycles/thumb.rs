@@ -30,8 +30,10 @@ pub(super) enum Timing {
 const DIVIDE: Timing = Timing::Cycles(2, 12);
 /// A 32-bit multiply-accumulate: 2 by the manual, 1 by its later edition.
 const MULTIPLY_ACCUMULATE: Timing = Timing::Cycles(1, 2);
-/// The longest floating-point instructions: division and square root.
-const FLOAT: Timing = Timing::Cycles(1, 14);
+/// Floats of 32 bits (ARM DDI 0439, section 7.2.3); one cycle more where the next instruction takes the result.
+const FLOAT: Timing = Timing::Cycles(1, 2);
+const FLOAT_MULTIPLY_ACCUMULATE: Timing = Timing::Cycles(3, 4);
+const FLOAT_DIVIDE: Timing = Timing::Cycles(14, 15);
 /// A barrier waits for earlier stores, and ISB for a pipeline refill.
 const BARRIER: Timing = Timing::Cycles(1, 4);
 
@@ -108,7 +110,7 @@ fn wide(first: u32, second: u32) -> Instruction {
         }
         kind @ 0x080..=0x09F if kind & 1 == 1 => (Timing::Load(2), false),
         0x080..=0x09F => (Timing::Store(2), false),
-        0x0C0..=0x0FF | 0x1C0..=0x1FF => (FLOAT, false),
+        0x0C0..=0x0FF | 0x1C0..=0x1FF => (float(first, second), false),
         0x100..=0x17F if second >> 15 == 1 => control(first, second),
         kind @ 0x180..=0x19F => single(kind, first, second),
         0x1B0 | 0x1B1 if second >> 12 != 15 || kind_is_subtraction(second) => {
@@ -121,6 +123,36 @@ fn wide(first: u32, second: u32) -> Instruction {
         size: 4,
         timing,
         branches,
+    }
+}
+
+/// Instructions of the floating-point unit.
+fn float(first: u32, second: u32) -> Timing {
+    let words = second & 0xFF;
+    match first & 0xFFB0 {
+        // VLDR and VSTR, of one word or two.
+        kind if kind & 0xFF20 == 0xED00 => match (kind & 0x10 != 0, 1 + ((second >> 8) & 1)) {
+            (false, words) => Timing::Store(words),
+            (true, count) if first & 0xF == 15 => {
+                literal(count, 4 * words as i32, first & 0x80 != 0)
+            }
+            (true, count) => Timing::Load(count),
+        },
+        // Two registers of the core to or from it.
+        0xEC00 | 0xEC10 if first & 0xFFE0 == 0xEC40 => Timing::Cycles(2, 3),
+        // VLDM and VSTM, VPOP and VPUSH.
+        kind if kind & 0xFE00 == 0xEC00 => match kind & 0x10 != 0 {
+            true => Timing::Load(words),
+            false => Timing::Store(words),
+        },
+        // Moves of single words.
+        _ if second & 0x10 != 0 => FLOAT,
+        // VMLA and VMLS, VNMLA and VNMLS, VFMA and VFNMA.
+        0xEE00 | 0xEE10 | 0xEEA0 | 0xEE90 => FLOAT_MULTIPLY_ACCUMULATE,
+        // VDIV, and VSQRT among those of one operand.
+        0xEE80 => FLOAT_DIVIDE,
+        0xEEB0 if first & 0xF == 1 && second & 0xD0 == 0xC0 => FLOAT_DIVIDE,
+        _ => FLOAT,
     }
 }
 
@@ -166,7 +198,7 @@ mod tests {
     /// Encodings as an assembler gives them.
     #[test]
     fn instructions_are_told_apart() {
-        let cases: [(&str, u16, u16, u32, Timing, bool); 34] = [
+        let cases: [(&str, u16, u16, u32, Timing, bool); 45] = [
             ("movs r0, #1", 0x2001, 0, 2, ONE, false),
             ("adds r0, r1, r2", 0x1888, 0, 2, ONE, false),
             ("bx lr", 0x4770, 0, 2, ONE, true),
@@ -266,6 +298,48 @@ mod tests {
                 Timing::Literal {
                     words: 1,
                     offset: -4,
+                },
+                false,
+            ),
+            ("vadd.f32 s0, s1, s2", 0xEE30, 0x0A81, 4, FLOAT, false),
+            ("vmul.f32 s0, s1, s2", 0xEE20, 0x0A81, 4, FLOAT, false),
+            ("vcmp.f32 s0, s1", 0xEEB4, 0x0A60, 4, FLOAT, false),
+            ("vmov.f32 s0, s1", 0xEEB0, 0x0A60, 4, FLOAT, false),
+            ("vmov s0, r1", 0xEE00, 0x1A10, 4, FLOAT, false),
+            (
+                "vmla.f32 s0, s1, s2",
+                0xEE00,
+                0x0A81,
+                4,
+                FLOAT_MULTIPLY_ACCUMULATE,
+                false,
+            ),
+            (
+                "vdiv.f32 s0, s1, s2",
+                0xEE80,
+                0x0A81,
+                4,
+                FLOAT_DIVIDE,
+                false,
+            ),
+            ("vsqrt.f32 s0, s1", 0xEEB1, 0x0AE0, 4, FLOAT_DIVIDE, false),
+            ("vldr s0, [r1]", 0xED91, 0x0A00, 4, Timing::Load(1), false),
+            (
+                "vpush {s16, s17}",
+                0xED2D,
+                0x8A02,
+                4,
+                Timing::Store(2),
+                false,
+            ),
+            (
+                "vldr s0, [pc, #8]",
+                0xED9F,
+                0x0A02,
+                4,
+                Timing::Literal {
+                    words: 1,
+                    offset: 8,
                 },
                 false,
             ),
