@@ -77,7 +77,8 @@ pub struct Image {
 /// How far edges are from the exact profile, us.
 #[derive(Clone, Copy, Debug)]
 struct Errors {
-    /// Largest, with the origin of time that makes it smallest.
+    /// Largest, with the origin of time that makes it smallest: how long before its first step a move begins is nobody's
+    /// concern.
     largest: f64,
     /// Root of the mean square, about the mean.
     rms: f64,
@@ -147,7 +148,7 @@ struct Row {
 const HEAD: &str = "\
 | method | largest error, us | rms, us | largest from the start, us | largest at 249.7 kHz, us \
 | instructions per step: ramp, cruise, worst fraction | cycles: ramp | cruise | worst fraction | interrupts per step \
-| share at 28.5, 100, 250 kHz, % | kHz at most | bytes of code | ramped stop begins after |";
+| share at most at 28.5, 100, 250 kHz, % | kHz at most | bytes of code | ramped stop begins after |";
 
 fn us(value: f64) -> String {
     if value < 1.0 {
