@@ -224,6 +224,16 @@ const QUICK: Stroke = Stroke {
     ramp_ticks: 1_950_700,
 };
 
+/// A move whose steps are all followed, for the size of the code that they take.
+const SHORT: Stroke = Stroke {
+    steps: 2_000,
+    duration_ticks: 35_000_000,
+    ramp_ticks: 14_000_000,
+};
+
+/// What of it is followed: not the setting up, which comes before the first step.
+const NEARLY_ALL: Range<u64> = 1..SHORT.steps - 1;
+
 /// Steps of the cruise that are followed.
 const CRUISE: Range<u64> = 30_000..34_000;
 
@@ -245,6 +255,7 @@ fn row(peers: &Peers, method: &Method) -> Result<Option<Row>, FigureError> {
         return Ok(None);
     };
     let quick = peers.run(method.number, &QUICK, &[])?;
+    let short = peers.run(method.number, &SHORT, &[NEARLY_ALL])?;
     let (ramp, cruise) = (followed.costs[0] + followed.costs[2], followed.costs[1]);
     let worst = worst.costs[0];
     let with_entry =
@@ -262,7 +273,7 @@ fn row(peers: &Peers, method: &Method) -> Result<Option<Row>, FigureError> {
         interrupts_per_step: method.interrupts_per_step,
         shares: RATES_HZ.map(|rate| with_entry(worst) * rate / core_hz),
         most_hz: core_hz / with_entry(worst).max(with_entry(ramp)),
-        bytes: Some(followed.code_bytes),
+        bytes: short.map(|followed| followed.code_bytes),
         stops: method.stops,
     }))
 }

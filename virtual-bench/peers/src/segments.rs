@@ -90,14 +90,14 @@ impl Intervals {
             false => (position as u32).clamp(self.done, steps),
         };
         let count = whole - self.done;
-        if count > 0 {
-            // The last of the steps comes before the end of the segment, by what the position is ahead of it.
-            let ahead = (position - whole as f32).max(0.0);
-            let length = (self.end - begun) as f32;
-            let before = ahead * length / (position - self.position);
-            let last = self.end - before as u32;
-            self.interval = (last - self.tick) / count;
-            self.tick += self.interval * count;
+        // The last of the steps comes before the end of the segment, by what the position is ahead of it.
+        let ahead = (position - whole as f32).max(0.0);
+        let length = (self.end - begun) as f32;
+        let before = ahead * length / (position - self.position);
+        let last = self.end - before as u32;
+        if let Some(interval) = (last - self.tick).checked_div(count) {
+            self.interval = interval;
+            self.tick += interval * count;
             self.left = count;
             self.done = whole;
         }
