@@ -116,11 +116,11 @@ fn the_others_make_the_move() {
 
 #[test]
 fn numbers_that_do_not_fit_are_refused() {
-    // A first step after 44 ms.
+    // A first step after 158 ms.
     let slow = Move {
-        steps: 104_000,
-        duration_ticks: 2_000_000_000,
-        ramp_ticks: 1_000_000_000,
+        steps: 2_000,
+        duration_ticks: 1_000_000_000,
+        ramp_ticks: 500_000_000,
     };
     assert!(stepgen::Delays::new(&slow).is_none());
     assert!(Single::new(&slow).is_some());
