@@ -37,19 +37,17 @@ mod image {
     const REFUSED: u32 = 3;
     const PANICKED: u32 = 4;
 
-    const ZERO: AtomicU32 = AtomicU32::new(0);
-
     // SAFETY: no other symbol has this name.
     #[unsafe(no_mangle)]
     pub static MAILBOX: Mailbox = Mailbox {
-        single: ZERO,
-        interval: ZERO,
-        equal: ZERO,
-        state: ZERO,
-        method: ZERO,
-        steps: ZERO,
-        duration_ticks: ZERO,
-        ramp_ticks: ZERO,
+        single: AtomicU32::new(0),
+        interval: AtomicU32::new(0),
+        equal: AtomicU32::new(0),
+        state: AtomicU32::new(0),
+        method: AtomicU32::new(0),
+        steps: AtomicU32::new(0),
+        duration_ticks: AtomicU32::new(0),
+        ramp_ticks: AtomicU32::new(0),
     };
 
     #[inline(always)]
