@@ -21,8 +21,8 @@ use crate::verdicts::{Stroke, TICK_HZ};
 const PARTS_PER_US: f64 = 1e5;
 /// Rates at which shares are stated, Hz.
 const RATES_HZ: [f64; 3] = [28_500.0, 100_000.0, 250_000.0];
-/// Shortest repetition of the ring's interrupts: two for 128 entries of at least one step.
-const RING_INTERRUPTS: f64 = 2.0 / 128.0;
+/// Most alarms by which the ring is refilled: one when half of 248 entries of at least one step have played.
+const RING_ALARMS: f64 = 1.0 / 124.0;
 
 /// A way to time steps: its number in the image, and what follows from its design.
 struct Method {
@@ -36,7 +36,7 @@ struct Method {
 const STEP: &str = "next step";
 const RING: &str = "ring, 8 ms";
 const METHODS: [Method; 7] = [
-    Method::of(1, "ours, in batches as the image", RING_INTERRUPTS, RING),
+    Method::of(1, "ours, in batches as the image", RING_ALARMS, RING),
     Method::of(2, "ours, one by one", 1.0, STEP),
     Method::of(3, "ramp-maker 0.2, its fixed point", 1.0, STEP),
     Method::of(4, "ramp-maker 0.2, f32", 1.0, STEP),
@@ -292,7 +292,7 @@ fn image_row(image: &Image) -> Row {
         ramp,
         cruise,
         worst,
-        interrupts_per_step: RING_INTERRUPTS,
+        interrupts_per_step: RING_ALARMS,
         shares: image.shares,
         most_hz: CORE_HZ as f64 / image.cycles_at_most,
         bytes: None,
