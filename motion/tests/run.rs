@@ -416,6 +416,55 @@ fn a_step_rate_above_the_limit_names_a_speed() {
     assert!(run(max_um_s as u32 + 1).is_err());
 }
 
+/// Where the driver's step rate is the tighter limit, the total and the acceleration that a refusal suggests keep it.
+#[test]
+fn what_a_refusal_suggests_keeps_the_step_rate() {
+    // At least 3,600 ticks for each of 104,000 steps: 3.744 s of the 4 s that each stroke has.
+    let driver = Limits {
+        min_interval_ticks: 3_600,
+        ..LIMITS
+    };
+    let run = |total_us, accel_um_s2| {
+        RunPlan::solve(
+            &Axis::REFERENCE,
+            &driver,
+            &with(&PAPER, total_us, accel_um_s2),
+        )
+    };
+    let (total_us, accel_um_s2) = (40_000_000, 32_499);
+    let Err(RunError::TotalTooShort {
+        minimal_total_us,
+        minimal_accel_um_s2: Some(minimal_um_s2),
+    }) = run(total_us, accel_um_s2)
+    else {
+        panic!("a triangle at this acceleration takes longer than 4 s");
+    };
+    assert!(run(minimal_total_us, accel_um_s2).is_ok());
+    assert!(run(minimal_total_us - 1, accel_um_s2).is_err());
+    assert!(run(total_us, minimal_um_s2).is_ok());
+    assert!(run(total_us, minimal_um_s2 - 1).is_err());
+    // 4.16 s of steps in strokes of 4 s: no acceleration helps, and the shortest total has the ramps on top.
+    let slow = Limits {
+        min_interval_ticks: 4_000,
+        ..LIMITS
+    };
+    let refused = RunPlan::solve(
+        &Axis::REFERENCE,
+        &slow,
+        &with(&PAPER, total_us, accel_um_s2),
+    );
+    let Err(RunError::TotalTooShort {
+        minimal_total_us,
+        minimal_accel_um_s2: None,
+    }) = refused
+    else {
+        panic!("{refused:?}");
+    };
+    let longer = with(&PAPER, minimal_total_us, accel_um_s2);
+    let plan = RunPlan::solve(&Axis::REFERENCE, &slow, &longer).unwrap();
+    assert!(plan.forward().min_interval() >= Ticks(4_000));
+}
+
 /// The dwell that a refusal suggests is the shortest that suffices, at both turns.
 #[test]
 fn a_turn_needs_a_dwell() {

@@ -456,6 +456,79 @@ proptest! {
     }
 }
 
+/// The step generator takes its steps in batches, because one by one they cost it too much: only the first steps from
+/// rest, the last ones and the first of a phase come singly.
+#[test]
+fn nearly_all_steps_of_a_fast_stroke_are_taken_together() {
+    // 50 mm/s on the reference axis after 500 ms of ramp: from step 33 on less than 640 us apart.
+    let profile = parts(104_000, 310_000_000, 50_000_000).unwrap();
+    let share = Share {
+        steps: u32::MAX,
+        ticks: 1_000_000,
+        equal: u32::MAX,
+        equal_ticks: 1_000_000,
+    };
+    let mut times = StepTimes::new(profile);
+    let (mut groups, mut singly) = ([Equal::default(); 64], 0);
+    while times.remaining() > Steps(0) {
+        if times.batch(&share, &mut groups) == 0 {
+            singly += u32::from(times.next().is_some());
+        }
+    }
+    assert!(singly < 100, "{singly} of 104,000 steps one by one");
+}
+
+/// At constant speed the steps between two that differ by a tick are one group: what a thousand steps cost is two groups,
+/// not a thousand.
+#[test]
+fn steps_alike_are_one_group() {
+    let share = Share {
+        steps: u32::MAX,
+        ticks: u32::MAX,
+        equal: u32::MAX,
+        equal_ticks: u32::MAX,
+    };
+    // Of a thousand steps one is a tick longer, or all but one.
+    for fraction in [1, 999] {
+        let span = 500 * 100_000 + 100 * fraction;
+        let mut times = StepTimes::new(parts(100_000, span + 1_000, 1_000).unwrap());
+        times.by_ref().take(100).for_each(drop);
+        let (before, mut groups) = (times.emitted().0, [Equal::default(); 100]);
+        assert_eq!(times.batch(&share, &mut groups), 100);
+        let steps = times.emitted().0 - before;
+        assert!(steps > 49_000, "{steps} in 100 groups of {fraction}");
+    }
+}
+
+/// A group of equal steps fits the time that it may take even where its steps are the longer ones of the line.
+#[test]
+fn equal_steps_fit_the_time_that_a_group_may_take() {
+    for fraction in [1, 333, 500, 667, 999] {
+        // 500 and some thousandths of a tick per step.
+        let span = 500 * 100_000 + 100 * fraction;
+        let mut times = StepTimes::new(parts(100_000, span + 1_000, 1_000).unwrap());
+        times.by_ref().take(100).for_each(drop);
+        let mut longer = 0;
+        for equal_ticks in [
+            0, 500, 501, 1_000, 1_001, 1_002, 50_000, 50_001, 50_099, 50_100,
+        ] {
+            let share = Share {
+                steps: 2_000,
+                ticks: u32::MAX,
+                equal: u32::MAX,
+                equal_ticks,
+            };
+            let mut groups = [Equal::default(); 64];
+            let taken = times.batch(&share, &mut groups);
+            for Equal { interval, steps } in groups.into_iter().take(taken) {
+                assert!(steps == 1 || steps * interval <= equal_ticks);
+                longer += u32::from(interval == 501);
+            }
+        }
+        assert!(longer > 0, "{fraction}");
+    }
+}
+
 #[test]
 fn a_stop_before_the_first_step_moves_nothing() {
     let axis = Axis::REFERENCE;
