@@ -3,6 +3,7 @@
 use motion::axis::{Axis, Direction};
 use motion::run::{Limits, RunError, RunPlan, RunRequest, Timing};
 use motion::step_times::StepTimes;
+use motion::trapezoid::StrokeError;
 use motion::units::{Micrometres, Ticks};
 use proptest::prelude::*;
 
@@ -199,8 +200,8 @@ proptest! {
                 prop_assert!(!peak_fits(least - 1));
             }
             (Err(RunError::Profile(error)), _) => prop_assert!(
-                matches!(error, motion::trapezoid::StrokeError::TooSlow { .. }
-                    | motion::trapezoid::StrokeError::TooFast { .. }), "{error}"),
+                matches!(error, StrokeError::TooSlow { .. }
+                    | StrokeError::TooFast { .. }), "{error}"),
             (Err(other), _) => prop_assert!(false, "{other}"),
         }
     }
@@ -414,6 +415,41 @@ fn a_step_rate_above_the_limit_names_a_speed() {
     assert_eq!(max_um_s, 31_257);
     assert!(run(max_um_s as u32).is_ok());
     assert!(run(max_um_s as u32 + 1).is_err());
+}
+
+/// At an acceleration that no stroke has exact step times for, the least one that serves is named where the machine may
+/// use it; where it may not, no acceleration is named.
+#[test]
+fn an_acceleration_below_all_exact_strokes_names_one_that_the_machine_may_use() {
+    let total_us = 700_000_000;
+    let solve = |max_accel_um_s2, accel_um_s2| {
+        let limits = Limits {
+            max_accel_um_s2,
+            ..LIMITS
+        };
+        RunPlan::solve(
+            &Axis::REFERENCE,
+            &limits,
+            &with(&PAPER, total_us, accel_um_s2),
+        )
+    };
+    let Err(RunError::AccelerationTooLow {
+        accel_um_s2: 50,
+        minimal_um_s2,
+        max_um_s2: 2_000_000,
+        shortest,
+    }) = solve(2_000_000, 50)
+    else {
+        panic!("{:?}", solve(2_000_000, 50));
+    };
+    assert!(solve(minimal_um_s2, minimal_um_s2).is_ok());
+    assert!(solve(minimal_um_s2, minimal_um_s2 - 1).is_err());
+    assert_eq!(
+        solve(minimal_um_s2 - 1, 50),
+        Err(RunError::Profile(StrokeError::TooSlow {
+            duration: shortest
+        }))
+    );
 }
 
 /// Where the driver's step rate is the tighter limit, the total and the acceleration that a refusal suggests keep it.
