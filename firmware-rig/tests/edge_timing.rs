@@ -346,3 +346,19 @@ fn intervals_are_counted_by_their_error() {
     assert_eq!(timing.timing.intervals(), expected);
     assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
 }
+
+/// Several edges that no step has may come in one look, as from a bouncing line: none of them ends an interval.
+#[test]
+fn added_edges_of_one_look_end_no_interval() {
+    for added in [&[1_110][..], &[1_110, 1_111], &[1_110, 1_111, 1_200, 1_300]] {
+        let mut timing = Watch::default();
+        timing.expect(steps(100, 1));
+        timing.compare([&[1_000, 1_100], added].concat().into_iter());
+        let expected = Intervals {
+            exact: 1,
+            off: [0; 3],
+        };
+        assert_eq!(timing.timing.intervals(), expected, "{added:?}");
+        assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
+    }
+}

@@ -15,6 +15,14 @@ const PACKAGES: [&str; 6] = [
     "firmware-capsule",
 ];
 
+/// Files of a package that the tests of another package test: package, files, package with the tests.
+const TESTED_ELSEWHERE: [(&str, &[&str], &str); 1] = [(
+    "motion",
+    // Their input is the rig's periods.
+    &["motion/src/edge_timing.rs", "motion/src/timeline.rs"],
+    "firmware-rig",
+)];
+
 /// Least share of the mutants that the tests of a package have to notice, percent.
 const GOAL_PERCENT: usize = 95;
 
@@ -62,10 +70,31 @@ pub(crate) fn run(arguments: &[String]) -> Result<()> {
     ))
 }
 
-/// Runs cargo-mutants on one package.
+/// Runs cargo-mutants on one package, and once more on those of its files that another package tests.
 fn mutate(package: &str, options: &[String]) -> Result<Count> {
+    let elsewhere = TESTED_ELSEWHERE
+        .iter()
+        .find(|(of, ..)| *of == package)
+        // Who names files means those alone.
+        .filter(|_| !options.iter().any(|option| option.starts_with("--file")));
+    let Some((_, files, tests)) = elsewhere else {
+        return run_once(package, package, options);
+    };
+    let arguments = |name: &str| -> Vec<String> {
+        let named = files.iter().flat_map(|file| [name, file]);
+        named.map(str::to_owned).chain(options.to_vec()).collect()
+    };
+    let here = run_once(package, package, &arguments("--exclude"))?;
+    let mut with_tests = arguments("--file");
+    with_tests.extend(["--test-package".to_owned(), (*tests).to_owned()]);
+    let there = run_once(package, &format!("{package}-by-{tests}"), &with_tests)?;
+    Ok(here.plus(&there))
+}
+
+/// Runs cargo-mutants with its results in `target/mutants/FOLDER`.
+fn run_once(package: &str, folder: &str, options: &[String]) -> Result<Count> {
     let remedy = "see what cargo-mutants says above; do the tests of this package pass unchanged?";
-    let folder = root().join("target/mutants").join(package);
+    let folder = root().join("target/mutants").join(folder);
     let unusable = |error: std::io::Error| {
         let what = format!("{} cannot be used: {error}", folder.display());
         Failure::new(what, remedy)
@@ -119,6 +148,15 @@ impl Count {
         })
     }
 
+    fn plus(&self, other: &Self) -> Self {
+        Self {
+            caught: self.caught + other.caught,
+            timed_out: self.timed_out + other.timed_out,
+            missed: self.missed + other.missed,
+            not_built: self.not_built + other.not_built,
+        }
+    }
+
     fn noticed(&self) -> usize {
         self.caught + self.timed_out
     }
@@ -166,6 +204,8 @@ mod tests {
         assert!(count(90, 5, 5).reaches(95));
         assert!(!count(94, 0, 5).reaches(95));
         assert!(!count(0, 0, 1).reaches(95));
+        assert_eq!(count(3, 2, 1).plus(&count(10, 20, 30)).noticed(), 35);
+        assert!(!count(95, 0, 5).plus(&count(0, 0, 1)).reaches(95));
     }
 
     #[test]
