@@ -347,6 +347,24 @@ fn intervals_are_counted_by_their_error() {
     assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
 }
 
+#[test]
+fn a_comparison_is_over_with_a_loss_until_the_next_path() {
+    let mut timing = Watch::default();
+    timing.expect(steps(100, 1));
+    timing.compare(iter::once(1_000));
+    assert!(!timing.timing.is_over());
+    timing.timing.lose();
+    assert!(timing.timing.is_over());
+    timing.clear();
+    assert!(!timing.timing.is_over());
+    // Without the jumper the timeline forgets what no edge was compared with.
+    for _ in 0..10_000 {
+        timing.expect(steps(100, 0));
+    }
+    timing.compare(iter::empty());
+    assert!(timing.timing.is_over());
+}
+
 /// Several edges that no step has may come in one look, as from a bouncing line: none of them ends an interval.
 #[test]
 fn added_edges_of_one_look_end_no_interval() {
