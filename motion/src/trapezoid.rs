@@ -341,3 +341,20 @@ impl fmt::Display for StrokeError {
 }
 
 impl core::error::Error for StrokeError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stroke_that_is_too_slow_with_any_ramp_has_no_longest_one() {
+        let too_long = Ticks(1 << 60);
+        assert_eq!(StrokeProfile::longest_ramp(Steps(1), too_long, 1_000), None);
+        // 10 s for 1,000 steps: too slow with no ramp up to half of it.
+        let half = 500_000_000;
+        assert_eq!(
+            StrokeProfile::longest_ramp(Steps(1_000), Ticks(2 * half), half),
+            Some(Ticks(half))
+        );
+    }
+}

@@ -4,3 +4,4 @@ mod axis;
 mod paper;
 mod run;
 mod step_times;
+mod timeline;
