@@ -1,5 +1,6 @@
 //! All tests of the crate in one program: each program more takes seconds to build and link.
 
+mod fingerprint;
 mod half_periods;
 mod link;
 mod option_bytes;

@@ -5,6 +5,7 @@ use protocol::{
     error::Field,
     rig::{HomingPhase, RigFault, Switch},
     settings::{SettingKey, SettingRule},
+    system::DeviceKind,
     table::Reply,
 };
 use std::{collections::BTreeSet, fmt::Display};
@@ -158,4 +159,28 @@ fn keys_have_numbers_in_order() {
     let count = u8::try_from(SettingKey::ALL.len()).expect("numbers are bytes");
     assert_eq!(SettingKey::from_number(count), None);
     assert_eq!(SettingKey::from_number(u8::MAX), None);
+}
+
+#[test]
+fn a_setting_or_a_rule_is_of_the_machines_that_have_it() {
+    let of = |kind| SettingKey::of(kind).collect::<Vec<_>>();
+    let (rig, capsule) = (of(DeviceKind::Rig), of(DeviceKind::Capsule));
+    assert!(rig.contains(&SettingKey::LeadUm) && capsule.contains(&SettingKey::EndForceMa));
+    for key in SettingKey::ALL {
+        let shared = matches!(key, SettingKey::LinkTimeoutMs | SettingKey::TelemetryMs);
+        let both = rig.contains(&key) && capsule.contains(&key);
+        assert_eq!(both, shared, "{key:?}");
+        assert!(rig.contains(&key) || capsule.contains(&key), "{key:?}");
+        for (kind, keys) in [(DeviceKind::Rig, &rig), (DeviceKind::Capsule, &capsule)] {
+            assert_eq!(key.is_of(kind), keys.contains(&key), "{key:?}");
+        }
+    }
+    let rules = |kind| SettingRule::of(kind).collect::<Vec<_>>();
+    let (rig, capsule) = (rules(DeviceKind::Rig), rules(DeviceKind::Capsule));
+    assert!(rig.contains(&SettingRule::FullSteps) && capsule.contains(&SettingRule::FoldHasARange));
+    for rule in SettingRule::ALL {
+        let both = rig.contains(&rule) && capsule.contains(&rule);
+        assert_eq!(both, rule == SettingRule::TelemetryInterval, "{rule:?}");
+        assert!(rig.contains(&rule) || capsule.contains(&rule), "{rule:?}");
+    }
 }
