@@ -4,8 +4,8 @@ mod log;
 mod twice;
 
 use device::{
-    settings::{Record, Records, SettingsOnly, SettingsStore},
-    store::{SECTORS, StorageFailed},
+    settings::{Record, Records, SettingsOnly, SettingsStore, Values},
+    store::{SECTORS, StorageFailed, Store},
 };
 use log::{KEPT, start, young};
 use protocol::{settings::SettingKey, system::DeviceKind};
@@ -87,6 +87,19 @@ fn a_record_is_kept_even_where_there_was_no_log() {
     let (store, usable) = counting(&Flash::holding(flash.bytes()));
     assert!(usable);
     assert_eq!(store.records(), &Count(9));
+}
+
+/// A board that was the other machine before: its settings' numbers are not read as values of this one.
+#[test]
+fn a_setting_of_the_other_machine_is_not_in_force() {
+    let flash = Flash::blank();
+    let mut log = Store::new(flash.clone());
+    let own = (SettingKey::FlagUm, 900);
+    for (key, value) in [(SettingKey::EndForceMa, 100), own] {
+        log.save(key as u8, &Values::record(value)).unwrap();
+    }
+    let store = start(&flash);
+    assert_eq!(store.values(), &Values::DEFAULT.with(own.0, own.1).unwrap());
 }
 
 #[test]
