@@ -451,6 +451,24 @@ fn a_move_to_where_the_counter_stands_needs_a_position() {
 }
 
 #[test]
+fn the_capsules_settings_are_not_the_rigs() {
+    let mut rig = Rig::homed(SETTINGS);
+    let others = SettingKey::ALL
+        .into_iter()
+        .filter(|key| !key.is_of(DeviceKind::Rig));
+    for key in others {
+        let value = key.range().default;
+        let requests = [
+            Request::GetSetting(GetSetting { key }),
+            Request::SetSetting(Setting { key, value }),
+        ];
+        for request in requests {
+            assert_eq!(refusal(&mut rig, request), Refusal::WrongDevice, "{key:?}");
+        }
+    }
+}
+
+#[test]
 fn settings_are_read_and_checked() {
     let mut rig = Rig::homed(SETTINGS);
     for key in SettingKey::of(DeviceKind::Rig) {

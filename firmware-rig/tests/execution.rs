@@ -441,6 +441,30 @@ fn a_cut_path_reports_what_left() {
     }
 }
 
+/// Whether an edge is missing at the end of a path is asked where every step has left, and only there: a cut path has
+/// steps that never left.
+#[test]
+fn a_last_step_without_an_edge_is_told_of_a_whole_path() {
+    for cut in [false, true] {
+        let mut bench = Bench::new(&strokes_of_10_mm(), EVERYWHERE, stop_accel());
+        while bench.trace().len() < bench.plan.len() - 2 {
+            bench.step();
+        }
+        bench.carriage.ring.captures = false;
+        if cut {
+            bench.carriage.cut();
+        }
+        let (end, report) = bench.finish();
+        let worst_error_ticks = if cut { 0 } else { u32::MAX };
+        let edges = bench.plan.len() as u32 - 2;
+        let expected = Timed {
+            edges,
+            worst_error_ticks,
+        };
+        assert_eq!((end == PathEnd::Cut, report.timed), (cut, expected));
+    }
+}
+
 #[test]
 fn nothing_follows_a_stop_in_a_dwell() {
     let request = RunRequest {
