@@ -2,6 +2,7 @@
 //! keeps it from filling the ring in time.
 
 use crate::runs::{any_deceleration, any_run, first_stroke, strokes};
+use device::supervision::CHECK_IN_MS;
 use firmware_rig::{
     execution::{LEAD_TICKS, Order, Pace},
     machine::{Command, Event, PathEnd, PathReport},
@@ -325,6 +326,13 @@ fn motion_looks_often_only_when_it_has_to() {
 }
 
 /// The rest of a run that has nothing left.
+/// The supervision waits for each task; one that has nothing to do comes as often as it asks, and no more often.
+#[test]
+fn an_idle_motion_task_checks_in_when_the_supervision_asks() {
+    let idle = std::time::Duration::from_micros(Pace::Idle.within_us());
+    assert_eq!(idle.as_millis(), u128::from(CHECK_IN_MS));
+}
+
 #[test]
 fn a_path_without_strokes_ends_where_it_stands() {
     let plan = simulated_machines::carriage::plan(&SETTINGS, 1, 10_000, 40_000);

@@ -127,6 +127,7 @@ fn a_run_held_anywhere_completes_as_planned() {
             let position_steps = rig.ring.counted;
             assert_eq!(rig.events.last(), Some(&RigEvent::Held { position_steps }));
             assert_eq!(rig.place, rig.ring.counted);
+            assert_eq!(u64::from(rig.machine.record().strokes), rig.pulses / STROKE);
             held_at_an_end += u32::from(rig.pulses.is_multiple_of(STROKE));
             stand(&mut rig);
             rig.command(Command::Resume).unwrap();

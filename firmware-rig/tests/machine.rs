@@ -17,7 +17,7 @@ use protocol::{
     },
 };
 use simulated_machines::carriage::{
-    CLOSED, IMAGE_HASH, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
+    CLOSED, IMAGE_HASH, Pulse, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
 };
 
 const SETTINGS: Settings = Settings::REFERENCE;
@@ -114,6 +114,26 @@ mod homing {
             rig.fault(),
             Some(RigFault::FlagNotFound(HomingPhase::Locate))
         );
+        // It was looked for over twice the 3 mm between the passes.
+        let (first, last) = rig.windows[2];
+        assert_eq!(last - first, 4_800);
+    }
+
+    #[test]
+    fn leaves_the_flag_at_twice_the_speed_of_the_measuring_pass() {
+        let mut rig = Rig::new(SETTINGS, 0);
+        rig.trace = Some(Vec::new());
+        rig.command(Command::Home).unwrap();
+        rig.finish();
+        let trace = rig.trace.as_ref().unwrap();
+        let moves: Vec<_> = trace.chunk_by(|_, next| !next.sync).collect();
+        let fastest = |pulses: &[Pulse]| {
+            let intervals = pulses.windows(2).map(|pair| pair[1].at - pair[0].at);
+            intervals.min().unwrap()
+        };
+        // Off the flag at 4 mm/s; towards it, back, towards it at 2 mm/s, to zero.
+        assert_eq!(moves.len(), 5);
+        assert_eq!((fastest(moves[0]), fastest(moves[3])), (31_250, 62_500));
     }
 
     #[test]
