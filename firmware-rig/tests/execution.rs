@@ -325,7 +325,6 @@ fn motion_looks_often_only_when_it_has_to() {
     assert_eq!(bench.carriage.pace(), Pace::Idle);
 }
 
-/// The rest of a run that has nothing left.
 /// The supervision waits for each task; one that has nothing to do comes as often as it asks, and no more often.
 #[test]
 fn an_idle_motion_task_checks_in_when_the_supervision_asks() {
@@ -333,6 +332,7 @@ fn an_idle_motion_task_checks_in_when_the_supervision_asks() {
     assert_eq!(idle.as_millis(), u128::from(CHECK_IN_MS));
 }
 
+/// The rest of a run that has nothing left.
 #[test]
 fn a_path_without_strokes_ends_where_it_stands() {
     let plan = simulated_machines::carriage::plan(&SETTINGS, 1, 10_000, 40_000);
