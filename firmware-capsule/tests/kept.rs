@@ -131,6 +131,26 @@ fn records_of_another_layout_are_left_out() {
     }
 }
 
+/// A capsule keeps its calibration over an update from the firmware that did not measure the back-EMF yet.
+#[test]
+fn a_record_of_the_layout_before_is_read_without_the_back_emf() {
+    // Version 2: 21,727 um, 15 mA, 1,538 um, 54 mA, 3,402 um.
+    let older = [2, 0xDF, 0x54, 0, 0, 15, 0, 0x02, 0x06, 54, 0, 0x4A, 0x0D];
+    let expected = Calibration {
+        back_emf_uv_cps: 0,
+        ..CALIBRATION
+    };
+    assert_eq!(Calibration::from_record(&older), Some(expected));
+    // Only in its own length, and no other version in this one.
+    assert_eq!(Calibration::from_record(&older[..12]), None);
+    let longer = [&older[..], &[207, 0]].concat();
+    assert_eq!(Calibration::from_record(&longer), None);
+    for version in [0, 1, 3, 4] {
+        let other = [&[version], &older[1..]].concat();
+        assert_eq!(Calibration::from_record(&other), None, "{version}");
+    }
+}
+
 #[test]
 fn settings_and_name_outlive_thousands_of_motions_and_a_reset_leaves_the_calibration() {
     let flash = Flash::blank();
