@@ -172,3 +172,44 @@ fn a_current_that_the_battery_no_longer_gives_is_not_kept() {
     let (drive_mv, _) = step(14_500, 15_500, 15_500);
     assert!(drive_mv < 3_250, "{drive_mv} mV");
 }
+
+/// 600 mA against the motion take 3,900 mV at standstill, more than an empty cell has, and less by the back-EMF of a
+/// motor that turns. It never drives on.
+#[test]
+fn a_motor_is_plugged_with_a_bounded_current() {
+    for (cps, drive_mv) in [
+        (-10_000, -2_500),
+        (0, -2_500),
+        (6_764, -2_500),
+        (6_769, -2_499),
+        (10_000, -1_830),
+        (15_000, -795),
+        (18_841, 0),
+        (30_000, 0),
+    ] {
+        let mut governor = Governor::default();
+        governor.step(FAST, (9_000, 9_000), 3_700, &Settings::REFERENCE);
+        let effort = governor.plug(cps, &Settings::REFERENCE);
+        assert_eq!(effort, Effort::Millivolts(drive_mv), "{cps}");
+        assert_eq!(governor.ordered_ma(), None);
+    }
+}
+
+/// At 15,500 counts/s 92 mV of an almost empty cell are left for the current, 14.153 mA. A motor at its aim holds what
+/// it asked for; one count per second above it, the 15 uA of its excess more than the cell gives.
+#[test]
+fn only_a_motor_above_its_aim_gives_back_what_the_battery_does_not_give() {
+    for (aim_cps, held_ua) in [(15_500, 200_000), (15_499, 14_168)] {
+        let mut governor = Governor {
+            integral_ua: 200_000,
+            ..Governor::default()
+        };
+        let aim = Aim {
+            cps: aim_cps,
+            ..FAST
+        };
+        let effort = governor.step(aim, (15_500, 15_500), 3_300, &Settings::REFERENCE);
+        assert_eq!(effort, Effort::Millivolts(3_300));
+        assert_eq!(governor.integral_ua, held_ua, "{aim_cps}");
+    }
+}
