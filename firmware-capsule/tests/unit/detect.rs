@@ -368,3 +368,25 @@ fn readings_without_time_trip_nothing_and_overflow_nothing() {
         let _ = feed.detector.stopping_distance();
     }
 }
+
+/// At 0 V the amplifier reads as a current beyond any that the drive or the battery could give: against the drive, or
+/// with it while the battery hardly sags.
+#[test]
+fn an_open_amplifier_is_told_from_a_large_current() {
+    for (spooling, along_ma, battery_mv, is_open) in [
+        (Spooling::Wind, -1_301, 3_690, true),
+        (Spooling::Wind, -1_300, 3_690, false),
+        (Spooling::Wind, 1_400, 3_690, false),
+        (Spooling::PayOut, 1_301, 3_690, true),
+        (Spooling::PayOut, 1_300, 3_690, false),
+        (Spooling::PayOut, 1_400, 3_601, true),
+        (Spooling::PayOut, 1_400, 3_600, false),
+        (Spooling::PayOut, -1_400, 3_690, false),
+    ] {
+        let mut feed = Feed::at_speed(spooling, 11);
+        feed.sample.current_ua = spooling.along(along_ma * 1_000);
+        feed.sample.battery_mv = battery_mv;
+        let found = feed.step(11) == Err(Trip::SenseLost);
+        assert_eq!(found, is_open, "{spooling:?} {along_ma} {battery_mv}");
+    }
+}
