@@ -151,3 +151,7 @@ impl Recorder {
         self.record.thread_um = thread.0;
     }
 }
+
+#[cfg(test)]
+#[path = "../tests/unit/record.rs"]
+mod tests;

@@ -75,7 +75,7 @@ impl Recording {
     pub fn part(&self, get: &GetTrace, zero: Counts) -> Trace {
         let from = usize::try_from(get.from).unwrap_or(usize::MAX);
         let last = self.count.min(from.saturating_add(MAX_TRACE_POINTS));
-        let oldest = (self.next + KEPT_TRACE_POINTS - self.count) % KEPT_TRACE_POINTS;
+        let oldest = self.next + KEPT_TRACE_POINTS - self.count;
         let points = (from..last).map(|index| {
             let packed = &self.points[(oldest + index) % KEPT_TRACE_POINTS];
             let Thread(thread_um) = Counts(self.origin.0.wrapping_add(packed.counts.into()))

@@ -11,3 +11,5 @@ mod sense;
 mod sequences;
 mod settings;
 mod states;
+mod trace;
+mod window;
