@@ -327,3 +327,7 @@ pub(super) fn drawn_ma(current_ma: u16, drive_mv: i16, battery_mv: u16) -> u32 {
         .checked_div(battery_mv.into())
         .unwrap_or(0)
 }
+
+#[cfg(test)]
+#[path = "../../tests/unit/measures.rs"]
+mod tests;
