@@ -239,14 +239,16 @@ fn what_is_felt_decides_what_follows() {
         Ok(Decision::Careful(seek(true, Purpose::Reference)))
     );
     let to = Thread(0);
-    let paid_out = decide(feel(Then::PayOut { to, left: 1 }), at, load(60));
-    assert!(matches!(
-        paid_out,
-        Ok(Decision::Felt(Leg::PayOut {
-            to: Thread(0),
-            taut_to: Some(_)
-        }))
-    ));
+    // A pull that is felt with the last try counts as well.
+    for left in [0, 1] {
+        let paid_out = decide(feel(Then::PayOut { to, left }), at, load(60));
+        let taut_to = Some(Thread(10_000 - TENSION_ZONE.0));
+        assert_eq!(
+            paid_out,
+            Ok(Decision::Felt(Leg::PayOut { to, taut_to })),
+            "{left}"
+        );
+    }
     // Without a reading it makes room and tries again, and in the end nothing shows that the thread holds.
     let unread = |left| {
         let from = Counts(at.0 - FELT_AT_MOST.counts().0 - 1);
