@@ -67,8 +67,8 @@ proptest! {
         let end = ends.last().copied().unwrap_or_default();
         prop_assert_eq!(line.given() as usize, parts.len());
         prop_assert_eq!(line.end(), mark(end));
-        for number in parts.len().saturating_sub(REMEMBERED as usize)..parts.len() {
-            prop_assert_eq!(line.at_end_of(number as u32), mark(ends[number]));
+        for (number, end) in (0..line.given()).zip(&ends).rev().take(REMEMBERED as usize) {
+            prop_assert_eq!(line.at_end_of(number), mark(*end));
         }
         // Before the first period the progress is zero.
         if parts.len() < REMEMBERED as usize {
