@@ -123,4 +123,32 @@ mod tests {
         assert_eq!(port("tcp:host:99999"), Err(no.to_owned()));
         assert_eq!(port("host:99999"), Err(no.to_owned()));
     }
+
+    #[test]
+    fn words_and_places_are_told_apart() {
+        for (text, address) in [
+            ("auto", Ok(Address::Auto)),
+            ("virtual", Ok(Address::Virtual)),
+            ("Auto", Ok(Address::Serial("Auto".to_owned()))),
+            ("host:7001", Ok(Address::Tcp("host:7001".to_owned()))),
+            // A path that ends like a server's port is still a path, on either system.
+            ("/dev/a:1", Ok(Address::Serial("/dev/a:1".to_owned()))),
+            ("a\\b:1", Ok(Address::Serial("a\\b:1".to_owned()))),
+            (":7001", Ok(Address::Serial(":7001".to_owned()))),
+            ("host:", Ok(Address::Serial("host:".to_owned()))),
+            ("host:x", Ok(Address::Serial("host:x".to_owned()))),
+            (
+                "tcp:host:x",
+                Err(AddressError::Tcp("tcp:host:x".to_owned())),
+            ),
+            ("tcp:host:", Err(AddressError::Tcp("tcp:host:".to_owned()))),
+            (
+                "tcp::99999",
+                Err(AddressError::Tcp("tcp::99999".to_owned())),
+            ),
+            ("tcp:host:0", Err(AddressError::Port("0".to_owned()))),
+        ] {
+            assert_eq!(text.parse::<Address>(), address, "{text}");
+        }
+    }
 }

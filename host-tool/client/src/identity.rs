@@ -242,4 +242,60 @@ mod tests {
         assert_eq!(old.origin, Origin::Unknown);
         assert!(Origin::Board < Origin::Unknown && Origin::Unknown < Origin::Virtual);
     }
+
+    #[test]
+    fn a_machine_is_named_in_one_line() {
+        let mut machine = identity(*b"1234567890ab");
+        machine.revision = Revision {
+            commit: 0x00AB_C123,
+            dirty: true,
+        };
+        machine.boot_id = 7;
+        machine.reset_cause = ResetCause::Watchdog;
+        let version = protocol::VERSION;
+        let (major, minor) = (version.major, version.minor);
+        assert_eq!(
+            line(&machine),
+            format!(
+                "rig, UID 313233343536373839306162, firmware 00abc123-dirty (firmware), protocol {major}.{minor}, \
+                 schema 0000000000000001, start 7 (watchdog: a task hung)"
+            )
+        );
+        let simulated = identity(*b"virtual rig\0");
+        assert!(line(&simulated).starts_with("rig, virtual, UID 7669"));
+    }
+
+    #[test]
+    fn an_image_without_a_commit_is_unknown() {
+        for (commit, dirty, text) in [
+            (0, false, "unknown"),
+            (0, true, "unknown-dirty"),
+            (1, false, "00000001"),
+        ] {
+            assert_eq!(revision(&Revision { commit, dirty }), text);
+        }
+    }
+
+    #[test]
+    fn each_start_each_kind_and_each_origin_has_its_words() {
+        use std::collections::BTreeSet;
+        let causes = [
+            ResetCause::PowerOn,
+            ResetCause::Pin,
+            ResetCause::Panic,
+            ResetCause::Watchdog,
+            ResetCause::Software,
+        ];
+        let texts: BTreeSet<_> = causes.into_iter().map(reset_cause).collect();
+        assert_eq!(texts.len(), causes.len());
+        assert_eq!(kind_name(DeviceKind::Rig), "rig");
+        assert_eq!(kind_name(DeviceKind::Capsule), "capsule");
+        for origin in [Origin::Board, Origin::Unknown, Origin::Virtual] {
+            // In a record it is the same word, and its meaning begins with it.
+            let in_json = serde_json::to_value(origin).expect("JSON");
+            assert_eq!(in_json, origin.name());
+            assert_eq!(origin.to_string(), origin.name());
+            assert!(origin.meaning().starts_with(&format!("{origin}: ")));
+        }
+    }
 }

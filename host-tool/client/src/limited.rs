@@ -70,4 +70,10 @@ mod tests {
     fn a_file_without_an_end_is_refused() {
         assert!(read(Path::new("/dev/zero"), 1_000).is_err());
     }
+
+    #[test]
+    fn a_limit_is_named_in_kibibytes() {
+        let text = too_large(BY_HAND).to_string();
+        assert_eq!(text, "more than 64 KiB, which no such file has");
+    }
 }

@@ -477,4 +477,54 @@ mod tests {
             io::ErrorKind::NotFound
         );
     }
+
+    /// A reader of rows keeps a line in memory: one at the limit is read, one beyond is not, wherever it stands.
+    #[test]
+    fn lines_of_a_table_are_read_up_to_their_limit() {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("rows");
+        let longest = "x".repeat(LINE) + "\n";
+        for (text, fits) in [
+            (longest.repeat(3) + "1,2\n", true),
+            ("1,2\n".to_owned() + &longest, true),
+            (format!("{longest}y{longest}"), false),
+            (String::new(), true),
+        ] {
+            fs::write(&path, &text).expect("written");
+            let read = io::read_to_string(rows(&path).expect("opened"));
+            assert_eq!(read.ok(), fits.then_some(text));
+        }
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_says_why() {
+        let place = tempfile::tempdir().expect("a folder");
+        fs::write(place.path().join("file"), "mine").expect("written");
+        assert!(is_folder(place.path()) && !is_folder(&place.path().join("file")));
+        assert!(!is_folder(&place.path().join("none")));
+        for (name, kind) in [
+            ("file", io::ErrorKind::NotADirectory),
+            ("none/new", io::ErrorKind::NotFound),
+        ] {
+            let error = Folder::below(place.path(), name).expect_err(name);
+            assert_eq!(error.kind(), kind, "{name}");
+        }
+        assert_eq!(fs::read(place.path().join("file")).expect("there"), b"mine");
+    }
+
+    #[test]
+    fn a_file_of_a_folder_is_removed_and_nothing_else_is_left() {
+        let place = tempfile::tempdir().expect("a folder");
+        let folder = Folder::below(place.path(), "new").expect("created");
+        assert_eq!(folder.path("a"), place.path().join("new").join("a"));
+        folder.create("a", b"1").expect("new");
+        folder.remove("a").expect("removed");
+        folder.remove("a").expect("no error");
+        // A folder is no file, and one in the way leaves no part behind.
+        fs::create_dir_all(folder.path("b/c")).expect("a folder");
+        assert!(folder.remove("b").is_err());
+        assert!(folder.replace("b", b"2").is_err());
+        let left = fs::read_dir(place.path().join("new")).expect("there");
+        assert_eq!(left.count(), 1);
+    }
 }

@@ -90,3 +90,31 @@ impl Subject {
 pub fn file_name(machine: DeviceKind, uid: &str) -> String {
     format!("commissioning-{}-{uid}.json", kind_name(machine))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_of_commissioning_is_named_by_its_board() {
+        let mut subject = Subject {
+            machine: DeviceKind::Capsule,
+            uid: "00ff".to_owned(),
+            origin: Origin::Board,
+            image: String::new(),
+            firmware: String::new(),
+            protocol: String::new(),
+            settings: BTreeMap::new(),
+        };
+        assert_eq!(subject.file_name(), "commissioning-capsule-00ff.json");
+        assert_eq!(
+            file_name(DeviceKind::Rig, "00ff"),
+            "commissioning-rig-00ff.json"
+        );
+        // A setting that the record does not have is that of a new machine.
+        let key = SettingKey::StrokeUm;
+        assert_eq!(subject.setting(key), key.range().default);
+        subject.settings.insert(key.name().to_owned(), 12_345);
+        assert_eq!(subject.setting(key), 12_345);
+    }
+}

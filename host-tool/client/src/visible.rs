@@ -93,4 +93,12 @@ mod tests {
         let again: serde_json::Value = serde_json::from_str(&clean).expect("JSON");
         assert_eq!(again, value);
     }
+
+    #[test]
+    fn a_page_shows_what_its_reader_would_not_see() {
+        assert_eq!(html("a\u{202e}b\u{7f}"), "a&lt;U+202E&gt;b&lt;U+007F&gt;");
+        let page = "<p>µm\n\tand more</p>\n";
+        assert_eq!(html(page), page);
+        assert_eq!(html("a\r"), "a&lt;U+000D&gt;");
+    }
 }
