@@ -328,7 +328,7 @@ fn motion_looks_often_only_when_it_has_to() {
 /// The supervision waits for each task; one that has nothing to do comes as often as it asks, and no more often.
 #[test]
 fn an_idle_motion_task_checks_in_when_the_supervision_asks() {
-    let idle = std::time::Duration::from_micros(Pace::Idle.within_us());
+    let idle = std::time::Duration::from_micros(Pace::Idle.within_us().into());
     assert_eq!(idle.as_millis(), u128::from(CHECK_IN_MS));
 }
 
