@@ -716,7 +716,11 @@ proptest! {
         prop_assert_eq!(report.counted, StepPosition(bench.carriage.place));
         match end {
             PathEnd::Complete => bench.assert_complete(&path),
-            PathEnd::Underrun => prop_assert!(left < bench.plan.len()),
+            PathEnd::Underrun => {
+                prop_assert!(left < bench.plan.len());
+                let last = left.checked_sub(1).map_or(0, |last| bench.plan[last].at - bench.began);
+                prop_assert_eq!(report.last_tick, last);
+            }
             other => prop_assert!(false, "{:?}", other),
         }
         prop_assert!(!bench.carriage.ring.armed);

@@ -170,6 +170,45 @@ impl Slots {
         u64::from(self.pulses - begun)
     }
 
+    /// Appends periods that come into play together. As on the board, they belong to the path even if they are too late.
+    fn append(&mut self, periods: &[Period]) -> Result<(), Underrun> {
+        let too_late = self.ahead == Ahead::Slots && self.running && self.queue() < 2;
+        for period in periods {
+            self.note(*period);
+        }
+        if too_late {
+            return Err(Underrun);
+        }
+        for &period in periods {
+            assert!(self.room() > 0, "a slot that waits is overwritten");
+            let rounds = u32::from(period.repeats) + 1;
+            self.ticks += u64::from(period.ticks) * u64::from(rounds);
+            self.pulses += if period.pulse { rounds } else { 0 };
+            self.periods.push_back(period);
+        }
+        Ok(())
+    }
+
+    /// Notes a period that was given out.
+    fn note(&mut self, period: Period) {
+        let rounds = u32::from(period.repeats) + 1;
+        if period.pulse {
+            self.line.extend(&[Equal {
+                interval: period.ticks,
+                steps: rounds,
+            }]);
+            let start = self.path_ticks;
+            let rounds = 0..u64::from(rounds);
+            self.due
+                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
+            let forgotten = self.due.len().saturating_sub(REMEMBERED);
+            self.due.drain(..forgotten);
+        } else {
+            self.line.extend_by_pause(period.ticks);
+        }
+        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
+    }
+
     /// Slots that wait to be played; negative while the last one plays and after it.
     fn queue(&self) -> i64 {
         let taken = if self.running { TAKEN } else { 0 };
@@ -189,39 +228,13 @@ impl Ring for Slots {
     }
 
     fn push(&mut self, period: Period) -> Result<(), Underrun> {
-        if self.ahead == Ahead::Slots && self.running && self.queue() < 2 {
-            return Err(Underrun);
-        }
-        assert!(self.room() > 0, "a slot that waits is overwritten");
-        let rounds = u32::from(period.repeats) + 1;
-        if period.pulse {
-            self.line.extend(&[Equal {
-                interval: period.ticks,
-                steps: rounds,
-            }]);
-        } else {
-            self.line.extend_by_pause(period.ticks);
-        }
-        self.ticks += u64::from(period.ticks) * u64::from(rounds);
-        if period.pulse {
-            let start = self.path_ticks;
-            let rounds = 0..u64::from(rounds);
-            self.due
-                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
-            let forgotten = self.due.len().saturating_sub(REMEMBERED);
-            self.due.drain(..forgotten);
-        }
-        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
-        self.pulses += if period.pulse { rounds } else { 0 };
-        self.periods.push_back(period);
-        Ok(())
+        self.append(&[period])
     }
 
     fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
         assert!(!groups.is_empty());
-        groups
-            .iter()
-            .try_for_each(|steps| self.push(Period::from(*steps)))
+        let periods: Vec<_> = groups.iter().copied().map(Period::from).collect();
+        self.append(&periods)
     }
 
     fn room(&self) -> u32 {
