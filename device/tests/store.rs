@@ -77,7 +77,7 @@ fn other_records_are_kept_beside_the_settings() {
     assert_eq!(store.records(), &Count(0x0102_0304));
 }
 
-/// Nobody may be there to order a reset.
+/// The first record makes the log: a reset of the settings may never be ordered.
 #[test]
 fn a_record_is_kept_even_where_there_was_no_log() {
     let flash = Flash::holding(vec![0; SECTORS.end as usize]);

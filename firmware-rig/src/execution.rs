@@ -20,7 +20,7 @@ pub const LEAD_TICKS: u32 = 800_000;
 const FULL_TICKS: u32 = LEAD_TICKS / 40 * 39;
 /// Fewest periods to keep in the ring: a few long ones reach the lead, but must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
-/// Periods at which the ring counts as full. It holds four more, but on a steep ramp at the highest step rates it plays
+/// Periods at which the ring counts as full. It holds 20 more, but on a steep ramp at the highest step rates it plays
 /// periods as fast as they are prepared: filling it completely would never end and would starve the other tasks.
 const FULL_QUEUE: u32 = 232;
 /// Most periods to prepare before showing them to the ring. The captured edges are compared after each batch: on a

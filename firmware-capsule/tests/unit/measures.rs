@@ -1,4 +1,4 @@
-//! What the measures of a fold are computed with.
+//! The quantities from which the measures of a fold are computed.
 
 use super::*;
 
