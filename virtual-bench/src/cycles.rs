@@ -20,6 +20,7 @@
 //! counter.
 
 mod core;
+mod follow;
 mod replay;
 mod thumb;
 
@@ -33,6 +34,7 @@ use protocol::system::DeviceKind;
 
 pub use self::core::Accelerator;
 pub(crate) use self::core::{Code, Core, EXCEPTION};
+pub(crate) use self::follow::follow;
 use self::replay::{Recorder, Replay, replay};
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::{self, RigBoard};

@@ -368,7 +368,7 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
     peers::run(Some(&image(&edges, costs)), say)
 }
 
-/// What the table of the peers takes over: the edges of a stroke, and the costs without telemetry.
+/// The image's row in the table of the peers: the edges of a stroke, and the costs without telemetry.
 fn image(edges: &EdgeLog, costs: [cycles::Cost; CASES]) -> peers::Image {
     let [_, cruise, uneven, ramp, fine, quickest] = costs;
     let per_case = |cost: cycles::Cost| (cost.steps, cost.instructions, cost.cycles);

@@ -21,8 +21,8 @@ use crate::verdicts::{Stroke, TICK_HZ};
 const PARTS_PER_US: f64 = 1e5;
 /// Rates at which shares are stated, Hz.
 const RATES_HZ: [f64; 3] = [28_500.0, 100_000.0, 250_000.0];
-/// Most alarms by which the ring is refilled: one when half of 248 entries of at least one step have played.
-const RING_ALARMS: f64 = 1.0 / 124.0;
+/// Most alarms by which the ring is refilled: one when half of 232 entries of at least one step have played.
+const RING_ALARMS: f64 = 1.0 / 116.0;
 
 /// A way to time steps: its number in the image, and what follows from its design.
 struct Method {
@@ -61,7 +61,7 @@ impl Method {
     }
 }
 
-/// What the firmware's image was measured to do, by the figures before this table.
+/// The firmware's image, as the figures before this table measured it.
 #[derive(Clone, Debug)]
 pub struct Image {
     /// Rising edges of the first stroke of the paper's run, ticks.
@@ -231,7 +231,7 @@ const SHORT: Stroke = Stroke {
     ramp_ticks: 14_000_000,
 };
 
-/// What of it is followed: not the setting up, which comes before the first step.
+/// The part of it that is followed; setting up comes before the first step.
 const NEARLY_ALL: Range<u64> = 1..SHORT.steps - 1;
 
 /// Steps of the cruise that are followed.

@@ -16,7 +16,7 @@ mod image {
     use step_peers::ours::{Batches, Single};
     use step_peers::{Method, Move, austin, ramp_maker, segments, stepgen};
 
-    /// What the bench writes and looks at, word by word, as `virtual-bench/src/peers.rs` knows it.
+    /// The words that the bench writes and looks at; `virtual-bench/src/peers/follow.rs` has their places.
     #[repr(C)]
     pub struct Mailbox {
         /// Ticks to the next step.

@@ -6,8 +6,8 @@ use motion::units::{Steps, Ticks};
 
 use crate::{Method, Move};
 
-/// Groups of a batch: what the image asks for at once.
-pub const BATCH: usize = 32;
+/// Most groups of a batch, as the image asks for them.
+pub const BATCH: usize = 64;
 /// As the image asks for them: at most 8 ms, equal steps as the repetition counter can play them within 0.8 ms.
 const SHARE: Share = Share {
     steps: u32::MAX,

@@ -16,7 +16,7 @@ const FRACTION_BITS: u32 = 32;
 /// documentation suggests, a delay has steps of 0.02 ticks and the square of a speed above 65,535 steps/s overflows.
 pub struct Fixed {
     profile: Trapezoidal,
-    /// What the last delay had beyond whole ticks, 2^-32 ticks.
+    /// Fraction of a tick that the last delay left over, in 2^-32 ticks.
     carry: u64,
 }
 
@@ -42,7 +42,7 @@ impl Method for Fixed {
 /// Floats of 32 bits, which the core computes in hardware. In ticks.
 pub struct Float {
     profile: Trapezoidal<f32>,
-    /// What the last delay had beyond whole ticks.
+    /// Fraction of a tick that the last delay left over.
     carry: f32,
 }
 

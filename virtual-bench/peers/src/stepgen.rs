@@ -17,7 +17,7 @@ pub struct Delays {
     generator: Stepgen,
     /// Bits of its delays below one of our ticks.
     bits: u32,
-    /// What the last delay had beyond whole ticks.
+    /// Fraction of a tick that the last delay left over.
     carry: u32,
 }
 

@@ -6,15 +6,16 @@ use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use client::link::{Link, LinkError};
-use rigless::emulator::{self, Driver, HitKind, Host, Settled, Start, Stop, Watch};
+use rigless::emulator::{Driver, HitKind, Host, Settled, Stop, Watch};
 use rigless::image::Image;
 use rigless::session::Session;
 use rigless::time::VirtualNanos;
 
 use super::core::{Code, Core};
+use super::follow::follow;
 use crate::bench::{Bench, BenchError, BenchOptions};
 use crate::boards::rig::RigBoard;
-use crate::emulator::{ChipOptions, Emulator, Program};
+use crate::emulator::Emulator;
 use crate::link::VirtualLink;
 use crate::serial::Serial;
 
@@ -173,18 +174,8 @@ pub(super) fn replay(replay: Replay<'_>) -> Result<Seen, BenchError> {
     })?;
     let image = Image::new(path, elf, None).map_err(|why| ended(&why))?;
     let serial = Arc::<Mutex<Serial>>::default();
-    let images = [image];
-    let program = Program::of(&images, replay.options.chip.core_hz);
-    // Every instruction is followed, so disable the shortcuts that skip events.
-    let chip = ChipOptions {
-        every_event: true,
-        ..replay.options.chip
-    };
-    let emulator = Emulator::new(replay.board, chip, Arc::clone(&serial), 0, program);
-    let emulator = Box::new(emulator.map_err(|why| ended(&why))?);
-    let session = Session::new(emulator, 0, VirtualNanos(0)).map_err(|why| ended(&why))?;
     let follower = Follower {
-        serial,
+        serial: Arc::clone(&serial),
         script: replay.script,
         quantum_ns: replay.options.quantum_us.max(1) * 1_000,
         window_ns: replay.window_ns,
@@ -194,17 +185,12 @@ pub(super) fn replay(replay: Replay<'_>) -> Result<Seen, BenchError> {
         steps: 0..0,
         watches: false,
     };
-    let mut finished =
-        emulator::run(session, &Start::new(&images), follower).map_err(|why| ended(&why))?;
-    if let Some(error) = finished.session.take_error() {
-        return Err(ended(&error));
-    }
     let Follower {
         cores,
         counts,
         steps,
         ..
-    } = finished.driver;
+    } = follow(replay.board, replay.options.chip, image, serial, follower)?;
     Ok(Seen {
         cores,
         counts,

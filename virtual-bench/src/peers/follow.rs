@@ -2,19 +2,18 @@
 
 use std::ops::Range;
 use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 use object::{Object, ObjectSymbol};
-use rigless::emulator::{self, Driver, Hit, HitKind, Host, Settled, Start, Stop, Watch};
+use rigless::emulator::{Driver, Hit, HitKind, Host, Settled, Stop, Watch};
 use rigless::image::Image;
 use rigless::session::Session;
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
 
 use crate::bench::BenchError;
-use crate::cycles::{Accelerator, CORE_HZ, Code, Core, code};
-use crate::emulator::{ChipOptions, Emulator, Pads, Program, Wiring};
-use crate::serial::Serial;
+use crate::cycles::{Accelerator, Code, Core, code, follow};
+use crate::emulator::{ChipOptions, Emulator, Pads, Wiring};
 use crate::verdicts::Stroke;
 
 /// Words of the image's mailbox, as `virtual-bench/peers/src/main.rs` has them.
@@ -31,7 +30,7 @@ const REFUSED: u64 = 3;
 const LOOK_NS: u64 = 1_000_000;
 /// Most virtual time of a move, ns: the slowest takes 5 s.
 const LONGEST_NS: u64 = 60_000_000_000;
-/// So many steps before a window its instructions are followed already: what was cached has to be cached again.
+/// Steps before a window from which its instructions are followed already: the cache has to be filled again.
 const MARGIN: u64 = 300;
 
 /// Nothing is soldered to the chip.
@@ -70,7 +69,7 @@ impl std::ops::Add for Cost {
     }
 }
 
-/// What a method made of a move.
+/// A move as a method timed it.
 #[derive(Debug, Default)]
 pub(super) struct Followed {
     /// Intervals as they were given out, each with the number of steps that take it.
@@ -101,9 +100,11 @@ impl Peers {
             path: path.to_owned(),
             why,
         };
-        let elf = std::fs::read(path).map_err(|why| BenchError::NoImage {
-            path: path.to_owned(),
-            why,
+        let elf = std::fs::read(path).map_err(|why| {
+            let path = path.display();
+            BenchError::Ended(format!(
+                "no image of the peers at {path}: `cargo xtask bench` builds it ({why})"
+            ))
         })?;
         let file = object::File::parse(&*elf).map_err(|why| bad(why.to_string()))?;
         let mailbox = file
@@ -114,7 +115,7 @@ impl Peers {
         let functions = file
             .symbols()
             .filter(|symbol| symbol.kind() == object::SymbolKind::Text && symbol.size() > 0)
-            // What hands the intervals to the bench is none of the method.
+            // `main` hands the intervals to the bench and belongs to no method.
             .filter(|symbol| !symbol.name().is_ok_and(|name| name.contains("main")))
             .map(|symbol| (symbol.address() & !1, symbol.size()))
             .collect();
@@ -138,17 +139,6 @@ impl Peers {
         order: &Stroke,
         windows: &[Range<u64>],
     ) -> Result<Option<Followed>, BenchError> {
-        let ended = |why: &dyn std::fmt::Display| BenchError::Ended(why.to_string());
-        let images = [self.image.clone()];
-        let chip = ChipOptions {
-            every_event: true,
-            ..ChipOptions::default()
-        };
-        let program = Program::of(&images, CORE_HZ);
-        let serial = Arc::<Mutex<Serial>>::default();
-        let emulator = Emulator::new(Bare, chip, serial, 0, program);
-        let emulator = Box::new(emulator.map_err(|why| ended(&why))?);
-        let session = Session::new(emulator, 0, VirtualNanos(0)).map_err(|why| ended(&why))?;
         let follower = Follower {
             mailbox: self.mailbox,
             order: [
@@ -169,17 +159,18 @@ impl Peers {
             asked: false,
             ordered: false,
         };
-        let mut finished =
-            emulator::run(session, &Start::new(&images), follower).map_err(|why| ended(&why))?;
-        if let Some(error) = finished.session.take_error() {
-            return Err(ended(&error));
-        }
         let Follower {
             state,
             mut seen,
             touched,
             ..
-        } = finished.driver;
+        } = follow(
+            Bare,
+            ChipOptions::default(),
+            self.image.clone(),
+            Arc::default(),
+            follower,
+        )?;
         match state {
             DONE if seen.costs.len() == windows.len() => {
                 seen.code_bytes = self.touched_bytes(&touched);
