@@ -1,5 +1,7 @@
 //! `virtual-bench bench`: performance of the rig's image, measured on the emulator in instructions and virtual time.
 
+use std::fs;
+use std::path::Path;
 use std::time::Instant;
 
 use client::error::ClientError;
@@ -18,7 +20,7 @@ use crate::budget;
 use crate::cycles;
 use crate::faults::When;
 use crate::link::VirtualLink;
-use crate::peers;
+use crate::peers::{self, table_head};
 use crate::pins::EdgeLog;
 use crate::plants::rig::{Action, Rig, RigOptions, Switch};
 use crate::unmeasured::FigureError;
@@ -43,6 +45,10 @@ const UNEVEN_CYCLE: RunRequest = RunRequest {
     ..ONE_CYCLE
 };
 
+/// Instructions per second of virtual time that the emulator executes. By the model of its cycles the chip executes 43
+/// to 71 million, by what it executes.
+const IPS: u64 = 65_000_000;
+
 struct Homed {
     bench: Bench<RigBoard>,
     device: Device,
@@ -51,11 +57,6 @@ struct Homed {
 
 fn homed(ips: u64) -> Result<Homed, FigureError> {
     homed_on(RigOptions::REFERENCE, ips)
-}
-
-/// A rig that times its steps, at the processor speed for which loads are stated.
-fn timed() -> Result<Homed, FigureError> {
-    homed_on(RigOptions::WITH_BOTH_JUMPERS, 65_000_000)
 }
 
 fn homed_on(rig: RigOptions, ips: u64) -> Result<Homed, FigureError> {
@@ -73,32 +74,16 @@ fn homed_on(rig: RigOptions, ips: u64) -> Result<Homed, FigureError> {
 }
 
 impl Homed {
-    /// Fraction of the processor's time that it is awake, measured over `us`.
-    fn load(&mut self, us: u64) -> Result<f64, FigureError> {
-        let before = (
-            self.bench.visit(|visit| visit.instructions())?,
-            self.bench.now_ns(),
-        );
-        self.device.idle(us, &mut Unobserved)?;
-        let after = (
-            self.bench.visit(|visit| visit.instructions())?,
-            self.bench.now_ns(),
-        );
-        let seconds = (after.1 - before.1) as f64 * 1e-9;
-        Ok((after.0 - before.0) as f64 / (seconds * self.ips as f64))
-    }
-
-    /// The load in the middle of a run's first stroke, and virtual seconds per wall second.
-    fn load_in(&mut self, run: RunRequest) -> Result<(f64, f64), FigureError> {
-        self.device.run(run)?;
+    /// Virtual seconds per second of this computer, in the middle of a run's first stroke.
+    fn speed(&mut self) -> Result<f64, FigureError> {
         self.device.idle(1_000_000, &mut Unobserved)?;
         let wall = Instant::now();
-        let load = self.load(2_000_000)?;
-        Ok((load, 2.0 / wall.elapsed().as_secs_f64()))
+        self.device.idle(2_000_000, &mut Unobserved)?;
+        Ok(2.0 / wall.elapsed().as_secs_f64())
     }
 
-    /// The longest time without sleep within `us`, to 10 us. No task takes longer, interrupts included.
-    fn longest_awake_us(&mut self, us: u64) -> Result<u64, FigureError> {
+    /// Most instructions without sleep within `us`, to 10 us of them. No task takes more, interrupts included.
+    fn longest_awake(&mut self, us: u64) -> Result<u64, FigureError> {
         const STEP_US: u64 = 10;
         // Allow for single instructions that fall beyond the end of a step.
         let awake = self.ips * STEP_US / 1_000_000 * 49 / 50;
@@ -115,7 +100,7 @@ impl Homed {
             longest = longest.max(present);
             before = now;
         }
-        Ok(longest)
+        Ok(longest * self.ips / 1_000_000)
     }
 
     /// Sends a request without waiting for its answer.
@@ -142,64 +127,25 @@ impl Homed {
     }
 }
 
-/// The load in the cruise of the highest step rate that the settings allow: 1/32 microsteps at 156.2 mm/s.
-fn load_at_the_highest_rate() -> Result<f64, FigureError> {
-    let mut rig = homed_on(
-        RigOptions::WITH_BOTH_JUMPERS.with_steps_per_mm(1_600),
-        65_000_000,
-    )?;
-    for (key, value) in [
-        (SettingKey::Microsteps, 32),
-        (SettingKey::MaxSpeedUmS, 156_250),
-    ] {
-        rig.device.call(Setting { key, value })?;
-    }
-    let accepted = rig.device.home()?;
-    rig.device.wait_homing(&accepted, &mut Unobserved)?;
-    rig.device.run(RunRequest {
-        timing: RunTiming::Speeds {
-            forward_um_s: 156_200,
-            return_um_s: 156_200,
-            accel_um_s2: 2_000_000,
-        },
-        far_dwell_us: 1_000,
-        ..ONE_CYCLE
-    })?;
-    rig.device.idle(200_000, &mut Unobserved)?;
-    rig.load(500_000)
-}
-
-/// Measures all figures and prints each with its goal.
+/// Measures all figures and prints each with its goal. `klipper` is the folder of Klipper's sources, for its row in the
+/// table of the peers; `page` a page of the manual, whose tables of cycles and peers are written anew.
 ///
 /// # Errors
-/// The emulator or the link failed. A figure that misses its goal is not an error.
-pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
+/// The emulator or the link failed, Klipper's sources cannot be compiled or run, or the page has no such tables. A
+/// figure that misses its goal is not an error.
+pub fn run(
+    klipper: Option<&Path>,
+    page: Option<&Path>,
+    say: &mut dyn FnMut(&str),
+) -> Result<(), FigureError> {
     let mut line =
         |what: &str, value: String, goal: &str| say(&format!("{what:<58} {value:<28} {goal}"));
     line("figure", "measured".into(), "goal, or best seen elsewhere");
 
-    let mut rig = homed(65_000_000)?;
-    line(
-        "CPU load at rest (65 M instructions/s)",
-        format!("{:.2} %", rig.load(1_000_000)? * 1e2),
-        "",
-    );
+    let mut rig = homed(IPS)?;
     let first = rig.edges()?.0;
     let accepted = rig.device.run(ONE_CYCLE)?;
-    rig.device.idle(1_000_000, &mut Unobserved)?;
-    let wall = Instant::now();
-    let load = rig.load(2_000_000)?;
-    let speed = 2.0 / wall.elapsed().as_secs_f64();
-    line(
-        "CPU load at 28.5 kHz",
-        format!("{:.2} %", load * 1e2),
-        "< 3 %",
-    );
-    line(
-        "instructions per step at 28.5 kHz, all tasks together",
-        format!("{:.0}", load * 65e6 / 28_547.0),
-        "Klipper 46 cycles, without planning",
-    );
+    let speed = rig.speed()?;
     line(
         "virtual seconds per wall second while stepping",
         format!("{speed:.1}"),
@@ -222,38 +168,15 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         "<= 10 ns; Klipper 25 us",
     );
 
-    let (load, _) = homed(65_000_000)?.load_in(UNEVEN_CYCLE)?;
+    let mut timed = homed_on(RigOptions::WITH_BOTH_JUMPERS, IPS)?;
+    timed.device.run(ONE_CYCLE)?;
     line(
-        "CPU load at 28.5 kHz, hardly any two periods equal",
-        format!("{:.2} %", load * 1e2),
-        "",
-    );
-
-    let (load, speed) = timed()?.load_in(ONE_CYCLE)?;
-    line(
-        "CPU load at 28.5 kHz, each step timed",
-        format!("{:.2} %", load * 1e2),
-        "< 6 %; nobody else times them",
-    );
-    line(
-        "    virtual seconds per wall second",
-        format!("{speed:.1}"),
-        "",
-    );
-    let load = timed()?.load_in(UNEVEN_CYCLE)?.0;
-    line(
-        "    hardly any two periods equal",
-        format!("{:.2} %", load * 1e2),
-        "",
+        "    each step timed",
+        format!("{:.1}", timed.speed()?),
+        ">= 20",
     );
 
     let health = rig.device.call(GetRigHealth)?;
-    let quickest = load_at_the_highest_rate()?;
-    line(
-        "CPU load at 249.9 kHz, each step timed",
-        format!("{:.2} %", quickest * 1e2),
-        "",
-    );
     line(
         "longest delay of control, homing and one cycle",
         format!("{} us", health.control_late_us),
@@ -265,32 +188,32 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         "",
     );
 
-    let mut awake = homed(65_000_000)?;
+    let mut awake = homed(IPS)?;
     awake.device.set_telemetry(5)?;
-    let at_rest = awake.longest_awake_us(200_000)?;
+    let at_rest = awake.longest_awake(200_000)?;
     awake.send(&Request::Run(ONE_CYCLE))?;
-    let begun = awake.longest_awake_us(50_000)?;
+    let begun = awake.longest_awake(50_000)?;
     awake.bench.advance_us(1_000_000)?;
-    let stepping = awake.longest_awake_us(200_000)?;
+    let stepping = awake.longest_awake(200_000)?;
     let moved = awake.edges()?.0 > 10_000;
     line(
-        "longest time awake, telemetry at 200 Hz: at rest",
-        format!("{at_rest} us"),
+        "most instructions without sleep, telemetry at 200 Hz: at rest",
+        at_rest.to_string(),
         "",
     );
     line(
         "    a run is asked for, solved, begun, answered",
-        format!("{begun} us"),
+        begun.to_string(),
         "",
     );
     line(
         "    at 28.5 kHz",
         if moved {
-            format!("{stepping} us")
+            stepping.to_string()
         } else {
             "the rig did not move".into()
         },
-        "the ring holds 8,000 us",
+        "the ring holds 340,000",
     );
 
     // The far limit opens in the middle of a stroke.
@@ -320,7 +243,7 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         "<= 50 us; Klipper >= 45 us",
     );
 
-    let mut rig = homed(65_000_000)?;
+    let mut rig = homed(IPS)?;
     rig.device.run(ONE_CYCLE)?;
     rig.device.idle(2_000_000, &mut Unobserved)?;
     let sent_ns = rig.bench.now_ns();
@@ -360,12 +283,46 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
         line(
             &format!("one cycle at {ips} M instructions/s"),
             value,
-            "margin below 65",
+            "the chip has 43 or more",
         );
     }
-    let costs = cycles_of_cases(&mut line)?;
     budget::run(&mut line)?;
-    peers::run(Some(&image(&edges, costs)), say)
+    let (costs, cycles) = cycles_of_cases()?;
+    let peers = peers::table(Some(&image(&edges, costs)), klipper)?;
+    for table in [&cycles, &peers] {
+        say("");
+        say(table);
+    }
+    if let Some(page) = page {
+        write_into(page, &[&cycles, &peers])?;
+    }
+    Ok(())
+}
+
+/// Puts tables into a page, each in place of the one with the same heading.
+fn write_into(page: &Path, tables: &[&str]) -> Result<(), FigureError> {
+    let failed = |what: String| FigureError::Page { what };
+    let text = fs::read_to_string(page).map_err(|error| failed(error.to_string()))?;
+    let text = tables.iter().try_fold(text, |text, table| {
+        replaced(&text, table).ok_or_else(|| failed("it has no table with this heading".into()))
+    })?;
+    fs::write(page, text).map_err(|error| failed(error.to_string()))
+}
+
+/// The page with this table in place of the one with the same heading.
+fn replaced(page: &str, table: &str) -> Option<String> {
+    let head = table.lines().next()?;
+    let start = page.find(&format!("\n{head}\n"))? + 1;
+    let rows = page[start..].split_inclusive('\n');
+    let length: usize = rows
+        .take_while(|line| line.starts_with('|'))
+        .map(str::len)
+        .sum();
+    Some(format!(
+        "{}{table}\n{}",
+        &page[..start],
+        &page[start + length..]
+    ))
 }
 
 /// The image's row in the table of the peers: the edges of a stroke, and the costs without telemetry.
@@ -414,61 +371,91 @@ const FINE: RunRequest = RunRequest {
 /// Number of cases below.
 const CASES: usize = 6;
 
-/// Name, settings, steps per millimetre, run, start of the window in the run in us, and goal.
+/// Name, settings, steps per millimetre, run, start of the window in the run in us, and goal in percent, 0 for none.
 type CycleCase<'a> = (
     &'a str,
     &'a [(SettingKey, u32)],
     i64,
     Option<RunRequest>,
     u64,
-    &'a str,
+    u8,
 );
 
+/// Heading of the table of cycles, in `docs/performance.md` too.
+const CYCLES_HEAD: &str = "\
+| run | telemetry | instructions per step | cycles per step | share of the processor | the same with wait states only \
+| goal |";
+
+/// A row of the table: goal in percent, 0 for none.
+fn cycles_row(what: &str, telemetry: &str, cost: &cycles::Cost, goal: u8) -> String {
+    let percent = |[least, most]: [f64; 2]| format!("{:.1} to {:.1} %", least * 1e2, most * 1e2);
+    let (instructions, per_step) = if cost.steps > 0 {
+        let steps = cost.steps as f64;
+        let [least, most] = cost.cycles.map(|cycles| cycles as f64 / steps);
+        (
+            format!("{:.0}", cost.instructions as f64 / steps),
+            format!("{least:.0} to {most:.0}"),
+        )
+    } else {
+        ("-".to_owned(), "-".to_owned())
+    };
+    let goal = match goal {
+        0 => String::new(),
+        goal if cost.shares()[1] * 1e2 > f64::from(goal) => format!(" **{goal} %, missed**"),
+        goal => format!(" {goal} %"),
+    };
+    format!(
+        "| {what} | {telemetry} | {instructions} | {per_step} | {} | {} |{goal} |",
+        percent(cost.shares()),
+        percent(cost.shares_without_accelerator())
+    )
+}
+
 /// Cycles of the worst cases by the model, each step timed. Each case is followed for as long as the host is silent
-/// between two signs of life: a shorter window would count its requests too often. Returns the costs without telemetry.
-fn cycles_of_cases(
-    line: &mut dyn FnMut(&str, String, &str),
-) -> Result<[cycles::Cost; CASES], FigureError> {
+/// between two signs of life: a shorter window would count its requests too often. Returns the costs without telemetry,
+/// and the table.
+fn cycles_of_cases() -> Result<([cycles::Cost; CASES], String), FigureError> {
     let mut costs = Vec::with_capacity(CASES);
     let fine = [(SettingKey::LeadUm, 2_000), (SettingKey::Microsteps, 64)];
     let cases: [CycleCase<'_>; CASES] = [
-        ("at rest", &[], 800, None, 100_000, ""),
+        ("at rest", &[], 800, None, 100_000, 0),
         (
-            "paper's cruise, 28.5 kHz",
+            "the paper's cruise, 28.5 kHz",
             &[],
             800,
             Some(ONE_CYCLE),
             600_000,
-            "< 4 %",
+            4,
         ),
         (
-            "28.5 kHz, 3502.493 ticks a step",
+            "3502.493 ticks a step, 28.5 kHz",
             &[],
             800,
             Some(UNEVEN_CYCLE),
             600_000,
-            "< 6 %",
+            6,
         ),
-        ("ramp of the same", &[], 800, Some(UNEVEN_CYCLE), 50_000, ""),
+        ("its ramp", &[], 800, Some(UNEVEN_CYCLE), 50_000, 0),
         (
-            "99.9 kHz, 1001.414 ticks a step",
+            "1001.414 ticks a step, 99.9 kHz",
             &fine,
             6_400,
             Some(FINE),
             100_000,
-            "",
+            0,
         ),
         (
-            "249.7 kHz, 400.497 ticks a step",
+            "400.497 ticks a step, 249.7 kHz",
             &fine,
             6_400,
             Some(FINEST),
             100_000,
-            "< 50 %",
+            50,
         ),
     ];
+    let mut rows = table_head(CYCLES_HEAD);
     for (what, settings, steps_per_mm, run, after_us, goal) in cases {
-        for (telemetry_ms, how_often) in [(0, "no telemetry"), (5, "at 200 Hz")] {
+        for (telemetry_ms, how_often) in [(0, "none"), (5, "200 Hz")] {
             let settings = settings.iter().map(|&(key, value)| Setting { key, value });
             let cost = cycles::measure(&cycles::Case {
                 settings: settings.collect(),
@@ -479,30 +466,43 @@ fn cycles_of_cases(
                 after_us,
                 lasts_us: KEEP_ALIVE_US,
             })?;
+            rows.push(cycles_row(what, how_often, &cost, goal));
             if telemetry_ms == 0 {
                 costs.push(cost);
             }
-            let percent =
-                |[least, most]: [f64; 2]| format!("{:.1} to {:.1} %", least * 1e2, most * 1e2);
-            line(
-                &format!("cycles, {how_often}: {what}"),
-                percent(cost.shares()),
-                goal,
-            );
-            let bare = percent(cost.shares_without_accelerator());
-            line("    with wait states only", bare, "");
-            if cost.steps > 0 {
-                let steps = cost.steps as f64;
-                let [least, most] = cost.cycles.map(|cycles| cycles as f64 / steps);
-                let instructions = cost.instructions as f64 / steps;
-                let per_step = format!("{instructions:.0}; {least:.0} to {most:.0}");
-                line(
-                    "    instructions; cycles per step, all tasks together",
-                    per_step,
-                    "",
-                );
-            }
         }
     }
-    Ok(costs.try_into().expect("one for each case"))
+    let costs = costs.try_into().expect("one for each case");
+    Ok((costs, rows.join("\n")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_table_takes_the_place_of_the_one_with_its_heading() {
+        let page = "text\n\n| a | b |\n|---|---|\n| 1 | 2 |\n\nmore\n| c |\n";
+        let new = "| a | b |\n|---|---|\n| 3 | 4 |\n| 5 | 6 |";
+        let page = replaced(page, new).expect("found");
+        assert_eq!(
+            page,
+            "text\n\n| a | b |\n|---|---|\n| 3 | 4 |\n| 5 | 6 |\n\nmore\n| c |\n"
+        );
+        // Written again, it is the same.
+        assert_eq!(replaced(&page, new).as_ref(), Some(&page));
+        assert_eq!(replaced(&page, "| b | a |\n|---|---|"), None);
+    }
+
+    /// The page has both tables, so that `bench --page` finds them.
+    #[test]
+    fn the_manual_has_the_tables() {
+        let page = include_str!("../../docs/performance.md");
+        for head in [CYCLES_HEAD, peers::HEAD] {
+            assert!(
+                replaced(page, &table_head(head).join("\n")).is_some(),
+                "{head}"
+            );
+        }
+    }
 }

@@ -34,6 +34,14 @@ struct Arguments {
     subcommand: Subcommand,
 }
 
+/// Peers that are not among the images.
+#[derive(clap::Args)]
+struct PeerSources {
+    /// Folder of Klipper's sources, whose step compressor then stands in the table, too.
+    #[arg(long, value_name = "DIR")]
+    klipper: Option<PathBuf>,
+}
+
 #[derive(clap::Subcommand)]
 enum Subcommand {
     /// Executes the paper's experiment on both images and judges it from the pins.
@@ -43,9 +51,18 @@ enum Subcommand {
         out: PathBuf,
     },
     /// Measures the performance of the rig's image.
-    Bench,
+    Bench {
+        #[command(flatten)]
+        peers: PeerSources,
+        /// Write the tables of cycles and peers into this page, too: docs/performance.md.
+        #[arg(long, value_name = "FILE")]
+        page: Option<PathBuf>,
+    },
     /// Only the last table of `bench`: the step generator beside its peers.
-    Peers,
+    Peers {
+        #[command(flatten)]
+        peers: PeerSources,
+    },
     /// Tries the capsule's image on seeded capsules with one defect each, and prints what it called them.
     Capsules {
         /// Cases of each defect.
@@ -112,12 +129,14 @@ fn main() -> ExitCode {
             demo::run(&DemoOptions { out, now }, std::io::stderr().is_terminal())
                 .map_err(miette::Report::from)
         }
-        Subcommand::Bench => figures::run(&mut |line| drop(writeln!(std::io::stdout(), "{line}")))
+        Subcommand::Bench { peers, page } => {
+            let mut say = |line: &str| drop(writeln!(std::io::stdout(), "{line}"));
+            figures::run(peers.klipper.as_deref(), page.as_deref(), &mut say)
+                .map_err(miette::Report::from)
+        }
+        Subcommand::Peers { peers } => peers::table(None, peers.klipper.as_deref())
+            .map(|table| drop(writeln!(std::io::stdout(), "{table}")))
             .map_err(miette::Report::from),
-        Subcommand::Peers => peers::run(None, &mut |line| {
-            drop(writeln!(std::io::stdout(), "{line}"))
-        })
-        .map_err(miette::Report::from),
         Subcommand::Capsules { cases, only } => population::run(cases, &only, &mut |line| {
             drop(writeln!(std::io::stdout(), "{line}"))
         })

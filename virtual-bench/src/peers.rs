@@ -6,10 +6,13 @@
 //! in a row of its own.
 
 mod follow;
+mod klipper;
 
 use std::ops::Range;
+use std::path::Path;
 
 use self::follow::{Cost, Followed, Peers};
+use self::klipper::Compressor;
 use crate::bench::images;
 use crate::boards::rig;
 use crate::cycles::{Accelerator, CORE_HZ, EXCEPTION, FLASH_ACR};
@@ -134,6 +137,14 @@ struct Row {
     paper: Errors,
     /// Largest error at 249.7 kHz, as text.
     quick: String,
+    /// None if the steps are timed by another computer.
+    costs: Option<Costs>,
+    bytes: Option<u64>,
+    stops: &'static str,
+}
+
+/// What timing costs the microcontroller.
+struct Costs {
     ramp: Cost,
     cruise: Cost,
     /// A cruise with hardly any two intervals equal.
@@ -141,11 +152,10 @@ struct Row {
     interrupts_per_step: f64,
     shares: [f64; 3],
     most_hz: f64,
-    bytes: Option<u64>,
-    stops: &'static str,
 }
 
-const HEAD: &str = "\
+/// Heading of the table, in `docs/performance.md` too.
+pub const HEAD: &str = "\
 | method | largest error, us | rms, us | largest from the start, us | largest at 249.7 kHz, us \
 | instructions per step: ramp, cruise, worst fraction | cycles: ramp | cruise | worst fraction | interrupts per step \
 | share at most at 28.5, 100, 250 kHz, % | kHz at most | bytes of code | ramped stop begins after |";
@@ -185,25 +195,32 @@ impl Row {
         cell(us(self.paper.rms));
         cell(us(self.paper.from_start));
         cell(self.quick.clone());
-        let costs = [self.ramp, self.cruise, self.worst];
-        cell(
-            costs
-                .map(|cost| format!("{:.0}", cost.instructions_per_step()))
-                .join(", "),
-        );
-        for cost in costs {
-            cell(cost.shown());
-        }
-        cell(format!("{:.4}", self.interrupts_per_step));
-        cell(
-            self.shares
-                .map(|share| format!("{:.1}", share * 1e2))
-                .join(", "),
-        );
-        cell(format!("{:.0}", self.most_hz / 1e3));
+        match &self.costs {
+            Some(costs) => costs.shown().map(&mut cell),
+            None => [(); Costs::CELLS].map(|()| cell("-".into())),
+        };
         cell(self.bytes.map_or("-".into(), |bytes| bytes.to_string()));
         cell(self.stops.into());
         line
+    }
+}
+
+impl Costs {
+    const CELLS: usize = 7;
+
+    fn shown(&self) -> [String; Self::CELLS] {
+        let costs = [self.ramp, self.cruise, self.worst];
+        let instructions = costs.map(|cost| format!("{:.0}", cost.instructions_per_step()));
+        let shares = self.shares.map(|share| format!("{:.1}", share * 1e2));
+        [
+            instructions.join(", "),
+            self.ramp.shown(),
+            self.cruise.shown(),
+            self.worst.shown(),
+            format!("{:.4}", self.interrupts_per_step),
+            shares.join(", "),
+            format!("{:.0}", self.most_hz / 1e3),
+        ]
     }
 }
 
@@ -267,12 +284,14 @@ fn row(peers: &Peers, method: &Method) -> Result<Option<Row>, FigureError> {
         quick: quick.map_or("refused".into(), |followed| {
             us(Errors::of_followed(&QUICK, &followed).largest)
         }),
-        ramp,
-        cruise,
-        worst,
-        interrupts_per_step: method.interrupts_per_step,
-        shares: RATES_HZ.map(|rate| with_entry(worst) * rate / core_hz),
-        most_hz: core_hz / with_entry(worst).max(with_entry(ramp)),
+        costs: Some(Costs {
+            ramp,
+            cruise,
+            worst,
+            interrupts_per_step: method.interrupts_per_step,
+            shares: RATES_HZ.map(|rate| with_entry(worst) * rate / core_hz),
+            most_hz: core_hz / with_entry(worst).max(with_entry(ramp)),
+        }),
         bytes: short.map(|followed| followed.code_bytes),
         stops: method.stops,
     }))
@@ -289,15 +308,32 @@ fn image_row(image: &Image) -> Row {
         name: "ours, the whole image, each step timed".into(),
         paper: Errors::of(&paper(), image.ticks.iter().copied()),
         quick: "-".into(),
-        ramp,
-        cruise,
-        worst,
-        interrupts_per_step: RING_ALARMS,
-        shares: image.shares,
-        most_hz: CORE_HZ as f64 / image.cycles_at_most,
+        costs: Some(Costs {
+            ramp,
+            cruise,
+            worst,
+            interrupts_per_step: RING_ALARMS,
+            shares: image.shares,
+            most_hz: CORE_HZ as f64 / image.cycles_at_most,
+        }),
         bytes: None,
         stops: RING,
     }
+}
+
+/// Klipper's compressor, from its sources in this folder.
+fn klipper_row(sources: &Path) -> Result<Row, FigureError> {
+    let compressor = Compressor::build(sources)?;
+    let (ticks, commands) = compressor.run(&paper())?;
+    let (quick, _) = compressor.run(&QUICK)?;
+    Ok(Row {
+        name: format!("Klipper, planned by a host in {commands} commands"),
+        paper: Errors::of(&paper(), ticks.into_iter()),
+        quick: us(Errors::of(&QUICK, quick.into_iter()).largest),
+        costs: None,
+        bytes: None,
+        stops: "a host's plan",
+    })
 }
 
 /// The flash as the firmware sets it.
@@ -308,28 +344,31 @@ fn accelerator() -> Result<Accelerator, FigureError> {
     Ok(Accelerator::of_register(register.unwrap_or(0)))
 }
 
-/// Measures all peers and prints the table; with a row of the image if its figures are given.
+/// The first two lines of a table.
+pub(crate) fn table_head(head: &str) -> Vec<String> {
+    let columns = head.matches(" | ").count() + 1;
+    vec![head.to_owned(), format!("|{}", "---|".repeat(columns))]
+}
+
+/// Measures all peers. Returns the table, with a row of the image if its figures are given, and of Klipper if the folder
+/// of its sources is.
 ///
 /// # Errors
-/// An image is missing, or the emulator failed.
-pub fn run(image: Option<&Image>, say: &mut dyn FnMut(&str)) -> Result<(), FigureError> {
+/// An image is missing, the emulator failed, or Klipper's sources cannot be compiled or run.
+pub fn table(image: Option<&Image>, klipper: Option<&Path>) -> Result<String, FigureError> {
     let peers = Peers::read(&images().join("step-peers"), accelerator()?)?;
-    say("");
-    say(HEAD);
-    say(&format!(
-        "|{}",
-        "---|".repeat(HEAD.matches(" | ").count() + 1)
-    ));
-    if let Some(image) = image {
-        say(&image_row(image).shown());
-    }
+    let mut lines = table_head(HEAD);
+    lines.extend(image.map(|image| image_row(image).shown()));
     for method in &METHODS {
-        match row(&peers, method)? {
-            Some(row) => say(&row.shown()),
-            None => say(&format!("| {} | refuses the move |", method.name)),
-        }
+        lines.push(match row(&peers, method)? {
+            Some(row) => row.shown(),
+            None => format!("| {} | refuses the move |", method.name),
+        });
     }
-    Ok(())
+    if let Some(sources) = klipper {
+        lines.push(klipper_row(sources)?.shown());
+    }
+    Ok(lines.join("\n"))
 }
 
 #[cfg(test)]
@@ -394,5 +433,11 @@ mod tests {
         assert_eq!(row.matches('|').count(), columns, "{row}");
         assert!(row.contains("| 60, 60, 60 | 80 to 100 |"), "{row}");
         assert!(row.contains("| 400 |"), "{row}");
+        let elsewhere = Row {
+            costs: None,
+            ..image_row(&image)
+        };
+        let row = elsewhere.shown();
+        assert_eq!(row.matches('|').count(), columns, "{row}");
     }
 }

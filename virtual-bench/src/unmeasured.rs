@@ -15,4 +15,23 @@ pub enum FigureError {
     #[error(transparent)]
     #[diagnostic(transparent)]
     Client(#[from] ClientError),
+    /// The step compressor of Klipper.
+    #[error("Klipper's step compressor cannot be measured: {what}")]
+    #[diagnostic(
+        code(bench::klipper),
+        help(
+            "give the folder of a clone of Klipper with its `klippy/chelper`, and install a C compiler"
+        )
+    )]
+    Klipper {
+        /// What failed.
+        what: String,
+    },
+    /// The page for the tables.
+    #[error("the tables cannot be written into the page: {what}")]
+    #[diagnostic(code(bench::page), help("give docs/performance.md, or a copy of it"))]
+    Page {
+        /// What failed.
+        what: String,
+    },
 }
