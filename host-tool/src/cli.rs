@@ -132,6 +132,22 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ),
 ];
 
+/// Global options that say where machines are.
+const PLACES: [&str; 3] = ["rig", "capsule", "baud"];
+/// Subcommands that reach no machine, so that their help does not show these.
+const WITHOUT_MACHINES: [&str; 10] = [
+    "list",
+    "verify",
+    "report",
+    "plan",
+    "design",
+    "simulate",
+    "fit",
+    "plan-experiment",
+    "completions",
+    "man",
+];
+
 /// Peristaltic waves on the rig, a folding capsule, and the data of both.
 ///
 /// Ctrl-C stops in a controlled way and keeps the position; twice is the emergency stop. This is not a certified
@@ -344,7 +360,18 @@ fn command() -> clap::Command {
         }
     }
     help += "  help             Print this, or the help of a subcommand\n\nOptions:\n{options}{after-help}";
-    command.help_template(help)
+    // Hidden, but still taken: a script may give them to all commands.
+    let hidden: Vec<_> = command
+        .get_arguments()
+        .filter(|argument| PLACES.contains(&argument.get_id().as_str()))
+        .map(|argument| argument.clone().hide(true))
+        .collect();
+    WITHOUT_MACHINES
+        .iter()
+        .fold(command, |command, name| {
+            command.mut_subcommand(name, |of| of.args(&hidden))
+        })
+        .help_template(help)
 }
 
 fn run_in(
@@ -475,6 +502,35 @@ fn carry_out(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_command_without_a_machine_takes_its_places_and_does_not_show_them() {
+        for words in [
+            &["retrograde", "simulate", "roller"][..],
+            &["retrograde", "verify", "folder"],
+        ] {
+            let mut line = words.to_vec();
+            line.extend(["--rig", "tcp:127.0.0.1:1", "--baud", "9600"]);
+            let matches = command().try_get_matches_from(line).expect("taken");
+            let cli = Cli::from_arg_matches(&matches).expect("read");
+            assert_eq!((cli.rig.is_some(), cli.baud), (true, 9_600), "{words:?}");
+            let mut line = words.to_vec();
+            line.push("--help");
+            let help = command().try_get_matches_from(line).expect_err("help");
+            let help = help.to_string();
+            assert!(
+                help.contains("--json") && !help.contains("--rig <"),
+                "{help}"
+            );
+        }
+        let known: Vec<_> = command()
+            .get_subcommands()
+            .map(|of| of.get_name().to_owned())
+            .collect();
+        for name in WITHOUT_MACHINES {
+            assert!(known.iter().any(|known| known == name), "{name}");
+        }
+    }
 
     #[test]
     fn every_subcommand_is_in_one_group_and_on_one_line() {

@@ -1,4 +1,5 @@
-//! The model's options, generated from the table of its parameters: `--body`, `--model`, and one for each parameter.
+//! The model's options: `--body`, `--model`, and `--set` for the parameters in the table of the model. The option that
+//! each parameter had before is hidden, and still understood for one version.
 
 use std::fs;
 use std::path::PathBuf;
@@ -6,7 +7,8 @@ use std::sync::LazyLock;
 
 use analysis::science::model_file::{self, Choice, Given, ModelError};
 use analysis::science::posterior::Posterior;
-use clap::{Arg, ArgMatches, Args, Command, FromArgMatches};
+use clap::error::ErrorKind;
+use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
 use locomotion::model::{Model, Setting};
 use operations::failure::Failure;
 
@@ -18,29 +20,15 @@ pub struct ModelArgs {
     choices: Vec<Choice>,
 }
 
-/// A parameter with the name of its option and of the option's value.
-struct Parameter {
-    setting: &'static Setting,
-    option: String,
-    value: String,
-}
-
-/// All parameters, built once: the command line keeps references to their names.
-static PARAMETERS: LazyLock<Vec<Parameter>> = LazyLock::new(|| {
-    let parameter = |setting: &'static Setting| Parameter {
-        setting,
-        option: option(setting),
-        value: if setting.unit.is_empty() {
-            "VALUE".to_owned()
-        } else {
-            setting.unit.to_uppercase()
-        },
-    };
-    Setting::all().map(parameter).collect()
+/// All parameters with the names of their hidden options, built once: the command line keeps references to them.
+static PARAMETERS: LazyLock<Vec<(&'static Setting, String)>> = LazyLock::new(|| {
+    Setting::all()
+        .map(|setting| (setting, hidden_option(setting)))
+        .collect()
 });
 
-/// Name of a parameter's option. Drops the section for parameters of the body and its design.
-fn option(setting: &Setting) -> String {
+/// Name of a parameter's hidden option. Drops the section for parameters of the body and its design.
+fn hidden_option(setting: &Setting) -> String {
     let (section, name) = setting.key.split_once('.').unwrap_or(("", setting.key));
     let name = name.replace('_', "-");
     match section {
@@ -50,6 +38,34 @@ fn option(setting: &Setting) -> String {
 }
 
 const HEADING: &str = "Model (`--help` lists all its parameters)";
+const SET: &str = "model-set";
+const SET_HELP: &str =
+    "Sets a parameter of the model, as in `--set body.coupling=0.2`; may be repeated";
+
+/// Help of `--set` with a line for each parameter.
+fn all_parameters() -> String {
+    let width = Setting::all().map(|setting| setting.key.len()).max();
+    let width = width.unwrap_or(0);
+    let line = |setting: &Setting| {
+        let unit = match setting.unit {
+            "" => String::new(),
+            unit => format!(", {unit}"),
+        };
+        format!("\n  {:<width$}  {}{unit}", setting.key, setting.meaning)
+    };
+    let lines: String = Setting::all().map(line).collect();
+    format!("{SET_HELP}:{lines}")
+}
+
+/// Reads `KEY=VALUE`.
+fn choice_of(text: &str) -> Result<Choice, String> {
+    let (key, value) = text
+        .split_once('=')
+        .ok_or("give it as KEY=VALUE: body.coupling=0.2")?;
+    let setting = Setting::named(key.trim())
+        .ok_or_else(|| ModelError::Unknown(key.trim().to_owned()).to_string())?;
+    Ok((setting, Given::from(value.trim())))
+}
 
 fn argument(id: &'static str, help: String) -> Arg {
     Arg::new(id)
@@ -72,20 +88,28 @@ impl Args for ModelArgs {
             "model-file",
             "A file of parameters, as `simulate` writes it: model.toml".to_owned(),
         );
-        let command = command.arg(body.long("body").value_name("NAME")).arg(
-            file.long("model")
-                .value_name("FILE")
-                .value_parser(clap::value_parser!(PathBuf)),
-        );
-        PARAMETERS.iter().fold(command, |command, parameter| {
-            let setting = parameter.setting;
-            command.arg(
-                argument(setting.key, format!("{}: {}", setting.key, setting.meaning))
-                    .long(parameter.option.as_str())
-                    .value_name(parameter.value.as_str())
-                    .hide_short_help(true),
+        let set = argument(SET, SET_HELP.to_owned())
+            .long_help(all_parameters())
+            .action(ArgAction::Append)
+            .value_parser(choice_of);
+        let command = command
+            .arg(body.long("body").value_name("NAME"))
+            .arg(
+                file.long("model")
+                    .value_name("FILE")
+                    .value_parser(clap::value_parser!(PathBuf)),
             )
-        })
+            .arg(set.long("set").value_name("KEY=VALUE"));
+        PARAMETERS
+            .iter()
+            .fold(command, |command, (setting, option)| {
+                command.arg(
+                    argument(setting.key, setting.meaning.to_owned())
+                        .long(option.as_str())
+                        .value_name("VALUE")
+                        .hide(true),
+                )
+            })
     }
 
     fn augment_args_for_update(command: Command) -> Command {
@@ -96,12 +120,21 @@ impl Args for ModelArgs {
 impl FromArgMatches for ModelArgs {
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let text = |id: &str| matches.get_one::<String>(id);
+        let hidden = Setting::all()
+            .filter_map(|setting| Some((setting, Given::from(text(setting.key)?.as_str()))));
+        let set = matches.get_many::<Choice>(SET).into_iter().flatten();
+        let choices: Vec<Choice> = set.cloned().chain(hidden).collect();
+        for (index, (setting, _)) in choices.iter().enumerate() {
+            let again = |(other, _): &Choice| other.key == setting.key;
+            if choices[..index].iter().any(again) {
+                let why = format!("{} is set twice: leave one of them out\n", setting.key);
+                return Err(clap::Error::raw(ErrorKind::ArgumentConflict, why));
+            }
+        }
         Ok(Self {
             body: text("model-body").cloned(),
             file: matches.get_one("model-file").cloned(),
-            choices: Setting::all()
-                .filter_map(|setting| Some((setting, Given::from(text(setting.key)?.as_str()))))
-                .collect(),
+            choices,
         })
     }
 
@@ -184,7 +217,7 @@ impl ModelArgs {
         let file = || self.file.as_ref().map(|_| "--model".to_owned());
         let choice = || {
             let (setting, _) = self.choices.first()?;
-            Some(format!("--{}", option(setting)))
+            Some(format!("--set {}", setting.key))
         };
         body.or_else(file).or_else(choice)
     }

@@ -261,7 +261,7 @@ pub(crate) fn plan_experiment(
     if let Some(unknown) = (unknowns().iter()).find(|unknown| args.model.names(unknown.key)) {
         return Err(input(
             format!("{} is set, and is what trials are to find", unknown.key),
-            "leave its option out",
+            "leave its `--set` out",
         ));
     }
     let belief = match &posterior {

@@ -151,7 +151,8 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
     );
     if varied && args.model.names("body.friction") {
         return Err(Failure::Input {
-            why: "--friction would do nothing: this series has frictions of its own".to_owned(),
+            why: "--set body.friction would do nothing: this series has frictions of its own"
+                .to_owned(),
             help: "leave it out, or `retrograde simulate sweep --frictions LIST`".to_owned(),
         });
     }

@@ -241,7 +241,10 @@ fn what_would_do_nothing_or_too_little_is_refused() {
     let folder = tempfile::tempdir().expect("folder");
     let out = folder.path().join("new");
     for (args, says) in [
-        (&["--coupling", "0.2"][..], "--coupling would do nothing"),
+        (
+            &["--set", "body.coupling=0.2"][..],
+            "--set body.coupling would do nothing",
+        ),
         (&["--body", "rig"], "--body would do nothing"),
         (&["--model", "model.toml"], "--model would do nothing"),
         (&["--tube-poisson", "0.4"], "crescent-inputs.csv"),
