@@ -16,7 +16,7 @@
 //! | `board.rs` | measures on a board what the bench cannot show |
 //! | `images.rs` | builds the ARM images |
 //! | `layout.rs` | reads an image and checks its addresses and sizes |
-//! | `pictures.rs` | draws the wiring diagrams of the manual |
+//! | `pictures.rs` | draws the pictures of the manual |
 //! | `places.rs` | finds the places in the source for the addresses in last words |
 //! | `toolchain.rs` | finds a compiler for the STM32 |
 //! | `debian.rs` | one such compiler, from Debian packages |
@@ -86,7 +86,7 @@ cargo xtask <command>
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
-  pictures          draw the wiring diagrams of the manual from the pins that the images use
+  pictures          draw the manual's pictures: machines, way of a command, wiring from the pins of the images
   bench [OPTIONS]   measure the images on the virtual bench, the step generator beside its peers in one table,
                     and the computing time of the paper's models
   setup             find or install a compiler for the STM32, and nothing else

@@ -1,6 +1,8 @@
-//! Draws the wiring diagrams of the manual from the pins that the images use.
+//! Draws the pictures of the manual: the machines, the way of a command, and the wiring from the pins that the images use.
 
 mod capsule;
+mod data_path;
+mod machines;
 mod rig;
 mod svg;
 
@@ -9,8 +11,10 @@ use std::path::PathBuf;
 use crate::process::{Failure, Result, root};
 
 /// The pictures and where they are, from the root.
-fn all() -> [(&'static str, String); 2] {
+fn all() -> [(&'static str, String); 4] {
     [
+        ("docs/pictures/machines.svg", machines::draw()),
+        ("docs/pictures/data-path.svg", data_path::draw()),
         ("docs/pictures/rig-wiring.svg", rig::draw()),
         ("docs/pictures/capsule-wiring.svg", capsule::draw()),
     ]
@@ -38,9 +42,9 @@ mod tests {
     use super::*;
     use wiring::{Signal, board};
 
-    /// A change of a pin changes its picture, and this says so.
+    /// A change of a pin or of a drawing changes its picture, and this says so.
     #[test]
-    fn the_manuals_pictures_are_those_of_the_pins() {
+    fn the_manuals_pictures_are_those_that_are_drawn() {
         for (name, picture) in all() {
             let drawn = std::fs::read_to_string(root().join(name)).unwrap_or_default();
             assert!(
@@ -69,7 +73,7 @@ mod tests {
     /// Every signal is in its picture, with all the names that its pin has.
     #[test]
     fn every_signal_is_drawn_with_the_names_of_its_pin() {
-        let [(_, rig), (_, capsule)] = all();
+        let (rig, capsule) = (rig::draw(), capsule::draw());
         let drawn = [
             (wiring::rig::SIGNALS.as_slice(), &rig, true),
             (&wiring::capsule::SIGNALS, &capsule, false),

@@ -51,7 +51,7 @@ pub(super) fn draw() -> String {
     motor(&mut picture);
     sensors(&mut picture);
     cell(&mut picture);
-    picture.finish("Wiring of the capsule")
+    picture.finish("Wiring of the capsule", "the pins in the crate `wiring`")
 }
 
 fn rows() -> Vec<Row> {

@@ -54,7 +54,7 @@ pub(super) fn draw() -> String {
     switches(&mut picture);
     rest(&mut picture);
     supplies(&mut picture);
-    picture.finish("Wiring of the rig")
+    picture.finish("Wiring of the rig", "the pins in the crate `wiring`")
 }
 
 fn rows() -> Vec<Row> {

@@ -1,4 +1,4 @@
-//! The strokes that a wiring diagram is made of.
+//! The strokes that the manual's pictures are made of.
 
 use std::fmt::Write as _;
 
@@ -14,6 +14,7 @@ pub(super) struct Picture {
 pub(super) enum Anchor {
     Start,
     Middle,
+    End,
 }
 
 const STYLE: &str = "\
@@ -30,6 +31,11 @@ const STYLE: &str = "\
     .rule { stroke: #d5dae6; stroke-width: 1; }
     .dot { fill: #1d2433; }
     .joint { fill: #b3261e; }
+    .wall { fill: none; stroke: #b56a4b; stroke-width: 5; stroke-linejoin: round; }
+    .body { fill: #dce6f7; stroke: #0b5cad; stroke-width: 1.5; }
+    .wing { fill: none; stroke: #0b5cad; stroke-width: 3; stroke-linecap: round; }
+    .thread { fill: none; stroke: #b3261e; stroke-width: 2; }
+    .spool { fill: #ffffff; stroke: #b3261e; stroke-width: 2; }
 ";
 
 impl Picture {
@@ -52,6 +58,7 @@ impl Picture {
         let held = match anchor {
             Anchor::Start => "",
             Anchor::Middle => " text-anchor=\"middle\"",
+            Anchor::End => " text-anchor=\"end\"",
         };
         let class = match class {
             "" => String::new(),
@@ -62,9 +69,19 @@ impl Picture {
         ));
     }
 
-    pub(super) fn rect(&mut self, (x, y): (i32, i32), (width, height): (i32, i32), class: &str) {
+    pub(super) fn rect(&mut self, place: (i32, i32), size: (i32, i32), class: &str) {
+        self.rounded(place, size, 3, class);
+    }
+
+    pub(super) fn rounded(
+        &mut self,
+        (x, y): (i32, i32),
+        (width, height): (i32, i32),
+        radius: i32,
+        class: &str,
+    ) {
         self.push(&format!(
-            "<rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\" rx=\"3\" class=\"{class}\"/>"
+            "<rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\" rx=\"{radius}\" class=\"{class}\"/>"
         ));
     }
 
@@ -79,10 +96,27 @@ impl Picture {
         ));
     }
 
-    pub(super) fn dot(&mut self, (x, y): (i32, i32), class: &str) {
+    pub(super) fn dot(&mut self, place: (i32, i32), class: &str) {
+        self.circle(place, 4, class);
+    }
+
+    pub(super) fn circle(&mut self, (x, y): (i32, i32), radius: i32, class: &str) {
         self.push(&format!(
-            "<circle cx=\"{x}\" cy=\"{y}\" r=\"4\" class=\"{class}\"/>"
+            "<circle cx=\"{x}\" cy=\"{y}\" r=\"{radius}\" class=\"{class}\"/>"
         ));
+    }
+
+    /// A line along an axis that ends in a head.
+    pub(super) fn arrow(&mut self, from: (i32, i32), to: (i32, i32)) {
+        let (dx, dy) = ((to.0 - from.0).signum(), (to.1 - from.1).signum());
+        let behind = |along: i32, beside: i32| {
+            (
+                to.0 - along * dx - beside * dy,
+                to.1 - along * dy - beside * dx,
+            )
+        };
+        self.line(&[from, to], "wire");
+        self.line(&[behind(9, 5), to, behind(9, -5)], "wire");
     }
 
     /// The sign of ground, hanging from here.
@@ -140,7 +174,8 @@ impl Picture {
         self.line(&[(x + 46, y), (x + 60, y)], "wire");
     }
 
-    pub(super) fn finish(self, title: &str) -> String {
+    /// The whole file; `source` is where a change belongs.
+    pub(super) fn finish(self, title: &str, source: &str) -> String {
         let Self {
             width,
             height,
@@ -148,7 +183,7 @@ impl Picture {
         } = self;
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n\
-             <!-- Drawn by `cargo xtask pictures` from the crate `wiring`: change the pins there. -->\n\
+             <!-- Drawn by `cargo xtask pictures` from {source}: change it there. -->\n\
              <title>{title}</title>\n<style>\n{STYLE}</style>\n\
              <rect width=\"{width}\" height=\"{height}\" fill=\"#ffffff\"/>\n{body}</svg>\n"
         )
