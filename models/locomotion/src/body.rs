@@ -103,6 +103,8 @@ pub struct Chain {
     link_mm: [f64; LINKS],
     /// From the core's tail end to the middle of each link.
     middle_mm: [f64; LINKS],
+    /// For the next step: indentation and link of each crescent; then how far it is shifted and how hard it holds.
+    pairs: [(f64, f64); LINKS],
 }
 
 impl Chain {
@@ -154,6 +156,7 @@ impl Chain {
             indentation_mm: [0.0; LINKS],
             link_mm: [params.design.spacing_mm(); LINKS],
             middle_mm: [0.0; LINKS],
+            pairs: [(0.0, 0.0); LINKS],
         };
         chain.middle_mm = middles(chain.links_mm());
         chain.relaxed_mm = chain.core_mm();
@@ -173,8 +176,7 @@ impl Chain {
         let m = self.m();
         // First the indentation and the link of each crescent, kept apart until all of them are known to be possible;
         // then, in their place, how far each is shifted and how hard it holds.
-        let mut pairs = [(0.0, 0.0); LINKS];
-        let pairs = &mut pairs[..m];
+        let pairs = &mut self.pairs[..m];
         let mut changed = false;
         let before = (self.middle_mm[..m].iter())
             .zip(&self.indentation_mm)

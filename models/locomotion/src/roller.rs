@@ -172,7 +172,14 @@ impl UnfoldedBody {
         let ends_mm = (roller_mm - self.reach_mm, roller_mm + self.reach_mm);
         // A third of a pass and more: the wave has not reached the body yet, or has left it.
         if !self.chain.is_clear_of(ends_mm) {
-            self.chain.step(|x| wall_mm(peak, radius, x - roller_mm))?;
+            let reach_mm = self.reach_mm;
+            self.chain.step(|x| {
+                let distance_mm = x - roller_mm;
+                if libm::fabs(distance_mm) > reach_mm {
+                    return 0.0;
+                }
+                wall_mm(peak, radius, distance_mm)
+            })?;
         }
         self.at = at;
         Ok(())

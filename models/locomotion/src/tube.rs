@@ -229,9 +229,13 @@ impl Tube {
     fn press(&mut self, time_s: f64) {
         let count = self.params.segments as usize;
         for (from_right, wall) in (0..).zip(self.wall_mm[..count].iter_mut().rev()) {
-            *wall = self
-                .params
-                .wall_mm(self.pressure_pa * self.params.pulse(from_right, time_s));
+            let pulse = self.params.pulse(from_right, time_s);
+            // Without a pulse, as most segments are, the formula gives exactly 0, too.
+            *wall = if pulse == 0.0 {
+                0.0
+            } else {
+                self.params.wall_mm(self.pressure_pa * pulse)
+            };
         }
     }
 
