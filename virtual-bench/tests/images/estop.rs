@@ -1,5 +1,10 @@
 //! The E-stop at many edges of short runs: afterwards the read-back must match the carriage.
 
+use client::Unobserved;
+use jiff::Timestamp;
+use trials::trial::{Recording, Status};
+use trials::{check, experiment};
+
 use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
 use protocol::rig::{RigFault, RigState, RunOutcome};
 use protocol::system::Urgent;
@@ -56,6 +61,38 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
     }
     assert!(places.len() > 150, "{} places", places.len());
     rig.check_clean_after(0, TRIALS as usize);
+}
+
+/// A sample just before the cut is ahead of the record by the steps that never left: nothing calls that damage.
+#[test]
+fn the_recording_of_a_run_that_is_cut_is_whole() {
+    let mut rig = quickly_homed();
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut ahead = 0;
+    for within in [2_111, 4_777, 7_003, 9_500, 12_345] {
+        let number = rig.edge_count() as u64 + within;
+        rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
+        let recording = Recording {
+            folder: folder.path().to_owned(),
+            stem: format!("run-{within}"),
+            now: Timestamp::UNIX_EPOCH,
+            note: None,
+            telemetry_ms: 5,
+        };
+        let request = quick(1, 30_000, 35_000, 500_000);
+        let run = experiment::run(&mut rig.device, request, &recording, &mut Unobserved)
+            .expect("recorded");
+        assert_eq!(run.trial.status, Status::Faulted, "{within}");
+        let (samples, defects) = check::rig(&run.sidecar, &run.trial);
+        assert_eq!(defects.all(), [""; 0], "{within}");
+        let most = samples.iter().map(|sample| sample.commanded_steps).max();
+        ahead += u32::from(most > Some(run.record.max_steps));
+        rig.act(Action::EStop(false));
+        rig.bench.advance_us(30_000).expect("the bench runs");
+        rig.device.acknowledge().expect("the cause is gone");
+        rig.home();
+    }
+    assert!(ahead > 0, "no sample was ahead of its record");
 }
 
 /// An unacknowledged E-stop stays latched over a reset, whether the button is released or not.
