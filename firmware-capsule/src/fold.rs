@@ -748,3 +748,7 @@ fn fault_of(trip: Trip, thread: Thread) -> CapsuleFault {
         Trip::SenseLost => CapsuleFault::SenseLost,
     }
 }
+
+#[cfg(test)]
+#[path = "../tests/unit/fold.rs"]
+mod tests;

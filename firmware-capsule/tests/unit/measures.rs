@@ -1,6 +1,11 @@
 //! The quantities from which the measures of a fold are computed.
 
+use super::super::{
+    Command,
+    tests::{END, KNOWN, actuation, moving},
+};
 use super::*;
+use crate::detect::Detector;
 
 /// The force doubles with every rise: one rise further it is twice as large, one before half; to second order, and no
 /// more than that.
@@ -59,4 +64,261 @@ fn no_single_fold_decides_how_far_the_ends_have_wandered() {
     assert_eq!(wandered(20_350), 200);
     assert_eq!(wandered(20_200), 200);
     assert_eq!(wandered(19_800), 100);
+}
+
+/// Moves the end of a fold: not every place has a count.
+fn winds_to(capsule: &mut Capsule, end: Thread) {
+    actuation(capsule).leg = Leg::Wind {
+        end,
+        careful: false,
+        short: None,
+    };
+}
+
+/// The settings of a fold to `end` that is at `at` and has felt half of its force from `from` on.
+fn felt(from: Counts, at: Counts, end: Thread) -> Settings {
+    let mut capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+    winds_to(&mut capsule, end);
+    capsule.sample.counts = at;
+    capsule.follow_friction(&Load {
+        rise_from: Some(from),
+        ..Load::default()
+    });
+    actuation(&mut capsule).settings
+}
+
+/// Half of the force is expected 1.5 mm before the end. Between a quarter and a half it doubles over 1.8 mm here.
+#[test]
+fn a_fold_that_feels_its_force_early_may_go_on_to_more() {
+    let usual = Settings::REFERENCE;
+    let with = |early_um, thousandths| Settings {
+        end_tolerance: Thread(usual.end_tolerance.0 + early_um),
+        ..usual.with_force(thousandths)
+    };
+    for (early_um, expected) in [
+        (-1, usual),
+        (0, with(0, 1_050)),
+        (400, with(400, 1_222)),
+        (800, with(800, 1_350)),
+        (1_200, with(800, 1_350)),
+        (2_250, with(800, 1_350)),
+        (2_251, usual),
+    ] {
+        let from = Thread(19_800).counts();
+        let at = Counts(from.0 + Thread(800).counts().0);
+        let end = Thread(from.thread().0 + early_um + 1_500);
+        assert_eq!(felt(from, at, end), expected, "{early_um} um");
+    }
+}
+
+/// 750 um are half of the calibrated rise.
+#[test]
+fn a_force_that_has_just_begun_says_nothing_of_the_friction() {
+    let from = Thread(19_800).counts();
+    let risen = |counts| Counts(from.0 + counts);
+    assert_eq!(risen(611).since(from).thread(), Thread(750));
+    assert_eq!(felt(from, risen(610), END), Settings::REFERENCE);
+    assert_ne!(felt(from, risen(611), END), Settings::REFERENCE);
+}
+
+/// A reading of a fold this far before its end, with this pull.
+fn pulls(capsule: &mut Capsule, left_um: i32, pull_ma: u16) {
+    let end = Thread(capsule.thread().0 + left_um);
+    winds_to(capsule, end);
+    capsule.follow_friction(&Load {
+        pull_ma: Some(pull_ma),
+        ..Load::default()
+    });
+}
+
+/// Its force lacks a tenth at 0.1 to 0.35 mm before the end: it ends with a tenth less, and lags by 228 um.
+#[test]
+fn the_pull_just_before_the_end_scales_the_end_force() {
+    let mut capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+    pulls(&mut capsule, 350, 100);
+    assert_eq!(actuation(&mut capsule).share.count, 0, "not yet");
+    let wanted =
+        |left_um: i32| i32::from(Settings::REFERENCE.force_ma) * grows(-left_um, 1_275) / 1_000;
+    let lacking = |left_um| (wanted(left_um) * 9 / 10) as u16;
+    for _ in 0..7 {
+        pulls(&mut capsule, 349, lacking(349));
+    }
+    // Seven are too few: the next one counts where no more are wanted.
+    pulls(&mut capsule, 98, lacking(98));
+    assert_eq!(actuation(&mut capsule).share.count, 8);
+    assert_eq!(actuation(&mut capsule).settings, Settings::REFERENCE);
+    capsule.crept = Thread(50);
+    pulls(&mut capsule, 98, 0);
+    assert_eq!(actuation(&mut capsule).share.count, 8, "enough");
+    let share = i32::from(actuation(&mut capsule).share.mean().expect("8"));
+    assert!((890..=900).contains(&share), "{share}");
+    let expected = Settings::REFERENCE.with_force(share);
+    assert_eq!(actuation(&mut capsule).settings, expected);
+    let doubt = capsule.doubt;
+    assert_eq!(doubt, Thread(crept_by(share, 1_500) + 50));
+    assert!((260..300).contains(&doubt.0), "{doubt:?}");
+    // All readings from 0.35 to 0.1 mm count.
+    pulls(&mut capsule, 100, lacking(100));
+    assert_eq!(actuation(&mut capsule).share.count, 9);
+}
+
+/// A folded thread that pulls a tenth less has crept by 228 um; a fold follows an eighth of that, and at most 30 um.
+#[test]
+fn the_believed_end_follows_the_creep_slowly() {
+    let mut capsule = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+    let mut follow = |tension_ma| {
+        capsule.follow_creep(tension_ma);
+        capsule.crept.0
+    };
+    assert_eq!(follow(90), 0);
+    assert_eq!(follow(81), 28);
+    assert_eq!(follow(81), 56);
+    assert_eq!(follow(60), 86);
+    assert_eq!(follow(95), 72);
+    assert_eq!(follow(140), 42);
+    assert_eq!(follow(140), 12);
+    assert_eq!(follow(140), 0, "no end comes before the calibrated one");
+    for _ in 0..26 {
+        follow(60);
+    }
+    assert_eq!(follow(60), 800);
+    assert_eq!(follow(60), 800, "more is a slip");
+}
+
+#[test]
+fn the_measured_motor_constant_counts_unless_it_is_being_measured() {
+    let rests = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+    assert_eq!(rests.known_back_emf(), 203);
+    for (command, known) in [(Command::Reference, 203), (Command::Calibrate, 0)] {
+        let capsule = moving(Mode::Stopped, Thread(0), command);
+        assert_eq!(capsule.known_back_emf(), known, "{command:?}");
+    }
+    let new = Capsule::new(None, None, false, Settings::REFERENCE);
+    assert_eq!(new.known_back_emf(), 0);
+}
+
+/// Pays out the taut thread down to 21 mm. Winding took 150 mA.
+fn paying_out(command: Command) -> Capsule {
+    let mut capsule = moving(Mode::Folded, END, command);
+    let moves = actuation(&mut capsule);
+    moves.leg = Leg::PayOut {
+        to: Thread(0),
+        taut_to: Some(Thread(21_000)),
+    };
+    moves.detector = Detector::new(Spooling::PayOut, 0, 3_900);
+    moves.winding_ma = Some(150);
+    capsule
+}
+
+fn taut_to(capsule: &mut Capsule) -> Option<Thread> {
+    match actuation(capsule).leg {
+        Leg::PayOut { taut_to, .. } => taut_to,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The tension zone is extended four times. Only a partial unfolding may end without a reading.
+#[test]
+fn a_tension_that_cannot_be_read_is_looked_for_further_down_and_missed_in_the_end() {
+    let missed = Err(CapsuleFault::SlipOrBreak);
+    for (command, last) in [
+        (Command::Unfold, missed),
+        (Command::FoldTo(Thread(5_000)), Ok(())),
+    ] {
+        let mut capsule = paying_out(command);
+        for to in [20_700, 20_400, 20_100, 19_800] {
+            let end = taut_to(&mut capsule).expect("to be measured");
+            assert_eq!(capsule.measure(end, false), Ok(()));
+            assert_eq!(taut_to(&mut capsule), Some(Thread(to)), "{command:?}");
+        }
+        assert_eq!(capsule.measure(Thread(19_800), false), last, "{command:?}");
+        assert_eq!(taut_to(&mut capsule), None);
+    }
+}
+
+/// The zone is not extended to where the unfolding ends.
+#[test]
+fn a_partial_unfolding_that_ends_in_the_tension_zone_reads_none() {
+    for (to_um, extended) in [(20_700, None), (20_699, Some(Thread(20_700)))] {
+        let mut capsule = paying_out(Command::FoldTo(Thread(5_000)));
+        actuation(&mut capsule).leg = Leg::PayOut {
+            to: Thread(to_um),
+            taut_to: Some(Thread(21_000)),
+        };
+        assert_eq!(capsule.measure(Thread(21_000), false), Ok(()));
+        assert_eq!(taut_to(&mut capsule), extended, "to {to_um} um");
+    }
+}
+
+/// The calibrated tension is 90 mA; 72 % of it are 64 mA.
+#[test]
+fn a_folded_thread_has_to_pull_as_it_did() {
+    for (taut_ma, tells) in [
+        (60, Ok(())),
+        (86, Ok(())),
+        (87, Err(CapsuleFault::SlipOrBreak)),
+        (200, Err(CapsuleFault::SlipOrBreak)),
+    ] {
+        let mut capsule = paying_out(Command::Unfold);
+        capsule.sample.current_ua = -1_000 * taut_ma;
+        // Only readings of a steady motor in the last 0.3 mm count.
+        for (um, steady, count) in [
+            (301, true, 0),
+            (300, false, 0),
+            (300, true, 1),
+            (1, true, 2),
+        ] {
+            assert_eq!(capsule.measure(Thread(21_000 + um), steady), Ok(()));
+            assert_eq!(actuation(&mut capsule).taut.count, count);
+        }
+        assert_eq!(capsule.measure(Thread(21_000), true), tells, "{taut_ma} mA");
+        assert_eq!(taut_to(&mut capsule), None);
+    }
+}
+
+/// The thread is slack and the motor steady from 0.8 to 2.2 mm of a fold.
+#[test]
+fn a_slack_thread_shows_the_no_load_current() {
+    for (current_ma, known_ma) in [(19, 19), (30, 30), (31, 16)] {
+        let mut capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+        let mut at = |um, steady, current_ma| {
+            capsule.sample.counts = Thread(um).counts();
+            assert_eq!(capsule.thread().0, um, "a count stands for it");
+            capsule.sample.current_ua = current_ma * 1_000;
+            assert_eq!(capsule.measure(Thread(um), steady), Ok(()));
+            capsule.no_load_ma
+        };
+        at(799, true, 90);
+        at(800, true, current_ma);
+        at(2_199, true, current_ma);
+        at(1_500, false, 90);
+        assert_eq!(at(2_198, true, current_ma), 16, "not yet");
+        assert_eq!(at(2_200, true, 90), known_ma);
+        assert_eq!(at(1_500, true, 40), known_ma, "once");
+        assert_eq!(at(2_200, true, 40), known_ma, "once");
+    }
+}
+
+/// 0.4 mm are allowed, as the mean of the ends since the zero was found.
+#[test]
+fn folded_ends_that_wander_cost_the_reference() {
+    let most_um = Settings::REFERENCE.drift.0;
+    for (by_um, wanders) in [
+        (most_um - 2, false),
+        (most_um + 2, true),
+        (-most_um - 2, true),
+    ] {
+        let mut capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+        capsule.mode = Mode::Folded;
+        let mut actions = Actions::default();
+        for end_um in [20_000, 20_000 + 2 * by_um] {
+            capsule.sample.counts = Thread(end_um).counts();
+            capsule.watch_drift(&mut actions);
+        }
+        assert_eq!(capsule.referenced, !wanders, "{by_um} um");
+        assert_eq!(matches!(capsule.mode, Mode::Unreferenced), wanders);
+        assert_eq!(capsule.was_folded, wanders);
+        let drifted = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Drifted { .. });
+        assert_eq!(actions.events.iter().any(drifted), wanders);
+    }
 }
