@@ -62,6 +62,14 @@ fn a_mean_is_rounded_and_scales_with_the_supply() {
     assert_eq!(millivolts(7, 0, 3_300), 0, "no reading, no voltage");
 }
 
+/// 1,600 at 3.0 V are 1,454.5 at 3.3 V.
+#[test]
+fn the_factorys_reading_is_rounded_to_the_nearest() {
+    let rounded = Reference::from_factory(1_455, 3_300);
+    assert!(rounded.is_some());
+    assert_eq!(Reference::from_factory(1_600, 3_000), rounded);
+}
+
 /// A reading with this current, in the converter's fine steps.
 fn reading(ma: f64) -> i32 {
     ((0.5 + ma / 3_300.0) * 4_095.0 * f64::from(FINE)).round() as i32
@@ -133,6 +141,20 @@ fn the_offset_is_a_mean_and_follows_the_temperature() {
     // An amplifier that fails is seen at once.
     taken_ma(&mut zero, now_us, false, -1_650.0);
     assert_eq!(zero.offset_ma(3_300), -1_650);
+}
+
+/// 200 fine steps are 10 mA: noise up to there, which the mean follows slowly, and another zero above.
+#[test]
+fn a_zero_that_jumps_is_another_one() {
+    let half = 4_095 * FINE / 2;
+    for (fine, off) in [(200, 194), (201, 0), (-200, -194), (-201, 0)] {
+        let mut zero = Zero::default();
+        for ms in 0..100 {
+            zero.take_off(1_000 * ms, false, half, 3_300);
+        }
+        let left_ua = zero.take_off(100_000, false, half + fine, 3_300);
+        assert_eq!(left_ua, off * 3_300_000 / (4_095 * FINE), "{fine}");
+    }
 }
 
 #[test]

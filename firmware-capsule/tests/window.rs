@@ -147,3 +147,14 @@ fn a_long_way_has_its_speed_too() {
         assert_eq!(window.speed_cps(1, 0), cps, "{counts} in {elapsed_us} us");
     }
 }
+
+/// A full window has lost the reading before its oldest one.
+#[test]
+fn a_full_window_has_no_mean_of_all_its_readings() {
+    let mut window = Window::new();
+    for at_us in (1_000..=33_000).step_by(1_000) {
+        window.push(at_us, &Sample::default(), 20, Some(30));
+    }
+    assert_eq!(window.means_ma(KEPT), None);
+    assert_eq!(window.means_ma(KEPT - 1), Some((20, 30)));
+}

@@ -120,6 +120,37 @@ fn a_fast_motor_that_is_slowed_is_resisted() {
     assert!(feed.step(3).is_ok_and(|load| !load.resisted), "slow enough");
 }
 
+/// A fourteenth of the speed, and at least 750 counts/s: 1,214 of 17,000, and 750 of 10,250.
+#[test]
+fn a_sudden_loss_of_speed_is_a_share_of_it() {
+    for (before, last, struck) in [
+        ([17; 4], [16, 16], false),
+        ([17; 4], [16, 15], true),
+        ([10, 10, 10, 11], [10, 9], false),
+        ([10, 10, 10, 11], [9, 9], true),
+    ] {
+        let mut feed = Feed::new(Spooling::Wind);
+        for counts in before.repeat(10) {
+            assert!(feed.step(counts).is_ok_and(|load| !load.struck));
+        }
+        let loads = [before[0], before[1], last[0], last[1]].map(|counts| feed.step(counts));
+        assert!(loads[3].is_ok_and(|load| load.struck == struck), "{last:?}");
+    }
+}
+
+/// From 10,750 to 10,000 counts/s in 12 ms: 434 less are to be expected, and 750 less than that.
+#[test]
+fn a_loss_of_speed_that_goes_on_is_not_sudden() {
+    for (last, struck) in [([9, 9], false), ([9, 8], true)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 11);
+        for counts in [11, 10, 11, 10, 11, 10, 11, 10].into_iter().chain([10; 10]) {
+            assert!(feed.step(counts).is_ok_and(|load| !load.struck));
+        }
+        assert!(feed.step(last[0]).is_ok_and(|load| !load.struck));
+        assert!(feed.step(last[1]).is_ok_and(|load| load.struck == struck));
+    }
+}
+
 /// The current rises with the loss of speed, and is read more finely than the counts.
 #[test]
 fn a_motor_that_draws_more_as_it_becomes_slower_is_struck_sooner() {
@@ -195,6 +226,46 @@ fn counts_that_end_at_once_are_an_encoder_and_counts_that_fade_are_none() {
     }
 }
 
+/// Two counts in the last three milliseconds are a motor that still turns.
+#[test]
+fn a_motor_that_almost_stands_is_no_lost_encoder() {
+    for (steps, lost) in [
+        ([1, 0, 1], false),
+        ([1, 1, 0], false),
+        ([0, 1, 1], false),
+        ([1, 0, 0], true),
+        ([-1, 1, -1], true),
+    ] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 11);
+        assert!(feed.step(5).is_ok());
+        let trips = steps.map(|counts| feed.step(counts).err());
+        let expected = lost.then_some(Trip::EncoderLost);
+        assert_eq!(trips, [None, None, expected], "{steps:?}");
+    }
+}
+
+/// From half of the end force, 67 mA, and an eighth less before it is over.
+#[test]
+fn a_rise_goes_on_until_the_current_has_fallen_by_an_eighth() {
+    let half_ma = Settings::REFERENCE.rise_start_ma;
+    let ends_ma = half_ma - half_ma / 8;
+    for (then_ma, goes_on) in [(ends_ma, true), (ends_ma - 1, false)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 5);
+        feed.draws(NO_LOAD_MA + half_ma - 1, 100);
+        assert_eq!(feed.until_trip(20, 5), None);
+        assert!(feed.step(5).is_ok_and(|load| load.rise_from.is_none()));
+        feed.draws(NO_LOAD_MA + half_ma, 100);
+        assert_eq!(feed.until_trip(20, 5), None);
+        feed.draws(NO_LOAD_MA + then_ma, 100);
+        assert_eq!(feed.until_trip(20, 5), None);
+        let last = feed.step(5);
+        assert!(
+            last.is_ok_and(|load| load.rise_from.is_some() == goes_on),
+            "{then_ma}"
+        );
+    }
+}
+
 /// A slow motor with 105 mA above the no-load current, then slower by a fifth and more.
 fn slowed_to(counts: i32, ordered_ma: u16) -> Load {
     let mut feed = Feed::at_speed(Spooling::Wind, 6);
@@ -213,6 +284,32 @@ fn a_loaded_motor_that_becomes_slower_has_met_its_end_unless_it_was_ordered_to()
     assert!(!slowed_to(5, 130).end_force, "by a sixth");
     assert!(!slowed_to(4, 129).end_force, "less current was ordered");
     assert!(!slowed_to(1, 140).end_force, "no motor stops so fast");
+}
+
+/// A fifth of the speed is not yet too much; and a motor that was becoming slower has to lose more than that.
+#[test]
+fn a_loaded_motor_has_met_its_end_if_it_loses_more_than_a_fifth_beyond_its_trend() {
+    let faster = [6; 16];
+    for (earlier, before, last, met) in [
+        (&[5; 16], [5; 8], [4, 4, 4], false),
+        (&[5; 16], [5; 8], [4, 4, 3], true),
+        // 500 counts/s in 12 ms: 220 in the next 5.5 ms, off 4,400.
+        (&faster, [6, 5, 6, 5, 6, 5, 6, 5], [5, 4, 3], true),
+        // 1,000 in 12 ms: 451, off 4,000.
+        (&faster, [5; 8], [4, 4, 3], false),
+        (&faster, [5; 8], [4, 3, 3], true),
+    ] {
+        let mut feed = Feed::at_speed(Spooling::Wind, earlier[0]);
+        feed.draws(NO_LOAD_MA + 105, 130);
+        for counts in earlier.iter().chain(&before).chain(&last[..2]) {
+            assert!(feed.step(*counts).is_ok_and(|load| !load.end_force));
+        }
+        let end = feed.step(last[2]);
+        assert!(
+            end.is_ok_and(|load| load.end_force == met),
+            "{before:?} {last:?}"
+        );
+    }
 }
 
 /// A slow motor loses its encoder: the speed loop orders more and more current, and the motor draws less than that.
@@ -281,6 +378,12 @@ fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
         assert_eq!(trip, name);
         assert!((24..40).contains(&ms), "{ms} ms");
     }
+    // A sixteenth less over 4 ms, from 8,000 to 7,500 counts/s, is not yet slower.
+    let mut feed = Feed::at_speed(Spooling::Wind, 8);
+    feed.draws(0, 40);
+    let steps = [8; 9].into_iter().chain([7, 8].repeat(20));
+    let trip = steps.into_iter().find_map(|counts| feed.step(counts).err());
+    assert_eq!(trip, Some(Trip::SenseLost));
     // A motor coasting to zero is ordered to draw next to nothing.
     let mut feed = Feed::at_speed(Spooling::PayOut, 11);
     feed.draws(0, 11);
@@ -303,6 +406,23 @@ fn short_circuits_are_seen_by_level_and_by_surplus() {
         matches!(trip, Some((..=14, Trip::OverCurrent { .. }))),
         "{trip:?}"
     );
+    // By level only above it.
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    feed.draws(OVER_CURRENT_MA, 220);
+    assert_eq!(feed.until_trip(50, 11), None);
+    // A motor that is braked from full speed draws up to 800 mA against the drive.
+    for (against_ma, trips) in [(800, false), (801, true)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 11);
+        feed.sample.current_ua = -1_000 * against_ma;
+        feed.ordered_ma = None;
+        assert_eq!(feed.until_trip(10, 11).is_some(), trips, "{against_ma}");
+    }
+    // By surplus above twice the ordered current and 60 mA.
+    for (current_ma, trips) in [(260, false), (261, true)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 11);
+        feed.draws(current_ma, 100);
+        assert_eq!(feed.until_trip(50, 11).is_some(), trips, "{current_ma}");
+    }
     // The most that a healthy motor may draw.
     let mut feed = Feed::at_speed(Spooling::Wind, 11);
     feed.draws(250, 220);
@@ -388,5 +508,17 @@ fn an_open_amplifier_is_told_from_a_large_current() {
         feed.sample.battery_mv = battery_mv;
         let found = feed.step(11) == Err(Trip::SenseLost);
         assert_eq!(found, is_open, "{spooling:?} {along_ma} {battery_mv}");
+    }
+}
+
+/// With the bridge's resistance the motor stops in 7.3 ms times its speed: 80 counts at 11,000 counts/s.
+#[test]
+fn a_motor_that_is_braked_runs_on_in_proportion_to_its_speed() {
+    for spooling in BOTH {
+        for (counts, runs_on) in [(11, 80), (5, 36), (0, 0), (-1, 0)] {
+            let mut feed = Feed::new(spooling);
+            assert_eq!(feed.until_trip(30, counts), None);
+            assert_eq!(feed.detector.stopping_distance(), Counts(runs_on));
+        }
     }
 }

@@ -213,3 +213,50 @@ fn only_a_motor_above_its_aim_gives_back_what_the_battery_does_not_give() {
         assert_eq!(governor.integral_ua, held_ua, "{aim_cps}");
     }
 }
+
+/// A motor at its aim on a battery that gives all it has: a lower limit counts at once.
+#[test]
+fn what_may_no_longer_be_held_is_dropped_on_an_empty_battery_too() {
+    let mut governor = Governor {
+        integral_ua: 200_000,
+        saturated: true,
+        ..Governor::default()
+    };
+    let aim = Aim {
+        held_ma: 100,
+        ..FAST
+    };
+    governor.step(aim, (11_000, 11_000), 3_300, &Settings::REFERENCE);
+    assert_eq!(governor.integral_ua, 100_000);
+}
+
+#[test]
+fn a_governor_that_holds_less_drops_a_third() {
+    let mut governor = Governor {
+        integral_ua: 90_000,
+        ..Governor::default()
+    };
+    governor.hold_less();
+    assert_eq!(governor.integral_ua, 60_000);
+}
+
+/// A motor that turns at least at an eighth of its aim is no longer helped to start. What is missing to the limit is
+/// not added up while the error alone asks for all of it: 7,000 counts/s take 105 mA.
+#[test]
+fn the_integral_part_grows_faster_only_while_the_motor_hardly_turns() {
+    for (cps, limit_ma, integral_ua) in [
+        (999, 220, 7_001),
+        (1_000, 220, 1_750),
+        (1_000, 105, 0),
+        (1_000, 106, 1_750),
+    ] {
+        let mut governor = Governor::default();
+        let aim = Aim {
+            cps: 8_000,
+            limit_ma,
+            held_ma: 220,
+        };
+        governor.step(aim, (cps, cps), 3_700, &Settings::REFERENCE);
+        assert_eq!(governor.integral_ua, integral_ua, "{cps} {limit_ma}");
+    }
+}

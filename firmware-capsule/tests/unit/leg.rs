@@ -366,3 +366,89 @@ fn paying_out_is_never_faster_than_friction_stops() {
         assert_eq!(last, Settings::REFERENCE.pay_out_cps);
     }
 }
+
+/// Over the last 1.5 mm an encoder that is lost must not let the motor pull with all its current.
+#[test]
+fn the_current_is_lower_over_the_last_part_of_paying_out() {
+    let leg = Leg::PayOut {
+        to: Thread(500),
+        taut_to: None,
+    };
+    for (thread_um, limit_ma) in [(2_000, MOST_MA), (1_999, LAST_LIMIT_MA)] {
+        let aim = leg.aim(Thread(thread_um), 16, false, &Settings::REFERENCE);
+        assert_eq!((aim.limit_ma, aim.held_ma), (limit_ma, limit_ma));
+    }
+}
+
+/// While the thread is taut, its tension is measured at a low speed.
+#[test]
+fn a_taut_thread_is_paid_out_slowly() {
+    let leg = Leg::PayOut {
+        to: Thread(0),
+        taut_to: Some(Thread(20_000)),
+    };
+    let settings = Settings::REFERENCE;
+    for (thread_um, cps) in [(20_001, settings.slow_cps), (20_000, settings.pay_out_cps)] {
+        let aim = leg.aim(Thread(thread_um), 16, false, &settings);
+        assert_eq!(aim.cps, cps, "{thread_um} um");
+    }
+}
+
+/// A motor that stands pulls with all its current; one that still turns is felt like any other.
+#[test]
+fn only_a_motor_that_stands_with_the_end_force_is_pulled_without_a_reading() {
+    let then = Then::PayOut {
+        to: Thread(0),
+        left: 1,
+    };
+    let at = after(ZERO, 10_000);
+    let leg = Leg::Feel { from: at, then };
+    let load = |end_force, stands| Load {
+        end_force,
+        stands,
+        excess_ma: None,
+        ..NONE
+    };
+    for (load, felt) in [
+        (load(true, true), true),
+        (load(true, false), false),
+        (load(false, true), false),
+    ] {
+        let decided = decide(leg, at, load);
+        assert_eq!(matches!(decided, Ok(Decision::Felt(_))), felt, "{load:?}");
+        assert_eq!(decided == Ok(Decision::Continue), !felt, "{load:?}");
+    }
+}
+
+/// It ends just before the fold would be called too long, and makes room to feel further down.
+#[test]
+fn a_pull_is_not_looked_for_past_the_end() {
+    let then = Then::PayOut {
+        to: Thread(0),
+        left: 1,
+    };
+    let last_um = END.0 + Settings::REFERENCE.end_overrun.0 - STOP_MARGIN.0;
+    let at = after(ZERO, last_um);
+    for (at, goes_on) in [(Counts(at.0 - 1), true), (at, false)] {
+        let leg = Leg::Feel { from: at, then };
+        let decided = decide(leg, at, NONE);
+        assert_eq!(decided == Ok(Decision::Continue), goes_on, "{decided:?}");
+    }
+}
+
+#[test]
+fn the_longest_fold_is_not_too_long_for_a_calibration() {
+    let mut settings = Settings::REFERENCE;
+    let longest = after(ORIGIN, settings.folded_range.1.0);
+    // A length for which a count stands.
+    settings.folded_range.1 = longest.since(ORIGIN).thread();
+    for (further, expected) in [
+        (0, Ok(Decision::Continue)),
+        (1, Err(CapsuleFault::ThreadBroken)),
+    ] {
+        let at = Counts(longest.0 + further);
+        let leg = seek(false, Purpose::Calibrate);
+        let decided = leg.decide(at, ZERO, NONE, Counts(0), (None, &settings));
+        assert_eq!(decided, expected);
+    }
+}

@@ -26,6 +26,16 @@ fn lengths_and_counts_are_rounded_to_the_nearest() {
     }
 }
 
+/// Beyond 200,000 the division has 64 bits; 3 nm become 20.
+#[test]
+fn long_lengths_are_rounded_to_the_nearest_too() {
+    for value in (-200_100..-199_900).chain(199_900..200_100) {
+        let um = f64::from(value) * UM_PER_COUNT;
+        let error = f64::from(Counts(value).thread().0) - um;
+        assert!(error.abs() < 0.525, "{value} counts: {error} um");
+    }
+}
+
 #[test]
 fn the_ends_of_the_counter_saturate() {
     assert_eq!(Counts(i32::MIN).thread(), Thread(i32::MIN));
