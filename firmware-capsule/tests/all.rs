@@ -5,6 +5,7 @@ mod control;
 mod kept;
 mod limits;
 mod manual;
+mod motions;
 mod partial;
 mod scenarios;
 mod sense;

@@ -5,10 +5,12 @@ use device::{
     last_words::LastWords,
     retained::{EStop, Retained},
     service::{Answers, Inbound},
+    settings::SettingsStore,
 };
 use firmware_capsule::control;
 use firmware_capsule::control::Control;
 use firmware_capsule::fold::Drive;
+use firmware_capsule::kept::{Kept, TOTALS, Totals};
 use firmware_capsule::mechanics::Counts;
 use firmware_capsule::sample::Sample;
 use protocol::{
@@ -26,6 +28,7 @@ use protocol::{
     table::{Reply, Request, Response},
 };
 use simulated_machines::chip::Flash;
+use simulated_machines::plant::board::PERIODS_PER_MS;
 
 /// A motor without a load, and a record of everything that control says.
 #[derive(Default)]
@@ -414,20 +417,112 @@ fn motions_are_counted_in_flash_once_the_motor_stands() {
         device.read();
     }
     // The bridge sleeps, but a motor without a brake would still turn.
-    for _ in 0..300 {
-        device.counts += 1;
-        device.read();
+    for counts in [1, 5] {
+        for _ in 0..600 {
+            device.counts += counts;
+            device.read();
+        }
     }
     assert_eq!(device.flash.operations(), []);
     rest(&mut device);
     assert!(!device.flash.operations().is_empty());
     let written = totals(&mut device);
     assert_eq!(written.actuations, 1);
+    assert!(written.energy_mj > 0, "{written:?}");
     let operations = device.flash.operations().len();
     rest(&mut device);
     assert_eq!(device.flash.operations().len(), operations, "once");
     let mut later = Device::start_on(device.flash.clone(), FRESH, ResetCause::PowerOn);
     assert_eq!(totals(&mut later), written);
+}
+
+/// 40 ms of brake, then half a second in which a motor without a brake would run out.
+#[test]
+fn the_flash_is_written_half_a_second_after_the_bridge_fell_asleep() {
+    let mut device = Device::referencing();
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    let written_ms = (1..1_000).find(|_| {
+        device.read();
+        !device.flash.operations().is_empty()
+    });
+    assert_eq!(written_ms, Some(539));
+}
+
+/// Calibrates a capsule of the model on this flash, and rests; the events.
+fn calibrated_on(flash: &Flash) -> Vec<What> {
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    let mut model = simulated_machines::plant::Simulation::nominal().board;
+    let mut read = |device: &mut Device| {
+        let drive = device.board().drives.last().copied().unwrap_or_default();
+        device.board().now_us += 1_000;
+        let now_us = device.board().now_us;
+        model.run(drive, PERIODS_PER_MS);
+        let sample = model.sample(now_us, drive != Drive::Off);
+        device.control.read(now_us, sample);
+    };
+    read(&mut device);
+    device.accepted(Request::Calibrate(Calibrate));
+    while device.state().0 == CapsuleState::Referencing {
+        read(&mut device);
+    }
+    assert_eq!(device.state(), (CapsuleState::Unfolded, None));
+    for _ in 0..700 {
+        read(&mut device);
+    }
+    assert!(totals(&mut device).calibration.is_some());
+    device.told()
+}
+
+/// The host has to know that the next start will not find the calibration.
+#[test]
+fn a_calibration_that_flash_does_not_take_is_told() {
+    for (failing, kept) in [(0..0, true), (0..2, false)] {
+        let flash = Flash::blank();
+        flash.fail(failing);
+        let told = calibrated_on(&flash);
+        let not_kept = told.contains(&What::Capsule(CapsuleEvent::NotKept));
+        assert_eq!(not_kept, !kept, "{told:?}");
+        let flash = Flash::holding(flash.bytes());
+        let mut later = Device::start_on(flash, FRESH, ResetCause::PowerOn);
+        assert_eq!(totals(&mut later).calibration.is_some(), kept);
+    }
+}
+
+/// A power cut during a motion must not leave a capsule that takes itself for folded.
+#[test]
+fn a_capsule_that_leaves_its_folded_end_forgets_it_before_it_turns() {
+    let flash = Flash::blank();
+    let mut store = SettingsStore::<_, Kept>::load_with(flash.clone(), |_| true).0;
+    let kept = Kept {
+        calibration: None,
+        totals: Totals {
+            folded: true,
+            ..Totals::default()
+        },
+    };
+    store.keep(TOTALS, kept).expect("kept");
+    let state_after = |flash: &Flash| {
+        let flash = Flash::holding(flash.bytes());
+        Device::start_on(flash, FRESH, ResetCause::PowerOn)
+            .state()
+            .0
+    };
+    assert_eq!(state_after(&flash), CapsuleState::WasFolded);
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    device.read();
+    let refused = device.ask(Request::Fold(Fold));
+    assert!(matches!(refused, Reply::Refused(_)), "{refused:?}");
+    assert_eq!(
+        state_after(&flash),
+        CapsuleState::WasFolded,
+        "nothing moved"
+    );
+    device.accepted(Request::Calibrate(Calibrate));
+    assert_eq!(state_after(&flash), CapsuleState::Unreferenced);
+    let operations = flash.operations().len();
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    device.accepted(Request::Calibrate(Calibrate));
+    assert_eq!(flash.operations().len(), operations, "once");
 }
 
 #[test]

@@ -1,0 +1,267 @@
+//! Single motions, reading by reading: the drive that follows from each, and the data that stay.
+
+use capsule_plant::{Defect, Parameters};
+use firmware_capsule::{
+    fold::{Command, Drive, Event},
+    mechanics::Thread,
+    sample::Sample,
+    settings::Settings,
+    trace::Recording,
+};
+use protocol::{
+    capsule::{ActuationOutcome, CapsuleFault, CapsuleState, GetTrace},
+    error::Refusal,
+};
+use simulated_machines::plant::Simulation;
+use std::sync::LazyLock;
+
+/// Calibrated once for all: that takes longer than most tests here.
+fn unfolded() -> Simulation {
+    static CALIBRATED: LazyLock<Simulation> =
+        LazyLock::new(|| Simulation::calibrated(Parameters::nominal(), 0));
+    CALIBRATED.clone()
+}
+
+/// Folded, at rest.
+fn folded() -> Simulation {
+    static FOLDED: LazyLock<Simulation> = LazyLock::new(|| {
+        let mut sim = unfolded();
+        sim.run(Command::Fold);
+        sim
+    });
+    FOLDED.clone()
+}
+
+/// Stopped in mid-fold, at rest.
+fn stopped() -> Simulation {
+    let mut sim = unfolded();
+    sim.run_past(Command::Fold, 5.0);
+    sim.run(Command::Stop);
+    sim
+}
+
+/// Gives the last sample again a millisecond later, changed.
+fn read(sim: &mut Simulation, change: impl Fn(&mut Sample)) {
+    let mut sample = *sim.capsule.sample();
+    change(&mut sample);
+    sim.now_us += 1_000;
+    sim.give(Event::Sample(sample));
+}
+
+/// A spool that is turned by hand afterwards does not change the record.
+#[test]
+fn a_record_ends_where_the_motor_stands() {
+    let mut sim = unfolded();
+    sim.run_past(Command::Fold, 5.0);
+    sim.order(Command::Stop);
+    let stopped_um = sim.capsule.record().thread_um;
+    for _ in 0..39 {
+        sim.tick();
+    }
+    let stands_um = sim.capsule.record().thread_um;
+    assert_eq!(stands_um, sim.capsule.thread().0);
+    assert_eq!(sim.capsule.drive(), Drive::Brake);
+    assert!(
+        stands_um > stopped_um + 20,
+        "{stopped_um} to {stands_um} um"
+    );
+    read(&mut sim, |sample| sample.counts.0 += 1_000);
+    assert_eq!(sim.capsule.record().thread_um, stands_um);
+    assert_eq!(sim.capsule.drive(), Drive::Off, "40 ms are over");
+}
+
+/// A thread that is paid out, or wound to feel it, engages nothing.
+#[test]
+fn only_a_fold_engages_the_thread() {
+    let mut sim = folded();
+    let engaged_um = sim.capsule.record().engaged_um;
+    assert!((500..10_000).contains(&engaged_um), "{engaged_um}");
+    sim.run(Command::Unfold);
+    assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+    assert_eq!(sim.capsule.record().engaged_um, 0);
+}
+
+/// An order at the end switches the motor on for no millisecond.
+#[test]
+fn an_unfolding_that_begins_at_its_end_drives_nothing() {
+    let mut sim = stopped();
+    let zero = sim.capsule.zero();
+    read(&mut sim, |sample| sample.counts.0 = zero.0 + 20);
+    let actions = sim.give(Event::Command(Command::Unfold));
+    assert_eq!(actions.refusal, None);
+    assert_eq!(actions.drive, Drive::Off);
+    assert_eq!(actions.events.len(), 2, "{actions:?}");
+    assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+    assert_eq!(sim.capsule.record().outcome, ActuationOutcome::Complete);
+}
+
+/// A fast motor that has met something loses its speed within 4 ms against its drive; shorted, it takes twice as long.
+#[test]
+fn a_motor_that_has_struck_something_is_driven_back_until_it_is_slow() {
+    let mut sim = unfolded();
+    sim.plant.suffer(Defect::Jam(12.0));
+    sim.run_past(Command::Fold, 11.5);
+    let mut drives = Vec::new();
+    while sim.capsule.is_moving() {
+        drives.push(sim.tick().1);
+    }
+    let against = |drive: &Drive| matches!(drive, Drive::Millivolts(..0));
+    let on = |drive: &Drive| matches!(drive, Drive::Millivolts(0..));
+    let mut struck = drives.iter().skip_while(|drive| on(drive));
+    let back = struck.by_ref().take_while(|drive| against(drive)).count();
+    assert_eq!(back, 4, "{drives:?}");
+    assert!(!struck.any(against), "{drives:?}");
+    let brakes = drives
+        .iter()
+        .filter(|drive| **drive == Drive::Brake)
+        .count();
+    assert_eq!(brakes, 1, "only the end of the motion: {drives:?}");
+}
+
+/// The voltage that a start needs, as the refusal of a fold on an empty cell tells it.
+fn least_mv(mut sim: Simulation) -> u16 {
+    sim.order(Command::Stop);
+    read(&mut sim, |sample| sample.battery_mv = 2_000);
+    match sim.give(Event::Command(Command::Fold)).refusal {
+        Some(Refusal::BatteryLow { min_mv, .. }) => min_mv,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// A sag that a slack thread's 16 mA cannot have made tells nothing of the cell.
+#[test]
+fn only_a_loaded_motor_measures_the_cell() {
+    for (mm, counts) in [(3.0, false), (20.0, true)] {
+        let mut sim = unfolded();
+        sim.run_past(Command::Fold, mm);
+        let mut sagged = sim.clone();
+        read(&mut sim, |_| {});
+        read(&mut sagged, |sample| sample.battery_mv -= 500);
+        let (before, after) = (least_mv(sim), least_mv(sagged));
+        assert_eq!(after > before, counts, "{before} and {after} mV at {mm} mm");
+    }
+}
+
+#[test]
+fn a_trace_counts_from_the_capsules_zero() {
+    let mut sim = folded();
+    sim.reset(true);
+    sim.run(Command::CheckFolded);
+    let mut recording = Recording::new();
+    recording.take(1, sim.capsule.sample(), Drive::Off);
+    let trace = recording.part(&GetTrace { from: 0 }, sim.capsule.zero());
+    assert!(trace.points[0].thread_um > 20_000, "{trace:?}");
+    assert_eq!(trace.points[0].thread_um, sim.capsule.thread().0);
+}
+
+/// Readings that were taken with another zero of the amplifier judged a motion wrongly.
+#[test]
+fn a_zero_of_the_amplifier_that_moved_over_a_motion_is_a_fault() {
+    let sim = stopped();
+    let before_ma = sim.capsule.sample().offset_ma;
+    for (by_ma, fault) in [
+        (7, None),
+        (-7, None),
+        (8, Some(CapsuleFault::SenseLost)),
+        (-8, Some(CapsuleFault::SenseLost)),
+    ] {
+        let mut sim = sim.clone();
+        read(&mut sim, |sample| sample.offset_ma = before_ma + by_ma);
+        assert_eq!(sim.capsule.fault(), fault, "{by_ma} mA");
+    }
+    // Not before the motor stands: the zero of a motor that still turns is none.
+    let mut sim = unfolded();
+    sim.run_past(Command::Fold, 5.0);
+    read(&mut sim, |sample| sample.offset_ma = before_ma + 8);
+    assert_eq!(sim.capsule.fault(), None);
+    sim.order(Command::Stop);
+    read(&mut sim, |sample| sample.offset_ma = before_ma + 8);
+    assert_eq!(sim.capsule.fault(), None);
+}
+
+/// A jam was judged by the current, an emergency stop was not.
+#[test]
+fn a_zero_that_moved_renames_only_the_faults_that_the_current_named() {
+    for (defect, renamed) in [(Some(Defect::Jam(6.0)), true), (None, false)] {
+        let mut sim = unfolded();
+        match defect {
+            Some(jam) => {
+                sim.plant.suffer(jam);
+                sim.run(Command::Fold);
+            }
+            None => {
+                sim.run_past(Command::Fold, 5.0);
+                sim.run(Command::EStop);
+            }
+        }
+        let named = sim.capsule.fault().expect("faulted");
+        read(&mut sim, |sample| sample.offset_ma += 8);
+        let expected = if renamed {
+            CapsuleFault::SenseLost
+        } else {
+            named
+        };
+        assert_eq!(sim.capsule.fault(), Some(expected), "{named:?}");
+    }
+}
+
+#[test]
+fn a_lost_amplifier_is_acknowledged_once_its_zero_is_back() {
+    let mut sim = stopped();
+    for (offset_ma, refusal) in [
+        (1_000, Some(Refusal::CauseStillPresent)),
+        (21, Some(Refusal::CauseStillPresent)),
+        (-21, Some(Refusal::CauseStillPresent)),
+        (20, None),
+    ] {
+        read(&mut sim, |sample| sample.offset_ma = offset_ma);
+        assert_eq!(sim.capsule.fault(), Some(CapsuleFault::SenseLost));
+        let actions = sim.give(Event::Command(Command::Acknowledge));
+        assert_eq!(actions.refusal, refusal, "{offset_ma} mA");
+    }
+    read(&mut sim, |_| {});
+    assert_eq!(sim.capsule.fault(), None, "the zero that is there counts");
+}
+
+#[test]
+fn a_calibration_measures_the_motor_constant() {
+    let calibration = unfolded().kept.expect("calibrated");
+    let known = Settings::REFERENCE.back_emf_uv_per_cps;
+    let off = u32::from(calibration.back_emf_uv_cps).abs_diff(known);
+    assert!(off * 20 < known, "{calibration:?}");
+}
+
+/// A thread that was slack would show after 1.5 mm.
+#[test]
+fn a_check_of_a_folded_capsule_pays_little_out() {
+    let mut sim = folded();
+    let folded_mm = sim.plant.wound_mm();
+    sim.forget();
+    sim.run(Command::CheckFolded);
+    let paid_out_mm = folded_mm - sim.plant.extremes_mm().0;
+    assert!((0.6..2.0).contains(&paid_out_mm), "{paid_out_mm} mm");
+}
+
+/// Whoever stops a check of a capsule that knows its place gets that back.
+#[test]
+fn a_check_from_a_known_place_keeps_the_reference() {
+    let mut sim = stopped();
+    sim.order(Command::CheckFolded);
+    sim.tick();
+    assert!(sim.capsule.referenced());
+    sim.run(Command::Stop);
+    assert_eq!(sim.capsule.state(), CapsuleState::Stopped);
+}
+
+/// The tension is measured over 0.7 mm. A way that is shorter begins without winding.
+#[test]
+fn a_folded_thread_is_felt_before_it_is_paid_out_for_long() {
+    let sim = folded();
+    for (less_um, feels) in [(600, false), (1_000, true)] {
+        let mut sim = sim.clone();
+        let to = Thread(sim.capsule.thread().0 - less_um);
+        sim.order(Command::FoldTo(to));
+        let (_, drive) = sim.tick();
+        assert_eq!(matches!(drive, Drive::Millivolts(1..)), feels, "{drive:?}");
+    }
+}
