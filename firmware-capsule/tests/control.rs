@@ -448,6 +448,18 @@ fn the_flash_is_written_half_a_second_after_the_bridge_fell_asleep() {
     assert_eq!(written_ms, Some(539));
 }
 
+#[test]
+fn totals_that_flash_does_not_take_are_told() {
+    let mut device = Device::referencing();
+    device.flash.fail(0..2);
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    for _ in 0..600 {
+        device.read();
+    }
+    let not_kept = What::Capsule(CapsuleEvent::NotKept);
+    assert_eq!(device.told(), [ended(ActuationOutcome::Stopped), not_kept]);
+}
+
 /// Calibrates a capsule of the model on this flash, and rests; the events.
 fn calibrated_on(flash: &Flash) -> Vec<What> {
     let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
@@ -571,6 +583,16 @@ fn a_motion_is_recorded_reading_by_reading() {
     assert_eq!((last.current_ma, last.battery_mv), (16, 3_900));
     assert!(last.drive_mv > 0 && last.thread_um > 200, "{last:?}");
     assert!(points.is_sorted_by_key(|point| point.thread_um));
+    // The brake after a motion belongs to it.
+    let mut stopped = Device::referencing();
+    stopped.control.answer(Inbound::Urgent(Urgent::Stop));
+    for _ in 0..60 {
+        stopped.read();
+    }
+    match stopped.accepted(Request::GetTrace(GetTrace { from: 0 })) {
+        Response::GetTrace(trace) => assert_eq!(trace.total, 50 + 40),
+        other => panic!("{other:?}"),
+    }
     // The trace keeps the end of a long motion.
     for _ in 0..KEPT_TRACE_POINTS + 500 {
         device.read();
@@ -615,7 +637,7 @@ fn nothing_is_written_right_after_a_motion_that_was_stopped_at_once() {
 fn a_count_that_flickers_is_no_motion() {
     let mut device = Device::ready();
     for round in 0..1_000 {
-        device.counts += if round % 2 == 0 { 1 } else { -1 };
+        device.counts += if round % 2 == 0 { 2 } else { -2 };
         device.read();
     }
     let (key, value) = (SettingKey::EndForceMa, 120);

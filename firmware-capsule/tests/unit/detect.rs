@@ -379,7 +379,8 @@ fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
         assert!((24..40).contains(&ms), "{ms} ms");
     }
     // A sixteenth less over 4 ms, from 8,000 to 7,500 counts/s, is not yet slower.
-    let mut feed = Feed::at_speed(Spooling::Wind, 8);
+    // What was before the 8 ms of the earlier speed does not count.
+    let mut feed = Feed::at_speed(Spooling::Wind, 9);
     feed.draws(0, 40);
     let steps = [8; 9].into_iter().chain([7, 8].repeat(20));
     let trip = steps.into_iter().find_map(|counts| feed.step(counts).err());
@@ -388,6 +389,19 @@ fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
     let mut feed = Feed::at_speed(Spooling::PayOut, 11);
     feed.draws(0, 11);
     assert_eq!(feed.until_trip(300, 5), None);
+}
+
+/// A motor that has not turned for 10 ms is judged as one that stands, 40 ms after its last 8 counts.
+#[test]
+fn a_silent_current_needs_a_motor_that_turns() {
+    for (turns_ms, tripped_ms) in [(21, 30), (20, 60)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 8);
+        feed.draws(0, 40);
+        assert_eq!(feed.until_trip(turns_ms, 8), None);
+        let mut fading = [3, 2, 1, 1].into_iter();
+        let after_ms = (1..100).find(|_| feed.step(fading.next().unwrap_or(0)).is_err());
+        assert_eq!(after_ms.map(|ms| turns_ms + ms), Some(tripped_ms));
+    }
 }
 
 #[test]
@@ -468,6 +482,19 @@ fn a_cell_that_collapses_again_and_again_is_low() {
                 assert_eq!(feed.until_trip(2, 11), None, "{collapse}");
             }
         }
+    }
+}
+
+/// At 2 V the chip's supply still holds, so that only a sag that lasts counts.
+#[test]
+fn a_cell_that_falls_to_2_v_has_not_collapsed() {
+    let mut feed = Feed::at_speed(Spooling::Wind, 11);
+    let whole_mv = feed.sample.battery_mv;
+    for _ in 0..10 {
+        feed.sample.battery_mv = COLLAPSED_MV;
+        assert_eq!(feed.until_trip(2, 11), None);
+        feed.sample.battery_mv = whole_mv;
+        assert_eq!(feed.until_trip(2, 11), None);
     }
 }
 

@@ -329,6 +329,61 @@ fn a_partial_motion_ends_stopped() {
     }
 }
 
+/// A way of the tension zone, 0.7 mm, is too short to measure the tension in.
+#[test]
+fn a_longer_way_from_the_folded_end_begins_with_feeling() {
+    for (um, feels) in [(700, false), (701, true)] {
+        let to = Thread(END.counts().thread().0 - um);
+        let mut capsule = moving(Mode::Folded, END, Command::FoldTo(to));
+        let leg = actuation(&mut capsule).leg;
+        assert_eq!(matches!(leg, Leg::Feel { .. }), feels, "{um} um: {leg:?}");
+    }
+}
+
+/// An unfolding needs less: an almost empty cell must not leave a capsule half folded.
+#[test]
+fn a_motion_begins_with_just_the_voltage_that_it_needs() {
+    let settings = Settings::REFERENCE;
+    let unfolding_mv = settings.loaded_battery_mv + 100;
+    for (command, least_mv) in [
+        (Command::Fold, settings.least_battery_mv),
+        (Command::Unfold, unfolding_mv),
+    ] {
+        for (battery_mv, refused) in [(least_mv, false), (least_mv - 1, true)] {
+            let mut capsule = Capsule::new(None, Some(KNOWN), false, settings);
+            (capsule.mode, capsule.referenced) = (Mode::Stopped, true);
+            (capsule.sample.battery_mv, capsule.sample.counts) = (battery_mv, Counts(8_000));
+            let refusal = capsule.step(0, Event::Command(command)).refusal;
+            let min_mv = least_mv;
+            let low = Refusal::BatteryLow { battery_mv, min_mv };
+            assert_eq!(refusal, refused.then_some(low), "{command:?}");
+        }
+    }
+}
+
+/// A current at rest is a fault before anything moves; one that no bridge can cause is the amplifier's.
+#[test]
+fn an_amplifier_that_shows_a_current_at_rest_starts_nothing() {
+    let over = |current_ma| Some(CapsuleFault::OverCurrent { current_ma });
+    for (offset_ma, fault) in [
+        (20, None),
+        (-20, None),
+        (21, over(21)),
+        (-999, over(999)),
+        (1_000, Some(CapsuleFault::SenseLost)),
+        (-1_650, Some(CapsuleFault::SenseLost)),
+    ] {
+        let mut capsule = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+        (capsule.sample.battery_mv, capsule.sample.offset_ma) = (3_900, offset_ma);
+        let actions = capsule.step(0, Event::Command(Command::Reference));
+        assert_eq!(actions.refusal, fault.map(Refusal::CapsuleFaulted));
+        assert_eq!(
+            (capsule.fault(), capsule.is_moving()),
+            (fault, fault.is_none())
+        );
+    }
+}
+
 /// Acknowledging does not help against what is still there.
 #[test]
 fn a_fault_is_acknowledged_once_its_cause_is_gone() {

@@ -162,6 +162,48 @@ fn the_pull_just_before_the_end_scales_the_end_force() {
     assert_eq!(actuation(&mut capsule).share.count, 9);
 }
 
+/// A partial fold may pass the compared range; the short way back of a check begins beyond it.
+#[test]
+fn every_fold_compares_its_pull_except_the_way_back_of_a_check() {
+    let short = Some(Thread(21_000));
+    for (command, short, compares) in [
+        (Command::Fold, None, true),
+        (Command::FoldTo(Thread(12_000)), short, true),
+        (Command::CheckFolded, None, true),
+        (Command::CheckFolded, short, false),
+    ] {
+        let mut capsule = moving(Mode::Stopped, Thread(0), command);
+        actuation(&mut capsule).leg = Leg::Wind {
+            end: Thread(200),
+            careful: true,
+            short,
+        };
+        capsule.follow_friction(&Load {
+            pull_ma: Some(100),
+            ..Load::default()
+        });
+        let count = actuation(&mut capsule).share.count;
+        assert_eq!(count, i32::from(compares), "{command:?} {short:?}");
+    }
+}
+
+/// Readings from before a brake and after it belong to different speeds.
+#[test]
+fn a_motor_that_is_not_steady_begins_its_comparison_anew() {
+    for (steady, disagrees) in [(true, true), (false, false)] {
+        let mut capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+        capsule.drive = Drive::Millivolts(2_190);
+        capsule.sample.current_ua = 80_000;
+        for ms in 1..=25 {
+            capsule.sample.counts = Counts(10 * ms);
+            let at_us = 1_000 * u64::try_from(ms).expect("positive");
+            let compared = capsule.compare(at_us, steady || ms != 15);
+            assert_eq!(compared, Ok(()));
+        }
+        assert_eq!(capsule.circuit_disagrees(), disagrees, "{steady}");
+    }
+}
+
 /// A folded thread that pulls a tenth less has crept by 228 um; a fold follows an eighth of that, and at most 30 um.
 #[test]
 fn the_believed_end_follows_the_creep_slowly() {
@@ -296,6 +338,23 @@ fn a_slack_thread_shows_the_no_load_current() {
         assert_eq!(at(2_200, true, 90), known_ma);
         assert_eq!(at(1_500, true, 40), known_ma, "once");
         assert_eq!(at(2_200, true, 40), known_ma, "once");
+    }
+}
+
+/// A check may end where the capsule was folded by hand.
+#[test]
+fn only_a_fold_tells_whether_the_ends_wander() {
+    for (command, folds) in [(Command::Fold, 1), (Command::CheckFolded, 0)] {
+        let mut capsule = moving(Mode::Stopped, Thread(0), command);
+        capsule.sample.counts = END.counts();
+        let load = Load {
+            end_force: true,
+            ..Load::default()
+        };
+        let decided = capsule.decide(60_000, load, &mut Actions::default());
+        assert_eq!(decided, Ok(()));
+        assert!(matches!(capsule.mode, Mode::Folded));
+        assert_eq!(capsule.drift.folds, folds, "{command:?}");
     }
 }
 
