@@ -138,6 +138,12 @@ fn only_comparisons_in_a_row_and_of_one_sign_count() {
     }
     assert!(bench.read(with_current(60), COMPARISON));
     assert!(bench.read(with_current(60), COMPARISON), "it stays so");
+    // The first of another sign is the first of two.
+    let mut bench = Bench::new();
+    for (current_ma, disagrees) in [(60, false), (-20, false), (-20, true)] {
+        let found = bench.read(with_current(current_ma), COMPARISON);
+        assert_eq!(found, disagrees, "{current_ma} mA");
+    }
 }
 
 /// At the end of a motion a third of a comparison is enough; a shorter one says what the one before said.

@@ -118,6 +118,11 @@ fn a_fast_motor_that_is_slowed_is_resisted() {
     assert!(feed.step(8).is_ok_and(|load| load.struck));
     let mut feed = Feed::at_speed(Spooling::Wind, 5);
     assert!(feed.step(3).is_ok_and(|load| !load.resisted), "slow enough");
+    let mut feed = Feed::at_speed(Spooling::Wind, 6);
+    assert!(
+        feed.step(4).is_ok_and(|load| load.resisted),
+        "just too fast"
+    );
 }
 
 /// A fourteenth of the speed, and at least 750 counts/s: 1,214 of 17,000, and 750 of 10,250.
@@ -212,6 +217,12 @@ fn counts_that_end_at_once_are_an_encoder_and_counts_that_fade_are_none() {
             let trips = flicker.map(|step| feed.step(step).err());
             assert!(trips.contains(&Some(Trip::EncoderLost)), "{trips:?}");
         }
+        // A count more or less in a millisecond is a steady speed.
+        let mut feed = Feed::at_speed(spooling, 5);
+        for counts in [5, 4, 2] {
+            assert!(feed.step(counts).is_ok());
+        }
+        assert_eq!(feed.until_trip(10, 0), Some((3, Trip::EncoderLost)));
         // A jam at 7 mm/s, and one at 13 mm/s with the brake.
         for fading in [
             &[5, 5, 4, 4, 3, 3, 2, 1, 0, 0, 0, 0][..],
@@ -315,12 +326,16 @@ fn a_loaded_motor_has_met_its_end_if_it_loses_more_than_a_fifth_beyond_its_trend
 /// A slow motor loses its encoder: the speed loop orders more and more current, and the motor draws less than that.
 #[test]
 fn an_end_force_without_counts_is_a_lost_encoder_if_the_motor_turns() {
-    for (current_ma, expected) in [(168, Err(Trip::EncoderLost)), (172, Ok(true))] {
+    for (current_ma, counts, expected) in [
+        (168, 0, Err(Trip::EncoderLost)),
+        (168, 2, Ok(true)),
+        (172, 0, Ok(true)),
+    ] {
         let mut feed = Feed::at_speed(Spooling::Wind, 2);
         feed.draws(NO_LOAD_MA + 100, 130);
-        assert_eq!(feed.until_trip(20, 0), None);
+        assert_eq!(feed.until_trip(20, counts), None);
         feed.draws(current_ma, 200);
-        let found = (0..12).find_map(|_| match feed.step(0) {
+        let found = (0..12).find_map(|_| match feed.step(counts) {
             Ok(Load {
                 end_force: true, ..
             }) => Some(Ok(true)),
@@ -362,6 +377,16 @@ fn a_standstill_has_four_names() {
     );
 }
 
+/// A motor that turns uncounted is driven like one that stands, brakes by that, and draws nothing for a while.
+#[test]
+fn a_standing_motor_that_drew_a_current_just_now_has_a_bridge() {
+    let mut feed = Feed::new(Spooling::Wind);
+    feed.draws(30, 200);
+    assert_eq!(feed.until_trip(29, 0), None);
+    feed.draws(0, 200);
+    assert_eq!(feed.until_trip(20, 0), Some((12, Trip::EncoderLost)));
+}
+
 #[test]
 fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
     for (slower_every_ms, name) in [(0, Trip::SenseLost), (4, Trip::BridgeSilent)] {
@@ -385,6 +410,12 @@ fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
     let steps = [8; 9].into_iter().chain([7, 8].repeat(20));
     let trip = steps.into_iter().find_map(|counts| feed.step(counts).err());
     assert_eq!(trip, Some(Trip::SenseLost));
+    // Below 5 mA no current flows.
+    for (current_ma, flows) in [(4, false), (5, true)] {
+        let mut feed = Feed::at_speed(Spooling::Wind, 8);
+        feed.draws(current_ma, 40);
+        assert_eq!(feed.until_trip(60, 8).is_none(), flows, "{current_ma} mA");
+    }
     // A motor coasting to zero is ordered to draw next to nothing.
     let mut feed = Feed::at_speed(Spooling::PayOut, 11);
     feed.draws(0, 11);

@@ -340,6 +340,21 @@ fn a_longer_way_from_the_folded_end_begins_with_feeling() {
     }
 }
 
+/// A thread that may pull shows no no-load current.
+#[test]
+fn only_a_slack_thread_is_measured_without_load() {
+    for (mode, command, slack) in [
+        (Mode::Unfolded, Command::Fold, true),
+        (Mode::Stopped, Command::Fold, false),
+        (Mode::Unfolded, Command::Reference, false),
+        (Mode::Stopped, Command::Calibrate, true),
+    ] {
+        let mut capsule = moving(mode, Thread(0), command);
+        let measured = actuation(&mut capsule).slack_from.is_some();
+        assert_eq!(measured, slack, "{command:?}");
+    }
+}
+
 /// An unfolding needs less: an almost empty cell must not leave a capsule half folded.
 #[test]
 fn a_motion_begins_with_just_the_voltage_that_it_needs() {
@@ -380,6 +395,23 @@ fn an_amplifier_that_shows_a_current_at_rest_starts_nothing() {
         assert_eq!(
             (capsule.fault(), capsule.is_moving()),
             (fault, fault.is_none())
+        );
+    }
+}
+
+#[test]
+fn a_motion_that_takes_too_long_is_ended() {
+    let ms = Settings::REFERENCE.fold_timeout_ms;
+    let deadline_us = 1_000 + 1_000 * u64::from(ms);
+    for (now_us, decided) in [
+        (deadline_us - 1, Ok(())),
+        (deadline_us, Err(CapsuleFault::Timeout)),
+    ] {
+        let mut capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+        let load = Load::default();
+        assert_eq!(
+            capsule.decide(now_us, load, &mut Actions::default()),
+            decided
         );
     }
 }
