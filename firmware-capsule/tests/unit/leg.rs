@@ -98,6 +98,28 @@ fn an_early_end_force_winds_on_as_far_as_it_can() {
     }
 }
 
+/// To the micrometre: within 0.12 mm it is folded, and beyond the tolerance it is a jam.
+#[test]
+fn an_end_force_is_judged_by_what_the_thread_is_short_of() {
+    let at = after(ZERO, 20_000);
+    let thread_um = at.since(ZERO).thread().0;
+    let tolerance_um = Settings::REFERENCE.end_tolerance.0;
+    let jam = Err(CapsuleFault::Jam { thread_um });
+    for (short_um, expected) in [
+        (SURELY_FOLDED.0, Ok(Decision::Folded)),
+        (SURELY_FOLDED.0 + 1, Ok(Decision::Continue)),
+        (tolerance_um, Ok(Decision::Continue)),
+        (tolerance_um + 1, jam),
+    ] {
+        let leg = Leg::Wind {
+            end: Thread(thread_um + short_um),
+            careful: true,
+            short: None,
+        };
+        assert_eq!(decide(leg, at, END_FORCE), expected, "{short_um} um");
+    }
+}
+
 #[test]
 fn past_the_end_the_thread_is_broken_or_has_slipped() {
     let past = after(ZERO, END.0 + Settings::REFERENCE.end_overrun.0);
