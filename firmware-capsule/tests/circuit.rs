@@ -124,6 +124,27 @@ fn a_slow_motor_is_not_compared() {
     assert!(disagrees(slow(2_000)));
 }
 
+/// Three counts in 2 ms are 1,500 counts/s.
+#[test]
+fn a_motor_that_is_just_fast_enough_is_compared() {
+    for (counts, compared) in [(3, true), (2, false)] {
+        let mut circuit = Circuit::default();
+        let mut disagrees = false;
+        for reading in 0..=2 * COMPARISON {
+            let reading = Reading {
+                drive_mv: 500,
+                current_ua: 200_000,
+                along: Counts(reading as i32 * counts),
+                battery_mv: 3_700,
+                sag_mv: 0,
+                at_us: 1_000 + u64::from(reading) * 2_000,
+            };
+            disagrees = circuit.take(Some(reading), 0, &SETTINGS);
+        }
+        assert_eq!(disagrees, compared, "{counts}");
+    }
+}
+
 #[test]
 fn only_comparisons_in_a_row_and_of_one_sign_count() {
     let mut bench = Bench::new();

@@ -26,6 +26,7 @@ fn energy_mj(current_ma: i32, drive_mv: i16, battery_mv: u16, rest_mv: u16) -> u
 fn at_full_drive_the_energy_is_voltage_times_current_times_time() {
     assert_eq!(energy_mj(100, 3_700, 3_700, 3_700), 370);
     assert_eq!(energy_mj(-100, -3_700, 3_700, 3_700), 370, "paying out");
+    assert_eq!(energy_mj(100, 0, 3_700, 3_700), 0, "without a drive");
     // More than the battery has is all of it.
     assert_eq!(energy_mj(100, 5_000, 3_700, 3_700), 370);
     // 100 mV of sag are part of what is measured.
