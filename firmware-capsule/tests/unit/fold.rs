@@ -103,6 +103,27 @@ fn a_leg_after_a_brake_sees_the_force_30_ms_later() {
     assert_eq!(seen_us, Some(72_000));
 }
 
+/// All the current of a motor that feels for the thread cannot wind it: the thread pulls, and nothing is jammed.
+#[test]
+fn a_motor_that_stands_while_it_feels_is_pulled() {
+    let mut capsule = moving(Mode::Folded, END, Command::Unfold);
+    let settings = Settings::REFERENCE;
+    let standing = Sample {
+        current_ua: 145_000,
+        ..capsule.sample
+    };
+    for ms in 1..=40 {
+        let detector = &mut actuation(&mut capsule).detector;
+        let load = detector.check(1_000 + 1_000 * ms, &standing, Some(145), 16, &settings);
+        assert!(load.is_ok_and(|load| !load.end_force), "{ms} ms");
+    }
+    capsule.sample_us = 41_000;
+    read(&mut capsule, 0, 145);
+    assert_eq!(capsule.fault(), None);
+    let leg = actuation(&mut capsule).leg;
+    assert!(leg.measures_tension(), "{leg:?}");
+}
+
 /// A motor of 203 uV per count/s that draws 60 mA more than its voltage and speed explain.
 fn contradicts(capsule: &mut Capsule) {
     for ms in 1..=49 {

@@ -402,6 +402,16 @@ fn the_current_is_lower_over_the_last_part_of_paying_out() {
     }
 }
 
+/// As slow as near the end force, which may be just ahead.
+#[test]
+fn a_pull_is_felt_at_the_lowest_speed() {
+    let settings = Settings::REFERENCE;
+    for near in [false, true] {
+        let feel = Leg::feel(Counts(0), Thread(0)).aim(END, 16, near, &settings);
+        assert_eq!(feel.cps, settings.near_cps);
+    }
+}
+
 /// While the thread is taut, its tension is measured at a low speed.
 #[test]
 fn a_taut_thread_is_paid_out_slowly() {
