@@ -669,3 +669,6 @@ fn ends_at(
 fn seconds(us: u64) -> String {
     decimal::write(us, 6)
 }
+
+#[cfg(test)]
+mod tests;

@@ -92,3 +92,44 @@ pub struct Coordination {
     /// From the carriage at the cue to the start of the actuation, us.
     pub latency_us: Option<(i64, i64)>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::experiment::PAPER_RUN;
+
+    #[test]
+    fn a_cue_is_at_a_place_that_the_carriage_passes() {
+        let run = Run {
+            cycles: 3,
+            stroke_um: 10_000,
+            ..PAPER_RUN
+        };
+        let none = |cycle| Err(CueError::NoCycle { cycle, cycles: 3 });
+        let not_passed = |at_um| {
+            Err(CueError::NotPassed {
+                at_um,
+                stroke_um: 10_000,
+            })
+        };
+        let too_seldom = Err(CueError::TooSeldom { telemetry_ms: 11 });
+        for (cycle, at_um, telemetry_ms, expected) in [
+            (0, None, 10, none(0)),
+            (1, None, 1_000, Ok(())),
+            (3, None, 10, Ok(())),
+            (4, None, 10, none(4)),
+            (1, Some(0), 10, not_passed(0)),
+            (1, Some(1), 10, Ok(())),
+            (1, Some(10_000), 10, Ok(())),
+            (1, Some(10_001), 10, not_passed(10_001)),
+            (1, Some(5_000), 11, too_seldom),
+        ] {
+            let checked = Cue { cycle, at_um }.check(&run, telemetry_ms);
+            assert_eq!(checked, expected, "{cycle} {at_um:?}");
+        }
+        assert_eq!(
+            [1, 2, 3].map(|cycle| Cue { cycle, at_um: None }.stroke()),
+            [0, 2, 4]
+        );
+    }
+}

@@ -364,6 +364,17 @@ mod tests {
         assert_eq!(no_load_ma(&readings(0.0)), Some(20.0));
         // An acceleration of 0.02 um/ms per ms takes 3.88 mA.
         assert_eq!(no_load_ma(&readings(0.02)), Some(16.12));
+        // Only between the middles of the two measurements of the speed.
+        let mut ends = readings(0.0);
+        for reading in ends.iter_mut().take(7) {
+            reading[2] = 90.0;
+        }
+        for reading in ends.iter_mut().skip(94) {
+            reading[2] = 90.0;
+        }
+        assert_eq!(no_load_ma(&ends), Some(20.0));
+        (ends[7][2], ends[93][2]) = (63.5, 63.5);
+        assert_eq!(no_load_ma(&ends), Some(21.0));
         assert_eq!(no_load_ma(&readings(0.0)[..39]), None);
         assert_eq!(no_load_ma(&[[1.0, 1.0, 16.0]; 40]), None, "at one instant");
     }
@@ -384,5 +395,35 @@ mod tests {
         let two = Drift::of(&figures[..2]).expect("two");
         assert_eq!((two.last, two.per_100_pairs), (12.0, None));
         assert_eq!(Drift::of(&[]), None);
+    }
+
+    #[test]
+    fn each_quantity_has_its_drift() {
+        let pair = |number: u32| Pair {
+            pair: number,
+            fold_ms: 1_900 + number,
+            folded_um: 21_000 + 2 * number as i32,
+            engaged_um: 1_200,
+            fold_end_ma: 150,
+            no_load_ma: (number != 2).then(|| f64::from(number)),
+            fold_mj: 240,
+            fold_battery_mv: 3_700,
+            unfold_ms: 1_300 - number,
+            unfolded_um: 40,
+            unfold_mj: 60 * number,
+            unfold_battery_mv: 3_750,
+            origin: Origin::Virtual,
+        };
+        let drifts = Drifts::of(&[pair(1), pair(2), pair(3)]);
+        let of = |drift: Option<Drift>| {
+            let drift = drift.expect("pairs");
+            (drift.first, drift.last, drift.per_100_pairs)
+        };
+        assert_eq!(of(drifts.folded_um), (21_002.0, 21_006.0, Some(200.0)));
+        assert_eq!(of(drifts.unfolded_um), (40.0, 40.0, Some(0.0)));
+        assert_eq!(of(drifts.no_load_ma), (1.0, 3.0, None));
+        assert_eq!(of(drifts.pair_mj), (300.0, 420.0, Some(6_000.0)));
+        assert_eq!(of(drifts.fold_ms), (1_901.0, 1_903.0, Some(100.0)));
+        assert_eq!(of(drifts.unfold_ms), (1_299.0, 1_297.0, Some(-100.0)));
     }
 }

@@ -110,6 +110,18 @@ mod tests {
         assert!((least - 4.86).abs() < 0.01 && (most - 7.79).abs() < 0.01);
         // An acceleration of 0.1 um/ms per ms takes 19.4 mA.
         let (_, most) = force_n(&winding(16 + 141, 0.1), 99, 16).expect("it is wound");
+        // The current is that of the last 8 readings, and the speeds those of the last 24.
+        let mut points = winding(16 + 141, 0.0);
+        for (index, point) in points.iter_mut().enumerate() {
+            if index < 92 {
+                point.current_ma = 16;
+            }
+            if index < 75 {
+                point.thread_um -= 500;
+            }
+        }
+        let (_, last) = force_n(&points, 99, 16).expect("it is wound");
+        assert!((last - 141.0 / 18.1).abs() < 1e-9, "{last}");
         assert!((most - 6.72).abs() < 0.15, "{most}");
     }
 

@@ -266,3 +266,144 @@ fn circuit(folding: &[Block], unfolding: &[Block]) -> Result<(Estimate, Estimate
         },
     ))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(thread_um: i32, current_ma: u16, drive_mv: i16) -> TracePoint {
+        TracePoint {
+            thread_um,
+            current_ma,
+            battery_mv: 2_995,
+            drive_mv,
+        }
+    }
+
+    /// Each reading shows the effect of the previous one's drive, half a period and the filter late.
+    #[test]
+    fn a_block_is_the_mean_of_20_driven_readings() {
+        for sign in [1, -1] {
+            let mut readings: Vec<_> = (0..=20_i16)
+                .map(|ms| {
+                    let current_ma = 10 * ms.unsigned_abs();
+                    point(i32::from(sign * ms) * 10, current_ma, sign * 1_500 - 20)
+                })
+                .collect();
+            readings[20].drive_mv = 0;
+            let found = block(&readings, sign.into()).expect("driven");
+            let sign = f64::from(sign);
+            let near = |is: f64, expected: f64| assert!((is - expected).abs() < 1e-9, "{is}");
+            near(found.way_mm, sign * 0.2);
+            near(found.thread_mm, sign * (0.105 - 0.66 / 20.0 * 0.2));
+            near(found.speed_mm_s, 10.0);
+            near(found.current_ma, 105.0);
+            near(found.battery_mv, 3_000.0);
+            near(found.duty, if sign > 0.0 { 0.5 } else { 1_540.0 / 3_000.0 });
+            readings[0].drive_mv = 0;
+            assert!(block(&readings, sign).is_none(), "braked");
+        }
+    }
+
+    /// Block by block, the thread that it winds, um.
+    fn wound(blocks: impl IntoIterator<Item = i32>) -> Vec<TracePoint> {
+        let mut from_um = 0;
+        let mut points = vec![];
+        for um in blocks {
+            points.extend((0..20).map(|ms| point(from_um + um * ms / 20, 20, 1_480)));
+            from_um += um;
+        }
+        points.push(point(from_um, 20, 1_480));
+        points
+    }
+
+    /// Of 20 blocks, the first and the last have one neighbour only, and those in the last 0.7 mm do not count.
+    #[test]
+    fn steady_blocks_with_neighbours_are_found_before_the_end() {
+        let found = blocks("fold", &wound([200; 20]), 1.0).expect("enough");
+        assert_eq!(found.len(), 16);
+        assert!(found.iter().all(|block| block.accelerating_ma.abs() < 1e-9));
+        // 0.2 mm/s more in each 20 ms are 0.01 um/ms in each ms.
+        let faster = wound((0..20).map(|block| 100 + 4 * block));
+        let found = blocks("fold", &faster, 1.0).expect("enough");
+        let expected = 0.01 / UM_MS2_PER_MA;
+        let off = |block: &Block| (block.accelerating_ma - expected).abs();
+        assert!(found.iter().all(|block| off(block) < 1e-9), "{found:?}");
+        let blocks = |wound_um: &[i32]| {
+            blocks("fold", &wound(wound_um.iter().copied()), 1.0).map(|found| found.len())
+        };
+        // A change of speed takes out the blocks beside it: 0.4 mm/s bend more than 0.3.
+        let mut bent = [200; 25];
+        bent[10] = 208;
+        assert_eq!(blocks(&bent), Ok(21 - 3));
+        bent[10] = 203;
+        assert_eq!(blocks(&bent), Ok(21));
+        // 0.95 mm/s is too slow, and 2.1 mm/s faster in 40 ms takes more than 10 mA.
+        let slow = Err(IdentifyError::TooShort {
+            motion: "fold",
+            blocks: 0,
+        });
+        assert_eq!(blocks(&[19; 60]), slow);
+        assert_eq!(blocks(&[21; 60]), Ok(26));
+        let steep: Vec<_> = (0..25).map(|block| 100 + 21 * block).collect();
+        assert_eq!(blocks(&steep), slow);
+        assert_eq!(
+            blocks(&[200; 15]).map_err(|_| ()),
+            Err(()),
+            "11 are too few"
+        );
+        assert_eq!(blocks(&[200; 16]), Ok(12));
+    }
+
+    /// Half of the time 100 mA, and 28.7 mA/V * 3.7 V / 16 of ripple.
+    #[test]
+    fn the_cell_gives_the_current_of_the_pulses_and_their_ripple() {
+        let block = turning(100.0, 10.0, 0.5, 3_700.0);
+        assert!((block.drawn_ma() - 56.636_875).abs() < 1e-9);
+    }
+
+    fn turning(current_ma: f64, speed_mm_s: f64, duty: f64, battery_mv: f64) -> Block {
+        Block {
+            thread_mm: 5.0,
+            way_mm: 0.2,
+            speed_mm_s,
+            current_ma,
+            accelerating_ma: 0.0,
+            duty,
+            battery_mv,
+        }
+    }
+
+    /// 6 ohm, 2.1 mV s/rad, and a cell of 3.9 V with 0.5 ohm; `off_mv` is the amplifier's offset as a voltage.
+    fn driven(current_ma: f64, speed_mm_s: f64, off_mv: f64) -> Block {
+        let mut block = turning(current_ma, speed_mm_s, 0.5, 3_800.0);
+        for _ in 0..100 {
+            let drawn_ma = block.drawn_ma();
+            let motor_mv = 6.0 * current_ma + 2.1 * speed_mm_s / MM_PER_RAD + off_mv;
+            block.duty = (motor_mv + 0.5 * drawn_ma) / 3_900.0;
+            block.battery_mv = 3_900.0 - 0.5 * drawn_ma;
+        }
+        block
+    }
+
+    #[test]
+    fn the_circuit_is_found_from_what_was_driven() {
+        let folding: Vec<_> = (0..15)
+            .map(f64::from)
+            .map(|place| driven(20.0 + 8.0 * place, 12.0 - 0.03 * place * place, 4.0))
+            .collect();
+        let unfolding: Vec<_> = (0..15)
+            .map(f64::from)
+            .map(|place| driven(40.0 - 2.0 * place, 10.0 + (place * 2.0).sin(), -3.0))
+            .collect();
+        let (ohm, constant) = circuit(&folding, &unfolding).expect("it fits");
+        assert!((ohm.value - 6.5).abs() < 1e-4, "{ohm:?}");
+        assert!((constant.value - 2.1).abs() < 1e-4, "{constant:?}");
+        // Exact readings leave the uncertainty of gain and voltage.
+        assert!((ohm.uncertainty - 0.033 * 6.5).abs() < 1e-3, "{ohm:?}");
+        assert!(
+            (constant.uncertainty - 0.003 * 2.1).abs() < 1e-4,
+            "{constant:?}"
+        );
+    }
+}

@@ -241,4 +241,78 @@ mod tests {
             "{text}"
         );
     }
+
+    /// The lines of an action with these reports.
+    fn lines(report: impl FnOnce(&mut Live)) -> Vec<String> {
+        let mut out = vec![];
+        report(&mut Live::new(&mut out, false));
+        let text = String::from_utf8(out).expect("UTF-8");
+        text.lines().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn a_line_is_told_in_each_five_seconds() {
+        let told = lines(|live| {
+            live.begun(&Begun::Actuation(protocol::capsule::ActuationAccepted {
+                actuation: 1,
+                timeout_ms: 16_000,
+            }));
+            for elapsed_us in [
+                4_999_999, 5_000_000, 9_999_999, 10_700_000, 14_999_999, 15_000_000,
+            ] {
+                live.progress(&Progress::Actuation {
+                    elapsed_us,
+                    at_most_us: 16_000_000,
+                    thread_um: 1_500,
+                    current_ma: 30,
+                });
+            }
+        });
+        assert_eq!(
+            told,
+            [
+                "Actuation 1: ends by itself within 16 s.",
+                "  5.0 s of at most 16.0 s, 1.500 mm of thread, 30 mA",
+                "  10.7 s of at most 16.0 s, 1.500 mm of thread, 30 mA",
+                "  15.0 s of at most 16.0 s, 1.500 mm of thread, 30 mA",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_hold_is_told_once_and_a_fault_at_once() {
+        let told = lines(|live| {
+            for held in [true, true, false, true] {
+                live.progress(&Progress::Run {
+                    elapsed_us: 0,
+                    total_us: 60_000_000,
+                    stroke: 0,
+                    strokes: 4,
+                    position_um: 1_250,
+                    held,
+                });
+            }
+            let faults = [
+                What::Rig(RigEvent::Faulted(protocol::rig::RigFault::EStopFrame)),
+                What::Capsule(CapsuleEvent::Faulted(
+                    protocol::capsule::CapsuleFault::Timeout,
+                )),
+            ];
+            for what in faults {
+                live.event(&Event {
+                    index: 0,
+                    time_us: 0,
+                    what,
+                });
+            }
+        });
+        let held = "  held at 1.250 mm".to_owned();
+        assert_eq!(
+            told.iter().filter(|line| **line == held).count(),
+            2,
+            "{told:?}"
+        );
+        let faults = told.iter().filter(|line| line.starts_with("  fault: "));
+        assert_eq!(faults.count(), 2, "{told:?}");
+    }
 }

@@ -55,3 +55,40 @@ pub fn unreadable(file: &Path, error: RecordError) -> Option<String> {
     let told = plain::is_file(&file.with_extension("csv")) && other(file).is_none();
     told.then(|| error.to_string())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    #[test]
+    fn only_a_trial_beside_its_telemetry_is_told_as_unreadable() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("one.json");
+        let unreadable = || unreadable(&file, RecordError::read(&file, "no trial"));
+        fs::write(&file, "{}").expect("written");
+        assert_eq!(unreadable(), None, "without telemetry");
+        fs::write(file.with_extension("csv"), "").expect("written");
+        assert!(unreadable().is_some_and(|why| why.contains("no trial")));
+        for (text, kind) in [
+            (r#"{"drift": {}, "asked": 3}"#, "endurance"),
+            (r#"{"board_uid": "", "steps": []}"#, "commissioning"),
+        ] {
+            fs::write(&file, text).expect("written");
+            assert_eq!(unreadable(), None, "{text}");
+            assert!(
+                other(&file).is_some_and(|what| what.contains(kind)),
+                "{text}"
+            );
+        }
+        for text in [
+            r#"{"drift": {}}"#,
+            r#"{"asked": 3}"#,
+            r#"{"steps": []}"#,
+            "x",
+        ] {
+            fs::write(&file, text).expect("written");
+            assert_eq!(other(&file), None, "{text}");
+        }
+    }
+}

@@ -761,3 +761,6 @@ pub(crate) fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), R
         "too many trials started in this second",
     ))
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,98 @@
+//! The files of a trial: their names, their rows, and the counts in the sidecar.
+
+use super::*;
+use protocol::capsule::{CapsuleState, CapsuleTelemetry};
+
+#[test]
+fn a_row_that_was_cut_short_is_taken_off() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("run.csv");
+    for (text, rows, left) in [
+        ("", 0, ""),
+        ("time_us,sta", 0, ""),
+        ("time_us,state\n", 0, "time_us,state\n"),
+        ("a,b\n1,2\n3,", 1, "a,b\n1,2\n"),
+        ("a,b\n1,2\n3,4\n", 2, "a,b\n1,2\n3,4\n"),
+    ] {
+        fs::write(&path, text).expect("written");
+        assert_eq!(keep_whole_rows(&path).expect("read"), rows, "{text:?}");
+        assert_eq!(fs::read_to_string(&path).expect("read"), left);
+    }
+}
+
+#[test]
+fn a_name_is_new_if_neither_file_has_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let created = || {
+        let (path, _) = create_new(folder.path(), "run").expect("created");
+        path.file_name()
+            .expect("a name")
+            .to_string_lossy()
+            .into_owned()
+    };
+    assert_eq!(created(), "run.csv");
+    assert_eq!(created(), "run-2.csv");
+    fs::write(folder.path().join("run-3.json"), "{}").expect("written");
+    assert_eq!(created(), "run-4.csv");
+    let lost = create_new(&folder.path().join("none"), "run");
+    assert!(lost.is_err());
+}
+
+fn device() -> IdentityRecord {
+    IdentityRecord {
+        device: "capsule".to_owned(),
+        origin: Origin::Virtual,
+        uid: String::new(),
+        firmware: String::new(),
+        profile: String::new(),
+        protocol: String::new(),
+        schema_key: String::new(),
+        boot_id: 1,
+        reset_cause: String::new(),
+    }
+}
+
+#[test]
+fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = Recording {
+        folder: folder.path().to_owned(),
+        stem: "fold".to_owned(),
+        now: Timestamp::UNIX_EPOCH,
+        note: None,
+        telemetry_ms: 20,
+    };
+    let action = Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    };
+    let trial = Trial::new(action, device(), &recording);
+    let mut recorder = Recorder::create(trial, &recording).expect("created");
+    assert!(!recorder.has_begun());
+    recorder.begun(&Begun::Actuation(ActuationAccepted {
+        actuation: 3,
+        timeout_ms: 6_000,
+    }));
+    assert!(recorder.has_begun());
+    for (time_us, missed) in [(20_000, 0), (80_000, 2), (160_000, 3)] {
+        let sample = CapsuleTelemetry {
+            time_us,
+            state: CapsuleState::Folding,
+            thread_um: 1_000,
+            current_ma: 20,
+            battery_mv: 3_700,
+            drive_mv: 2_000,
+        };
+        recorder.telemetry(&Telemetry::Capsule(sample), missed);
+    }
+    let sidecar = recorder.sidecar().to_owned();
+    let lost = Ending::Lost("gone".to_owned());
+    let trial = recorder.finish(lost, 0).expect("written");
+    assert_eq!((trial.samples, trial.missed_samples), (3, 5));
+    let read = Trial::read(&sidecar).expect("a sidecar");
+    assert_eq!((read.samples, read.missed_samples), (3, 5));
+    let rows: Vec<CapsuleSample> = read.samples(&sidecar).expect("rows");
+    let missed: Vec<_> = rows.iter().map(|row| row.missed).collect();
+    assert_eq!(missed, [0, 2, 3]);
+}
