@@ -14,7 +14,7 @@ use simulated_machines::machine::{Script, World, link};
 use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::Cue;
 use trials::experiment::{ExperimentError, PAPER_RUN};
-use trials::trial::{Recording, Status, Trial};
+use trials::trial::{Recording, RigSample, Status, Trial};
 
 /// Three cycles of 10 mm, 2 s each.
 const RUN: Run = Run {
@@ -67,8 +67,34 @@ fn tied(
         assert_eq!(read.coordination.as_ref(), Some(&done.coordination));
         let run = folder.path().join(&done.coordination.run);
         assert_eq!(Trial::read(&run).expect("the run's"), done.run.trial);
+        if let (cue, Some(at_um)) = (what.1, what.1.at_um) {
+            let rows = done.run.trial.samples::<RigSample>(&run).expect("rows");
+            let cue_us = done.coordination.cue_time_us.expect("passed");
+            assert_between_samples(&rows, 2 * u32::from(cue.cycle - 1), at_um, cue_us);
+        }
     }
     done
+}
+
+/// The carriage was there between the samples of the stroke before and behind the place, in proportion to its way.
+fn assert_between_samples(rows: &[RigSample], stroke: u32, at_um: u32, cue_us: u64) {
+    let nm = |row: &RigSample| row.position_mm.parse::<f64>().expect("mm") * 1e6;
+    let at_nm = f64::from(at_um) * 1e3;
+    let pair = rows.windows(2).find(|pair| {
+        pair.iter().all(|row| row.stroke == stroke) && nm(&pair[0]) < at_nm && nm(&pair[1]) >= at_nm
+    });
+    // The turning point may lie behind the last sample of the stroke.
+    let Some([before, behind]) = pair else {
+        assert!(at_um + 1 >= RUN.stroke_um, "{at_um} um");
+        return;
+    };
+    let share = (at_nm - nm(before)) / (nm(behind) - nm(before));
+    let took_us = (behind.time_us - before.time_us) as f64;
+    let expected_us = before.time_us as f64 + share * took_us;
+    assert!(
+        (cue_us as f64 - expected_us).abs() <= 1.0,
+        "{cue_us} for {expected_us}"
+    );
 }
 
 fn at(cycle: u16, at_um: Option<u32>) -> (Shaping, Cue) {

@@ -375,6 +375,13 @@ mod tests {
         assert_eq!(no_load_ma(&ends), Some(20.0));
         (ends[7][2], ends[93][2]) = (63.5, 63.5);
         assert_eq!(no_load_ma(&ends), Some(21.0));
+        // A speed that rises by 1 mm/s for the last 12 ms only, 87 ms after the first ones: 2.23 mA.
+        let mut late = readings(0.0);
+        for (index, reading) in late.iter_mut().enumerate().skip(88) {
+            reading[1] += (index - 87) as f64;
+        }
+        assert_eq!(no_load_ma(&late), Some(17.77));
+        assert_eq!(no_load_ma(&readings(0.0)[..40]), Some(20.0));
         assert_eq!(no_load_ma(&readings(0.0)[..39]), None);
         assert_eq!(no_load_ma(&[[1.0, 1.0, 16.0]; 40]), None, "at one instant");
     }

@@ -671,3 +671,41 @@ fn complete(
         sidecar: sidecar.to_owned(),
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two kinds with one prefix would be taken for each other in a folder.
+    #[test]
+    fn each_actuation_has_a_name_of_its_own() {
+        let kinds = [
+            ActuationKind::Reference,
+            ActuationKind::Calibrate,
+            ActuationKind::CheckFolded,
+            ActuationKind::Fold,
+            ActuationKind::Unfold,
+            ActuationKind::FoldTo,
+        ];
+        for name in [stem, doing] {
+            let names: std::collections::BTreeSet<_> = kinds.map(name).into();
+            assert!(
+                names.len() == kinds.len() && !names.contains(""),
+                "{names:?}"
+            );
+        }
+        assert_eq!(stem(ActuationKind::FoldTo), "fold-to");
+    }
+
+    /// If the record is lost, this sentence is all that is left of the motion.
+    #[test]
+    fn the_verdict_of_a_motion_says_how_and_where_it_ended() {
+        let moved = Ending::Move(Moved {
+            outcome: RunOutcome::Stopped,
+            position_steps: 1_234,
+        });
+        assert_eq!(verdict(&moved), "the move ended as Stopped at 1234 steps");
+        let lost = Ending::Lost("it went away".to_owned());
+        assert_eq!(verdict(&lost), "it went away");
+    }
+}

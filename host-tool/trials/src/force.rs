@@ -110,6 +110,10 @@ mod tests {
         assert!((least - 4.86).abs() < 0.01 && (most - 7.79).abs() < 0.01);
         // An acceleration of 0.1 um/ms per ms takes 19.4 mA.
         let (_, most) = force_n(&winding(16 + 141, 0.1), 99, 16).expect("it is wound");
+        assert!((most - 6.72).abs() < 0.15, "{most}");
+        // One of 2 um/ms per ms takes 388 mA.
+        let (_, most) = force_n(&winding(16 + 541, 2.0), 99, 16).expect("it is wound");
+        assert!((most - (541.0 - 2.0 / UM_MS2_PER_MA) / 18.1).abs() < 1e-9);
         // The current is that of the last 8 readings, and the speeds those of the last 24.
         let mut points = winding(16 + 141, 0.0);
         for (index, point) in points.iter_mut().enumerate() {
@@ -122,7 +126,6 @@ mod tests {
         }
         let (_, last) = force_n(&points, 99, 16).expect("it is wound");
         assert!((last - 141.0 / 18.1).abs() < 1e-9, "{last}");
-        assert!((most - 6.72).abs() < 0.15, "{most}");
     }
 
     #[test]

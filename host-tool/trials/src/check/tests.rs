@@ -261,6 +261,52 @@ fn steps_that_the_telemetry_does_not_show_are_told() {
     }
 }
 
+/// Four strokes have up to six reversals: six times 88 steps, and the 100 at which the telemetry begins and ends.
+#[test]
+fn each_stroke_and_both_ends_may_hide_steps() {
+    for (missing, gap) in [(628, false), (629, true)] {
+        let (mut trial, mut samples) = run_record();
+        for sample in &mut samples {
+            sample.position_steps += 100;
+        }
+        executed(&mut trial).strokes = 4;
+        executed(&mut trial).counted_edges += missing;
+        let Action::Run {
+            achieved: Some(achieved),
+            executed: Some(executed),
+            ..
+        } = &trial.action
+        else {
+            panic!("a run");
+        };
+        let mut defects = Defects::default();
+        travelled(&SCREW, achieved, executed, &samples, &mut defects);
+        assert_eq!(defects.gaps.len(), usize::from(gap), "{defects:?}");
+    }
+}
+
+/// A fault that was latched after a stop is in the sidecar only, and is told there.
+#[test]
+fn only_a_fault_behind_a_stop_may_differ_from_the_machines_record() {
+    for (outcome, status, error, differs) in [
+        (RunOutcome::Stopped, Status::Faulted, true, false),
+        (RunOutcome::Stopped, Status::Faulted, false, true),
+        (RunOutcome::Complete, Status::Faulted, true, true),
+        (RunOutcome::Stopped, Status::Complete, true, true),
+    ] {
+        let found = changed(|trial, _| {
+            executed(trial).outcome = outcome;
+            trial.status = status;
+            trial.error = error.then(|| "an emergency stop".to_owned());
+        });
+        assert_eq!(
+            found.contradictions.len(),
+            usize::from(differs),
+            "{found:?}"
+        );
+    }
+}
+
 #[test]
 fn what_was_executed_is_what_was_planned() {
     let one = |change: &dyn Fn(&mut Executed)| changed(|trial, _| change(executed(trial)));
