@@ -280,6 +280,31 @@ mod tests {
     }
 
     #[test]
+    fn what_the_operator_has_to_know_is_told() {
+        let told = lines(|live| {
+            live.unrecorded("no space");
+            live.refused(Pace::Hold, &Refusal::NothingToAcknowledge);
+            for what in [What::Rig(RigEvent::Resumed), What::LinkLost] {
+                live.event(&Event {
+                    index: 0,
+                    time_us: 0,
+                    what,
+                });
+            }
+        });
+        let begins = [
+            "  NOT RECORDED from here on: no space",
+            "  not held: ",
+            "  resumed",
+            "  the device",
+        ];
+        assert_eq!(told.len(), begins.len(), "{told:?}");
+        for (line, begin) in told.iter().zip(begins) {
+            assert!(line.starts_with(begin), "{line}");
+        }
+    }
+
+    #[test]
     fn a_hold_is_told_once_and_a_fault_at_once() {
         let told = lines(|live| {
             for held in [true, true, false, true] {
@@ -306,6 +331,7 @@ mod tests {
                 });
             }
         });
+        assert_eq!(told.len(), 4 + 1, "a line of the run, too: {told:?}");
         let held = "  held at 1.250 mm".to_owned();
         assert_eq!(
             told.iter().filter(|line| **line == held).count(),

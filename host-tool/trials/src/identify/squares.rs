@@ -123,6 +123,31 @@ mod tests {
     }
 
     #[test]
+    fn a_deviation_is_that_of_a_mean() {
+        let rows: Vec<_> = (0..400)
+            .map(|x| ([1.0], if x % 2 == 0 { 2.0 } else { -2.0 }))
+            .collect();
+        let found = fit(&rows).expect("one");
+        let expected = (4.0_f64 / 399.0).sqrt();
+        assert!((found.deviations[0] - expected).abs() < 1e-9, "{found:?}");
+        assert!((found.squares - 1_600.0).abs() < 1e-9);
+    }
+
+    /// A quarter of the squares is common to neighbours; at most nine tenths count.
+    #[test]
+    fn likeness_is_the_correlation_of_neighbours() {
+        for (residuals, expected) in [
+            (&[2.0, 2.0, -2.0, -2.0][..], 1.25 / 0.75),
+            (&[2.0, -2.0], 1.0),
+            (&[0.0, 0.0], 1.0),
+            (&[3.0; 100], 19.0),
+        ] {
+            let found = likeness(residuals);
+            assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
+        }
+    }
+
+    #[test]
     fn what_is_not_determined_is_not_told() {
         let same: Vec<_> = (0..10).map(|_| ([1.0, 5.0], 2.0)).collect();
         assert!(fit(&same).is_none());

@@ -10,6 +10,11 @@ fn friction_is_found_from_the_two_slopes() {
         let found = friction(down / raising(truth), 0.0).expect("a worm");
         assert!((found - truth).abs() < 1e-6, "{truth}: {found}");
     }
+    // A tenth more while it is lowered.
+    let lead = LEAD_DEG.to_radians();
+    let down = ((0.15_f64 * 1.1).atan() - lead).tan() / lead.tan();
+    let found = friction(down / raising(0.15), 0.1).expect("a worm");
+    assert!((found - 0.15).abs() < 1e-6, "{found}");
     // No worm has a coefficient above 1, and the result is not clamped to 1.
     assert_eq!(friction(0.8, 0.0), None);
 }
@@ -80,6 +85,22 @@ fn a_fit_finds_what_the_currents_were_made_of() {
         less.1 < TRUTH[DOWN] && TRUTH[DOWN] < more.1,
         "{less:?} {more:?}"
     );
+}
+
+#[test]
+fn a_start_has_the_currents_that_fit_its_slack() {
+    let mut truth = TRUTH;
+    (truth[FOLDING], truth[UNFOLDING]) = (21.0, 17.0);
+    let [folding, unfolding] = motions(&truth);
+    let readings = Readings {
+        folding: &folding,
+        unfolding: &unfolding,
+        hysteresis: HYSTERESIS,
+    };
+    let found = readings.start([0.8, 0.02, 0.5]).expect("determined");
+    for (found, expected) in found.iter().zip(truth) {
+        assert!((found - expected).abs() < 1e-6, "{found} for {expected}");
+    }
 }
 
 #[test]
