@@ -214,6 +214,31 @@ mod tests {
         );
     }
 
+    /// The same points three higher, and their mean and deviation.
+    #[test]
+    fn a_line_that_does_not_pass_the_origin_has_its_height() {
+        let points = [(1.0, 5.0), (2.0, 7.0), (3.0, 8.0), (4.0, 11.0)];
+        let line = FittedLine::through(&points).expect("a line");
+        assert!(near(line.intercept, 3.0, 1.0) && near(line.at(4.0), 10.6, 1.0));
+        assert!(near(line.residual_sd.expect("four"), 0.35_f64.sqrt(), 1.0));
+        // Of five points three degrees of freedom are left: t is 3.1824, the residual deviation 0.6325.
+        let five = [(1.0, 0.0), (2.0, 1.0), (3.0, 0.0), (4.0, 1.0), (5.0, 0.0)];
+        let line = FittedLine::through(&five).expect("a line");
+        let near = |is: Option<f64>, expected: f64| (is.expect("five") - expected).abs() < 1e-5;
+        assert!(near(line.half_slope(), 0.636_489), "{line:?}");
+        assert!(near(line.half_band(3.0), 0.900_132), "{line:?}");
+        assert!(near(line.half_band(5.0), 1.559_075), "{line:?}");
+    }
+
+    #[test]
+    fn a_spread_is_a_mean_and_its_deviation() {
+        let points = [(1.0, 5.0), (2.0, 7.0), (3.0, 8.0), (4.0, 11.0)];
+        let spread = Spread::of(&points.map(|(_, y)| y)).expect("four");
+        assert!(near(spread.mean, 7.75, 1.0) && spread.n == 4);
+        // Squares of 2.75, 0.75, 0.25, 3.25: 18.75 over 3.
+        assert!(near(spread.sd.expect("four"), 2.5, 1.0));
+    }
+
     #[test]
     fn what_cannot_be_said_is_not_said() {
         assert_eq!(Spread::of(&[]), None);

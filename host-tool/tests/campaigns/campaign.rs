@@ -65,11 +65,11 @@ indentation = "a2"
 repeats = 1
 "#;
 
-fn plan(text: &str) -> CampaignPlan {
+pub(crate) fn plan(text: &str) -> CampaignPlan {
     CampaignPlan::parse(text, Path::new("plan.toml")).expect("a plan")
 }
 
-fn mm(text: &str) -> Millimetres {
+pub(crate) fn mm(text: &str) -> Millimetres {
     text.parse().expect("a number")
 }
 
@@ -590,7 +590,7 @@ fn measured_and_simulated_rows_do_not_mix() {
 
 // Readings.
 
-fn reading(set: u32, indentation: Option<&str>, number: u32, value: &str) -> ReadingRow {
+pub(crate) fn reading(set: u32, indentation: Option<&str>, number: u32, value: &str) -> ReadingRow {
     ReadingRow {
         row: 0,
         time_utc: Timestamp::UNIX_EPOCH,
@@ -608,7 +608,7 @@ fn reading(set: u32, indentation: Option<&str>, number: u32, value: &str) -> Rea
     }
 }
 
-fn accepted(of: &ReadingRow) -> ReadingRow {
+pub(crate) fn accepted(of: &ReadingRow) -> ReadingRow {
     ReadingRow {
         event: Kind::Accepted,
         reading: None,
@@ -617,12 +617,12 @@ fn accepted(of: &ReadingRow) -> ReadingRow {
     }
 }
 
-fn apply(readings: &mut Readings, mut row: ReadingRow) {
+pub(crate) fn apply(readings: &mut Readings, mut row: ReadingRow) {
     row.row = readings.sequence.next_row();
     readings.apply(&row).expect("possible");
 }
 
-fn measured(readings: &mut Readings, indentation: Option<&str>, values: &[&str]) {
+pub(crate) fn measured(readings: &mut Readings, indentation: Option<&str>, values: &[&str]) {
     let set = readings.sets.len() as u32 + 1;
     for (value, number) in values.iter().zip(1..) {
         apply(readings, reading(set, indentation, number, value));

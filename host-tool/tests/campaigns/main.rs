@@ -6,6 +6,7 @@ mod support;
 mod campaign;
 mod campaign_report;
 mod campaign_run;
+mod counting;
 mod gone;
 #[cfg(unix)]
 mod hostile;
