@@ -412,7 +412,7 @@ fn a_silent_current_is_the_bridge_if_the_motor_becomes_slower() {
         assert!((24..40).contains(&ms), "{ms} ms");
     }
     // A sixteenth less over 4 ms, from 8,000 to 7,500 counts/s, is not yet slower.
-    // What was before the 8 ms of the earlier speed does not count.
+    // Readings before the 8 ms of the earlier speed do not count.
     let mut feed = Feed::at_speed(Spooling::Wind, 9);
     feed.draws(0, 40);
     let steps = [8; 9].into_iter().chain([7, 8].repeat(20));

@@ -195,7 +195,7 @@ fn the_first_reference_is_a_calibration() {
     }
 }
 
-/// What a run has not wound itself may be missing at zero: up to 1.3 mm, and 0.1 mm in any case.
+/// Thread that a run has not wound itself may be missing at zero: up to 1.3 mm, and 0.1 mm in any case.
 #[test]
 fn thread_that_a_run_has_not_wound_is_not_paid_out() {
     let believed = Purpose::Check { believed: true };
@@ -255,7 +255,7 @@ fn settings_are_in_force_once_they_are_set() {
         assert_eq!(*capsule.settings(), other);
         assert_eq!(capsule.no_load_ma, no_load_ma);
     }
-    // What a slack thread has shown outlives a change of something else.
+    // A current that a slack thread has shown outlives a change of something else.
     let mut capsule = Capsule::new(None, None, false, other);
     capsule.no_load_ma = 18;
     capsule.set_settings(Settings {

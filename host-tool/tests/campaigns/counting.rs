@@ -1,4 +1,4 @@
-//! What a campaign counts: its rows, its readings, and the time that is left.
+//! The counts of a campaign: its rows, its readings, and the time that is left.
 
 use std::collections::BTreeSet;
 
