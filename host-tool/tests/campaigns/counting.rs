@@ -6,6 +6,7 @@ use crate::campaign::{SMALL, accepted, apply, campaign, measured, mm, plan, read
 use campaign::folder::Folder;
 use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
 use campaign::order::order;
+use campaign::plan::CampaignPlan;
 use campaign::readings::{Kind, Readings, questions};
 use campaign::remaining::{remaining_s, text};
 use client::identity::Origin;
@@ -104,8 +105,10 @@ fn the_last_measured_trial_is_the_last_that_stands() {
     let mut rows = vec![];
     let undone = LedgerRow::of(LedgerEvent::Undone, 2, Some(1));
     let note = LedgerRow::of(LedgerEvent::Note, 1, Some(1));
-    let last = [done(1).to_vec(), done(2).to_vec(), vec![undone, note]];
-    for (these, expected) in last.into_iter().zip([(1, 1), (2, 1), (1, 1)]) {
+    // A remark on an earlier trial measures nothing.
+    let last = [done(1).to_vec(), done(2).to_vec(), vec![note], vec![undone]];
+    let expected = [(1, 1), (2, 1), (2, 1), (1, 1)];
+    for (these, expected) in last.into_iter().zip(expected) {
         for row in these {
             step(&mut state, row.clone()).expect("possible");
             rows.push(row);
@@ -147,6 +150,23 @@ fn a_row_of_another_width_is_none_of_the_set() {
         let mut row = reading(2, Some("a1"), 2, "22.4");
         (row.row, row.event) = (readings.sequence.next_row(), event);
         assert_eq!(readings.clone().apply(&row).is_ok(), fits, "{event:?}");
+    }
+}
+
+/// A metre is the most that a plan may say of a width.
+#[test]
+fn a_plan_of_impossible_widths_is_refused() {
+    for (from, to, fits) in [
+        ("spread_mm = 0.5", "spread_mm = 1000", true),
+        ("spread_mm = 0.5", "spread_mm = 1000.001", false),
+        ("spread_mm = 0.5", "spread_mm = 0", false),
+        ("width_about_mm = 24.4", "width_about_mm = 1000", true),
+        ("width_about_mm = 24.4", "width_about_mm = 1000.001", false),
+        ("width_about_mm = 24.4", "width_about_mm = 0", false),
+    ] {
+        let text = SMALL.replace(from, to);
+        let parsed = CampaignPlan::parse(&text, Path::new("plan.toml"));
+        assert_eq!(parsed.is_ok(), fits, "{to}: {parsed:?}");
     }
 }
 

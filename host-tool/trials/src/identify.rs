@@ -405,5 +405,13 @@ mod tests {
             (constant.uncertainty - 0.003 * 2.1).abs() < 1e-4,
             "{constant:?}"
         );
+        // A motor that would drive itself the faster it turns is none.
+        let mut driven = folding;
+        for block in &mut driven {
+            block.speed_mm_s *= -1.0;
+        }
+        let none = "a motor without resistance or back-EMF";
+        let found = circuit(&driven, &driven).map(|_| ());
+        assert_eq!(found, Err(IdentifyError::NoFit(none)));
     }
 }

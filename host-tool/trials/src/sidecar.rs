@@ -91,4 +91,23 @@ mod tests {
             assert_eq!(other(&file), None, "{text}");
         }
     }
+
+    #[test]
+    fn a_heading_says_which_motion_it_was() {
+        let recording = crate::trial::Recording {
+            folder: "x".into(),
+            stem: "fold".to_owned(),
+            now: jiff::Timestamp::UNIX_EPOCH,
+            note: None,
+            telemetry_ms: 20,
+        };
+        let device = crate::trial::tests::device();
+        let action = Action::Actuation {
+            actuation: ActuationKind::FoldTo,
+            accepted: None,
+            record: None,
+        };
+        let trial = Trial::new(action, device, &recording);
+        assert_eq!(heading(&trial), "Partial fold");
+    }
 }

@@ -763,4 +763,4 @@ pub(crate) fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), R
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -3,7 +3,6 @@
 use super::*;
 use crate::experiment::PAPER_RUN;
 use crate::trial::{Moved, Recording};
-use client::identity::IdentityRecord;
 use jiff::Timestamp;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome};
 use protocol::rig::{MoveAccepted, MoveTo, RunOutcome, Stroke};
@@ -24,18 +23,7 @@ fn trial(action: Action) -> Trial {
         note: None,
         telemetry_ms: 20,
     };
-    let device = IdentityRecord {
-        device: "rig".to_owned(),
-        origin: Origin::Virtual,
-        uid: String::new(),
-        firmware: String::new(),
-        profile: String::new(),
-        protocol: String::new(),
-        schema_key: String::new(),
-        boot_id: 1,
-        reset_cause: String::new(),
-    };
-    let mut trial = Trial::new(action, device, &recording);
+    let mut trial = Trial::new(action, crate::trial::tests::device(), &recording);
     trial.status = Status::Complete;
     trial
 }

@@ -39,7 +39,8 @@ fn a_name_is_new_if_neither_file_has_it() {
     assert!(lost.path.ends_with("none/run.csv"), "{lost}");
 }
 
-fn device() -> IdentityRecord {
+/// A virtual machine that says nothing of itself.
+pub(crate) fn device() -> IdentityRecord {
     IdentityRecord {
         device: "capsule".to_owned(),
         origin: Origin::Virtual,
