@@ -153,6 +153,28 @@ fn a_row_of_another_width_is_none_of_the_set() {
     }
 }
 
+#[test]
+fn the_rollers_stay_clamped_while_the_width_is_measured_again() {
+    let mut readings = Readings::default();
+    measured(&mut readings, None, &["24.4", "24.4"]);
+    measured(&mut readings, Some("a1"), &["22.4", "22.4"]);
+    measured(&mut readings, None, &["24.5", "24.5"]);
+    apply(&mut readings, reading(4, Some("a2"), 1, "14.3"));
+    let clamped = readings.clamped().expect("clamped");
+    assert_eq!(clamped.indentation.as_deref(), Some("a1"));
+    assert_eq!(readings.width().expect("measured").number, 3);
+}
+
+#[test]
+fn a_name_has_at_most_40_characters() {
+    for (length, fits) in [(40, true), (41, false)] {
+        let name = format!("name = \"{}\"", "n".repeat(length));
+        let text = SMALL.replacen("name = \"small\"", &name, 1);
+        let parsed = CampaignPlan::parse(&text, Path::new("plan.toml"));
+        assert_eq!(parsed.is_ok(), fits, "{length}");
+    }
+}
+
 /// A metre is the most that a plan may say of a width.
 #[test]
 fn a_plan_of_impossible_widths_is_refused() {
