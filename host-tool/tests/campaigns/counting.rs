@@ -1,16 +1,23 @@
 //! The counts of a campaign: its rows, its readings, and the time that is left.
 
 use std::collections::BTreeSet;
+use std::fs::{self, OpenOptions};
+use std::io::Write;
+use std::path::Path;
 
-use crate::campaign::{SMALL, accepted, apply, campaign, measured, mm, plan, reading};
+use crate::campaign::{
+    SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading,
+};
+use campaign::contents::Campaign;
+use campaign::files::TRIALS;
 use campaign::folder::Folder;
 use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
+use campaign::manifest;
 use campaign::order::order;
 use campaign::plan::CampaignPlan;
 use campaign::readings::{Kind, Readings, questions};
 use campaign::remaining::{remaining_s, text};
 use client::identity::Origin;
-use std::path::Path;
 
 /// Applies the next row.
 fn step(state: &mut CampaignState, mut row: LedgerRow) -> Result<(), String> {
@@ -207,6 +214,54 @@ fn a_width_far_from_the_plans_is_questioned() {
         let questions = questions(&plan(SMALL), &readings, set);
         assert_eq!(questions.len(), usize::from(asked), "{questions:?}");
     }
+}
+
+/// A line that a crash has cut short is gone before the next row follows it.
+#[test]
+fn a_row_after_a_crash_is_a_row_of_its_own() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let rows = campaign(&path).campaign().rows.len();
+    let mut file = OpenOptions::new().append(true).open(path.join(TRIALS));
+    let file = file.as_mut().expect("there");
+    file.write_all(b"99,2026-01-2").expect("written");
+    let (mut folder, told) = Folder::resume(&path, at(101), &mut |_| true).expect("a crash");
+    assert_eq!(told.len(), 1, "{told:?}");
+    let note = LedgerRow::of(LedgerEvent::Note, 3, None).saying(Some("after".to_owned()));
+    folder
+        .append(note, at(102), Origin::Board)
+        .expect("written");
+    drop(folder);
+    let read = Campaign::read(&path).expect("a campaign");
+    assert_eq!(read.rows.len(), rows + 1);
+    let last = read.rows.last().expect("rows");
+    assert_eq!(last.text.as_deref(), Some("after"));
+    assert_eq!(findings(&path), Vec::<String>::new());
+}
+
+/// A row that the manifest does not list would look like another program's.
+#[test]
+fn a_row_that_the_manifest_does_not_take_is_taken_back() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = campaign(&path);
+    let before = fs::read(path.join(TRIALS)).expect("there");
+    let manifest = fs::read(path.join(manifest::NAME)).expect("there");
+    // A folder with something in it cannot be replaced by a file.
+    fs::remove_file(path.join(manifest::NAME)).expect("removed");
+    fs::create_dir_all(path.join(manifest::NAME).join("in the way")).expect("made");
+    let note = || LedgerRow::of(LedgerEvent::Note, 3, None).saying(Some("once".to_owned()));
+    folder
+        .append(note(), at(100), Origin::Board)
+        .expect_err("no manifest");
+    assert_eq!(fs::read(path.join(TRIALS)).expect("there"), before);
+    fs::remove_dir_all(path.join(manifest::NAME)).expect("removed");
+    fs::write(path.join(manifest::NAME), manifest).expect("written");
+    folder
+        .append(note(), at(101), Origin::Board)
+        .expect("written");
+    drop(folder);
+    assert_eq!(findings(&path), Vec::<String>::new());
 }
 
 /// Runs of a second; 60 s between two and 300 s for a clamping until they are measured: here 2 s, and five times that.
