@@ -15,7 +15,7 @@ use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, So
 use campaign::manifest;
 use campaign::order::order;
 use campaign::plan::CampaignPlan;
-use campaign::readings::{Kind, Readings, questions};
+use campaign::readings::{Kind, Quantity, Readings, Summary, questions, refusal};
 use campaign::remaining::{remaining_s, text};
 use client::identity::Origin;
 
@@ -196,6 +196,22 @@ fn a_plan_of_impossible_widths_is_refused() {
         let text = SMALL.replace(from, to);
         let parsed = CampaignPlan::parse(&text, Path::new("plan.toml"));
         assert_eq!(parsed.is_ok(), fits, "{to}: {parsed:?}");
+    }
+}
+
+#[test]
+fn a_single_reading_has_no_spread_and_a_metre_is_a_reading() {
+    let one = Summary::of(&[mm("24.4")]).expect("one");
+    assert_eq!((one.count, one.mean_mm, one.sd_mm), (1, 24.4, 0.0));
+    let refused = |value| refusal(Quantity::Width, mm(value), None, mm("0.01"));
+    assert_eq!(refused("1000"), None);
+    assert!(refused("1000.01").is_some());
+    for (value, asked) in [("24.9", false), ("24.91", true)] {
+        let mut readings = Readings::default();
+        measured(&mut readings, None, &["24.4", value]);
+        let set = readings.sets.last().expect("one");
+        let questions = questions(&plan(SMALL), &readings, set);
+        assert_eq!(questions.len(), usize::from(asked), "{questions:?}");
     }
 }
 
