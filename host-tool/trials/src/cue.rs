@@ -96,14 +96,21 @@ pub struct Coordination {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::experiment::PAPER_RUN;
+    use protocol::rig::{LinkLossPolicy, RunTiming};
 
     #[test]
     fn a_cue_is_at_a_place_that_the_carriage_passes() {
         let run = Run {
             cycles: 3,
             stroke_um: 10_000,
-            ..PAPER_RUN
+            timing: RunTiming::Total {
+                total_us: 6_000_000,
+                accel_um_s2: 100_000,
+            },
+            far_dwell_us: 0,
+            home_dwell_us: 0,
+            start_delay_us: 0,
+            link_loss: LinkLossPolicy::Stop,
         };
         let none = |cycle| Err(CueError::NoCycle { cycle, cycles: 3 });
         let not_passed = |at_um| {
