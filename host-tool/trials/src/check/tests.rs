@@ -497,6 +497,15 @@ fn an_actuation_ends_where_its_telemetry_does() {
         assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
         assert_eq!(found.contradictions.len(), 0);
     }
+    // 78 ms may pass behind the last sample.
+    for (duration_ms, gap) in [(478, false), (479, true)] {
+        let longer = ActuationRecord {
+            duration_ms,
+            ..record
+        };
+        let found = defects(longer, 4, 21_000);
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+    }
     assert!(only(&defects(record, 5, 21_000)).contains("another actuation"));
     let unfold = ActuationRecord {
         kind: ActuationKind::Unfold,
@@ -508,6 +517,28 @@ fn an_actuation_ends_where_its_telemetry_does() {
         ..record
     };
     assert!(only(&defects(above, 4, 21_000)).contains("above the largest"));
+}
+
+#[test]
+fn a_record_is_named_after_its_start_and_its_telemetry_after_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, telemetry, wrong) in [
+        ("run-19700101T000000Z", "run-19700101T000000Z.csv", 0),
+        ("run-19700101T000001Z", "run-19700101T000001Z.csv", 1),
+        ("run-19700101T000000Z-2", "run-19700101T000000Z.csv", 1),
+        ("run-19700101t000001Z", "run-19700101t000001Z.csv", 0),
+        ("run-1970", "run-1970.csv", 0),
+    ] {
+        let sidecar = folder.path().join(format!("{name}.json"));
+        let mut trial = run_record().0;
+        trial.telemetry = telemetry.to_owned();
+        let found = misnamed(&sidecar, &trial);
+        assert_eq!(found.len(), wrong, "{found:?}");
+        // The telemetry itself is not there.
+        let found = record(&sidecar, &trial).contradictions;
+        assert!(found.len() > wrong, "{found:?}");
+        assert!(found[wrong].contains("cannot be read"), "{found:?}");
+    }
 }
 
 /// The tool was killed while it wrote the last row of a running trial; anywhere else a row that cannot be read is a

@@ -92,9 +92,28 @@ fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
     let lost = Ending::Lost("gone".to_owned());
     let trial = recorder.finish(lost, 0).expect("written");
     assert_eq!((trial.samples, trial.missed_samples), (3, 5));
+    assert_eq!(trial.status, Status::Unknown);
+    assert_eq!(trial.error.as_deref(), Some("gone"));
     let read = Trial::read(&sidecar).expect("a sidecar");
     assert_eq!((read.samples, read.missed_samples), (3, 5));
     let rows: Vec<CapsuleSample> = read.samples(&sidecar).expect("rows");
     let missed: Vec<_> = rows.iter().map(|row| row.missed).collect();
     assert_eq!(missed, [0, 2, 3]);
+}
+
+#[test]
+fn steps_are_places_to_the_nearest_nanometre() {
+    let screw = |lead_um, steps_per_rev| Screw {
+        lead_um,
+        steps_per_rev,
+        stroke_um: 20_000,
+    };
+    let thirds = screw(1_000, 3);
+    assert_eq!(
+        [-1, 1, 2].map(|steps| thirds.nm(steps)),
+        [-333_333, 333_333, 666_667]
+    );
+    let usual = screw(4_000, 1_600);
+    assert_eq!((usual.nm(3), usual.steps(1_001)), (7_500, 400));
+    assert!((usual.mm(400.0) - 1.0).abs() < 1e-12);
 }
