@@ -115,5 +115,5 @@ fn steps_are_places_to_the_nearest_nanometre() {
     );
     let usual = screw(4_000, 1_600);
     assert_eq!((usual.nm(3), usual.steps(1_001)), (7_500, 400));
-    assert!((usual.mm(400.0) - 1.0).abs() < 1e-12);
+    assert!((usual.mm(800.0) - 2.0).abs() < 1e-12);
 }
