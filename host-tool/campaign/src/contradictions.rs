@@ -12,7 +12,7 @@ use trials::check;
 use trials::trial::{Action, Trial};
 
 use crate::contents::{Campaign, in_a_line};
-use crate::differences::{COPY, Finding, UNKNOWN};
+use crate::differences::{COPY, Finding, RESUME, UNKNOWN};
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
 use crate::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::order::Planned;
@@ -153,9 +153,6 @@ fn check_attempt(
         }
         _ => say("has the records of several runs or passes".to_owned()),
     }
-    if attempt.outcome.is_none() {
-        say("the attempt has not ended: `retrograde campaign resume` ends it".to_owned());
-    }
     let conditions = campaign.folder.join(&path).join(CONDITIONS);
     if fs::symlink_metadata(&conditions).is_ok()
         && let Some(what) = conditions_differ(campaign, planned, attempt, &conditions)
@@ -164,6 +161,15 @@ fn check_attempt(
     }
     if let Some(what) = indentation_differs(campaign, planned, attempt) {
         say(what);
+    }
+    if attempt.outcome.is_none() {
+        // Its files reach the manifest as it ends.
+        let inside = format!("{path}/");
+        let unlisted = |one: &&mut Finding| one.path.starts_with(&inside) && one.remedy == UNKNOWN;
+        for one in verified.findings.iter_mut().filter(unlisted) {
+            RESUME.clone_into(&mut one.remedy);
+        }
+        found.push(Finding::new(&path, "the attempt has not ended", RESUME));
     }
     verified.findings.append(&mut found);
 }

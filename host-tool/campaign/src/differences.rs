@@ -45,6 +45,8 @@ impl std::fmt::Display for Finding {
 
 pub(crate) const COPY: &str = "restore it from a copy";
 pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
+/// For what a session leaves that was killed, or is under way.
+pub(crate) const RESUME: &str = "if no session is under way, one was cut off: `retrograde campaign resume` takes this up; change nothing by hand";
 
 /// Reads the manifest of a folder; none if the folder has none.
 ///

@@ -11,6 +11,7 @@ use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
 use motion::run::RunError;
+use protocol::error::Refusal;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::experiment::ExperimentError;
@@ -310,6 +311,23 @@ fn ended(status: Status) -> &'static str {
     }
 }
 
+/// The commands that lead on from a refusal.
+fn way_on(refusal: &Refusal) -> Option<&'static str> {
+    Some(match refusal {
+        Refusal::NotHomed => "`retrograde home` finds the position",
+        Refusal::NotAtHome { .. } => "`retrograde move 0` or `retrograde home`",
+        Refusal::NotReferenced => {
+            "`retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`"
+        }
+        Refusal::RigFaulted(_) => {
+            "once the cause is gone `retrograde ack rig`, then `retrograde home`"
+        }
+        Refusal::CapsuleFaulted(_) => "once the cause is gone `retrograde ack capsule`",
+        Refusal::AcknowledgeFirst => "`retrograde ack`",
+        _ => return None,
+    })
+}
+
 impl Failure {
     /// The remedy; empty where there is none.
     #[must_use]
@@ -389,7 +407,23 @@ impl Failure {
             .help()
             .map(|help| format!("\n  help: {}", help.to_string().replace('\n', "\n        ")))
             .unwrap_or_default();
-        format!("error{code}: {self}{help}")
+        let way_on = self
+            .refusal()
+            .and_then(way_on)
+            .map(|command| format!("; {command}"))
+            .unwrap_or_default();
+        format!("error{code}: {self}{help}{way_on}")
+    }
+
+    /// The reason for which a machine refused a request.
+    fn refusal(&self) -> Option<&Refusal> {
+        match self {
+            Self::Client(error) | Self::Experiment(ExperimentError::Client(error)) => match error {
+                ClientError::Refused { refusal, .. } => Some(refusal),
+                _ => None,
+            },
+            _ => None,
+        }
     }
 }
 
@@ -431,5 +465,36 @@ fn status_code(status: Status) -> u8 {
         Status::Stopped => STOPPED,
         Status::LinkLost | Status::Faulted => FAULT,
         Status::Running | Status::Unknown => UNKNOWN,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::rig::RigFault;
+    use protocol::table::Impact;
+
+    /// Whoever reads the terminal is told the command; programs and the page get the reason alone.
+    #[test]
+    fn a_refusal_names_the_command_that_leads_on_at_the_terminal_only() {
+        for (refusal, command) in [
+            (Refusal::NotHomed, "`retrograde home`"),
+            (Refusal::NotReferenced, "`retrograde capsule reference`"),
+            (
+                Refusal::RigFaulted(RigFault::EStopFrame),
+                "`retrograde ack rig`",
+            ),
+            (Refusal::AcknowledgeFirst, "`retrograde ack`"),
+        ] {
+            let failure = Failure::Client(ClientError::Refused {
+                place: "the rig".to_owned(),
+                request: "Home",
+                impact: Impact::Motion,
+                refusal,
+            });
+            assert!(failure.text().contains(command), "{}", failure.text());
+            let json = failure.json().to_string();
+            assert!(!json.contains(command), "{json}");
+        }
     }
 }

@@ -241,7 +241,7 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Tr
         }
     };
     let trouble = match fault {
-        Some(fault) => Some(("fault", fault, "then `retrograde ack`")),
+        Some(fault) => Some(("fault", fault, "once the cause is gone: `retrograde ack`")),
         None if restarted => Some((
             "restarted",
             format!("it restarted after a failure: {}", device.last_words()?),

@@ -35,7 +35,7 @@ pub(crate) enum Own {
     #[error("{}", changed(folder, findings))]
     #[diagnostic(
         code(retrograde::changed),
-        help("each finding above has its remedy; what was changed is no record any more")
+        help("each finding above has its remedy; until then do not rely on what it names")
     )]
     Changed {
         /// The folder.

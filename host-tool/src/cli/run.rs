@@ -14,7 +14,7 @@ use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::{Coordination, Cue};
 use trials::experiment::{self, RunTrial};
 use trials::plan;
-use trials::trial::Trial;
+use trials::trial::{Status, Trial};
 
 use crate::cli::ended::{completed, recording};
 use crate::cli::fresh;
@@ -167,11 +167,15 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         trial.csv.display(),
         trial.sidecar.display(),
     ));
+    let Trial { status, error, .. } = &trial.trial;
+    let way_on = match status {
+        Status::Faulted => "once the cause is gone `retrograde ack rig`, then `retrograde home`",
+        _ => "a new run has to start at 0: `retrograde home`",
+    };
     let help = format!(
-        "the data is in {}; `retrograde info` shows where the rig is; a new run has to start at 0: `retrograde home`",
+        "the data is in {}; `retrograde info` shows where the rig is; {way_on}",
         trial.sidecar.display()
     );
-    let Trial { status, error, .. } = &trial.trial;
     completed("the run", *status, error.as_ref(), help)?;
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
 }

@@ -869,6 +869,14 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
         fs::write(to.join(name), text).expect("copied");
     }
     fs::write(to.join("run.json.part"), "half").expect("written");
+    // Nothing tells to move or replace what the next session takes up.
+    for finding in campaign::verify::verify(&path).expect("readable").findings {
+        let resumes = finding.remedy.contains("`retrograde campaign resume`");
+        assert!(
+            resumes && !finding.remedy.contains("Move it"),
+            "{finding:?}"
+        );
+    }
     let (folder, told) = resume(&path, at(201)).expect("a crash");
     assert_eq!(told.len(), 3, "{told:?}");
     let trial = folder.campaign().state.trial(4).expect("there").clone();
