@@ -162,6 +162,13 @@ fn lives(count: u64) {
         3 * count,
         counted(found.iter().map(|f| &f.0))
     );
+    let found = verdict::all(3 * count, cases::checked_short);
+    let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
+    println!(
+        "| the same, then a reset, a check and an unfolding | {} | {} | {least:.3} | - |",
+        3 * count,
+        counted(found.iter().map(|f| &f.0))
+    );
     let found = verdict::all(count, cases::rescued);
     let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
     println!(

@@ -143,7 +143,8 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
                 folded: matches!(
                     self.machine.state(),
                     CapsuleState::Folded | CapsuleState::WasFolded
-                ),
+                )
+                .then(|| self.machine.margin()),
             });
         }
         if failed {
@@ -155,11 +156,11 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     fn leave_folded(&mut self, actions: &Actions) {
         let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
         let totals = self.store.records().totals;
-        if !totals.folded || !actions.events.iter().any(starts) {
+        if totals.folded.is_none() || !actions.events.iter().any(starts) {
             return;
         }
         let left = Totals {
-            folded: false,
+            folded: None,
             ..totals
         };
         if self.keep_totals(left) {

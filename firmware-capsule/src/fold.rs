@@ -215,18 +215,19 @@ pub struct Capsule {
 
 impl Capsule {
     /// A started device with an unknown position. `fault` is the fault that ended the previous run of the firmware,
-    /// if one did. `calibration`, `was_folded` and `settings` come from flash.
+    /// if one did. `calibration`, `folded` and `settings` come from flash; `folded` is the [`margin`](Self::margin) of
+    /// the folded end at which the last motion has ended.
     pub fn new(
         fault: Option<CapsuleFault>,
         calibration: Option<Calibration>,
-        was_folded: bool,
+        folded: Option<Thread>,
         settings: Settings,
     ) -> Self {
         Self {
             mode: fault.map_or(Mode::Unreferenced, Mode::Faulted),
             referenced: false,
             offset_before_ma: 0,
-            spare: Thread(0),
+            spare: folded.unwrap_or_default(),
             doubt: Thread(0),
             crept: Thread(0),
             zero: Counts(0),
@@ -238,7 +239,7 @@ impl Capsule {
                 .map_or(settings.no_load_ma, |calibration| calibration.no_load_ma),
             calibration,
             cell_milliohm: CELL_MILLIOHM,
-            was_folded,
+            was_folded: folded.is_some(),
             drift: Drift::default(),
             settings,
             recorder: Recorder::new(),
@@ -293,6 +294,11 @@ impl Capsule {
     /// Count at thread zero.
     pub fn zero(&self) -> Counts {
         self.zero
+    }
+
+    /// How much shorter than calibrated the thread at the folded end is believed.
+    pub fn margin(&self) -> Thread {
+        self.spare
     }
 
     /// The capsule's calibration, if it has one.
@@ -638,7 +644,8 @@ impl Capsule {
         // unfolding ends before zero. Thread that this run has wound itself is certain.
         self.spare = match purpose {
             Purpose::Calibrate => Thread(0),
-            Purpose::Check { believed: true } => FOUND_AGAIN,
+            // The end is the one that the last motion has found. It may have been something in the way then.
+            Purpose::Check { believed: true } => Thread(self.spare.0.max(FOUND_AGAIN.0)),
             Purpose::Reference | Purpose::Check { .. } => {
                 Thread((folded.0 - wound.0).clamp(FOUND_AGAIN.0, FOUND_BY_RISE.0))
             }

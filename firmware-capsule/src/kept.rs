@@ -6,6 +6,7 @@
 //! million records.
 
 use crate::calibration::Calibration;
+use crate::mechanics::{FOUND_BY_RISE, Thread};
 use device::settings::{Record, Records};
 use protocol::{settings::SettingKey, system::DeviceKind};
 
@@ -26,20 +27,27 @@ pub struct Totals {
     pub actuations: u32,
     /// Energy drawn by the motor, mJ.
     pub energy_mj: u64,
-    /// The last motion ended folded, perhaps at an end that had wandered, and none has begun since.
-    pub folded: bool,
+    /// The last motion ended folded, perhaps at an end that had wandered, and none has begun since: how much shorter
+    /// than calibrated the thread is believed there.
+    pub folded: Option<Thread>,
 }
 
 /// Length of the record: version and fields, little-endian.
 const TOTALS_RECORD: usize = 14;
 const VERSION: u8 = 1;
+/// Unit of the margin at the folded end, um; 0 stands for "not folded".
+const MARGIN_UM: i32 = 10;
+const _: () = assert!(FOUND_BY_RISE.0 <= MARGIN_UM * u8::MAX as i32);
 
 impl Totals {
     fn record(&self) -> [u8; TOTALS_RECORD] {
         let mut record = [VERSION; TOTALS_RECORD];
         record[1..5].copy_from_slice(&self.actuations.to_le_bytes());
         record[5..13].copy_from_slice(&self.energy_mj.to_le_bytes());
-        record[13] = u8::from(self.folded);
+        record[13] = self.folded.map_or(0, |Thread(margin_um)| {
+            // Rounded up: an unfolding ends by the margin before zero.
+            ((margin_um + MARGIN_UM - 1) / MARGIN_UM).clamp(1, 255) as u8
+        });
         record
     }
 
@@ -50,7 +58,7 @@ impl Totals {
         Some(Self {
             actuations: u32::from_le_bytes([a, b, c, d]),
             energy_mj: u64::from_le_bytes([e, f, g, h, i, j, k, l]),
-            folded: folded == 1,
+            folded: (folded > 0).then_some(Thread(i32::from(folded) * MARGIN_UM)),
         })
     }
 }

@@ -508,7 +508,7 @@ fn a_capsule_that_leaves_its_folded_end_forgets_it_before_it_turns() {
     let kept = Kept {
         calibration: None,
         totals: Totals {
-            folded: true,
+            folded: Some(firmware_capsule::mechanics::Thread(0)),
             ..Totals::default()
         },
     };

@@ -68,7 +68,23 @@ fn totals(actuations: u32) -> Totals {
     Totals {
         actuations,
         energy_mj: u64::from(actuations) * 250,
-        folded: actuations % 2 == 1,
+        folded: (actuations % 2 == 1).then_some(Thread(1_300)),
+    }
+}
+
+/// A margin that is not a whole number of its units comes back longer, never shorter.
+#[test]
+fn the_margin_of_a_folded_end_is_rounded_up() {
+    for (margin_um, kept_um) in [(0, 10), (100, 100), (101, 110), (1_300, 1_300)] {
+        let flash = Flash::blank();
+        let mut store = start(&flash);
+        let totals = Totals {
+            folded: Some(Thread(margin_um)),
+            ..totals(1)
+        };
+        store.keep(TOTALS_NUMBER, kept(totals)).unwrap();
+        let folded = start(&flash).records().totals.folded;
+        assert_eq!(folded, Some(Thread(kept_um)), "{margin_um} um");
     }
 }
 

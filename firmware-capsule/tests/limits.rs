@@ -259,7 +259,7 @@ fn monitor(fault: Option<CapsuleFault>, start: i32, known: bool) -> Monitor {
         capsule: Capsule::new(
             fault,
             known.then_some(CALIBRATION),
-            known,
+            known.then_some(Thread(0)),
             Settings::REFERENCE,
         ),
         now_us: 0,

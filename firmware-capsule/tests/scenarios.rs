@@ -226,7 +226,7 @@ fn a_calibration_is_kept_and_a_later_reference_finds_the_same_zero_from_anywhere
             },
             0,
         );
-        sim.capsule = Capsule::new(None, Some(kept), false, Settings::REFERENCE);
+        sim.capsule = Capsule::new(None, Some(kept), None, Settings::REFERENCE);
         sim.tick();
         sim.run(Command::Reference);
         assert_eq!(
@@ -272,7 +272,7 @@ fn a_caught_thread_is_not_taken_for_a_folded_origami() {
     for jam_mm in [6.0, 12.0, 17.0] {
         for calibration in [None, kept] {
             let mut sim = Simulation::nominal();
-            sim.capsule = Capsule::new(None, calibration, false, Settings::REFERENCE);
+            sim.capsule = Capsule::new(None, calibration, None, Settings::REFERENCE);
             sim.tick();
             sim.plant.suffer(Defect::Jam(jam_mm));
             sim.run(Command::Reference);
@@ -339,6 +339,17 @@ fn zero_is_not_passed_after_a_reset() {
             assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
             assert!(left_mm < 0.3, "seed {seed}: {left_mm} mm");
         }
+    }
+}
+
+/// A reference run may take something in the way for the folded end; it keeps a margin then, which outlives a reset. The
+/// seeds are those that passed zero by 0.1 to 0.9 mm while a check after a reset believed the end to 0.1 mm.
+#[test]
+fn zero_is_not_passed_after_a_check_of_an_end_that_something_feigned() {
+    for seed in [13, 18, 29, 57, 84, 91, 96] {
+        let (name, least_mm) = cases::checked_short(seed);
+        assert_eq!(name, "Complete", "seed {seed}");
+        assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
     }
 }
 

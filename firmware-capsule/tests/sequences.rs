@@ -133,7 +133,7 @@ fn flash(calibration: Option<Calibration>, folded: bool) -> Vec<u8> {
     let flash = Flash::blank();
     let (mut store, _) = SettingsStore::<Flash, Kept>::load_with(flash.clone(), |_| true);
     let totals = Totals {
-        folded,
+        folded: folded.then_some(Thread(0)),
         ..Totals::default()
     };
     let kept = Kept {

@@ -189,7 +189,7 @@ fn a_stop_acts_at_once_in_every_state() {
 fn after_a_failed_start_nothing_moves_until_acknowledged() {
     for fault in [CapsuleFault::Watchdog, CapsuleFault::Panic] {
         let mut sim = Simulation::nominal();
-        sim.capsule = Capsule::new(Some(fault), None, false, Settings::REFERENCE);
+        sim.capsule = Capsule::new(Some(fault), None, None, Settings::REFERENCE);
         sim.tick();
         for command in [Command::Reference, Command::Fold, Command::Unfold] {
             let refusal = sim.give(Event::Command(command)).refusal;
@@ -257,7 +257,7 @@ fn a_leap_to_zero_does_not_complete_a_calibration() {
 
 #[test]
 fn nothing_starts_before_the_battery_was_measured() {
-    let mut capsule = Capsule::new(None, None, false, Settings::REFERENCE);
+    let mut capsule = Capsule::new(None, None, None, Settings::REFERENCE);
     let actions = capsule.step(0, Event::Command(Command::Reference));
     assert!(matches!(
         actions.refusal,
@@ -460,7 +460,7 @@ fn the_status_asks_for_an_acknowledge_after_a_watchdog_reset_or_a_panic_only() {
     ];
     for (fault, needs_acknowledge) in cases {
         let mut sim = Simulation::nominal();
-        sim.capsule = Capsule::new(fault, None, false, Settings::REFERENCE);
+        sim.capsule = Capsule::new(fault, None, None, Settings::REFERENCE);
         let status = status(&mut sim);
         assert_eq!(status.fault, fault);
         assert_eq!(status.needs_acknowledge, needs_acknowledge, "{fault:?}");

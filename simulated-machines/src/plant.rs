@@ -52,7 +52,7 @@ impl Simulation {
     pub fn new(parameters: Parameters, seed: u64) -> Self {
         let mut sim = Self {
             board: Board::new(parameters, seed),
-            capsule: Capsule::new(None, None, false, Settings::REFERENCE),
+            capsule: Capsule::new(None, None, None, Settings::REFERENCE),
             now_us: 0,
             events: Vec::new(),
             kept: None,
@@ -129,7 +129,8 @@ impl Simulation {
 
     /// Resets the firmware at rest: it loses the position, the worm holds. Also clears extremes and events.
     pub fn reset(&mut self, was_folded: bool) {
-        self.capsule = Capsule::new(None, self.kept, was_folded, Settings::REFERENCE);
+        let folded = was_folded.then(|| self.capsule.margin());
+        self.capsule = Capsule::new(None, self.kept, folded, Settings::REFERENCE);
         self.forget();
         for _ in 0..100 {
             self.tick();

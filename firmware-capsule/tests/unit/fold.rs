@@ -15,7 +15,7 @@ pub(super) const KNOWN: Calibration = Calibration {
 
 /// A motion that this order has begun at this thread; the origin is the count 0.
 pub(super) fn moving(mode: Mode, thread: Thread, command: Command) -> Capsule {
-    let mut capsule = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+    let mut capsule = Capsule::new(None, Some(KNOWN), None, Settings::REFERENCE);
     let sample = Sample {
         counts: thread.counts(),
         battery_mv: 3_900,
@@ -184,7 +184,7 @@ fn the_first_reference_is_a_calibration() {
         (None, Purpose::Calibrate),
         (Some(KNOWN), Purpose::Reference),
     ] {
-        let mut capsule = Capsule::new(None, calibration, false, Settings::REFERENCE);
+        let mut capsule = Capsule::new(None, calibration, None, Settings::REFERENCE);
         capsule.sample.battery_mv = 3_900;
         capsule.step(0, Event::Command(Command::Reference));
         let leg = actuation(&mut capsule).leg;
@@ -223,7 +223,7 @@ fn thread_that_a_run_has_not_wound_is_not_paid_out() {
 
 #[test]
 fn the_folded_end_is_believed_short_by_the_margin_and_further_by_the_creep() {
-    let mut capsule = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+    let mut capsule = Capsule::new(None, Some(KNOWN), None, Settings::REFERENCE);
     (capsule.spare, capsule.crept) = (Thread(100), Thread(30));
     assert_eq!(capsule.folded_end(), Some(Thread(END.0 - 70)));
 }
@@ -250,13 +250,13 @@ fn settings_are_in_force_once_they_are_set() {
         ..Settings::REFERENCE
     };
     for (calibration, no_load_ma) in [(None, 21), (Some(KNOWN), 16)] {
-        let mut capsule = Capsule::new(None, calibration, false, Settings::REFERENCE);
+        let mut capsule = Capsule::new(None, calibration, None, Settings::REFERENCE);
         capsule.set_settings(other);
         assert_eq!(*capsule.settings(), other);
         assert_eq!(capsule.no_load_ma, no_load_ma);
     }
     // A current that a slack thread has shown outlives a change of something else.
-    let mut capsule = Capsule::new(None, None, false, other);
+    let mut capsule = Capsule::new(None, None, None, other);
     capsule.no_load_ma = 18;
     capsule.set_settings(Settings {
         force_ma: 130,
@@ -386,7 +386,7 @@ fn a_motion_begins_with_just_the_voltage_that_it_needs() {
         (Command::Unfold, unfolding_mv),
     ] {
         for (battery_mv, refused) in [(least_mv, false), (least_mv - 1, true)] {
-            let mut capsule = Capsule::new(None, Some(KNOWN), false, settings);
+            let mut capsule = Capsule::new(None, Some(KNOWN), None, settings);
             (capsule.mode, capsule.referenced) = (Mode::Stopped, true);
             (capsule.sample.battery_mv, capsule.sample.counts) = (battery_mv, Counts(8_000));
             let refusal = capsule.step(0, Event::Command(command)).refusal;
@@ -409,7 +409,7 @@ fn an_amplifier_that_shows_a_current_at_rest_starts_nothing() {
         (1_000, Some(CapsuleFault::SenseLost)),
         (-1_650, Some(CapsuleFault::SenseLost)),
     ] {
-        let mut capsule = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+        let mut capsule = Capsule::new(None, Some(KNOWN), None, Settings::REFERENCE);
         (capsule.sample.battery_mv, capsule.sample.offset_ma) = (3_900, offset_ma);
         let actions = capsule.step(0, Event::Command(Command::Reference));
         assert_eq!(actions.refusal, fault.map(Refusal::CapsuleFaulted));
@@ -449,7 +449,7 @@ fn a_fault_is_acknowledged_once_its_cause_is_gone() {
         (low, least_mv, true, true),
         (CapsuleFault::Timeout, 2_000, true, true),
     ] {
-        let mut capsule = Capsule::new(Some(fault), None, false, Settings::REFERENCE);
+        let mut capsule = Capsule::new(Some(fault), None, None, Settings::REFERENCE);
         (capsule.sample.battery_mv, capsule.sample.driver_fault) = (battery_mv, driver_fault);
         let refusal = capsule
             .step(0, Event::Command(Command::Acknowledge))

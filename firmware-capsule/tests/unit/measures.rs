@@ -207,7 +207,7 @@ fn a_motor_that_is_not_steady_begins_its_comparison_anew() {
 /// A folded thread that pulls a tenth less has crept by 228 um; a fold follows an eighth of that, and at most 30 um.
 #[test]
 fn the_believed_end_follows_the_creep_slowly() {
-    let mut capsule = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+    let mut capsule = Capsule::new(None, Some(KNOWN), None, Settings::REFERENCE);
     let mut follow = |tension_ma| {
         capsule.follow_creep(tension_ma);
         capsule.crept.0
@@ -229,13 +229,13 @@ fn the_believed_end_follows_the_creep_slowly() {
 
 #[test]
 fn the_measured_motor_constant_counts_unless_it_is_being_measured() {
-    let rests = Capsule::new(None, Some(KNOWN), false, Settings::REFERENCE);
+    let rests = Capsule::new(None, Some(KNOWN), None, Settings::REFERENCE);
     assert_eq!(rests.known_back_emf(), 203);
     for (command, known) in [(Command::Reference, 203), (Command::Calibrate, 0)] {
         let capsule = moving(Mode::Stopped, Thread(0), command);
         assert_eq!(capsule.known_back_emf(), known, "{command:?}");
     }
-    let new = Capsule::new(None, None, false, Settings::REFERENCE);
+    let new = Capsule::new(None, None, None, Settings::REFERENCE);
     assert_eq!(new.known_back_emf(), 0);
 }
 

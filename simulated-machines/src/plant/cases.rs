@@ -454,17 +454,10 @@ pub fn referenced_past(seed: u64, obstacle: bool) -> (String, f64) {
 }
 
 /// References past an obstacle of 0.5 to 300 N/mm in the last 4 mm of the way, and folds if that completes. Returns the
-/// outcome and by how much the fold is shorter than one without the obstacle, mm.
-pub fn referenced_short(seed: u64) -> (String, f64) {
+/// capsule, and the outcome if it is another.
+fn folded_past(seed: u64) -> (Simulation, Option<String>) {
     let mut random = Random::new(seed ^ 0x5807);
-    let parameters = Parameters::lifelike(seed);
-    let folded_mm = |sim: &mut Simulation| {
-        let name = run(sim, Command::Fold);
-        (name, sim.plant.wound_mm())
-    };
-    let mut sim = Simulation::calibrated(parameters, seed);
-    let (_, whole_mm) = folded_mm(&mut sim);
-    let mut sim = Simulation::calibrated(parameters, seed);
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     let folded = sim.capsule.calibration().map_or(0, |one| one.folded.0);
     let end_mm = f64::from(folded) / 1e3 - sim.plant.parameters.slack_mm;
     sim.reset(false);
@@ -474,13 +467,40 @@ pub fn referenced_short(seed: u64) -> (String, f64) {
     });
     let name = run(&mut sim, Command::Reference);
     if name != "Complete" {
+        return (sim, Some(name));
+    }
+    let name = run(&mut sim, Command::Fold);
+    let other = (name != "Complete").then(|| format!("then {name}"));
+    (sim, other)
+}
+
+/// Folds past something in the last 4 mm of the way. Returns the outcome and by how much the fold is shorter than one
+/// without it, mm.
+pub fn referenced_short(seed: u64) -> (String, f64) {
+    let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+    run(&mut sim, Command::Fold);
+    let whole_mm = sim.plant.wound_mm();
+    match folded_past(seed) {
+        (sim, None) => ("Complete".to_owned(), whole_mm - sim.plant.wound_mm()),
+        (_, Some(name)) => (name, 0.0),
+    }
+}
+
+/// Folds past something in the last 4 mm of the way, resets, checks and unfolds. Returns the outcome and the least thread
+/// on the spool, mm.
+pub fn checked_short(seed: u64) -> (String, f64) {
+    let (mut sim, other) = folded_past(seed);
+    if let Some(name) = other {
         return (name, 0.0);
     }
-    let (name, short_mm) = folded_mm(&mut sim);
-    match name.as_str() {
-        "Complete" => (name, whole_mm - short_mm),
-        _ => (format!("then {name}"), 0.0),
+    sim.reset(true);
+    for command in [Command::CheckFolded, Command::Unfold] {
+        let name = run(&mut sim, command);
+        if name != "Complete" {
+            return (format!("{command:?} {name}"), sim.plant.extremes_mm().0);
+        }
     }
+    ("Complete".to_owned(), sim.plant.extremes_mm().0)
 }
 
 /// Ends a motion, or the second after it, at a random instant by a cut of the power, a watchdog, an emergency stop or a
@@ -536,8 +556,9 @@ pub fn rescued(seed: u64) -> (String, f64, f64) {
         let was_folded = rests_ms > 540.0 && sim.capsule.state() == CapsuleState::Folded;
         sim.plant.set_bridge(Bridge::Coast);
         sim.plant.advance(2.0, |_| ());
+        let folded = was_folded.then(|| sim.capsule.margin());
         sim.reset(was_folded);
-        sim.capsule = Capsule::new(fault, sim.kept, was_folded, Settings::REFERENCE);
+        sim.capsule = Capsule::new(fault, sim.kept, folded, Settings::REFERENCE);
         sim.tick();
     } else {
         sim.settle();
