@@ -870,7 +870,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     }
     fs::write(to.join("run.json.part"), "half").expect("written");
     // Nothing tells to move or replace what the next session takes up.
-    for finding in campaign::verify::verify(&path).expect("readable").findings {
+    for finding in verify(&path).expect("readable").findings {
         let resumes = finding.remedy.contains("`retrograde campaign resume`");
         assert!(
             resumes && !finding.remedy.contains("Move it"),
