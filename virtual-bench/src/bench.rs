@@ -50,7 +50,7 @@ pub enum BenchError {
     #[error("the emulator ended: {0}")]
     Ended(String),
     /// A server could not be opened.
-    #[error("cannot listen on {address}: {why}")]
+    #[error("cannot listen on {address}: {why}; `--rig 0 --capsule 0` takes free ports")]
     Listen {
         /// The address.
         address: String,

@@ -95,6 +95,12 @@ struct Read {
 fn read(args: &FitArgs) -> Result<Read, Failure> {
     let mut all: Vec<Trials> = vec![];
     for path in &args.sources {
+        if !path.exists() {
+            return Err(Failure::Input {
+                why: format!("{}: there is no such file or folder", path.display()),
+                help: "`retrograde list` finds the campaigns that are there".to_owned(),
+            });
+        }
         all.push(observations::read(path, args.uncertainty_mm).map_err(unusable)?);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
