@@ -143,7 +143,7 @@ struct Row {
     stops: &'static str,
 }
 
-/// What timing costs the microcontroller.
+/// Costs of timing for the microcontroller.
 struct Costs {
     ramp: Cost,
     cruise: Cost,

@@ -24,14 +24,14 @@ pub enum FigureError {
         )
     )]
     Klipper {
-        /// What failed.
+        /// Reason of the failure.
         what: String,
     },
     /// The page for the tables.
     #[error("the tables cannot be written into the page: {what}")]
     #[diagnostic(code(bench::page), help("give docs/performance.md, or a copy of it"))]
     Page {
-        /// What failed.
+        /// Reason of the failure.
         what: String,
     },
 }

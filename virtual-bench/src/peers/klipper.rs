@@ -118,7 +118,7 @@ impl Compressor {
     }
 }
 
-/// What a program printed, if it succeeded.
+/// Output of a program, if it succeeded.
 fn succeeded(output: Output) -> Result<String, FigureError> {
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     if output.status.success() {

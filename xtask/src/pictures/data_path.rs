@@ -129,7 +129,7 @@ fn arrows(picture: &mut Picture) {
     picture.line(&[(middle.0, y(383)), (360, y(383)), (360, y(293))], "wire");
     picture.arrow((360, y(293)), (left.1, y(293)));
     picture.arrow((left.0 + 130, y(324)), (left.0 + 130, y(348)));
-    // What stops without an instruction.
+    // Stops without an instruction.
     picture.text(
         (right.0, y(150)),
         Anchor::Start,
