@@ -54,8 +54,9 @@ enum Subcommand {
     Bench {
         #[command(flatten)]
         peers: PeerSources,
-        /// Write the tables of cycles and peers into this page, too: docs/performance.md.
-        #[arg(long, value_name = "FILE")]
+        /// Write the tables of cycles and peers into this page, too: docs/performance.md. Needs `--klipper`, so that no
+        /// row of the page is lost.
+        #[arg(long, value_name = "FILE", requires = "klipper")]
         page: Option<PathBuf>,
     },
     /// Only the last table of `bench`: the step generator beside its peers.
