@@ -10,13 +10,14 @@ const TUBE_MM: f64 = 24.4;
 const STROKE_MM: f64 = 130.0;
 /// Indentation of each wall in the picture, mm: the deepest of the paper's five.
 const INDENTATION_MM: f64 = 5.05;
-/// The paper's attachment, mm: crescents, distance between them, width of the core, reach of a wing along the core.
+/// The paper's attachment, mm, by `retrograde design`: crescents, distance between them, width of the core, and how far
+/// the middle of a wing's two facets reaches along the core.
 const CRESCENTS: i32 = 9;
-const SPACING_MM: f64 = 4.1;
-const CORE_MM: f64 = 4.9;
-const REACH_MM: f64 = 4.6;
+const SPACING_MM: f64 = 4.34;
+const CORE_MM: f64 = 4.88;
+const REACH_MM: f64 = 4.34;
 /// The same with 21 mm of thread wound up (`docs/science.md`): distance between crescents and width.
-const FOLDED_SPACING_MM: f64 = 1.8;
+const FOLDED_SPACING_MM: f64 = 2.0;
 const FOLDED_WIDTH_MM: f64 = 15.8;
 /// The capsule that carries it, mm.
 const CAPSULE_MM: (f64, f64) = (26.0, 11.0);
@@ -139,7 +140,7 @@ fn body(
     half_mm: &dyn Fn(i32) -> f64,
 ) {
     let (first, core) = (tail + px(REACH_MM), px(CORE_MM / 2.0));
-    let last = first + px(SPACING_MM.min(spacing_mm) * f64::from(CRESCENTS - 1));
+    let last = first + px(spacing_mm * f64::from(CRESCENTS - 1));
     picture.rect((first, y - core), (last - first, 2 * core), "body");
     for crescent in 0..CRESCENTS {
         let root = first + px(spacing_mm * f64::from(crescent));
