@@ -37,6 +37,7 @@ const TOTALS_RECORD: usize = 14;
 const VERSION: u8 = 1;
 /// Unit of the margin at the folded end, um; 0 stands for "not folded".
 const MARGIN_UM: i32 = 10;
+/// A byte holds every margin that a motion leaves.
 const _: () = assert!(FOUND_BY_RISE.0 <= MARGIN_UM * u8::MAX as i32);
 
 impl Totals {
@@ -45,7 +46,7 @@ impl Totals {
         record[1..5].copy_from_slice(&self.actuations.to_le_bytes());
         record[5..13].copy_from_slice(&self.energy_mj.to_le_bytes());
         record[13] = self.folded.map_or(0, |Thread(margin_um)| {
-            // Rounded up: an unfolding ends by the margin before zero.
+            // Rounded up, to one unit at least: an unfolding ends by the margin before zero.
             ((margin_um + MARGIN_UM - 1) / MARGIN_UM).clamp(1, 255) as u8
         });
         record
