@@ -1,5 +1,5 @@
-//! Accepted runs complete with each step timed, at the slowest supported processor: 65 M instructions/s, with telemetry
-//! at 200 Hz.
+//! Accepted runs complete with each step timed, at the emulator's rate of 65 M instructions/s, with telemetry at
+//! 200 Hz.
 //!
 //! `RETROGRADE_CAMPAIGN=full` tries all runs of the recorded seed; `RETROGRADE_SEED=N` repeats run N of it.
 
