@@ -4,7 +4,7 @@ use client::error::ClientError;
 use client::{Device, Observer, Unobserved};
 
 use crate::common::trials;
-use capsule_plant::{Bridge, cases::Kind};
+use capsule_plant::{Bridge, Random, cases::Kind};
 use protocol::{
     capsule::{
         ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState, CheckFolded,
@@ -466,6 +466,49 @@ fn what_happens_to_wires_and_bridge_is_named() {
 }
 
 /// Calibration, totals and the folded state survive a power cut. A check confirms the fold and pays no thread out.
+/// A reference run takes something in the way for the folded end. After a fold, a power cut and a check the unfolding
+/// still keeps the margin: without it these two passed zero by 0.6 mm.
+#[test]
+fn an_end_that_something_feigned_keeps_its_margin_over_a_power_cut() {
+    for seed in [84, 91] {
+        let mut capsule = referenced_with(Parameters::lifelike(seed));
+        capsule.rest();
+        let totals = capsule.device.call(GetCapsuleTotals).expect("an answer");
+        let folded_um = totals.calibration.expect("the reference was one").folded_um;
+        // As `cases::checked_short` has it.
+        let mut random = Random::new(seed ^ 0x5807);
+        let before_mm = random.between(0.0, 4.0);
+        let n_per_mm = 0.5 * 600_f64.powf(random.unit());
+        capsule.power_cycle(2);
+        capsule.look(move |capsule| {
+            let plant = capsule.plant_mut();
+            plant.forget_extremes();
+            let end_mm = f64::from(folded_um) / 1e3 - plant.parameters.slack_mm;
+            plant.suffer(Defect::Obstacle {
+                at_mm: end_mm - before_mm,
+                n_per_mm,
+            });
+        });
+        let accepted = capsule.device.reference().expect("it is accepted");
+        let record = capsule.device.wait_actuation(&accepted, &mut Unobserved);
+        let outcome = record.expect("it ends").outcome;
+        assert_eq!(outcome, ActuationOutcome::Complete, "seed {seed}");
+        assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+        let short_mm = f64::from(folded_um) / 1e3 - capsule.look(|capsule| capsule.wound_mm());
+        assert!(
+            short_mm > 0.5,
+            "seed {seed}: nothing was feigned, {short_mm} mm"
+        );
+        capsule.rest();
+        capsule.power_cycle(3);
+        assert_eq!(capsule.state().0, CapsuleState::WasFolded);
+        capsule.check_folded();
+        assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
+        let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
+        assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
+    }
+}
+
 #[test]
 fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     let mut capsule = referenced();
