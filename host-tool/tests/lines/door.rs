@@ -84,6 +84,9 @@ impl Observer for Seen {
 fn windows_and_a_subscriber_take_nothing_from_the_owner() {
     let bench = Bench::at_a_port(DeviceKind::Rig);
     let run = bench.run(&["--cycles", "2", "--stroke-mm", "20", "--duration-s", "12"]);
+    // It waits for its guests, however long a busy computer takes to let them in.
+    let (code, _, err) = bench.retrograde(&["hold"]);
+    assert_eq!(code, Some(0), "{err}");
     let over = Arc::new(AtomicBool::new(false));
     thread::scope(|scope| {
         let watches: Vec<_> = (0..5)
@@ -101,6 +104,8 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
             .collect();
         let mut subscriber = bench.window();
         assert_eq!(subscriber.owner().expect("another").pid, run.id());
+        let (code, _, err) = bench.retrograde(&["resume"]);
+        assert_eq!(code, Some(0), "{err}");
         let mut seen = Seen::default();
         let gone = loop {
             match subscriber.idle(50_000, &mut seen) {

@@ -237,10 +237,13 @@ fn a_watch_gives_the_line_up_for_a_command_that_moves_and_looks_on() {
         let (code, _, err) = bench.retrograde(&["move", "0"]);
         assert_eq!(code, Some(0), "{err}");
     }
-    let run = bench.run(&["--cycles", "1", "--stroke-mm", "20", "--duration-s", "3"]);
+    // It goes on until both windows have seen it, however long a busy computer takes for that.
+    let run = bench.run(&["--cycles", "9", "--stroke-mm", "20", "--duration-s", "90"]);
     let owner = format!("through process {} (`retrograde run", run.id());
     terminal.wait_for(&owner);
     other.wait_for(&owner);
+    let (code, _, err) = bench.retrograde(&["stop", "rig"]);
+    assert_eq!(code, Some(0), "{err}");
     // Its result does not matter here.
     run.wait_with_output().expect("ends");
     // One of the two must own the line again.
