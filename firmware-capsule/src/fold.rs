@@ -19,7 +19,8 @@
 //! | moving | trip, jam, broken thread, time-out | Faulted |
 //! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced if the fault costs the position |
 //!
-//! A reference of a capsule without a calibration is a calibration: both have to begin unfolded then.
+//! A reference of a capsule without a calibration is a calibration: both have to begin unfolded then. A calibration that
+//! begins with thread on the spool, as far as that is known, and finds the end as much earlier, keeps the one before.
 //!
 //! The motor is driven only while it moves. Each motion ends with the motor shorted for [`BRAKE_US`]. Then the bridge
 //! sleeps and the worm gear holds.
@@ -64,6 +65,9 @@ const LOAD_MA: u32 = 50;
 const ENGAGED_MA: u16 = 7;
 /// Time limit of a reference: two slow windings of 28.5 mm, 5.7 s each, and paying out twice.
 pub const REFERENCE_TIMEOUT_MS: u32 = 16_000;
+/// Least thread left on the spool that a calibration looks for. Where friction has fallen to 0.7 of the calibrated one,
+/// lifelike capsules end their unfolding up to 0.7 mm before zero and find the end by up to 0.5 mm elsewhere.
+const LEFT: Thread = Thread(1_000);
 /// Least distance of a partial fold from either end: the ends have motions of their own.
 pub const PARTIAL_MARGIN: Thread = Thread(500);
 
@@ -152,6 +156,8 @@ struct Actuation {
     detector: Detector,
     /// Thread at the start, plus the distance by which a partial winding stops early.
     from: Thread,
+    /// Thread on the spool at the start, as far as it is known.
+    wound_before: Thread,
     started_us: u64,
     deadline_us: u64,
     governor: Governor,
@@ -193,6 +199,8 @@ pub struct Capsule {
     zero: Counts,
     /// Safety margin: the thread at the folded end may be this much shorter than calibrated.
     spare: Thread,
+    /// Thread that may be left on the spool at zero: the last reference run began with some on it.
+    left: Thread,
     /// How much later than calibrated the last fold felt its force. Either the friction has changed or the count has
     /// moved. Nothing tells which, so an unfolding ends this much before zero.
     doubt: Thread,
@@ -228,6 +236,7 @@ impl Capsule {
             referenced: false,
             offset_before_ma: 0,
             spare: folded.unwrap_or_default(),
+            left: Thread(0),
             doubt: Thread(0),
             crept: Thread(0),
             zero: Counts(0),
@@ -621,7 +630,7 @@ impl Capsule {
         let folded = match (purpose, &self.calibration) {
             (Purpose::Reference | Purpose::Check { .. }, Some(calibration)) => calibration.folded,
             _ => {
-                if wound < self.settings.folded_range.0 {
+                if wound < self.settings.folded_range.0 || self.misses_thread(wound) {
                     return Err(CapsuleFault::NotUnfolded { wound_um: wound.0 });
                 }
                 if let Mode::Moving(actuation) = &mut self.mode {
@@ -651,6 +660,13 @@ impl Capsule {
             }
         };
         let believed = Thread(folded.0 - self.spare.0);
+        self.left = match &self.mode {
+            _ if purpose == Purpose::Calibrate => Thread(0),
+            _ if wound.0 < believed.0 - LEFT.0 => self.spare,
+            // It ends where it began.
+            Mode::Moving(actuation) => actuation.wound_before,
+            _ => Thread(0),
+        };
         let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
@@ -671,6 +687,16 @@ impl Capsule {
             },
             false => Leg::feel(self.sample.counts, Thread(0)),
         }))
+    }
+
+    /// A calibration has found the end too early, and what is missing can be thread that was on the spool before. The
+    /// place where a calibration begins becomes the unfolded end, so that this thread would never be paid out again.
+    fn misses_thread(&self, wound: Thread) -> bool {
+        let (Mode::Moving(actuation), Some(kept)) = (&self.mode, &self.calibration) else {
+            return false;
+        };
+        let Thread(before_um) = actuation.wound_before;
+        before_um >= LEFT.0 && wound.0 < kept.folded.0 - before_um / 2
     }
 
     fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {

@@ -1,9 +1,10 @@
 //! The machine in closed loop with the model of its mechanics: what a person would try on the bench.
 
-use capsule_plant::{Defect, Parameters, cases::Kind};
+use capsule_plant::{Defect, Parameters, Plant, cases::Kind};
 use firmware_capsule::{
     calibration::Calibration,
     fold::{Capsule, Command, Drive, Event},
+    mechanics::Thread,
     settings::Settings,
 };
 use protocol::{
@@ -262,6 +263,105 @@ fn a_calibration_that_does_not_begin_unfolded_is_refused_by_its_length() {
                 "{fault:?}"
             );
             assert!(!sim.capsule.referenced() && sim.kept.is_none());
+        }
+    }
+}
+
+/// A place where thread is left on the spool cannot become the unfolded end: what is left would never be paid out again,
+/// and each fold would be shorter by it.
+#[test]
+fn a_calibration_does_not_make_thread_permanent_that_the_capsule_knows_of() {
+    let mut after_a_reference = nominal();
+    after_a_reference.run(Command::Fold);
+    after_a_reference.reset(false);
+    after_a_reference.run(Command::Reference);
+    let mut referenced_again = after_a_reference.clone();
+    referenced_again.run(Command::Reference);
+    let mut half_way = nominal();
+    half_way.run(Command::FoldTo(Thread(5_000)));
+    for (mut sim, left_mm) in [
+        (after_a_reference, 1.3),
+        (referenced_again, 1.3),
+        (half_way, 5.0),
+    ] {
+        let kept = *sim.capsule.calibration().expect("calibrated");
+        sim.kept = None;
+        let place_mm = sim.plant.wound_mm();
+        assert!(
+            (left_mm - 0.1..left_mm + 0.4).contains(&place_mm),
+            "{place_mm}"
+        );
+        sim.run(Command::Calibrate);
+        let fault = sim.capsule.fault();
+        let Some(CapsuleFault::NotUnfolded { wound_um }) = fault else {
+            panic!("{left_mm} mm: {fault:?}")
+        };
+        assert!(wound_um < kept.folded.0 - 1_000, "{wound_um} um");
+        assert_eq!((sim.capsule.calibration(), sim.kept), (Some(&kept), None));
+        // The way out of the manual.
+        sim.order(Command::Acknowledge);
+        sim.run(Command::Reference);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+        assert!(sim.plant.extremes_mm().0 >= 0.0);
+    }
+}
+
+/// Whoever has been told unfolds the origami by hand, or takes another, which may be shorter.
+#[test]
+fn a_calibration_after_a_hand_takes_the_place_where_it_begins() {
+    let mut sim = nominal();
+    let first = *sim.capsule.calibration().expect("calibrated");
+    sim.run(Command::FoldTo(Thread(2_500)));
+    sim.run(Command::Calibrate);
+    sim.order(Command::Acknowledge);
+    assert_eq!(sim.capsule.state(), CapsuleState::Unreferenced);
+    sim.plant = Plant::new(Parameters {
+        wound_mm: 2.0,
+        ..Parameters::nominal()
+    });
+    sim.tick();
+    sim.run(Command::Calibrate);
+    let found = *sim.capsule.calibration().expect("calibrated");
+    let shorter_um = first.folded.0 - found.folded.0;
+    assert!((1_800..2_200).contains(&shorter_um), "{shorter_um} um");
+}
+
+/// Nothing is left on the spool where the capsule has been unfolded, or where a reference run has wound all of it itself.
+#[test]
+fn an_unfolded_capsule_is_calibrated_as_often_as_one_likes() {
+    let mut sim = nominal();
+    let first = *sim.capsule.calibration().expect("calibrated");
+    for command in [Command::Fold, Command::Reference, Command::Calibrate] {
+        sim.run(command);
+        if command == Command::Fold {
+            sim.run(Command::Unfold);
+        }
+        sim.run(Command::Calibrate);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded, "{command:?}");
+    }
+    let last = *sim.capsule.calibration().expect("calibrated");
+    let shorter_um = first.folded.0 - last.folded.0;
+    assert!((-200..=400).contains(&shorter_um), "{shorter_um} um");
+}
+
+/// Those of the first 60 whose unfolding ends farthest from zero once their friction has changed, by 0.6 mm.
+#[test]
+fn a_capsule_whose_friction_has_fallen_can_be_calibrated() {
+    for (seed, friction) in [(49, 0.7), (35, 0.7), (23, 0.85)] {
+        for before in [Command::Reference, Command::CheckFolded] {
+            let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+            sim.plant.suffer(Defect::Friction(friction));
+            for _ in 0..2 {
+                sim.run(Command::Fold);
+                sim.run(Command::Unfold);
+            }
+            sim.run(before);
+            if before == Command::CheckFolded {
+                sim.run(Command::Unfold);
+            }
+            sim.run(Command::Calibrate);
+            let state = sim.capsule.state();
+            assert_eq!(state, CapsuleState::Unfolded, "seed {seed}, {before:?}");
         }
     }
 }

@@ -235,6 +235,10 @@ impl Capsule {
             _ if calibrates => seek(Purpose::Calibrate),
             _ => seek(Purpose::Reference),
         };
+        let wound_before = match self.referenced {
+            true => Thread(self.thread().0.saturating_add(self.left.0)),
+            false => Thread(0),
+        };
         if matches!(leg, Leg::Seek { .. }) {
             self.referenced = false;
             // The rise is compared with the calibration's, which was counted above this current. A thread that is not
@@ -252,6 +256,7 @@ impl Capsule {
             leg,
             detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
             from: Thread(self.thread().0.saturating_add(STOP_MARGIN.0)),
+            wound_before,
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
             governor: Governor::default(),
