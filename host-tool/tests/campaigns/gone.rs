@@ -11,9 +11,10 @@ use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
-use simulated_machines::machine::{Script, World};
+use simulated_machines::machine::{Script, World, estop};
+use trials::experiment::PAPER_RUN;
 
-use crate::campaign_run::{converse, path, place, small_plan, whole};
+use crate::campaign_run::{converse, path, place, plan_of_passes, small_plan, whole};
 use crate::support::tool::Memory;
 
 /// A bench that is switched off while the first question waits, and is back after so many attempts to reach it.
@@ -148,4 +149,65 @@ fn another_machine_is_named_and_nothing_moves() {
         assert_eq!(first.attempts.len(), 0, "no attempt has begun");
         assert_eq!(campaign.readings.sets[1].values.len(), 2, "{shown}");
     }
+}
+
+/// What still moves when a session begins, or when a machine is back, moves for an attempt that nobody looks after.
+#[test]
+fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
+    let running = Script {
+        running: Some((PAPER_RUN, 2_000_000)),
+        ..Script::new(DeviceKind::Rig)
+    };
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = Memory::with(vec![running.clone(), Script::new(DeviceKind::Capsule)]);
+    let lines = vec![("rollers OFF", "q")];
+    let (_, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
+    let told = "The rig was still moving, for nobody: it was stopped.";
+    assert!(shown.contains(told), "{shown}");
+    assert!(memory.heard().contains(&"Urgent"), "{:?}", memory.heard());
+
+    let bench = Restarted::new(running, 0);
+    let lines = [
+        &UP_TO_THE_TRIAL[..],
+        &[
+            ("Trial 1 of 6", ""),
+            ("the rig was moving, for nobody: it was stopped", ""),
+            ("Displacement of the tail", "q"),
+        ],
+    ];
+    let (code, shown) = converse(&bench, &["resume", &out], lines.concat());
+    assert_eq!(code, 130, "{shown}");
+    let heard = bench.then.heard();
+    let place_of = |name| heard.iter().position(|heard| *heard == name);
+    let stopped = place_of("Urgent").expect("it was stopped");
+    assert!(
+        place_of("Home").is_some_and(|homed| homed > stopped),
+        "{heard:?}"
+    );
+}
+
+/// A latched fault is told before the rollers move to the start of a trial, with what to do.
+#[test]
+fn a_fault_is_told_before_the_rollers_move() {
+    let mut faulted = Script::new(DeviceKind::Rig);
+    faulted.world = estop(0);
+    let place = place(&plan_of_passes());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = Memory::with(vec![faulted, Script::new(DeviceKind::Capsule)]);
+    let lines = vec![
+        ("rollers OFF", ""),
+        ("Reading 1 of 2: D", "24.4"),
+        ("Reading 2 of 2: D", "24.4"),
+        ("Clamp both rollers", ""),
+        ("Reading 1 of 2: i", "14.3"),
+        ("Reading 2 of 2: i", "14.3"),
+    ];
+    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
+    assert_eq!(code, 3, "{shown}");
+    assert!(shown.contains("the rig has a fault: "), "{shown}");
+    let words = shown.split_whitespace().collect::<Vec<_>>().join(" ");
+    let help = "remove its cause, `retrograde ack rig`, then `retrograde campaign resume`";
+    assert!(words.contains(help), "{shown}");
+    assert!(!memory.heard().contains(&"Home"), "{:?}", memory.heard());
 }
