@@ -2,7 +2,8 @@
 //!
 //! | state | event \[guard\] | next |
 //! |---|---|---|
-//! | any at rest | Calibrate, Reference \[battery, amplifier\] | Referencing |
+//! | any at rest | Reference \[battery, amplifier\] | Referencing |
+//! | any at rest | Calibrate \[thread at zero or unknown, battery, amplifier\] | Referencing |
 //! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
 //! | Unfolded, Folded, Stopped | FoldTo \[calibration, battery, amplifier\] | Folding or Unfolding |
 //! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |

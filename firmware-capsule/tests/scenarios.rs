@@ -9,7 +9,7 @@ use firmware_capsule::{
 };
 use protocol::{
     capsule::{ActuationOutcome, CapsuleEvent, CapsuleFault, CapsuleState},
-    error::Refusal,
+    error::{Field, Refusal},
 };
 use simulated_machines::plant::{Simulation, cases};
 
@@ -277,24 +277,15 @@ fn a_calibration_does_not_make_thread_permanent_that_the_capsule_knows_of() {
     after_a_reference.run(Command::Reference);
     let mut referenced_again = after_a_reference.clone();
     referenced_again.run(Command::Reference);
-    let mut half_way = nominal();
-    half_way.run(Command::FoldTo(Thread(5_000)));
-    for (mut sim, left_mm) in [
-        (after_a_reference, 1.3),
-        (referenced_again, 1.3),
-        (half_way, 5.0),
-    ] {
+    for mut sim in [after_a_reference, referenced_again] {
         let kept = *sim.capsule.calibration().expect("calibrated");
         sim.kept = None;
         let place_mm = sim.plant.wound_mm();
-        assert!(
-            (left_mm - 0.1..left_mm + 0.4).contains(&place_mm),
-            "{place_mm}"
-        );
+        assert!((1.3..1.7).contains(&place_mm), "{place_mm}");
         sim.run(Command::Calibrate);
         let fault = sim.capsule.fault();
         let Some(CapsuleFault::NotUnfolded { wound_um }) = fault else {
-            panic!("{left_mm} mm: {fault:?}")
+            panic!("{fault:?}")
         };
         assert!(wound_um < kept.folded.0 - 1_000, "{wound_um} um");
         assert_eq!((sim.capsule.calibration(), sim.kept), (Some(&kept), None));
@@ -306,12 +297,41 @@ fn a_calibration_does_not_make_thread_permanent_that_the_capsule_knows_of() {
     }
 }
 
+/// The place is known, so nothing has to move, and the place stays known.
+#[test]
+fn a_calibration_is_refused_while_thread_is_wound() {
+    for (command, wound_um) in [
+        (Command::FoldTo(Thread(5_000)), 5_000),
+        (Command::Fold, 21_500),
+    ] {
+        let mut sim = nominal();
+        sim.run(command);
+        let refusal = sim.give(Event::Command(Command::Calibrate)).refusal;
+        let Some(Refusal::OutOfRange {
+            field: Field::ThreadUm,
+            requested,
+            min: 0,
+            max: 1_000,
+        }) = refusal
+        else {
+            panic!("{refusal:?}")
+        };
+        assert!(requested.abs_diff(wound_um) < 200, "{requested} um");
+        assert!(sim.capsule.referenced() && !sim.capsule.is_moving());
+        sim.run(Command::Unfold);
+        sim.run(Command::Calibrate);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+    }
+}
+
 /// Whoever has been told unfolds the origami by hand, or takes another, which may be shorter.
 #[test]
 fn a_calibration_after_a_hand_takes_the_place_where_it_begins() {
     let mut sim = nominal();
     let first = *sim.capsule.calibration().expect("calibrated");
-    sim.run(Command::FoldTo(Thread(2_500)));
+    sim.run(Command::Fold);
+    sim.reset(false);
+    sim.run(Command::Reference);
     sim.run(Command::Calibrate);
     sim.order(Command::Acknowledge);
     assert_eq!(sim.capsule.state(), CapsuleState::Unreferenced);

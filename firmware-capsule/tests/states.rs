@@ -73,11 +73,12 @@ fn sim_in(state: CapsuleState) -> Simulation {
 }
 
 /// The state after the event, or the refusal.
-fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> {
+fn expected(sim: &Simulation, event: Event) -> Result<CapsuleState, Refusal> {
     use CapsuleState::{
         Checking, Faulted, Folded, Folding, Referencing, Stopped, Unfolded, Unfolding,
         Unreferenced, WasFolded,
     };
+    let state = sim.capsule.state();
     let moving = matches!(state, Referencing | Checking | Folding | Unfolding);
     let calibrated = !matches!(state, Unreferenced | Referencing);
     let stopped = match state {
@@ -95,6 +96,14 @@ fn expected(state: CapsuleState, event: Event) -> Result<CapsuleState, Refusal> 
             Err(Refusal::CapsuleFaulted(CapsuleFault::EStopFrame))
         }
         Event::Command(_) if moving => Err(Refusal::CapsuleBusy(state)),
+        Event::Command(Command::Calibrate) if matches!(state, Folded | Stopped) => {
+            Err(Refusal::OutOfRange {
+                field: Field::ThreadUm,
+                requested: sim.capsule.thread().0 as u64,
+                min: 0,
+                max: 1_000,
+            })
+        }
         Event::Command(Command::Reference | Command::Calibrate) => Ok(Referencing),
         Event::Command(Command::CheckFolded) if !calibrated => Err(Refusal::NotCalibrated),
         Event::Command(Command::CheckFolded) => Ok(Checking),
@@ -131,7 +140,7 @@ fn every_state_with_every_event() {
         for event in events {
             let mut capsule = sim.capsule.clone();
             let actions = capsule.step(sim.now_us, event);
-            match expected(state, event) {
+            match expected(&sim, event) {
                 Ok(next) => {
                     assert_eq!(actions.refusal, None, "{state:?} {event:?}");
                     assert_eq!(capsule.state(), next, "{state:?} {event:?}");
@@ -162,7 +171,7 @@ fn a_stop_acts_at_once_in_every_state() {
         for command in [Command::Stop, Command::EStop] {
             let mut capsule = sim.capsule.clone();
             let actions = capsule.step(sim.now_us, Event::Command(command));
-            let next = expected(state, Event::Command(command)).expect("never refused");
+            let next = expected(&sim, Event::Command(command)).expect("never refused");
             assert_eq!(actions.refusal, None);
             assert_eq!(capsule.state(), next, "{state:?} {command:?}");
             let drive = if moving { Drive::Brake } else { Drive::Off };

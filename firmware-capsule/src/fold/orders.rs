@@ -1,6 +1,6 @@
 //! Orders of the host: checks them and begins the motions.
 
-use super::{Actions, Actuation, Capsule, Command, Mode, measures};
+use super::{Actions, Actuation, Capsule, Command, LEFT, Mode, measures};
 use crate::{
     circuit::Circuit,
     detect::Detector,
@@ -24,6 +24,16 @@ const MOST_MOVED_MA: u16 = 7;
 const ARRIVED: i32 = 100;
 /// Thread that a check of a folded capsule pays out and winds again: the tension zone, and its extensions.
 const CHECKED: Thread = Thread(1_500);
+
+fn out_of_range(thread: Thread, (least, most): (Thread, Thread)) -> Refusal {
+    let count = |Thread(um)| u64::try_from(um).unwrap_or(0);
+    Refusal::OutOfRange {
+        field: Field::ThreadUm,
+        requested: count(thread),
+        min: count(least),
+        max: count(most),
+    }
+}
 
 impl Capsule {
     pub(super) fn on_command(
@@ -74,6 +84,10 @@ impl Capsule {
         if let Command::FoldTo(target) = command {
             self.may_stop_at(target)?;
         }
+        if kind == ActuationKind::Calibrate && self.referenced && self.thread() >= LEFT {
+            // It would end with nothing but a lost position.
+            return Err(out_of_range(self.thread(), (Thread(0), LEFT)));
+        }
         let min_mv = match kind {
             // Paying out takes little current, and a person may need it.
             ActuationKind::Unfold => self.least_unfolding_mv(),
@@ -102,13 +116,7 @@ impl Capsule {
         let Thread(end_um) = self.folded_end().unwrap_or_default();
         let (min, max) = (super::PARTIAL_MARGIN.0, end_um - super::PARTIAL_MARGIN.0);
         if !(min..=max).contains(&target.0) {
-            let count = |um: i32| u64::try_from(um).unwrap_or(0);
-            return Err(Refusal::OutOfRange {
-                field: Field::ThreadUm,
-                requested: count(target.0),
-                min: count(min),
-                max: count(max),
-            });
+            return Err(out_of_range(target, (Thread(min), Thread(max))));
         }
         if self.thread().0.abs_diff(target.0) <= ARRIVED.unsigned_abs() {
             return Err(Refusal::AlreadyThere);

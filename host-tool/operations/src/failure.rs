@@ -11,7 +11,7 @@ use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
 use motion::run::RunError;
-use protocol::error::Refusal;
+use protocol::error::{Field, Refusal};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::experiment::ExperimentError;
@@ -324,6 +324,11 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
         }
         Refusal::CapsuleFaulted(_) => "once the cause is gone `retrograde ack capsule`",
         Refusal::AcknowledgeFirst => "`retrograde ack`",
+        Refusal::OutOfRange {
+            field: Field::ThreadUm,
+            min: 0,
+            ..
+        } => "`retrograde unfold`: a calibration begins unfolded",
         _ => return None,
     })
 }

@@ -10,7 +10,7 @@ use protocol::{
         ActuationOutcome, ActuationRecord, Calibrate, CapsuleFault, CapsuleState, CheckFolded,
         GetCapsuleTotals,
     },
-    error::Refusal,
+    error::{Field, Refusal},
     system::{DeviceKind, ResetCause, Urgent},
     table::Telemetry,
 };
@@ -539,6 +539,25 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
         capsule.wound_mm()
     });
     capsule.check_folded();
+    assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
+    // The place is known, so a calibration has nothing to find out.
+    capsule.rest();
+    let refused = capsule.device.call(Calibrate);
+    let Err(ClientError::Refused { refusal, .. }) = refused else {
+        panic!("{refused:?}")
+    };
+    assert!(
+        matches!(
+            refusal,
+            Refusal::OutOfRange {
+                field: Field::ThreadUm,
+                min: 0,
+                max: 1_000,
+                ..
+            }
+        ),
+        "{refusal:?}"
+    );
     assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
     let (least_mm, force_n) =
         capsule.look(|capsule| (capsule.extremes_mm().0, capsule.peak_force_n()));
