@@ -776,6 +776,25 @@ fn what_is_reached_already_is_a_success_that_says_so() {
 }
 
 #[test]
+fn a_folded_capsule_is_not_calibrated_and_told_what_to_do() {
+    let bench = Bench::on_tcp(DeviceKind::Capsule);
+    let (code, _, err) = bench.retrograde(&["fold", "--thread-mm", "5"]);
+    assert_eq!(code, Some(0), "{err}");
+    // A capsule at work on its flash is asked again.
+    let calibrate = || bench.retrograde(&["capsule", "calibrate"]);
+    let (code, _, err) = std::iter::repeat_with(calibrate)
+        .find(|(_, _, err)| !err.contains("within the last half second"))
+        .expect("it comes to rest");
+    assert_eq!(code, Some(3), "{err}");
+    let words = err.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains("the thread is 4.9"), "{err}");
+    assert!(words.contains("allowed is 0 to 1 mm"), "{err}");
+    assert!(words.contains("`retrograde unfold`"), "{err}");
+    let (code, _, err) = bench.retrograde(&["unfold"]);
+    assert_eq!(code, Some(0), "the position is still known: {err}");
+}
+
+#[test]
 fn one_machine_without_a_fault_does_not_keep_the_other_from_its_acknowledgement() {
     let (rig, capsule) = (
         Bench::on_tcp(DeviceKind::Rig),
