@@ -46,7 +46,7 @@ impl std::fmt::Display for Finding {
 pub(crate) const COPY: &str = "restore it from a copy";
 pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 /// For what a session leaves that was killed, or is under way.
-pub(crate) const RESUME: &str = "if no session is under way, one was cut off: `retrograde campaign resume` takes this up; change nothing by hand";
+pub(crate) const RESUME: &str = "if no session is under way, one was cut off: `retrograde campaign run` takes this up; change nothing by hand";
 
 /// Reads the manifest of a folder; none if the folder has none.
 ///
@@ -186,7 +186,7 @@ impl Differences {
             findings.push(Finding::new(
                 path,
                 what,
-                "was the tool killed or the power lost? `retrograde campaign resume` takes them up and says so; otherwise restore it from a copy",
+                "was the tool killed or the power lost? `retrograde campaign run` takes them up and says so; otherwise restore it from a copy",
             ));
         }
         for path in self.added.keys() {

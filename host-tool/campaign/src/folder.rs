@@ -392,7 +392,7 @@ impl Folder {
 
 fn exists(folder: &Path) -> CampaignError {
     let remedy = format!(
-        "`retrograde campaign resume {}` goes on with it; `--out DIR` names another folder",
+        "`retrograde campaign run {}` goes on with it; `--out DIR` names another folder",
         folder.display()
     );
     CampaignError::misuse(folder, "it exists already", remedy)
@@ -451,7 +451,7 @@ fn ask_about_row(
         return Ok(());
     }
     let why = format!("it has a row that is not in {}: {row}", manifest::NAME);
-    let remedy = "`retrograde campaign resume` at a terminal asks whether it is yours; if it is not, restore the file from a copy";
+    let remedy = "`retrograde campaign run` at a terminal asks whether it is yours; if it is not, restore the file from a copy";
     Err(CampaignError::new(&path, why, remedy))
 }
 

@@ -73,7 +73,7 @@ impl CampaignError {
     }
 
     pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
-        let remedy = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign resume`";
+        let remedy = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run`";
         Self::new(path, why, remedy)
     }
 }

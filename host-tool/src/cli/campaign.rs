@@ -30,15 +30,19 @@ use serde_json::{Value, json};
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
+/// Who owns the line meanwhile, for those who ask.
+const COMMAND: &str = "campaign run";
+
 /// Subcommands of `campaign`.
 #[derive(Debug, clap::Subcommand)]
 pub enum CampaignSubcommand {
     /// Make the folder of a new campaign from a plan. Moves nothing.
     New(NewArgs),
-    /// Begin a campaign from a plan, or go on with the one in a folder: readings, check-lists, runs, displacements.
+    /// Begin a campaign from a plan, or go on with the one in a folder, also after a crash: readings, check-lists, runs,
+    /// displacements.
+    // Its second name goes with the next version.
+    #[command(alias = "resume")]
     Run(CampaignRunArgs),
-    /// Go on with a campaign, also after a crash.
-    Resume(ResumeArgs),
     /// Show how far a campaign has come. Moves nothing.
     Status(StatusArgs),
     /// Correct, exclude, skip, repeat, remark. Each is a new row in the ledger; no row is ever changed. Moves nothing.
@@ -76,17 +80,6 @@ pub struct CampaignRunArgs {
     /// The folder of a new campaign, which must not exist.
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// How it goes.
-    #[command(flatten)]
-    pub session: SessionArgs,
-}
-
-/// Arguments of `campaign resume`.
-#[derive(Debug, Args)]
-pub struct ResumeArgs {
-    /// The campaign's folder.
-    #[arg(value_name = "DIR")]
-    pub folder: PathBuf,
     /// How it goes.
     #[command(flatten)]
     pub session: SessionArgs,
@@ -192,20 +185,15 @@ pub(crate) fn campaign(
                     help: "leave `--out` out, or give a plan".to_owned(),
                 });
             }
-            resume("campaign run", &args.what, &args.session, places, screen)
+            admit(&args.session, screen)?;
+            let folder = open(&args.what, args.session.yes, places, screen)?;
+            carry_out(folder, &args.session, places, screen)
         }
         CampaignSubcommand::Run(args) => {
             admit(&args.session, screen)?;
             let folder = create(&args.what, args.out.as_deref(), places, screen)?;
-            carry_out("campaign run", folder, &args.session, places, screen)
+            carry_out(folder, &args.session, places, screen)
         }
-        CampaignSubcommand::Resume(args) => resume(
-            "campaign resume",
-            &args.folder,
-            &args.session,
-            places,
-            screen,
-        ),
         CampaignSubcommand::Status(args) => {
             let campaign = Campaign::read(&args.folder).map_err(Own::from)?;
             for line in status(&campaign) {
@@ -237,7 +225,7 @@ fn create(
 ) -> Result<Folder, Failure> {
     let text = limited::read_text(path, limited::BY_HAND).map_err(|io| Failure::Input {
         why: format!("{}: {io}", path.display()),
-        help: "give a plan, such as `examples/paper.toml`".to_owned(),
+        help: "give a plan, such as `examples/paper.toml`, or the folder of a campaign".to_owned(),
     })?;
     let plan = CampaignPlan::parse(&text, path).map_err(Own::from)?;
     let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
@@ -268,18 +256,6 @@ fn create(
     Ok(folder)
 }
 
-fn resume(
-    command: &'static str,
-    path: &Path,
-    session: &SessionArgs,
-    places: &Places<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Value, Failure> {
-    admit(session, screen)?;
-    let folder = open(path, session.yes, places, screen)?;
-    carry_out(command, folder, session, places, screen)
-}
-
 /// Opens a folder for writing. Reports the leftovers of a crash, and asks about a row among them unless nobody is to be
 /// asked.
 fn open(
@@ -298,7 +274,6 @@ fn open(
 }
 
 fn carry_out(
-    command: &'static str,
     mut folder: Folder,
     session: &SessionArgs,
     places: &Places<'_>,
@@ -306,7 +281,7 @@ fn carry_out(
 ) -> Result<Value, Failure> {
     let path = folder.campaign().folder.clone();
     if folder.campaign().state.next().is_some() {
-        let ending = sit_down(command, &mut folder, session, places, screen)?;
+        let ending = sit_down(&mut folder, session, places, screen)?;
         if ending == Ending::Left {
             return Err(Own::Left { folder: path }.into());
         }
@@ -340,7 +315,6 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<PathBuf, Failure> 
 }
 
 fn sit_down(
-    command: &'static str,
     folder: &mut Folder,
     session: &SessionArgs,
     places: &Places<'_>,
@@ -351,10 +325,10 @@ fn sit_down(
     if session.yes {
         desk::can_answer(&plan)?;
     }
-    let mut rig = places.connect(DeviceKind::Rig, Need::Own(command))?;
+    let mut rig = places.connect(DeviceKind::Rig, Need::Own(COMMAND))?;
     let capsule = plan
         .needs_capsule()
-        .then(|| places.connect(DeviceKind::Capsule, Need::Own(command)))
+        .then(|| places.connect(DeviceKind::Capsule, Need::Own(COMMAND)))
         .transpose()?;
     let origin = rig.origin().max(
         capsule
@@ -393,7 +367,7 @@ fn sit_down(
     };
     let mut desk = Counter::new(screen, places, who);
     let mut connect = |kind| {
-        let device = places.connect(kind, Need::Own(command));
+        let device = places.connect(kind, Need::Own(COMMAND));
         device.map_err(|failure| failure.in_one_line())
     };
     let ended = Conduct::new(folder, &mut machines, &mut desk, &Models, &mut connect)
@@ -406,7 +380,7 @@ fn sit_down(
 }
 
 fn again(folder: &Path) -> String {
-    format!("`retrograde campaign resume {}` goes on", folder.display())
+    format!("`retrograde campaign run {}` goes on", folder.display())
 }
 
 fn failure(broken: Broken, folder: &Path) -> Failure {
@@ -621,7 +595,7 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
                 return Err(Failure::Input {
                     why,
                     help: format!(
-                        "`campaign edit ... undo {trial}` takes the displacement back, once more the one after the last stroke; `campaign resume` asks for them again"
+                        "`campaign edit ... undo {trial}` takes the displacement back, once more the one after the last stroke; `campaign run` asks for them again"
                     ),
                 });
             }

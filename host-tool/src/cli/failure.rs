@@ -25,7 +25,7 @@ pub(crate) enum Own {
     #[error("left; everything that was entered is in {}", folder.display())]
     #[diagnostic(
         code(retrograde::left),
-        help("`retrograde campaign resume {}` goes on", folder.display())
+        help("`retrograde campaign run {}` goes on", folder.display())
     )]
     Left {
         /// Its folder.

@@ -803,7 +803,7 @@ fn a_folder_is_read_back_as_it_was_written() {
     let error = Folder::create(&path, SMALL, Path::new("small.toml"))
         .err()
         .expect("there");
-    assert!(error.remedy.contains("campaign resume"), "{}", error.remedy);
+    assert!(error.remedy.contains("campaign run"), "{}", error.remedy);
 }
 
 /// Cuts the last addition at any byte, before or after the manifest lists it. The folder can still be resumed, and no
@@ -871,7 +871,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     fs::write(to.join("run.json.part"), "half").expect("written");
     // Nothing tells to move or replace what the next session takes up.
     for finding in verify(&path).expect("readable").findings {
-        let resumes = finding.remedy.contains("`retrograde campaign resume`");
+        let resumes = finding.remedy.contains("`retrograde campaign run`");
         assert!(
             resumes && !finding.remedy.contains("Move it"),
             "{finding:?}"

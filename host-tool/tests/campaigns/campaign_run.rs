@@ -96,6 +96,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
         said.contains("min left") || said.contains("minute left"),
         "{said}"
     );
+    // By its old name.
     let (code, said, err) = run(&["resume", &out, "--yes"]);
     assert_eq!(code, 0, "{said}{err}");
     assert!(
@@ -562,7 +563,7 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
     // The rollers' position is unknown now. They are homed and go to the right end, without the body.
     let (code, shown) = converse(
         &memory,
-        &["resume", &out],
+        &["run", &out],
         vec![
             ("before the body is laid in", ""),
             ("no roller touches it", "undo"),
@@ -572,7 +573,7 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
     assert_eq!(code, 130, "{shown}");
     let (code, shown) = converse(
         &memory,
-        &["resume", &out],
+        &["run", &out],
         vec![
             ("Displacement of the tail", "4.3"),
             ("before the body is laid in", ""),
@@ -797,7 +798,7 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
         ],
     );
     assert_eq!(code, 130, "{shown}");
-    assert!(shown.contains("campaign resume"), "{shown}");
+    assert!(shown.contains("campaign run"), "{shown}");
     let campaign = whole(&out);
     let first = campaign.state.trial(1).expect("there");
     assert_eq!(first.counted().map(|mm| mm.value.um), Some(12_500));
@@ -813,7 +814,7 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     // The next day: the second indentation; undo, repeat, exclude, skip.
     let (code, shown) = converse(
         &memory,
-        &["resume", &out],
+        &["run", &out],
         vec![
             ("Clamp both rollers", ""),
             ("Reading 1 of 2: i", "14.3"),
@@ -909,7 +910,7 @@ fn a_line_that_falls_silent_loses_no_answer() {
     let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
     let (code, shown) = converse(
         &memory,
-        &["resume", &out],
+        &["run", &out],
         vec![
             ("waited for even so", "24.4"),
             ("Clamp both rollers", ""),
@@ -919,7 +920,7 @@ fn a_line_that_falls_silent_loses_no_answer() {
         ],
     );
     assert_eq!(code, 7, "{shown}");
-    let goes_on = format!("`retrograde campaign resume {out}` goes on");
+    let goes_on = format!("`retrograde campaign run {out}` goes on");
     assert!(shown.contains(&goes_on), "{shown}");
     let campaign = whole(&out);
     assert_eq!(values(&campaign).len(), 2);
@@ -1005,7 +1006,7 @@ fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     );
     assert_eq!(first.standing(), Standing::Open);
     let memory = Memory::with(vec![rig, capsule]);
-    let (code, said, err) = run(&memory, &["resume", &out, "--yes"]);
+    let (code, said, err) = run(&memory, &["run", &out, "--yes"]);
     assert_eq!(code, 0, "{said}{err}");
     assert!(
         said.contains("trial 1, attempt 1 does not count: faulted"),

@@ -137,7 +137,7 @@ fn another_machine_is_named_and_nothing_moves() {
         let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines);
         assert_eq!(code, 3, "{shown}");
         assert!(shown.contains(says), "{shown}");
-        let resume = format!("`retrograde campaign resume {out}`");
+        let resume = format!("`retrograde campaign run {out}`");
         assert!(shown.contains(&resume), "{shown}");
         let heard = bench.then.heard();
         assert!(
@@ -176,7 +176,7 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
             ("Displacement of the tail", "q"),
         ],
     ];
-    let (code, shown) = converse(&bench, &["resume", &out], lines.concat());
+    let (code, shown) = converse(&bench, &["run", &out], lines.concat());
     assert_eq!(code, 130, "{shown}");
     let heard = bench.then.heard();
     let place_of = |name| heard.iter().position(|heard| *heard == name);
@@ -207,7 +207,7 @@ fn a_fault_is_told_before_the_rollers_move() {
     assert_eq!(code, 3, "{shown}");
     assert!(shown.contains("the rig has a fault: "), "{shown}");
     let words = shown.split_whitespace().collect::<Vec<_>>().join(" ");
-    let help = "remove its cause, `retrograde ack rig`, then `retrograde campaign resume`";
+    let help = "remove its cause, `retrograde ack rig`, then `retrograde campaign run`";
     assert!(words.contains(help), "{shown}");
     assert!(!memory.heard().contains(&"Home"), "{:?}", memory.heard());
 }

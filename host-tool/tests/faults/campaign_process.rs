@@ -96,7 +96,7 @@ fn survives(text: &str, motion: &str, kills: u32) -> Campaign {
     let mut killed = 0;
     loop {
         let args: &[&str] = match folder.exists() {
-            true => &["campaign", "resume", "c", "--yes"],
+            true => &["campaign", "run", "c", "--yes"],
             false => &["campaign", "run", "plan.toml", "--out", "c", "--yes"],
         };
         let mut child = bench.command(args).spawn().expect("starts");
@@ -201,7 +201,7 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
         campaign.state.trial(1).expect("there").standing()
     };
     assert_eq!(standing(), Standing::Unmeasured);
-    let mut session = at_terminal(&["campaign", "resume", "c"]);
+    let mut session = at_terminal(&["campaign", "run", "c"]);
     session.wait_for("Displacement of the tail");
     session.press("4.5\n");
     session.wait_for("Trial 2 of 10");
@@ -259,7 +259,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     // The rollers stand above the body, so nothing moves before the body is out.
     let homings = bench.count("Home");
     let session = converse(
-        &["campaign", "resume", "c"],
+        &["campaign", "run", "c"],
         &[
             ("the body is taken out", "\n"),
             ("Trial 2 of 5, attempt 2", "\n"),
@@ -270,7 +270,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     let stopped = [Some(AttemptOutcome::Stopped); 2];
     assert_eq!(outcomes(), stopped);
     let mut session = converse(
-        &["campaign", "resume", "c"],
+        &["campaign", "run", "c"],
         &[
             ("the body is taken out", "\n"),
             ("Trial 2 of 5, attempt 3", ""),
@@ -287,7 +287,7 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     let (code, _, err) = bench.retrograde(&["ack", "rig"]);
     assert_eq!(code, Some(0), "{err}");
     let session = converse(
-        &["campaign", "resume", "c"],
+        &["campaign", "run", "c"],
         &[
             ("the body is taken out", "\n"),
             ("Trial 2 of 5, attempt 3", "\n"),

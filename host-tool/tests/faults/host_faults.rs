@@ -126,7 +126,7 @@ fn what_happens_to_the_process_is_told_kept_and_survived() {
         if blow == Blow::FolderRemoved {
             continue;
         }
-        let (code, out, err) = bench.retrograde(&["campaign", "resume", &name, "--yes"]);
+        let (code, out, err) = bench.retrograde(&["campaign", "run", &name, "--yes"]);
         assert_eq!(code, Some(0), "{blow:?}: {out}{err}");
         let first = went_on(&folder);
         let Some((outcome, reason)) = first else {
@@ -429,7 +429,7 @@ fn session(place: &Path, fault: Option<(Fault, u64)>) -> Session {
     let plan = place.join("plan.toml").display().to_string();
     let mut args = vec!["retrograde", "campaign"];
     match place.join("c").exists() {
-        true => args.extend(["resume", &folder, "--yes"]),
+        true => args.extend(["run", &folder, "--yes"]),
         false => args.extend(["run", &plan, "--out", &folder, "--yes"]),
     }
     args.extend(["--rig", "0"]);

@@ -54,7 +54,7 @@ fn a_short_campaign_is_left_and_resumed_and_reported() {
         "campaign", "run", &plan, "--out", &folder, "--yes", "--trials", "1",
     ]);
     // Use new machines: those of the first command are gone, as after a crash.
-    retrograde(&["campaign", "resume", &folder, "--yes"]);
+    retrograde(&["campaign", "run", &folder, "--yes"]);
     retrograde(&["verify", &folder]);
     let verified = verify(Path::new(&folder)).expect("a folder");
     assert_eq!(verified.findings, vec![]);

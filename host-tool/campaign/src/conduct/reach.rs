@@ -51,7 +51,7 @@ impl Conduct<'_> {
             return Err(Broken::NotReady {
                 why: format!("what answers now is not as before: {}", differs.join(", ")),
                 help: format!(
-                    "connect the former machine, or go on with this one in a new session: `retrograde campaign resume {}`",
+                    "connect the former machine, or go on with this one in a new session: `retrograde campaign run {}`",
                     self.folder.campaign().folder.display()
                 ),
             });

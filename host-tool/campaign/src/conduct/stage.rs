@@ -109,8 +109,9 @@ impl Conduct<'_> {
                         "the carriage is at {} steps after the move to {wanted}",
                         status.position_steps
                     ),
-                    help: "`retrograde info rig` says what is wrong; then `retrograde campaign resume`"
-                        .to_owned(),
+                    help:
+                        "`retrograde info rig` says what is wrong; then `retrograde campaign run`"
+                            .to_owned(),
                 },
             });
         }
@@ -123,7 +124,7 @@ fn no_fault(status: &RigStatus) -> Result<(), Broken> {
         None => Ok(()),
         Some(fault) => Err(Broken::NotReady {
             why: format!("the rig has a fault: {fault}"),
-            help: "remove its cause, `retrograde ack rig`, then `retrograde campaign resume`"
+            help: "remove its cause, `retrograde ack rig`, then `retrograde campaign run`"
                 .to_owned(),
         }),
     }

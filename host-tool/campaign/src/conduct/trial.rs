@@ -255,8 +255,7 @@ impl Conduct<'_> {
                 why: format!(
                     "the pass went from {from} to {to} steps, and not over the whole stroke"
                 ),
-                help: "did something else move the rig? Then `retrograde campaign resume`"
-                    .to_owned(),
+                help: "did something else move the rig? Then `retrograde campaign run`".to_owned(),
             });
         }
         Ok(())
@@ -286,7 +285,7 @@ impl Conduct<'_> {
         let not_ready = |help: &str| {
             Err(Broken::NotReady {
                 why: format!("the capsule is {:?}", status.state),
-                help: format!("{help}, then `retrograde campaign resume`"),
+                help: format!("{help}, then `retrograde campaign run`"),
             })
         };
         let mut steps = vec![];
