@@ -106,6 +106,8 @@ def with_matplotlib(points, title, out):
 
 
 def main(folder, out="figure7.svg"):
+    if not pathlib.Path(folder, "order.csv").is_file():
+        sys.exit(f"{folder}: no campaign is here")
     campaign = retrograde_data.Campaign(folder)
     points = series(campaign)
     if not points:

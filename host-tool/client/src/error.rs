@@ -280,7 +280,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::not_homed),
         help(
-            "look at the rig, then `retrograde home` again; `retrograde info rig` shows a latched fault, and docs/rig.md what to do about it"
+            "look at the rig; once the cause is gone `retrograde ack rig`, then `retrograde home`; docs/rig.md has each fault"
         )
     )]
     NotHomed {

@@ -127,7 +127,15 @@ impl FromStr for Wish {
             ["read", what] => Reading::of(what).map(Self::Read),
             _ => None,
         };
-        wish.ok_or_else(|| format!("`{line}` is neither `do PART on|off` nor `read WHAT`"))
+        wish.ok_or_else(|| {
+            let parts: Vec<_> = Part::ALL.iter().map(|part| part.name()).collect();
+            let readings: Vec<_> = Reading::ALL.iter().map(|reading| reading.name()).collect();
+            format!(
+                "`{line}` is neither `do PART on|off` nor `read WHAT`; parts: {}; what: {}",
+                parts.join(", "),
+                readings.join(", ")
+            )
+        })
     }
 }
 

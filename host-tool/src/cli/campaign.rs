@@ -213,7 +213,7 @@ fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
     Err(Failure::Refused {
         why: "a campaign asks for readings and displacements, and nobody is at a terminal"
             .to_owned(),
-        help: "at a terminal, without `--json`; or `--yes` with `--rig virtual`".to_owned(),
+        help: "at a terminal, without `--json`; or `--yes` with virtual machines".to_owned(),
     })
 }
 
