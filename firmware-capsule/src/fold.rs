@@ -3,7 +3,7 @@
 //! | state | event \[guard\] | next |
 //! |---|---|---|
 //! | any at rest | Reference \[battery, amplifier\] | Referencing |
-//! | any at rest | Calibrate \[thread at zero or unknown, battery, amplifier\] | Referencing |
+//! | any at rest | Calibrate \[not wound, as far as known; battery, amplifier\] | Referencing |
 //! | Unfolded, Stopped | Fold \[battery, amplifier\] | Folding |
 //! | Unfolded, Folded, Stopped | FoldTo \[calibration, battery, amplifier\] | Folding or Unfolding |
 //! | Folded, Stopped | Unfold \[battery, amplifier\] | Unfolding |
@@ -21,7 +21,7 @@
 //! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced if the fault costs the position |
 //!
 //! A reference of a capsule without a calibration is a calibration: both have to begin unfolded then. A calibration that
-//! begins with thread on the spool, as far as that is known, and finds the end as much earlier, keeps the one before.
+//! begins where a reference run may have left thread on the spool, and finds the end as much earlier, is NotUnfolded.
 //!
 //! The motor is driven only while it moves. Each motion ends with the motor shorted for [`BRAKE_US`]. Then the bridge
 //! sleeps and the worm gear holds.
@@ -66,9 +66,8 @@ const LOAD_MA: u32 = 50;
 const ENGAGED_MA: u16 = 7;
 /// Time limit of a reference: two slow windings of 28.5 mm, 5.7 s each, and paying out twice.
 pub const REFERENCE_TIMEOUT_MS: u32 = 16_000;
-/// Least thread left on the spool that a calibration looks for. Where friction has fallen to 0.7 of the calibrated one,
-/// lifelike capsules end their unfolding up to 0.7 mm before zero and find the end by up to 0.5 mm elsewhere.
-const LEFT: Thread = Thread(1_000);
+/// Thread on the spool with which a calibration is refused, unless it is unfolded: below that it begins near enough.
+const WOUND: Thread = Thread(1_000);
 /// Least distance of a partial fold from either end: the ends have motions of their own.
 pub const PARTIAL_MARGIN: Thread = Thread(500);
 
@@ -157,8 +156,6 @@ struct Actuation {
     detector: Detector,
     /// Thread at the start, plus the distance by which a partial winding stops early.
     from: Thread,
-    /// Thread on the spool at the start, as far as it is known.
-    wound_before: Thread,
     started_us: u64,
     deadline_us: u64,
     governor: Governor,
@@ -200,8 +197,6 @@ pub struct Capsule {
     zero: Counts,
     /// Safety margin: the thread at the folded end may be this much shorter than calibrated.
     spare: Thread,
-    /// Thread that may be left on the spool at zero: the last reference run began with some on it.
-    left: Thread,
     /// How much later than calibrated the last fold felt its force. Either the friction has changed or the count has
     /// moved. Nothing tells which, so an unfolding ends this much before zero.
     doubt: Thread,
@@ -237,7 +232,6 @@ impl Capsule {
             referenced: false,
             offset_before_ma: 0,
             spare: folded.unwrap_or_default(),
-            left: Thread(0),
             doubt: Thread(0),
             crept: Thread(0),
             zero: Counts(0),
@@ -661,13 +655,6 @@ impl Capsule {
             }
         };
         let believed = Thread(folded.0 - self.spare.0);
-        self.left = match &self.mode {
-            _ if purpose == Purpose::Calibrate => Thread(0),
-            _ if wound.0 < believed.0 - LEFT.0 => self.spare,
-            // It ends where it began.
-            Mode::Moving(actuation) => actuation.wound_before,
-            _ => Thread(0),
-        };
         let zero = self.sample.counts.back(believed.counts());
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
@@ -690,14 +677,12 @@ impl Capsule {
         }))
     }
 
-    /// A calibration has found the end too early, and what is missing can be thread that was on the spool before. The
-    /// place where a calibration begins becomes the unfolded end, so that this thread would never be paid out again.
+    /// A calibration has found the end too early, in a capsule whose zero may lie as high as it can: its last reference
+    /// run has not wound all the thread itself. The place where a calibration begins becomes the unfolded end, so what
+    /// is left on the spool would never be paid out again.
     fn misses_thread(&self, wound: Thread) -> bool {
-        let (Mode::Moving(actuation), Some(kept)) = (&self.mode, &self.calibration) else {
-            return false;
-        };
-        let Thread(before_um) = actuation.wound_before;
-        before_um >= LEFT.0 && wound.0 < kept.folded.0 - before_um / 2
+        let kept = self.calibration.filter(|_| self.spare == FOUND_BY_RISE);
+        kept.is_some_and(|kept| wound.0 < kept.folded.0 - FOUND_BY_RISE.0 / 2)
     }
 
     fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {

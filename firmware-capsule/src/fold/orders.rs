@@ -1,6 +1,6 @@
 //! Orders of the host: checks them and begins the motions.
 
-use super::{Actions, Actuation, Capsule, Command, LEFT, Mode, measures};
+use super::{Actions, Actuation, Capsule, Command, Mode, WOUND, measures};
 use crate::{
     circuit::Circuit,
     detect::Detector,
@@ -84,9 +84,10 @@ impl Capsule {
         if let Command::FoldTo(target) = command {
             self.may_stop_at(target)?;
         }
-        if kind == ActuationKind::Calibrate && self.referenced && self.thread() >= LEFT {
-            // It would end with nothing but a lost position.
-            return Err(out_of_range(self.thread(), (Thread(0), LEFT)));
+        // It would end with nothing but a lost position. An unfolding may end above zero, and is all that can be done.
+        let is_wound = matches!(self.mode, Mode::Folded | Mode::Stopped) && self.thread() >= WOUND;
+        if kind == ActuationKind::Calibrate && is_wound {
+            return Err(out_of_range(self.thread(), (Thread(0), WOUND)));
         }
         let min_mv = match kind {
             // Paying out takes little current, and a person may need it.
@@ -243,10 +244,10 @@ impl Capsule {
             _ if calibrates => seek(Purpose::Calibrate),
             _ => seek(Purpose::Reference),
         };
-        let wound_before = match self.referenced {
-            true => Thread(self.thread().0.saturating_add(self.left.0)),
-            false => Thread(0),
-        };
+        if calibrates && !self.referenced {
+            // A hand may have been at the thread.
+            self.spare = Thread(0);
+        }
         if matches!(leg, Leg::Seek { .. }) {
             self.referenced = false;
             // The rise is compared with the calibration's, which was counted above this current. A thread that is not
@@ -264,7 +265,6 @@ impl Capsule {
             leg,
             detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
             from: Thread(self.thread().0.saturating_add(STOP_MARGIN.0)),
-            wound_before,
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
             governor: Governor::default(),

@@ -5,7 +5,7 @@ use client::{decimal, matches, visible};
 use operations::arguments::Which;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
-use protocol::capsule::CapsuleStatus;
+use protocol::capsule::{CapsuleCalibration, CapsuleStatus, GetCapsuleTotals};
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
@@ -40,6 +40,7 @@ pub(crate) fn info(
                 places.join(" ")
             ));
         }
+        let mut calibration = Value::Null;
         let status = if !matches(&identity) {
             screen.say(&format!(
                 "  {}",
@@ -57,6 +58,9 @@ pub(crate) fn info(
         } else {
             let status = device.capsule_status()?;
             screen.say(&capsule_text(&status));
+            let found = device.call(GetCapsuleTotals)?.calibration;
+            screen.say(&calibration_text(found.as_ref()));
+            calibration = json!(found);
             json!(status)
         };
         let chip = match matches(&identity) {
@@ -74,6 +78,7 @@ pub(crate) fn info(
                 "identity": IdentityRecord::new(&identity, &device.place()),
                 "last_words": last_words,
                 "status": status,
+                "calibration": calibration,
                 "chip": chip,
             }),
         );
@@ -147,6 +152,17 @@ fn capsule_text(status: &CapsuleStatus) -> String {
         text.push_str(&format!("\n  fault: {fault}"));
     }
     text
+}
+
+/// What the way out of an unknown position depends on.
+fn calibration_text(calibration: Option<&CapsuleCalibration>) -> String {
+    calibration.map_or_else(
+        || "  not calibrated: unfold it by hand, then `retrograde capsule calibrate`".to_owned(),
+        |found| {
+            let folded_mm = decimal::write_signed(found.folded_um.into(), 3);
+            format!("  calibrated: {folded_mm} mm of thread to the folded end")
+        },
+    )
 }
 
 #[cfg(test)]

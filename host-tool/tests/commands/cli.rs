@@ -162,6 +162,14 @@ fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
         (0, &Value::from("rig"))
     );
     assert_eq!(json["capsule"]["status"]["state"], "Unfolded");
+    let folded_um = json["capsule"]["calibration"]["folded_um"].as_i64();
+    assert!((21_000..22_500).contains(&folded_um.expect("calibrated")));
+    assert_eq!(json["rig"]["calibration"], Value::Null);
+    let (_, out, _) = both.run(&["info", "capsule"]);
+    assert!(out.contains("  calibrated: 21."), "{out}");
+    let new = Memory::with(vec![Script::new(DeviceKind::Capsule)]);
+    let (_, out, _) = new.run(&["info"]);
+    assert!(out.contains("not calibrated: unfold it by hand"), "{out}");
     let (code, out, _) = both.run(&["devices"]);
     assert!(code == 0 && out.lines().count() == 2, "{out}");
 }

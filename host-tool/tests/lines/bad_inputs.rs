@@ -783,6 +783,7 @@ fn a_folded_capsule_is_not_calibrated_and_told_what_to_do() {
     // A capsule at work on its flash is asked again.
     let calibrate = || bench.retrograde(&["capsule", "calibrate"]);
     let (code, _, err) = std::iter::repeat_with(calibrate)
+        .take(200)
         .find(|(_, _, err)| !err.contains("within the last half second"))
         .expect("it comes to rest");
     assert_eq!(code, Some(3), "{err}");
