@@ -154,7 +154,7 @@ fn capsule_text(status: &CapsuleStatus) -> String {
     text
 }
 
-/// What the way out of an unknown position depends on.
+/// Line about the calibration, which the way out of an unknown position needs.
 fn calibration_text(calibration: Option<&CapsuleCalibration>) -> String {
     calibration.map_or_else(
         || "  not calibrated: unfold it by hand, then `retrograde capsule calibrate`".to_owned(),

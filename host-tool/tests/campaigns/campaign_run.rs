@@ -347,6 +347,16 @@ pub fn plan_of_passes() -> String {
     changed(PAPER, &[&ONE_CONDITION[..], &changes].concat())
 }
 
+/// The answers to a plan of passes until the rollers move for its first trial.
+pub const UP_TO_THE_PASSES: [(&str, &str); 6] = [
+    ("rollers OFF", ""),
+    ("Reading 1 of 2: D", "24.4"),
+    ("Reading 2 of 2: D", "24.4"),
+    ("Clamp both rollers", ""),
+    ("Reading 1 of 2: i", "14.3"),
+    ("Reading 2 of 2: i", "14.3"),
+];
+
 /// The passes with their moves. Each goes over the whole stroke in its named direction.
 fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
     let trials = campaign.state.trials.iter();
@@ -525,37 +535,35 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
     let (code, shown) = converse(
         &memory,
         &["run", &plan, "--out", &out],
-        vec![
-            ("rollers OFF", ""),
-            ("Reading 1 of 2: D", "24.4"),
-            ("Reading 2 of 2: D", "24.4"),
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "14.3"),
-            ("Reading 2 of 2: i", "14.3"),
-            (
-                "Trial 1, unfolded: the rollers go home before the body is laid in",
-                "",
-            ),
-            ("Trial 1 of 3", ""),
-            ("after stroke 1 of 2 (antegrade)", "9.5"),
-            ("after stroke 2 of 2 (returning)", "200"),
-            ("the plan allows -130 to 130", "9.2"),
-            ("Displacement of the tail", "10.5"),
-            ("the two may differ by 0.9 mm", "undo"),
-            ("after stroke 2 of 2", ""),
-            ("are left out", "undo"),
-            ("after stroke 2 of 2", "9.4"),
-            ("Displacement of the tail", "9.2"),
-            ("isolated passes", ""),
-            ("Reading 1 of 2: i", "14.3"),
-            ("Reading 2 of 2: i", "14.3"),
-            ("before the body is laid in", "12"),
-            ("not for now", ""),
-            ("Trial 2 of 3", ""),
-            ("Displacement of the tail", "4.1"),
-            // The rollers already stand where the way back begins, so nothing has to move.
-            ("Trial 3 of 3", "q"),
-        ],
+        [
+            &UP_TO_THE_PASSES[..],
+            &[
+                (
+                    "Trial 1, unfolded: the rollers go home before the body is laid in",
+                    "",
+                ),
+                ("Trial 1 of 3", ""),
+                ("after stroke 1 of 2 (antegrade)", "9.5"),
+                ("after stroke 2 of 2 (returning)", "200"),
+                ("the plan allows -130 to 130", "9.2"),
+                ("Displacement of the tail", "10.5"),
+                ("the two may differ by 0.9 mm", "undo"),
+                ("after stroke 2 of 2", ""),
+                ("are left out", "undo"),
+                ("after stroke 2 of 2", "9.4"),
+                ("Displacement of the tail", "9.2"),
+                ("isolated passes", ""),
+                ("Reading 1 of 2: i", "14.3"),
+                ("Reading 2 of 2: i", "14.3"),
+                ("before the body is laid in", "12"),
+                ("not for now", ""),
+                ("Trial 2 of 3", ""),
+                ("Displacement of the tail", "4.1"),
+                // The rollers already stand where the way back begins, so nothing has to move.
+                ("Trial 3 of 3", "q"),
+            ],
+        ]
+        .concat(),
     );
     assert_eq!(code, 130, "{shown}");
     let between = &shown[shown.find("Trial 2 of 3").expect("there")..];

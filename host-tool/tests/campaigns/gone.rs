@@ -14,7 +14,9 @@ use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, World, estop};
 use trials::experiment::PAPER_RUN;
 
-use crate::campaign_run::{converse, path, place, plan_of_passes, small_plan, whole};
+use crate::campaign_run::{
+    UP_TO_THE_PASSES, converse, path, place, plan_of_passes, small_plan, whole,
+};
 use crate::support::tool::Memory;
 
 /// A bench that is switched off while the first question waits, and is back after so many attempts to reach it.
@@ -151,7 +153,8 @@ fn another_machine_is_named_and_nothing_moves() {
     }
 }
 
-/// What still moves when a session begins, or when a machine is back, moves for an attempt that nobody looks after.
+/// A motion that is under way when a session begins, or when a machine is back, belongs to an attempt that nobody looks
+/// after.
 #[test]
 fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
     let running = Script {
@@ -195,14 +198,7 @@ fn a_fault_is_told_before_the_rollers_move() {
     let place = place(&plan_of_passes());
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = Memory::with(vec![faulted, Script::new(DeviceKind::Capsule)]);
-    let lines = vec![
-        ("rollers OFF", ""),
-        ("Reading 1 of 2: D", "24.4"),
-        ("Reading 2 of 2: D", "24.4"),
-        ("Clamp both rollers", ""),
-        ("Reading 1 of 2: i", "14.3"),
-        ("Reading 2 of 2: i", "14.3"),
-    ];
+    let lines = UP_TO_THE_PASSES.to_vec();
     let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
     assert_eq!(code, 3, "{shown}");
     assert!(shown.contains("the rig has a fault: "), "{shown}");

@@ -660,7 +660,7 @@ fn a_cut_right_after_a_fold_or_within_a_check_leaves_a_way_out() {
     }
 }
 
-/// What a reference run has left on the spool is not made permanent.
+/// Thread that a reference run has left on the spool is not made permanent.
 fn does_not_calibrate(capsule: &mut CapsuleRun) {
     let kept = capsule.device.call(GetCapsuleTotals).expect("an answer");
     let accepted = capsule.device.call(Calibrate).expect("it is accepted");
