@@ -126,6 +126,12 @@ pub trait Link: Send {
         let _ = mark;
     }
 
+    /// Whether a stop was ordered on this line since the orders were given. Only a window says so here: the owner
+    /// learns it from [`Link::stopped`].
+    fn is_overtaken(&self) -> bool {
+        false
+    }
+
     /// The strongest stop that another process has sent on this line so far.
     fn stopped(&mut self) -> Option<Urgent> {
         None

@@ -9,5 +9,6 @@ mod diagnosis;
 mod doctor;
 mod door;
 mod flash;
+mod held_up;
 mod named;
 mod stopping;

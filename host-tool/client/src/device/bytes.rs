@@ -174,6 +174,9 @@ impl Device {
                 })
             }
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
+            Some(Output::Rejected(WireError::Stale)) if self.link.owner().is_some() => {
+                Err(self.owner_busy(request_name))
+            }
             Some(Output::Rejected(error)) => {
                 self.ordered = false;
                 Err(ClientError::Rejected {
@@ -182,15 +185,7 @@ impl Device {
                     error,
                 })
             }
-            _ if !command && self.link.owner().is_some() => Err(ClientError::OwnerBusy {
-                place,
-                request: request_name,
-                owner: self
-                    .link
-                    .owner()
-                    .map(ToString::to_string)
-                    .unwrap_or_default(),
-            }),
+            _ if !command && self.link.owner().is_some() => Err(self.owner_busy(request_name)),
             // A silent machine may still be moving, whatever was asked last.
             _ if !command && self.moves => Err(ClientError::Silent {
                 place,
@@ -298,8 +293,8 @@ impl Device {
         }
     }
 
-    /// Sends a request and waits for the answer as [`Device::answer`] does. If `may_repeat` is set, asks again while
-    /// the owner of the line is busy.
+    /// Sends a request and waits for the answer as [`Device::answer`] does. Asks again while the owner of the line is
+    /// busy: if `may_repeat` is set, or if the machine has certainly not seen the request and nobody has stopped it.
     pub(crate) fn asked<E>(
         &mut self,
         may_repeat: bool,
@@ -311,9 +306,13 @@ impl Device {
                 return Err(self.session_lost());
             }
             let answer = self.answer()?;
+            let repeat = match answer {
+                None => may_repeat,
+                Some(Output::Rejected(WireError::Stale)) => may_repeat || !self.link.is_overtaken(),
+                Some(_) => false,
+            };
             let waited_us = self.link.now_us() - begin_us;
-            if answer.is_some()
-                || !may_repeat
+            if !repeat
                 || self.link.owner().is_none()
                 || self.interrupted.is_some()
                 || waited_us >= self.owner_patience_us
@@ -453,13 +452,18 @@ impl Device {
         }
     }
 
+    fn owner_busy(&self, request: &'static str) -> ClientError {
+        let owner = self.link.owner();
+        ClientError::OwnerBusy {
+            place: self.place(),
+            request,
+            owner: owner.map(ToString::to_string).unwrap_or_default(),
+        }
+    }
+
     pub(crate) fn no_answer(&self, sign: Sign) -> ClientError {
-        if let Some(owner) = self.link.owner() {
-            return ClientError::OwnerBusy {
-                place: self.place(),
-                request: "Hello",
-                owner: owner.to_string(),
-            };
+        if self.link.owner().is_some() {
+            return self.owner_busy("Hello");
         }
         ClientError::NoAnswer {
             place: self.place(),

@@ -22,7 +22,8 @@ use crate::link::owner::{Question, StopMark};
 /// Buffer for an owner that does not read, bytes: 90 s of a full line. Beyond that new bytes are lost.
 const UNREAD: usize = 1 << 20;
 
-/// Forget a question that the owner has not taken for this long: the guest no longer waits for it.
+/// Forget a question that the owner has not taken for this long: the guest no longer waits for it, unless the whole
+/// computer stood still.
 const STALE: Duration = Duration::from_millis(600);
 
 /// Minimum time between two questions, so that guests cannot saturate the line.
@@ -290,7 +291,8 @@ impl Core {
         state.questions = others;
         drop(state);
         for question in stale {
-            question.answer(None);
+            // The machine has not seen it. A guest that is still there may ask again.
+            question.answer(Some(Reply::Wire(WireError::Stale)));
         }
         question.map(|question| question.shared_with(same))
     }

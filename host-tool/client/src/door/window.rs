@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crate::door::lock::Doorway;
 use crate::door::stream::{Stream, read_line};
 use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome};
-use crate::link::owner::Owner;
+use crate::link::owner::{Owner, StopMark};
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError};
 
@@ -21,6 +21,8 @@ pub struct Window {
     doorway: Doorway,
     stream: Stream,
     start: Instant,
+    /// The last stop that was known when the orders were given.
+    ordered_at: StopMark,
 }
 
 impl Window {
@@ -56,6 +58,7 @@ impl Window {
             doorway: doorway.clone(),
             stream,
             start: Instant::now(),
+            ordered_at: Doorway::last_stops(Some(doorway)),
         })
     }
 
@@ -101,6 +104,14 @@ impl Link for Window {
 
     fn owner(&self) -> Option<&Owner> {
         Some(&self.owner)
+    }
+
+    fn ordered_at(&mut self, mark: StopMark) {
+        self.ordered_at = mark;
+    }
+
+    fn is_overtaken(&self) -> bool {
+        Doorway::last_stops(Some(&self.doorway)) != self.ordered_at
     }
 
     fn want_line(&mut self) -> bool {

@@ -101,7 +101,8 @@ fn a_question_that_waited_too_long_is_not_asked() {
     let long_ago = Instant::now() - STALE - Duration::from_millis(1);
     core.ask(question(long_ago));
     assert!(core.question(Instant::now()).is_none());
-    assert_eq!(answered.try_recv(), Ok(None));
+    let stale = Reply::Wire(WireError::Stale);
+    assert_eq!(answered.try_recv(), Ok(Some(stale)));
     thread::sleep(BREATH);
     core.ask(question(Instant::now()));
     assert!(core.question(Instant::now()).is_some());
