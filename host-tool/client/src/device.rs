@@ -300,9 +300,9 @@ impl Device {
         self.link.ordered_at(mark);
     }
 
-    /// Asks the owner of the line only once, instead of repeating the question for seconds.
-    pub fn expect_haste(&mut self) {
-        self.owner_patience_us = 0;
+    /// Sets whether to ask the owner of the line only once, instead of repeating a question for seconds.
+    pub fn ask_once(&mut self, once: bool) {
+        self.owner_patience_us = if once { 0 } else { OWNER_PATIENCE_US };
     }
 
     /// Sets the interrupt. It is polled, and the stop that it returns is sent ahead of everything else.

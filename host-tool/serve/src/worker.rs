@@ -159,7 +159,7 @@ impl Worker<'_> {
                 .open(machine.kind, &machine.address, places.baud, Purpose::Watch)?;
         let nonce = places.connector.nonce();
         let mut device = Device::new(link, nonce);
-        device.expect_haste();
+        device.ask_once(true);
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
         device.hello(nonce)?;
         device.require(machine.kind)?;
@@ -304,7 +304,10 @@ impl Worker<'_> {
         // From here on, a stop is noticed between any two frames.
         stops.begin_order(stop);
         device.ordered_at(mark);
+        // Whoever has ordered this waits for its result, unlike the screen for the next status.
+        device.ask_once(false);
         let result = self.act(device, action, &work);
+        device.ask_once(true);
         stops.end_order();
         self.machine.acting.store(false, Ordering::SeqCst);
         let (outcome, lost) = match result {

@@ -218,7 +218,7 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Tr
     let link = places.connector.open(kind, address, baud, Purpose::Look)?;
     let nonce = places.connector.nonce();
     let mut device = Device::new(link, nonce);
-    device.expect_haste();
+    device.ask_once(true);
     let identity = device.hello(nonce)?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     if place.wanted.is_some() {

@@ -153,7 +153,7 @@ fn a_question_waits_for_an_owner_that_is_held_up() {
     });
     // A client in a hurry is told that the owner does not answer.
     kill(Signal::STOP, run.id());
-    window.expect_haste();
+    window.ask_once(true);
     let error = window.rig_status().expect_err("no answer");
     assert!(matches!(error, ClientError::OwnerBusy { .. }), "{error:?}");
     kill(Signal::CONT, run.id());

@@ -195,7 +195,7 @@ impl Feed<'_> {
         let nonce = places.connector.nonce();
         let mut device = Device::new(link, nonce);
         // Fail fast, so that keys are handled between two requests.
-        device.expect_haste();
+        device.ask_once(true);
         device.set_interrupt(self.shared.interrupt());
         device.hello(nonce)?;
         device.require(self.shared.kind)?;
