@@ -8,8 +8,9 @@ use std::fmt;
 /// Longest piece to run in one go, us, while bytes pass on the line. Between two of them the line is checked, and the
 /// thread sleeps.
 const TURN_US: u64 = 1_000;
-/// The same while the line is quiet, us. Waking the thread costs more than the piece of a machine at rest.
-const QUIET_TURN_US: u64 = 4_000;
+/// The same while the line is quiet, us. Waking the thread costs more than the piece of a machine at rest; bytes wake it
+/// at once.
+const QUIET_TURN_US: u64 = 20_000;
 /// The line is quiet after this long without a byte, us.
 const QUIET_AFTER_US: u64 = 50_000;
 /// Longest delay that the machine still catches up, us; beyond it the time counts as lost. Translating the code of a
@@ -220,7 +221,7 @@ mod tests {
     #[test]
     fn what_comes_for_it_does_not_wait_for_a_whole_piece() {
         let mut pace = Pace::new(BEGAN_US);
-        assert_eq!(pace.turn(400, BEGAN_US), Turn::Rest(3_600));
+        assert_eq!(pace.turn(400, BEGAN_US), Turn::Rest(QUIET_TURN_US - 400));
         pace.hurry();
         assert_eq!(pace.turn(401, BEGAN_US), Turn::Run(BEGAN_US + 401));
         assert_eq!(pace.turn(402, BEGAN_US + 401), Turn::Rest(999));
