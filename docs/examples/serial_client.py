@@ -14,6 +14,7 @@ import json
 import os
 import random
 import select
+import signal
 import socket
 import sys
 import time
@@ -615,6 +616,8 @@ def main():
     chosen = parser.parse_args()
     stroke_um, total_us = 1_000 * chosen.stroke_mm, 1_000_000 * chosen.duration_s
 
+    # A shell that starts it in the background has Ctrl-C ignored; here it has to stop the machines.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     machines = []
     try:
         rig = Machine(chosen.rig, "Rig", chosen.attempts)
