@@ -117,7 +117,7 @@ const REST_MA: u16 = 10;
 const LEAST_DRIVE_MA: u16 = 10;
 /// Allowed difference between the capsule's battery voltage and the meter's, parts per hundred.
 const BATTERY_PERCENT: i64 = 3;
-/// Silence of the host, us: longer than the capsule waits for its host, shorter than the motion.
+/// Silence of the host, us: longer than the capsule waits for its host by default.
 const SILENCE_US: u64 = 1_500_000;
 /// Thread left at the end of unfolding, um.
 const UNFOLDED_UM: i32 = 300;
@@ -431,18 +431,13 @@ fn e_stop(work: &mut Work<'_>) -> Result<(), Halt> {
 }
 
 fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
-    // Use a reference run from the folded end, which takes long enough: folding would be over before the silence
-    // counts.
-    unfolded(work)?;
-    let accepted = work.device.fold()?;
-    complete(work, &accepted)?;
-    work.take_measured();
-    work.device.reference()?;
+    // In a fold, which keeps the thread's position: the capsule ends unfolded.
+    folding(work)?;
     work.device.fall_silent(SILENCE_US)?;
     let outcome = work.device.actuation_record()?.outcome;
     stands(work)?;
     match outcome {
-        ActuationOutcome::LinkLost => Ok(()),
+        ActuationOutcome::LinkLost => unfolded(work),
         ActuationOutcome::Faulted(fault) => Err(Halt::Defect(fault.to_string())),
         other => Err(Halt::Defect(format!(
             "the motor did not stop when the host was silent: {other:?}"

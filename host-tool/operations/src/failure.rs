@@ -311,14 +311,16 @@ fn ended(status: Status) -> &'static str {
     }
 }
 
+/// The commands that find the thread of a capsule that is not referenced.
+pub const FIND_THREAD: &str =
+    "`retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`";
+
 /// The commands that lead on from a refusal.
 fn way_on(refusal: &Refusal) -> Option<&'static str> {
     Some(match refusal {
         Refusal::NotHomed => "`retrograde home` finds the position",
         Refusal::NotAtHome { .. } => "`retrograde move 0` or `retrograde home`",
-        Refusal::NotReferenced => {
-            "`retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`"
-        }
+        Refusal::NotReferenced => FIND_THREAD,
         Refusal::RigFaulted(_) => {
             "once the cause is gone `retrograde ack rig`, then `retrograde home`"
         }

@@ -21,11 +21,13 @@ use client::identity::Origin;
 use client::limited;
 use commissioning::warning;
 use desk::{Counter, Who};
+use motion::axis::Axis;
 use operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
 use operations::failure::Failure;
 use operations::places::{Need, Places};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::plan::REFERENCE_LIMITS;
 
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
@@ -253,6 +255,12 @@ fn create(
         time_text(remaining_s(campaign).0),
     ));
     screen.say(&format!("Folder: {}", out.display()));
+    // Only a rig knows its limits, but most have these, and a trial that it refuses comes after an hour of readings.
+    if let Err(why) = planning::solve(&campaign.plan.run, &Axis::REFERENCE, &REFERENCE_LIMITS) {
+        screen.say(&format!(
+            "NOTE: a rig with default settings refuses this run: {why}"
+        ));
+    }
     Ok(folder)
 }
 

@@ -15,7 +15,7 @@ use crate::cli::trace::{TraceArgs, trace};
 /// The capsule's own commands.
 #[derive(Debug, clap::Subcommand)]
 pub enum CapsuleSubcommand {
-    /// Find the thread's zero, recorded. Required before folding.
+    /// Find the thread's zero, recorded. Required before folding. Without a calibration this is one: begin unfolded.
     Reference(RecordArgs),
     /// "This is unfolded": measure how far it is to the end force, and keep it in the capsule's flash. Once per capsule.
     Calibrate(RecordArgs),

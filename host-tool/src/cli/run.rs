@@ -4,7 +4,7 @@ use analysis::report::section::actuation_rows;
 use client::{Device, decimal};
 use commissioning::warning;
 use operations::arguments::{DATA_FOLDER, RunArgs};
-use operations::failure::Failure;
+use operations::failure::{FIND_THREAD, Failure};
 use operations::places::{Need, Places};
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
@@ -61,7 +61,7 @@ fn ready(
         help: match status.state {
             CapsuleState::Faulted => "`retrograde info capsule` names the fault".to_owned(),
             _ if status.referenced => format!("`retrograde {command}`, then again"),
-            _ => "`retrograde capsule reference`, then again".to_owned(),
+            _ => FIND_THREAD.to_owned(),
         },
     })
 }

@@ -1,7 +1,7 @@
 //! Preconditions of the capsule's studies.
 
 use client::Device;
-use operations::failure::Failure;
+use operations::failure::{FIND_THREAD, Failure};
 use protocol::capsule::CapsuleState;
 
 /// Refuses unless the capsule is unfolded and referenced.
@@ -21,7 +21,7 @@ pub(crate) fn begin_unfolded(what: &str, capsule: &mut Device) -> Result<(), Fai
                 "`retrograde capsule check`, `retrograde unfold`, then again"
             }
             CapsuleState::Faulted => "`retrograde info` names the fault",
-            _ => "`retrograde capsule reference`, then again",
+            _ => FIND_THREAD,
         }
         .to_owned(),
     })

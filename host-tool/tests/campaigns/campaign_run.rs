@@ -1023,6 +1023,26 @@ fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     assert_eq!(whole(&out).state.trial(1).expect("there").attempts.len(), 2);
 }
 
+/// The plan is fixed from then on, and the rig would refuse it only after all readings of the first trial.
+#[test]
+fn a_run_that_rigs_refuse_by_default_is_told_when_the_plan_is_fixed() {
+    let note = "NOTE: a rig with default settings refuses this run: ";
+    let fast = [
+        ("cycles = 5", "cycles = 3"),
+        ("stroke_mm = 130", "stroke_mm = 100"),
+        ("duration_s = 40", "duration_s = 15"),
+    ];
+    for (plan, told) in [(PAPER.to_owned(), false), (changed(PAPER, &fast), true)] {
+        let place = place(&plan);
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let memory = machines(Some(VIRTUAL_UID));
+        let (code, said, err) = memory.run(&["campaign", "new", &plan, "--out", &out]);
+        assert_eq!(code, 0, "{said}{err}");
+        assert_eq!(said.contains(note), told, "{said}");
+        assert_eq!(said.contains("allow at least 15.184898 s"), told, "{said}");
+    }
+}
+
 #[test]
 fn verify_says_what_is_wrong_and_what_to_do() {
     let place = place(&small_plan(&[]));

@@ -21,6 +21,7 @@ use commissioning::work::{Options, Work};
 use host_tool::cli;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Ports, Purpose};
+use protocol::capsule::CapsuleState;
 use protocol::rig::GetRigHealth;
 use protocol::system::{DeviceKind, Urgent};
 use virtual_bench::bench::{Bench, BenchOptions};
@@ -262,6 +263,12 @@ fn a_good_capsule_passes_in_one_go() {
     fits_the_screen(&text);
     assert!(read(&record).complete);
     eprintln!("{text}");
+    let mut device = Device::connect(workshop.link(), DeviceKind::Capsule, 1).expect("it answers");
+    let status = device.capsule_status().expect("status");
+    assert_eq!(
+        (status.state, status.referenced),
+        (CapsuleState::Unfolded, true)
+    );
     let (code, text) = commission(&workshop, "capsule", &record, &[]);
     assert_eq!((code, begun(&text).len()), (0, 0), "{text}");
 }
