@@ -1,6 +1,7 @@
-//! The manual of the capsule lists every setting and every rule as the protocol has them.
+//! The manual of the capsule lists every fault, every setting and every rule as the protocol has them.
 
 use protocol::{
+    capsule::CapsuleFault,
     settings::{SettingKey, SettingRule},
     system::DeviceKind,
 };
@@ -15,6 +16,44 @@ fn number(value: u32) -> String {
         .map(|group| str::from_utf8(group).expect("digits"))
         .collect();
     groups.join(",")
+}
+
+#[test]
+fn every_fault_is_in_the_manual() {
+    for fault in [
+        CapsuleFault::Jam { thread_um: 1 },
+        CapsuleFault::ThreadBroken,
+        CapsuleFault::SpoolSlip,
+        CapsuleFault::SlipOrBreak,
+        CapsuleFault::EncoderLost,
+        CapsuleFault::BridgeSilent,
+        CapsuleFault::SenseLost,
+        CapsuleFault::SenseOrEncoder,
+        CapsuleFault::OverCurrent { current_ma: 1 },
+        CapsuleFault::LowBattery { battery_mv: 1 },
+        CapsuleFault::DriverFault,
+        CapsuleFault::NotUnfolded { wound_um: 1 },
+        CapsuleFault::Timeout,
+        CapsuleFault::EStopFrame,
+        CapsuleFault::Watchdog,
+        CapsuleFault::Panic,
+    ] {
+        let shown = format!("{fault:?}");
+        let name = shown.split(' ').next().expect("a name");
+        let start = format!("| `{name}` | ");
+        let rows: Vec<_> = MANUAL
+            .lines()
+            .filter_map(|line| line.strip_prefix(&start))
+            .collect();
+        let [row] = rows[..] else {
+            panic!("{name}: {rows:?}");
+        };
+        let text = fault
+            .to_string()
+            .replace("0.001", "1")
+            .replace(" 1 m", " N m");
+        assert!(row.starts_with(&format!("{text} | ")), "{name}: {text}");
+    }
 }
 
 #[test]
