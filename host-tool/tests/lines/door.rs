@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, read};
+use crate::support::bench::{Bench, read, ready};
 use crate::support::signal::{Signal, kill};
 use client::error::ClientError;
 use client::{Observer, Unobserved};
@@ -159,6 +159,20 @@ fn a_question_waits_for_an_owner_that_is_held_up() {
     kill(Signal::CONT, run.id());
     assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
     assert_eq!(end(run).0, Some(130));
+}
+
+/// The owner's own status shows whether the silence lasts.
+#[test]
+fn a_question_that_the_machine_does_not_answer_does_not_end_the_run() {
+    let mut script = ready(DeviceKind::Rig);
+    // As often as a question is sent.
+    script.deaf_to = vec![("GetRigHealth", u32::from(protocol::client::ATTEMPTS))];
+    let bench = Bench::on_tcp_as(&script, 1);
+    let run = bench.run(&["--cycles", "1", "--stroke-mm", "20", "--duration-s", "6"]);
+    let (code, out, err) = bench.retrograde(&["health"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let (code, out, err) = end(run);
+    assert_eq!(code, Some(0), "{out}{err}");
 }
 
 #[test]

@@ -353,6 +353,7 @@ impl Device {
             // The other process gets no answer. If the silence lasts, this one will notice as well.
             Err(
                 ClientError::NoReply { .. }
+                | ClientError::Silent { .. }
                 | ClientError::OutcomeUnknown { .. }
                 | ClientError::Interrupted { .. },
             ) => (None, Ok(())),
