@@ -13,7 +13,10 @@ use std::time::{Duration, Instant};
 
 use crate::support::bench::{Bench, read, ready};
 use crate::support::signal::{Signal, kill};
+use client::door::lock::Doorway;
+use client::door::window::Window;
 use client::error::ClientError;
+use client::link::Link;
 use client::{Observer, Unobserved};
 use protocol::system::{DeviceKind, Event, Urgent};
 use protocol::table::Telemetry;
@@ -168,11 +171,28 @@ fn a_question_that_the_machine_does_not_answer_does_not_end_the_run() {
     // As often as a question is sent.
     script.deaf_to = vec![("GetRigHealth", u32::from(protocol::client::ATTEMPTS))];
     let bench = Bench::on_tcp_as(&script, 1);
-    let run = bench.run(&["--cycles", "1", "--stroke-mm", "20", "--duration-s", "6"]);
+    let run = bench.run(&SHORT);
     let (code, out, err) = bench.retrograde(&["health"]);
     assert_eq!(code, Some(0), "{out}{err}");
+    // It went through the door.
+    assert_eq!(bench.connections(), 1);
     let (code, out, err) = end(run);
     assert_eq!(code, Some(0), "{out}{err}");
+}
+
+#[test]
+fn a_window_knows_of_stops_that_are_newer_than_its_orders() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let run = bench.run(&SHORT);
+    let address = bench.address.parse().expect("an address");
+    let doorway = Doorway::within(&bench.locks(), &address).expect("a line");
+    let mut window = Window::open(&doorway, Duration::from_secs(20)).expect("a door");
+    assert!(!window.is_overtaken());
+    doorway.mark_stop(Urgent::Stop);
+    assert!(window.is_overtaken());
+    window.ordered_at(Doorway::last_stops(Some(&doorway)));
+    assert!(!window.is_overtaken());
+    assert_eq!(end(run).0, Some(130));
 }
 
 #[test]

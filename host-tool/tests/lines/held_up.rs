@@ -35,7 +35,7 @@ struct Late {
     standstill: Arc<Mutex<Standstill>>,
 }
 
-/// What happens to the next acknowledgement.
+/// How the door is held up at the next acknowledgement.
 #[derive(Default)]
 struct Standstill {
     /// The owner takes it too late this many times.
