@@ -84,7 +84,7 @@ def planned_mm(action, time_s):
 def deviation_mm(record):
     """Largest difference of a sample from the plan."""
     action = record.sidecar["action"]
-    starts = [event["time_us"] for event in record.sidecar["events"] if "RunStarted" in (event["what"].get("Rig") or {})]
+    starts = [event["time_us"] for event in record.sidecar["events"] if "'run_started'" in str(event["what"])]
     if not action["achieved"] or not action["executed"] or action["executed"]["holds"] or not starts:
         return None
     screw = action["screw"]

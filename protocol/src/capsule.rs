@@ -52,6 +52,7 @@ pub struct ActuationAccepted {
 
 /// State of the capsule (design: "Capsule states").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleState {
     /// The thread's position is unknown.
@@ -78,6 +79,7 @@ pub enum CapsuleState {
 
 /// Why the capsule latched a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleFault {
     /// The end force was reached before the calibrated end: something blocks the fold.
@@ -104,6 +106,7 @@ pub enum CapsuleFault {
     /// The bridge reports a fault (nFAULT).
     DriverFault,
     /// Emergency stop by frame.
+    #[serde(rename(serialize = "estop_frame", deserialize = "estop_frame"))]
     EStopFrame,
     /// A task did not check in; the device was reset.
     Watchdog,
@@ -157,6 +160,7 @@ pub struct CapsuleStatus {
 
 /// The kinds of actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ActuationKind {
     /// [`Reference`].
@@ -175,6 +179,7 @@ pub enum ActuationKind {
 
 /// How an actuation ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ActuationOutcome {
     /// No actuation since the start of the device.
@@ -296,6 +301,7 @@ pub struct CapsuleCalibration {
 
 /// An event on the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleEvent {
     /// An actuation began.

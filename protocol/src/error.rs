@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// The request was understood and refused. Nothing moved, nothing changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
     /// Another machine serves this request.
@@ -122,6 +123,7 @@ pub enum Refusal {
 
 /// The values that a request checks against a range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Field {
     /// Cycles of a run.

@@ -23,6 +23,7 @@ pub struct HomeAccepted {
 
 /// The reaction of a run when the host falls silent for longer than the link time-out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum LinkLossPolicy {
     /// Category-1 stop (the default).
@@ -33,6 +34,7 @@ pub enum LinkLossPolicy {
 
 /// How the timing of a run is specified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunTiming {
     /// Total duration from the start to the last step; the speeds follow from it.
@@ -122,6 +124,7 @@ pub struct Resume;
 
 /// Direction of travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Direction {
     /// Away from home, to the left: positions grow.
@@ -240,6 +243,7 @@ pub struct GetRunRecord;
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunOutcome {
     /// No run since the start of the device.
@@ -306,6 +310,7 @@ pub struct GetRigStatus;
 
 /// State of the rig (design: "Rig states").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RigState {
     /// The position is unknown: home first.
@@ -328,6 +333,7 @@ pub enum RigState {
 
 /// Phases of homing: a fault says in which one it happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum HomingPhase {
     /// Leaving the flag before the first pass.
@@ -344,11 +350,14 @@ pub enum HomingPhase {
 
 /// Why the rig latched a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RigFault {
     /// The E-stop and end-of-travel loop opened (or its wire is cut).
+    #[serde(rename(serialize = "estop_loop", deserialize = "estop_loop"))]
     EStopLoop,
     /// Emergency stop by frame.
+    #[serde(rename(serialize = "estop_frame", deserialize = "estop_frame"))]
     EStopFrame,
     /// The far limit opened while the carriage was moving away from home (or its wire is cut).
     FarLimit,
@@ -390,6 +399,7 @@ pub enum RigFault {
 
 /// The switches that interrupts watch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Switch {
     /// Home flag.
@@ -403,10 +413,13 @@ pub enum Switch {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigInputs {
     /// Home flag.
+    #[serde(rename(serialize = "home_flag_open", deserialize = "home_flag_open"))]
     pub home_flag: bool,
     /// Far limit.
+    #[serde(rename(serialize = "far_limit_open", deserialize = "far_limit_open"))]
     pub far_limit: bool,
     /// E-stop and end-of-travel loop.
+    #[serde(rename(serialize = "estop_loop_open", deserialize = "estop_loop_open"))]
     pub estop_loop: bool,
 }
 
@@ -448,6 +461,7 @@ pub struct RigStatus {
 
 /// An event on the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RigEvent {
     /// The position reference was found.

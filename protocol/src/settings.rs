@@ -8,6 +8,7 @@ macro_rules! settings {
     ($($key:ident of $owner:ident: $name:literal, $unit:literal, $min:literal..=$max:literal, $default:literal, $doc:literal;)*) => {
         /// Key of a setting. Index-coded, and the number of its record in flash: append only.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+        #[serde(rename_all = "snake_case")]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         #[repr(u8)]
         pub enum SettingKey { $(#[doc = $doc] $key),* }
@@ -147,6 +148,7 @@ macro_rules! rules {
     ($($rule:ident of $owner:ident: $text:literal, $doc:literal;)*) => {
         /// Rules between settings; each variant lists the settings that it is about. Index-coded: append only.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+        #[serde(rename_all = "snake_case")]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum SettingRule { $(#[doc = $doc] $rule),* }
 

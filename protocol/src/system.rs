@@ -30,6 +30,7 @@ pub struct Hello {
 
 /// Why the device last started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ResetCause {
     /// Supply switched on, or brown-out.
@@ -46,6 +47,7 @@ pub enum ResetCause {
 
 /// How the image was built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BuildProfile {
     /// With debug assertions.
@@ -150,6 +152,7 @@ pub struct Chip {
 
 /// Sources of the processor's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Clock {
     /// 8 MHz from outside: of the ST-LINK, or a crystal.
@@ -160,6 +163,7 @@ pub enum Clock {
 
 /// Brown-out levels of the option bytes, by falling threshold (DS10314 table 19).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BrownOut {
     /// 1.7 V: only the power-down reset.
@@ -209,6 +213,7 @@ pub struct Event {
 
 /// Kind and content of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum What {
     /// The device started.
@@ -225,10 +230,12 @@ pub enum What {
 
 /// A stop: valid at any time, in any session, in any state. The encoding of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema, Hash)]
+#[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Urgent {
     /// Category-1 stop: decelerate, keep the position (rig); motor off, worm holds (capsule).
     Stop,
     /// Emergency stop by frame: pulses or motor current end at once; latched as a fault.
+    #[serde(rename(serialize = "estop", deserialize = "estop"))]
     EStop,
 }

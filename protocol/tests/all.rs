@@ -5,6 +5,7 @@ mod document;
 mod frame;
 mod fuzz;
 mod link;
+mod names;
 mod parties;
 mod session;
 mod texts;

@@ -28,7 +28,7 @@ class MachinesTest(BenchTest):
 
         action = rig.start_run(**SHORT)
         record = action.wait()
-        self.assertEqual((record["commanded_edges"], record["counted_edges"], record["outcome"]), (STEPS, STEPS, "Complete"))
+        self.assertEqual((record["commanded_edges"], record["counted_edges"], record["outcome"]), (STEPS, STEPS, "complete"))
         self.assertEqual(record["ticks"], 200_000_000)
         rows = self.lab.rows(action.files["csv"])
         self.assertGreater(len(rows), 150)
@@ -50,7 +50,7 @@ class MachinesTest(BenchTest):
         action = rig.start_run(**{**SHORT, "duration_s": 5})
         until(lambda: self.position_um() > 500)
         rig.hold()
-        self.assertEqual(rig.sample()["state"], "Held")
+        self.assertEqual(rig.sample()["state"], "held")
         rig.resume()
         record = action.wait()
         self.assertEqual((record["counted_edges"], record["holds"]), (STEPS, 1))
@@ -79,7 +79,7 @@ class MachinesTest(BenchTest):
         rig.estop()
         with self.assertRaises(retrograde.RetrogradeError):
             action.wait()
-        self.assertEqual(rig.sample()["state"], "Faulted")
+        self.assertEqual(rig.sample()["state"], "faulted")
         with self.assertRaises(retrograde.RetrogradeError):
             rig.home()
         rig.acknowledge()
@@ -89,14 +89,14 @@ class MachinesTest(BenchTest):
         capsule = self.lab.capsule
         with self.assertRaises(retrograde.Refused):
             capsule.fold()
-        self.assertEqual(capsule.reference()["outcome"], "Complete")
+        self.assertEqual(capsule.reference()["outcome"], "complete")
         folded = capsule.fold(note="from Python")
-        self.assertEqual(folded["outcome"], "Complete")
+        self.assertEqual(folded["outcome"], "complete")
         self.assertTrue(20_000 < folded["thread_um"] < 23_000)
         self.assertTrue(capsule.fold().get("already"))
         partly = capsule.fold(thread_mm=8)
         self.assertAlmostEqual(partly["thread_um"], 8_000, delta=150)
-        self.assertEqual(capsule.unfold()["outcome"], "Complete")
+        self.assertEqual(capsule.unfold()["outcome"], "complete")
         self.assertIn("end_force_ma", [setting["name"] for setting in capsule.settings()])
 
     def test_5_the_stream_tells_the_rigs_samples(self) -> None:

@@ -41,7 +41,7 @@ class RunEngineTest(BenchTest):
         """Asks for a pause as soon as the carriage is on its way."""
 
         def pause() -> None:
-            until(lambda: self.lab.rig.sample()["state"] == "Running")
+            until(lambda: self.lab.rig.sample()["state"] == "running")
             until(lambda: self.lab.rig.sample()["position_um"] > 500)
             self.engine.request_pause()
 
@@ -86,7 +86,7 @@ class RunEngineTest(BenchTest):
         # In 10 ms it goes less than half a millimetre.
         self.assertAlmostEqual(farthest, run["stroke_mm"], delta=0.5 * (1 + missed))
         reading = self.rig.read()
-        self.assertEqual(reading["rig_run_outcome"]["value"], "Complete")
+        self.assertEqual(reading["rig_run_outcome"]["value"], "complete")
         self.assertEqual(reading["rig_run_steps_counted"]["value"], 2 * run["cycles"] * run["stroke_mm"] * 800)
         self.assertEqual(reading["rig_run_duration"]["value"], run["duration_s"])
         self.assertEqual(self.rig.read_configuration()["rig_origin"]["value"], "virtual")
@@ -108,7 +108,7 @@ class RunEngineTest(BenchTest):
         self.pause_in_the_run()
         with self.assertRaises(RunEngineInterrupted):
             self.engine(fly([self.rig]))
-        self.assertEqual(self.lab.rig.sample()["state"], "Held")
+        self.assertEqual(self.lab.rig.sample()["state"], "held")
         self.engine.resume()
         self.assertEqual(self.rig.read()["rig_run_steps_counted"]["value"], 32_000)
 
@@ -119,7 +119,7 @@ class RunEngineTest(BenchTest):
         # Whether the failure of the stopped run is still told is a matter of which comes first.
         with contextlib.suppress(FailedStatus):
             self.engine.abort()
-        self.assertEqual(self.lab.rig.sample()["state"], "Ready")
+        self.assertEqual(self.lab.rig.sample()["state"], "ready")
         self.assertGreater(self.rig.position, 0)
 
     def test_5_the_capsule_folds_in_a_plan(self) -> None:

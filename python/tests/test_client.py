@@ -87,7 +87,7 @@ def action(state: str, **more: Any) -> Dict[str, Any]:
     return {"ok": True, "action": {"id": "abc123-1", "machine": "rig", "kind": "home", "state": state, **more}}
 
 
-STATE: Answer = (200, {"ok": True, "instance": INSTANCE, "machines": {"rig": {"state": "Ready"}}})
+STATE: Answer = (200, {"ok": True, "instance": INSTANCE, "machines": {"rig": {"state": "ready"}}})
 
 
 class ClientTest(unittest.TestCase):
@@ -345,10 +345,10 @@ class ClientTest(unittest.TestCase):
             def handle_it(self, method: str) -> None:
                 self.send_response(200)
                 self.end_headers()
-                self.wfile.write(b"time_us,position_mm,far_limit,state,note\n5,1.250,false,Running,\n")
+                self.wfile.write(b"time_us,position_mm,far_limit_open,state,note\n5,1.250,false,running,\n")
 
         self.server.RequestHandlerClass = Record
-        row = {"time_us": 5, "position_mm": 1.25, "far_limit": False, "state": "Running", "note": None}
+        row = {"time_us": 5, "position_mm": 1.25, "far_limit_open": False, "state": "running", "note": None}
         self.assertEqual(self.lab.rows("run-1.csv"), [row])
 
 

@@ -2,8 +2,19 @@
 //! micrometres and microseconds.
 
 use protocol::error::{Field, Refusal};
+use serde::Serialize;
+use serde_json::Value;
 
 use crate::decimal;
+
+/// Name of a state or an outcome, as files and HTTP have it; nothing for a value with parts.
+#[must_use]
+pub fn name(of: &impl Serialize) -> String {
+    match serde_json::to_value(of) {
+        Ok(Value::String(name)) => name,
+        _ => String::new(),
+    }
+}
 
 /// Text of a machine's refusal.
 #[must_use]

@@ -39,7 +39,7 @@ fn a_hold_is_reported_when_the_carriage_stands_within_the_run() {
     let (code, json, err) = json(running(), &["hold"]);
     assert_eq!(code, 0, "{err}");
     assert_eq!(json["held"], true);
-    assert_eq!(json["status"]["state"], "Held");
+    assert_eq!(json["status"]["state"], "held");
     // At 35.683 mm/s after a ramp of 0.357 s, it begins to brake 2.020 s after the start, at 65.71 mm. Braking takes
     // 0.64 mm.
     let um = json["status"]["position_um"].as_i64().expect("a number");

@@ -161,7 +161,7 @@ fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
         (code, &json["rig"]["identity"]["device"]),
         (0, &Value::from("rig"))
     );
-    assert_eq!(json["capsule"]["status"]["state"], "Unfolded");
+    assert_eq!(json["capsule"]["status"]["state"], "unfolded");
     let folded_um = json["capsule"]["calibration"]["folded_um"].as_i64();
     assert!((21_000..22_500).contains(&folded_um.expect("calibrated")));
     assert_eq!(json["rig"]["calibration"], Value::Null);

@@ -71,7 +71,7 @@ fn a_run_whose_host_died_is_fetched() {
     assert_eq!(record["record"]["run"]["executed"]["counted_edges"], 32_000);
     assert_eq!(record["settings"]["stroke_um"], 130_000);
     assert_eq!(record["lost_events"], 0);
-    for what in ["Homed", "RunStarted", "RunEnded"] {
+    for what in ["homed", "run_started", "run_ended"] {
         assert!(whats(&record).contains(what), "{record}");
     }
     // The events lie before the moment of asking, on the same clock.

@@ -210,7 +210,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     // A damaged row in the middle is an error.
     let damaged = String::from_utf8(text)
         .expect("ASCII")
-        .replacen("Running", "Running,,", 1);
+        .replacen("running", "running,,", 1);
     fs::write(&run.csv, damaged).expect("damaged");
     assert!(run.trial.samples::<RigSample>(&run.sidecar).is_err());
 }

@@ -225,7 +225,7 @@ fn a_damaged_run_is_red_with_the_reason() {
             ),
             (
                 "a stop",
-                &|text| with_json(text, "/action/executed/outcome", "Stopped".into()),
+                &|text| with_json(text, "/action/executed/outcome", "stopped".into()),
                 "status differ",
             ),
             (

@@ -338,7 +338,7 @@ fn what_was_ordered_before_a_stop_does_not_begin_after_it() {
             // An order that had not begun by then must never begin.
             assert_eq!(bench.count("MoveTo"), begun, "round {round}: {answer}");
         });
-        server.until("rest", |rig| rig["state"] == "Ready");
+        server.until("rest", |rig| rig["state"] == "ready");
     }
 }
 

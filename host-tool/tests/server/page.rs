@@ -2,7 +2,7 @@
 //! looks and what it keeps is checked in a browser: `virtual-bench page`.
 
 use client::error::ClientError;
-use client::{Device, Unobserved};
+use client::{Device, Unobserved, wording};
 use protocol::capsule::{CapsuleState, CheckFolded};
 use protocol::rig::{Direction, Hold, Jog, MoveTo, Resume, RigState};
 use protocol::system::{DeviceKind, Urgent};
@@ -149,7 +149,7 @@ fn what_the_page_offers_is_what_the_rig_takes() {
         (RigState::Held, "rig/resume"),
         (RigState::Faulted, "rig/ack"),
     ] {
-        let found = compare("rig", &format!("{state:?}"), || rig_in(state));
+        let found = compare("rig", &wording::name(&state), || rig_in(state));
         assert_eq!(found.concat(), main, "{state:?}");
     }
 }
@@ -163,7 +163,7 @@ fn what_the_page_offers_is_what_the_capsule_takes() {
         (CapsuleState::Folded, "capsule/unfold"),
         (CapsuleState::Faulted, "capsule/ack"),
     ] {
-        let found = compare("capsule", &format!("{state:?}"), || capsule_in(state));
+        let found = compare("capsule", &wording::name(&state), || capsule_in(state));
         assert_eq!(found.concat(), main, "{state:?}");
     }
 }

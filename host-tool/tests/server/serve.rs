@@ -556,8 +556,8 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     assert_eq!(held["state"], "complete");
     assert!(held["result"]["position_um"].as_i64() > Some(0), "{held}");
     assert_eq!(
-        rig_state(&server.until("a hold", |state| rig_state(state) == "Held")),
-        "Held"
+        rig_state(&server.until("a hold", |state| rig_state(state) == "held")),
+        "held"
     );
     assert_eq!(server.post("/api/v1/rig/hold", &json!({})).status, 409);
     // Other commands of the same user work beside the server.
@@ -666,7 +666,7 @@ fn a_browser_that_goes_away_stops_nothing_and_a_stop_ends_a_run() {
             .expect("why")
             .contains("stopped on request")
     );
-    assert_eq!(rig_state(&server.state()), "Ready");
+    assert_eq!(rig_state(&server.state()), "ready");
     assert_eq!(bench.count("Run"), 1);
 }
 
@@ -676,7 +676,7 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
     let server = Server::start(&bench);
     let estop = || send(&server.at, &request("POST", "/api/v1/estop", &[], ""));
     let acknowledge = || {
-        server.until("a fault", |state| rig_state(state) == "Faulted");
+        server.until("a fault", |state| rig_state(state) == "faulted");
         assert_eq!(server.post("/api/v1/rig/home", &json!({})).status, 409);
         assert_eq!(
             server.done("/api/v1/rig/ack", &json!({}))["state"],
@@ -754,7 +754,7 @@ fn a_jog_lives_on_renewals_alone() {
         assert_eq!(renew(n), 200);
         thread::sleep(Duration::from_millis(40));
     }
-    assert_eq!(rig_state(&server.state()), "Moving");
+    assert_eq!(rig_state(&server.state()), "moving");
     // Each renewal reaches the rig at most once, and nothing else does.
     let passed_on = bench.count("Jog");
     assert!(
@@ -778,7 +778,7 @@ fn a_jog_lives_on_renewals_alone() {
     thread::sleep(Duration::from_millis(1_900));
     assert_eq!(bench.count("Jog"), jogs);
     let state = server.state();
-    assert_eq!(rig_state(&state), "Ready");
+    assert_eq!(rig_state(&state), "ready");
     let at_um = state["machines"]["rig"]["position_um"]
         .as_i64()
         .expect("a place");
@@ -927,7 +927,7 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
     let names: Vec<_> = names.map(|setting| setting["name"].clone()).collect();
     assert!(names.contains(&json!("end_force_ma")) && !names.contains(&json!("lead_um")));
     let state = server.state();
-    assert_eq!(state["machines"]["capsule"]["state"], "Unfolded");
+    assert_eq!(state["machines"]["capsule"]["state"], "unfolded");
     assert!(state["machines"]["rig"].is_null());
 }
 

@@ -19,8 +19,8 @@ use serde::Serialize;
 
 use crate::trial::{Executed, RecordError, Status, json};
 
-/// Version of the format; incremented when a field changes its meaning.
-pub const FORMAT: u32 = 1;
+/// Version of the format; incremented when a field changes its meaning or its name.
+pub const FORMAT: u32 = 2;
 
 /// The record of an action, as the machine keeps it.
 #[derive(Clone, Debug, PartialEq, Serialize)]

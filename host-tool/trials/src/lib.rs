@@ -25,6 +25,7 @@ pub mod fetched;
 pub mod force;
 pub mod identify;
 pub mod listing;
+mod older;
 pub mod plan;
 pub mod progress;
 pub mod recorded;

@@ -22,14 +22,15 @@ use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
 
 use crate::cue::Coordination;
+use crate::older;
 pub use crate::status::Status;
 use crate::writer::{Appender, Writer};
 
 /// A folder that contains this file belongs to a campaign. The campaign completes its own records.
 pub const CAMPAIGN_PLAN: &str = "plan.toml";
 
-/// Version of the sidecar's format; incremented when a field changes its meaning.
-pub const FORMAT: u32 = 1;
+/// Version of the sidecar's format; incremented when a field changes its meaning or its name.
+pub const FORMAT: u32 = 2;
 
 /// Why a file of a trial could not be written or read.
 #[derive(Clone, Debug, thiserror::Error, Diagnostic)]
@@ -368,6 +369,7 @@ impl Trial {
         let text =
             plain::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
         let mut trial: Self = serde_json::from_str(&text)
+            .or_else(|json| older::read(&text).ok_or(json))
             .map_err(|json| RecordError::read(path, wording::unreadable(&json)))?;
         if trial.format != FORMAT {
             let why = format!("format {}, this tool reads {FORMAT}", trial.format);
@@ -431,11 +433,14 @@ pub struct RigSample {
     /// Residual of the position ledger, steps.
     pub residual_steps: i32,
     /// Home flag open.
-    pub home_flag: bool,
+    #[serde(alias = "home_flag")]
+    pub home_flag_open: bool,
     /// Far limit open.
-    pub far_limit: bool,
+    #[serde(alias = "far_limit")]
+    pub far_limit_open: bool,
     /// E-stop loop open.
-    pub estop_loop: bool,
+    #[serde(alias = "estop_loop")]
+    pub estop_loop_open: bool,
     /// Samples lost just before this one.
     pub missed: u16,
     /// Whether a real machine sent it.
@@ -701,23 +706,23 @@ impl Observer for Recorder {
                 let position_nm = screw.nm(rig.position_steps.into());
                 self.row(RigSample {
                     time_us: rig.time_us,
-                    state: format!("{:?}", rig.state),
+                    state: wording::name(&rig.state),
                     position_mm: decimal::write_signed(position_nm, 6),
                     speed_mm_s: decimal::write_signed(rig.speed_um_s.into(), 3),
                     stroke: rig.stroke,
                     position_steps: rig.position_steps,
                     commanded_steps: rig.commanded_steps,
                     residual_steps: rig.residual_steps,
-                    home_flag: rig.inputs.home_flag,
-                    far_limit: rig.inputs.far_limit,
-                    estop_loop: rig.inputs.estop_loop,
+                    home_flag_open: rig.inputs.home_flag,
+                    far_limit_open: rig.inputs.far_limit,
+                    estop_loop_open: rig.inputs.estop_loop,
                     missed,
                     origin,
                 });
             }
             (Telemetry::Capsule(capsule), Action::Actuation { .. }) => self.row(CapsuleSample {
                 time_us: capsule.time_us,
-                state: format!("{:?}", capsule.state),
+                state: wording::name(&capsule.state),
                 thread_um: capsule.thread_um,
                 current_ma: capsule.current_ma,
                 battery_mv: capsule.battery_mv,

@@ -347,7 +347,7 @@ class Capsule:
     def read(self) -> Dict[str, Reading]:
         """State, thread wound up, battery."""
         sample = self._capsule.sample()
-        values = (sample["state"].lower(), sample["thread_um"] / 1e3, sample["battery_mv"] / 1e3)
+        values = (sample["state"], sample["thread_um"] / 1e3, sample["battery_mv"] / 1e3)
         return _read(dict(zip(self._keys(), values)))
 
     def stage(self) -> List[Any]:

@@ -31,16 +31,16 @@ fn trial(action: Action) -> Trial {
 fn rig_sample(time_us: u64, steps: i32) -> RigSample {
     RigSample {
         time_us,
-        state: "Running".to_owned(),
+        state: "running".to_owned(),
         position_mm: decimal::write_signed(SCREW.nm(steps.into()), 6),
         speed_mm_s: "0.000".to_owned(),
         stroke: 0,
         position_steps: steps,
         commanded_steps: steps,
         residual_steps: 0,
-        home_flag: false,
-        far_limit: false,
-        estop_loop: false,
+        home_flag_open: false,
+        far_limit_open: false,
+        estop_loop_open: false,
         missed: 0,
         origin: Origin::Virtual,
     }
@@ -475,7 +475,7 @@ fn an_actuation_ends_where_its_telemetry_does() {
         let samples: Vec<_> = (0..=20)
             .map(|index| CapsuleSample {
                 time_us: 1_000_000 + 20_000 * index,
-                state: "Folding".to_owned(),
+                state: "folding".to_owned(),
                 thread_um: last_um,
                 current_ma: 30,
                 battery_mv: 3_700,
