@@ -7,6 +7,7 @@ import threading
 import unittest
 from typing import Any, Dict, List, Tuple
 
+import retrograde
 from bench import BenchTest, until
 
 # The paper's run takes 40 s; RETROGRADE_CAMPAIGN=full makes it.
@@ -55,6 +56,8 @@ class RunEngineTest(BenchTest):
             protocols.Configurable,
             protocols.Movable,
             protocols.Locatable,
+            protocols.Checkable,
+            protocols.HasHints,
             protocols.Stoppable,
             protocols.Stageable,
             protocols.Preparable,
@@ -63,7 +66,15 @@ class RunEngineTest(BenchTest):
             protocols.Pausable,
         ):
             self.assertIsInstance(self.rig, wanted)
-        for wanted in (protocols.Readable, protocols.Movable, protocols.Stoppable, protocols.Stageable):
+        for wanted in (
+            protocols.Readable,
+            protocols.Movable,
+            protocols.Locatable,
+            protocols.Checkable,
+            protocols.HasHints,
+            protocols.Stoppable,
+            protocols.Stageable,
+        ):
             self.assertIsInstance(self.capsule, wanted)
 
     def test_2_a_run_is_flown_and_its_telemetry_collected(self) -> None:
@@ -98,6 +109,30 @@ class RunEngineTest(BenchTest):
         self.engine(scan([self.capsule], self.rig, 0, 10, 3))
         self.assertEqual([row["rig"] for row in self.events("rig")], [0, 5, 10])
 
+    def test_3_plans_of_bluesky_go_with_both(self) -> None:
+        from bluesky.plans import count, list_scan, rel_scan
+
+        self.rig.stage()
+        self.engine(count([self.rig, self.capsule], num=2))
+        self.engine(list_scan([self.capsule], self.rig, [4, 2]))
+        # From where it stands, and back there afterwards.
+        self.engine(rel_scan([self.capsule], self.rig, -1, 1, 3))
+        self.assertEqual([row["rig"] for row in self.events("rig")], [0, 0, 4, 2, 1, 2, 3])
+        self.assertEqual(self.rig.locate(), {"setpoint": 2, "readback": 2})
+
+    def test_3_limits_are_checked_before_a_plan_begins(self) -> None:
+        import bluesky.plan_stubs as stubs
+        from bluesky.plans import scan
+        from bluesky.simulators import check_limits
+
+        self.rig.stage()
+        with self.assertRaisesRegex(retrograde.RetrogradeError, "130.5 mm, allowed is 0 to 130.0 mm"):
+            check_limits(scan([self.capsule], self.rig, 0, 130.5, 3))
+        with self.assertRaisesRegex(retrograde.RetrogradeError, "cannot be 'open'"):
+            check_limits(stubs.mv(self.capsule, "open"))
+        check_limits(scan([self.capsule], self.rig, 0, 130, 3))
+        self.assertEqual(self.rig.position, 0)
+
     def test_4_a_run_is_paused_and_resumed(self) -> None:
         from bluesky.plans import fly
         from bluesky.preprocessors import stage_wrapper
@@ -128,6 +163,7 @@ class RunEngineTest(BenchTest):
         self.capsule.stage()
         self.engine(stubs.mv(self.capsule, "folded"))
         self.assertEqual(self.capsule.read()["capsule"]["value"], "folded")
+        self.assertEqual(self.capsule.locate(), {"setpoint": "folded", "readback": "folded"})
         self.engine(stubs.mv(self.capsule, "unfolded"))
         self.assertEqual(self.capsule.read()["capsule"]["value"], "unfolded")
 

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 Reading = Any
 # Description of a value: dtype, unit.
 Key = Tuple[str, str]
+# What the capsule can be told to be, and the command for it.
+SHAPES = {"folded": "fold", "unfolded": "unfold"}
 
 
 class Status:
@@ -208,6 +210,12 @@ class Rig:
         """Where the carriage is, mm."""
         return self._rig.sample()["position_um"] / 1e3
 
+    def check_value(self, position_mm: float) -> None:
+        """Refuses a position outside the stroke, in mm. bluesky's `check_limits` asks this of each step before a plan begins."""
+        stroke_mm = self._rig.state()["stroke_length_um"] / 1e3
+        if not 0 <= position_mm <= stroke_mm:
+            raise RetrogradeError(f"the position is {position_mm} mm, allowed is 0 to {stroke_mm} mm", "correct the plan; nothing moved")
+
     def set(self, position_mm: float) -> Status:
         """Moves to a position, mm."""
         self._target_mm = float(position_mm)
@@ -331,6 +339,12 @@ class Capsule:
         self._lab = lab
         self._capsule = lab.capsule
         self._moving: Optional[Action[Any]] = None
+        self._shape = ""
+
+    @property
+    def hints(self) -> Dict[str, Any]:
+        """What is worth a plot."""
+        return {"fields": [f"{self.name}_thread"]}
 
     def _keys(self) -> Dict[str, Key]:
         name = self.name
@@ -360,13 +374,22 @@ class Capsule:
         """Nothing is left to do."""
         return [self]
 
+    def check_value(self, shape: str) -> None:
+        """Refuses what the capsule cannot be."""
+        if shape not in SHAPES:
+            raise RetrogradeError(f"the capsule cannot be {shape!r}", "it can be 'folded' or 'unfolded'")
+
     def set(self, shape: str) -> Status:
         """Folds or unfolds."""
-        commands = {"folded": "fold", "unfolded": "unfold"}
-        if shape not in commands:
-            raise RetrogradeError(f"the capsule cannot be {shape!r}", "it can be 'folded' or 'unfolded'")
-        self._moving = action = self._capsule.start(commands[shape])
+        self.check_value(shape)
+        self._shape = shape
+        self._moving = action = self._capsule.start(SHAPES[shape])
         return Status(action.wait)
+
+    def locate(self) -> Dict[str, str]:
+        """What it was told to be, and its state."""
+        state = self._capsule.sample()["state"]
+        return {"setpoint": self._shape or state, "readback": state}
 
     def stop(self, *, success: bool = False) -> None:
         """Stops what goes on."""
