@@ -310,6 +310,14 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
     ExitCode::from(run_in(args, connector, &mut out, &mut err, at))
 }
 
+/// Whether a command line, with its environment, is meant for a virtual machine.
+#[must_use]
+pub fn is_virtual(args: &[OsString]) -> bool {
+    let parsed = command().try_get_matches_from(args);
+    let parsed = parsed.and_then(|matches| Cli::from_arg_matches(&matches));
+    parsed.is_ok_and(|cli| [cli.rig, cli.capsule].contains(&Some(Address::Virtual)))
+}
+
 /// Runs one command line on these streams, without a keyboard. `terminal` allows a progress bar on standard error.
 /// Returns the exit code.
 pub fn run_on(

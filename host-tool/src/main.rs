@@ -1,11 +1,45 @@
 //! `retrograde`: the command line tool of both machines.
 #![forbid(unsafe_code)]
 
-use std::process::ExitCode;
+use std::env::consts::EXE_SUFFIX;
+use std::ffi::OsString;
+use std::path::PathBuf;
+use std::process::{Command, ExitCode};
 
 use host_tool::cli;
 use operations::connector::Ports;
 
 fn main() -> ExitCode {
-    cli::run(std::env::args_os(), &Ports)
+    let args: Vec<OsString> = std::env::args_os().collect();
+    match bench() {
+        Some(bench) if cli::is_virtual(&args) => on(&bench, &args),
+        _ => cli::run(args, &Ports),
+    }
+}
+
+/// The program with the virtual machines, where it is built: beside this one.
+fn bench() -> Option<PathBuf> {
+    let own = std::env::current_exe().ok()?;
+    let bench = own.with_file_name(format!("virtual-bench{EXE_SUFFIX}"));
+    bench.is_file().then_some(bench)
+}
+
+/// The same command line, by the program that has the virtual machines, too.
+fn on(bench: &std::path::Path, args: &[OsString]) -> ExitCode {
+    let mut command = Command::new(bench);
+    // Its own `serve` is another one: the word says that the tool's commands are meant.
+    command.arg("retrograde").args(args.iter().skip(1));
+    // In its place, so that signals reach it and its exit code is this one's.
+    #[cfg(unix)]
+    let why = std::os::unix::process::CommandExt::exec(&mut command);
+    #[cfg(not(unix))]
+    let why = match command.status() {
+        Ok(status) => {
+            let code = status.code().and_then(|code| u8::try_from(code).ok());
+            return code.map_or(ExitCode::FAILURE, ExitCode::from);
+        }
+        Err(why) => why,
+    };
+    eprintln!("{}: {why}", bench.display());
+    ExitCode::FAILURE
 }

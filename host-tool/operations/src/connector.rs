@@ -232,8 +232,8 @@ fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>
 fn nowhere(address: &Address) -> OpenError {
     let (why, remedy) = if *address == Address::Virtual {
         (
-            "the virtual bench is not part of this program",
-            "use `cargo xtask demo`, or the `virtual-bench` program, which has the same commands; it can also serve both machines on TCP",
+            "the program `virtual-bench` is not beside this one",
+            "build it where this one was built: `cargo build -p virtual-bench --ignore-rust-version`, and the images by `cargo xtask images`; `cargo xtask demo` does all of it",
         )
     } else {
         (

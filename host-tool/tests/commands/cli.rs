@@ -66,13 +66,6 @@ fn impossible_runs_are_refused_before_a_link_is_opened() {
 }
 
 #[test]
-fn the_virtual_bench_is_elsewhere() {
-    let (code, _, err) = retrograde(&["home", "--rig", "virtual"]);
-    assert_eq!(code, 4);
-    assert!(err.contains("cargo xtask demo"), "{err}");
-}
-
-#[test]
 fn the_papers_plan() {
     let (code, out, err) = retrograde(&["plan"]);
     assert_eq!((code, err.as_str()), (0, ""));

@@ -125,3 +125,37 @@ fn a_real_machine_is_not() {
         assert!(!executed.contains(&first), "{args:?}: {executed:?}");
     }
 }
+
+/// `retrograde` in a folder of its own, and then beside a bench that tells how it was called.
+#[cfg(unix)]
+#[test]
+fn the_tool_hands_a_virtual_machine_to_the_bench_beside_it() {
+    use std::fs::hard_link;
+    use std::os::unix::fs::symlink;
+    use std::process::Command;
+
+    // Links, because a program that was written a moment ago may still be open for writing in another test's child.
+    let folder = tempfile::tempdir_in(env!("CARGO_TARGET_TMPDIR")).expect("a folder");
+    let tool = folder.path().join("retrograde");
+    hard_link(env!("CARGO_BIN_EXE_retrograde"), &tool).expect("on the same disk");
+    let called = |args: &[&str]| {
+        let output = Command::new(&tool)
+            .args(args)
+            .env("RETROGRADE_RIG", "virtual")
+            .env("RETROGRADE_RUNTIME_DIR", folder.path().join("locks"))
+            .output()
+            .expect("started");
+        let text = [output.stdout, output.stderr].concat();
+        let text = String::from_utf8(text).expect("UTF-8");
+        (output.status.code(), text)
+    };
+    let (code, text) = called(&["home"]);
+    assert_eq!(code, Some(4), "{text}");
+    assert!(text.contains("cargo build -p virtual-bench"), "{text}");
+    symlink("/bin/echo", folder.path().join("virtual-bench")).expect("linked");
+    let told = (Some(0), "retrograde home --json\n".to_owned());
+    assert_eq!(called(&["home", "--json"]), told);
+    // The command line counts, not the environment that it overrides.
+    let (code, text) = called(&["home", "--rig", "tcp:127.0.0.1:1"]);
+    assert_eq!(code, Some(4), "{text}");
+}
