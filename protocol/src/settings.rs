@@ -54,7 +54,7 @@ settings! {
     LeadUm of Rig: "lead_um", "um", 500..=50_000, 4_000, "Travel of the carriage per turn of the screw.";
     FullSteps of Rig: "full_steps", "steps/turn", 200..=400, 200, "Full steps of the motor per turn: 200 or 400.";
     Microsteps of Rig: "microsteps", "1", 1..=256, 16, "Microsteps per full step, a power of two, as the driver is strapped.";
-    StrokeUm of Rig: "stroke_um", "um", 1..=130_000, 130_000, "Longest stroke; no step leaves 0..stroke in a run.";
+    StrokeUm of Rig: "stroke_um", "um", 1..=130_000, 130_000, "Longest stroke; no step leaves 0 to stroke in a run.";
     MaxSpeedUmS of Rig: "max_speed_um_s", "um/s", 1..=200_000, 49_000, "Highest speed of the carriage that is accepted.";
     MaxAccelUmS2 of Rig: "max_accel_um_s2", "um/s2", 1..=10_000_000, 2_000_000, "Highest acceleration that is accepted.";
     MaxStepHz of Rig: "max_step_hz", "Hz", 1_000..=250_000, 250_000, "Highest step rate that the driver takes.";
@@ -72,7 +72,7 @@ settings! {
     LinkTimeoutMs of Both: "link_timeout_ms", "ms", 200..=60_000, 1_000, "Silence of the host that counts as a lost link while something moves.";
     DeadManMs of Rig: "dead_man_ms", "ms", 50..=2_000, 300, "A jog that is not renewed within this time stops.";
     SwitchFilterUs of Rig: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be told up to 3.5 ms late; the position is that of its first edge.";
-    TelemetryMs of Both: "telemetry_ms", "ms", 0..=1_000, 0, "Interval of telemetry after a start: 5..=1000, or 0 for none until it is asked for.";
+    TelemetryMs of Both: "telemetry_ms", "ms", 0..=1_000, 0, "Interval of telemetry after a start: 5 to 1000, or 0 for none until it is asked for.";
     ButtonCycles of Rig: "button_cycles", "1", 1..=10_000, 5, "Run of the start button: cycles.";
     ButtonStrokeUm of Rig: "button_stroke_um", "um", 1..=130_000, 130_000, "Run of the start button: stroke.";
     ButtonTotalMs of Rig: "button_total_ms", "ms", 100..=86_400_000, 40_000, "Run of the start button: total duration.";
