@@ -42,7 +42,7 @@ pub fn small_plan(changes: &[(&str, &str)]) -> String {
     changed(PAPER, &[&small, changes].concat())
 }
 
-fn machines(uid: Option<[u8; 12]>) -> Memory {
+pub fn machines(uid: Option<[u8; 12]>) -> Memory {
     Memory::with(
         [DeviceKind::Rig, DeviceKind::Capsule]
             .map(|kind| {

@@ -10,3 +10,4 @@ mod counting;
 mod gone;
 #[cfg(unix)]
 mod hostile;
+mod pictures;

@@ -2,10 +2,8 @@
 
 use serde_json::{Map, Value};
 
-use crate::trial::{FORMAT, Trial};
-
-/// The trial of a sidecar of format 1; none if it is of another format, or damaged.
-pub(crate) fn read(text: &str) -> Option<Trial> {
+/// A sidecar of format 1 as one of `format`; none if it is of another format, or no sidecar.
+pub(crate) fn read(text: &str, format: u32) -> Option<Value> {
     let mut value: Value = serde_json::from_str(text).ok()?;
     if value.get("format")?.as_u64()? != 1 {
         return None;
@@ -14,8 +12,8 @@ pub(crate) fn read(text: &str) -> Option<Trial> {
         let part = value.get_mut(part)?;
         *part = renamed(part.take());
     }
-    *value.get_mut("format")? = FORMAT.into();
-    serde_json::from_value(value).ok()
+    *value.get_mut("format")? = format.into();
+    Some(value)
 }
 
 /// The same with today's names. There is no free text in it.
@@ -46,10 +44,6 @@ fn snake(name: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trial::{Action, Moved, Recording, Screw};
-    use jiff::Timestamp;
-    use protocol::rig::{MoveTo, RigEvent, RigFault, RunOutcome};
-    use protocol::system::{Event, What};
 
     #[test]
     fn a_name_of_format_1_becomes_that_of_today() {
@@ -60,70 +54,6 @@ mod tests {
             ("6a87a5a5", "6a87a5a5"),
         ] {
             assert_eq!(snake(then), now);
-        }
-    }
-
-    #[test]
-    fn a_record_of_format_1_is_read_with_all_its_names() {
-        let outcome = RunOutcome::Faulted(RigFault::EStopLoop);
-        let action = Action::Move {
-            screw: Screw {
-                lead_um: 4_000,
-                steps_per_rev: 1_600,
-                stroke_um: 20_000,
-            },
-            requested: MoveTo {
-                position_um: 10_000,
-                speed_um_s: 5_000,
-            },
-            accepted: None,
-            moved: Some(Moved {
-                outcome,
-                position_steps: 17,
-            }),
-        };
-        let recording = Recording {
-            folder: "x".into(),
-            stem: "pass".to_owned(),
-            now: Timestamp::UNIX_EPOCH,
-            note: Some("The E-stop: EStopLoop".to_owned()),
-            telemetry_ms: 10,
-        };
-        let mut trial = Trial::new(action, crate::trial::tests::device(), &recording);
-        trial.events = vec![
-            event(1, What::Acknowledged),
-            event(2, What::Rig(RigEvent::Moved { position_steps: 17 })),
-            event(
-                3,
-                What::Rig(RigEvent::Faulted(RigFault::LostSteps { residual_steps: 9 })),
-            ),
-        ];
-        let today = serde_json::to_string(&trial).expect("text");
-        let of_format_1 = [
-            ("\"format\":2", "\"format\":1"),
-            ("\"faulted\"", "\"Faulted\""),
-            ("\"estop_loop\"", "\"EStopLoop\""),
-            ("\"acknowledged\"", "\"Acknowledged\""),
-            ("{\"rig\":", "{\"Rig\":"),
-            ("{\"moved\":", "{\"Moved\":"),
-            ("\"lost_steps\"", "\"LostSteps\""),
-        ]
-        .iter()
-        .fold(today.clone(), |text, (now, then)| {
-            assert!(text.contains(now), "{now} in {text}");
-            text.replace(now, then)
-        });
-        assert!(serde_json::from_str::<Trial>(&of_format_1).is_err());
-        assert_eq!(read(&of_format_1), Some(trial));
-        assert_eq!(read(&today), None);
-        assert_eq!(read(r#"{"format": 1}"#), None);
-    }
-
-    fn event(index: u32, what: What) -> Event {
-        Event {
-            index,
-            time_us: 5,
-            what,
         }
     }
 }

@@ -369,7 +369,7 @@ impl Trial {
         let text =
             plain::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
         let mut trial: Self = serde_json::from_str(&text)
-            .or_else(|json| older::read(&text).ok_or(json))
+            .or_else(|json| older::read(&text, FORMAT).map_or(Err(json), serde_json::from_value))
             .map_err(|json| RecordError::read(path, wording::unreadable(&json)))?;
         if trial.format != FORMAT {
             let why = format!("format {}, this tool reads {FORMAT}", trial.format);

@@ -36,6 +36,8 @@ const STYLE: &str = "\
     .wing { fill: none; stroke: #0b5cad; stroke-width: 3; stroke-linecap: round; }
     .thread { fill: none; stroke: #b3261e; stroke-width: 2; }
     .spool { fill: #ffffff; stroke: #b3261e; stroke-width: 2; }
+    .terminal { fill: #14181f; }
+    text.typed { font: 13px 'DejaVu Sans Mono', Menlo, Consolas, monospace; fill: #e6e9ef; }
 ";
 
 impl Picture {
@@ -67,6 +69,17 @@ impl Picture {
         self.push(&format!(
             "<text x=\"{x}\" y=\"{y}\"{held}{class}>{text}</text>"
         ));
+    }
+
+    /// A line of a terminal: each character as wide as the others, whatever font there is.
+    pub(super) fn characters(&mut self, (x, y): (i32, i32), wide: i32, line: &str) {
+        let text = line.replace('&', "&amp;").replace('<', "&lt;");
+        let length = i32::try_from(line.chars().count()).unwrap_or(0) * wide;
+        if length > 0 {
+            self.push(&format!(
+                "<text x=\"{x}\" y=\"{y}\" class=\"typed\" xml:space=\"preserve\" textLength=\"{length}\">{text}</text>"
+            ));
+        }
     }
 
     pub(super) fn rect(&mut self, place: (i32, i32), size: (i32, i32), class: &str) {
