@@ -50,6 +50,7 @@ mod structure;
 mod toolchain;
 mod version;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use process::Failure;
@@ -86,7 +87,8 @@ cargo xtask <command>
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
-  pictures          draw the manual's pictures: machines, way of a command, wiring from the pins of the images
+  pictures          draw the manual's pictures: machines, way of a command, wiring from the pins of the images, figures;
+                    with --browser CHROMIUM also those of the page and of a report
   bench [OPTIONS]   measure the images on the virtual bench, the step generator beside its peers in one table,
                     and the computing time of the paper's models
   setup             find or install a compiler for the STM32, and nothing else
@@ -127,7 +129,10 @@ fn main() -> ExitCode {
         ("where", [machine, words @ ..]) if !words.is_empty() => {
             images::find(machine).and_then(|image| places::print(&image, words))
         }
-        ("pictures", []) => pictures::draw(),
+        ("pictures", []) => pictures::draw(None),
+        ("pictures", [flag, browser]) if flag == "--browser" => {
+            pictures::draw(Some(Path::new(browser)))
+        }
         ("setup", []) => toolchain::find().map(|found| println!("Ready: {found}")),
         ("help" | "--help" | "-h", _) => {
             print!("{HELP}");

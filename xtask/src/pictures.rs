@@ -5,10 +5,11 @@ mod capsule;
 mod data_path;
 mod machines;
 mod rig;
+mod screens;
 mod svg;
 mod watch;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::process::{Failure, Result, host_cargo, root, run};
 
@@ -23,11 +24,11 @@ fn all() -> [(&'static str, String); 5] {
     ]
 }
 
-/// Draws all of them.
+/// Draws all of them; with a browser, takes those of the page and of a report as well.
 ///
 /// # Errors
-/// A file that cannot be written.
-pub(crate) fn draw() -> Result<()> {
+/// A file that cannot be written, or a program that fails.
+pub(crate) fn draw(browser: Option<&Path>) -> Result<()> {
     for (name, picture) in all() {
         let path: PathBuf = root().join(name);
         let written = path
@@ -42,7 +43,8 @@ pub(crate) fn draw() -> Result<()> {
     test.args(["--locked", "--package", "host-tool", "--test", "campaigns"])
         .arg("the_manuals_figures")
         .env("RETROGRADE_PICTURES", "draw");
-    run(&mut test, "see the test above")
+    run(&mut test, "see the test above")?;
+    browser.map_or(Ok(()), screens::take)
 }
 
 #[cfg(test)]

@@ -9,6 +9,7 @@ use client::identity::Origin;
 use client::plain;
 use protocol::capsule::{ActuationRecord, CapsuleEvent};
 use protocol::rig::{RigEvent, Run};
+use protocol::settings::SettingKey;
 use protocol::system::What;
 use serde::Deserialize;
 
@@ -654,10 +655,16 @@ fn ends_at(
     samples: &[CapsuleSample],
     defects: &mut Defects,
 ) {
-    if let Some(last) = samples.last()
-        && trial.status == Status::Complete
-        && last.thread_um.abs_diff(record.thread_um) > SETTLES_UM
-    {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return;
+    };
+    let start_us = actuation_start_us(trial).unwrap_or(first.time_us);
+    let end_us = start_us.saturating_add(u64::from(record.duration_ms) * 1_000);
+    // The thread goes on from the last sample to the end of the motion.
+    let fastest_um_s = u64::from(SettingKey::UnfoldUmS.range().max);
+    let hidden_um = end_us.saturating_sub(last.time_us) * fastest_um_s / 1_000_000;
+    let apart_um = u64::from(last.thread_um.abs_diff(record.thread_um));
+    if trial.status == Status::Complete && apart_um > u64::from(SETTLES_UM) + hidden_um {
         defects.lack(format!(
             "the telemetry ends at {} mm of thread, the record says {} mm",
             decimal::fixed(last.thread_um.into(), 3),

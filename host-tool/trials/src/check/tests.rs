@@ -497,6 +497,15 @@ fn an_actuation_ends_where_its_telemetry_does() {
         assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
         assert_eq!(found.contradictions.len(), 0);
     }
+    // From the last sample to the end it goes 21 mm/s at most.
+    for (duration_ms, last_um, gap) in [(420, 20_281, false), (420, 20_280, true)] {
+        let longer = ActuationRecord {
+            duration_ms,
+            ..record
+        };
+        let found = defects(longer, 4, last_um);
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+    }
     // 78 ms may pass behind the last sample.
     for (duration_ms, gap) in [(478, false), (479, true)] {
         let longer = ActuationRecord {
