@@ -75,9 +75,9 @@ class Trial:
 
 
 def trials_in(folder):
-    """All trials of an ordinary folder, in the order of their start. What a machine refused is none: nothing was done."""
+    """All trials in a folder and below it, in the order of their start. What a machine refused is none: nothing was done."""
     found = []
-    for path in sorted(pathlib.Path(folder).glob("*.json")):
+    for path in sorted(pathlib.Path(folder).rglob("*.json")):
         try:
             trial = Trial(path)
         except (ValueError, KeyError):

@@ -263,7 +263,7 @@ impl fmt::Display for CapsuleFault {
         match self {
             CapsuleFault::Jam { thread_um } => write!(
                 f,
-                "the fold met an obstacle at {}.{:03} mm of thread: free the origami, acknowledge, unfold or reference",
+                "the thread met an obstacle at {}.{:03} mm of thread: free the origami, acknowledge, unfold or reference",
                 thread_um / 1000,
                 (thread_um % 1000).unsigned_abs()
             ),

@@ -7,10 +7,11 @@ use client::Device;
 use operations::arguments::RecordArgs;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
-use protocol::capsule::{ActuationKind, CapsuleState};
+use protocol::capsule::{ActuationKind, CapsuleState, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::experiment::{self, Actuation};
+use trials::trial::Status;
 
 use crate::cli::ended::{completed, recording};
 use crate::cli::screen::Screen;
@@ -29,7 +30,7 @@ pub(crate) fn actuate(
     let kind = motion.kind;
     let what = match kind {
         ActuationKind::Reference => {
-            "Reference: wind slowly to the end force, then pay out to zero. Without a calibration it is one: begin unfolded."
+            "Reference: wind slowly to the end force, then pay out to zero."
         }
         ActuationKind::Calibrate => {
             "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was."
@@ -54,6 +55,7 @@ pub(crate) fn actuate(
         return Ok(result);
     }
     screen.say(what);
+    warn(kind, &mut capsule, screen)?;
     let recording = recording(args, experiment::stem(kind), places);
     let trace = trace.map(TraceFile::create).transpose()?;
     let trial = match experiment::actuate(&mut capsule, motion, &recording, &mut screen.live()) {
@@ -65,6 +67,9 @@ pub(crate) fn actuate(
             return Err(error.into());
         }
     };
+    if trial.trial.status == Status::Complete {
+        screen.say(&format!("  complete: {}", shape_after(kind)));
+    }
     for (name, value) in actuation_rows(kind, &trial.record) {
         screen.say(&format!("  {name}: {value}"));
     }
@@ -91,6 +96,33 @@ pub(crate) fn actuate(
     )?;
     let traced = traced.transpose()?.map(|(path, _)| path);
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
+}
+
+/// Warns of what a reference run or a calibration takes for granted.
+fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> Result<(), Failure> {
+    match kind {
+        ActuationKind::Reference if capsule.call(GetCapsuleTotals)?.calibration.is_none() => {
+            screen.hint("there is no calibration, so this is one: is the origami unfolded, the thread slack?");
+        }
+        ActuationKind::Calibrate if capsule.capsule_status()?.referenced => screen.hint(
+            "NOTE: it was referenced before. Unless the origami was unfolded by hand since then, thread that the reference \
+             run has left on the spool becomes permanent",
+        ),
+        _ => {}
+    }
+    Ok(())
+}
+
+/// The capsule after a motion that is complete.
+const fn shape_after(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Fold => "it is folded",
+        ActuationKind::CheckFolded => "it is folded, and the thread pulls",
+        ActuationKind::Reference | ActuationKind::Calibrate | ActuationKind::Unfold => {
+            "it is unfolded"
+        }
+        ActuationKind::FoldTo => "it stands at this length of thread",
+    }
 }
 
 /// Reports a fold whose end has wandered: it may be complete, but it costs the reference.

@@ -194,15 +194,19 @@ fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
     }
     match past_owners(|| examine(place, places)) {
         Ok((kind, text, trouble)) => {
-            let mut fine = Finding::fine(name.clone(), "fine", text);
-            fine.found = Some(kind);
-            let trouble = trouble.map(|(code, text, remedy)| Finding {
-                remedy: Some(remedy.to_owned()),
-                exit_code: FAULT,
-                found: Some(kind),
-                ..Finding::fine(name, code, text)
-            });
-            std::iter::once(fine).chain(trouble).collect()
+            let found = Some(kind);
+            vec![match trouble {
+                None => Finding {
+                    found,
+                    ..Finding::fine(name, "fine", text)
+                },
+                Some((code, trouble, remedy)) => Finding {
+                    remedy: Some(remedy.to_owned()),
+                    exit_code: FAULT,
+                    found,
+                    ..Finding::fine(name, code, format!("{trouble}; it is {text}"))
+                },
+            }]
         }
         Err(failure) => vec![Finding::wrong(name, &failure)],
     }
@@ -255,8 +259,8 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Tr
 /// Problems that only show across all places.
 fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Finding> {
     let found = |kind| {
-        let fine = findings.iter().filter(|finding| finding.code == "fine");
-        fine.filter(|finding| finding.found == Some(kind)).count()
+        let found = findings.iter().map(|finding| finding.found);
+        found.filter(|found| *found == Some(kind)).count()
     };
     let mut more = vec![];
     for kind in KINDS {

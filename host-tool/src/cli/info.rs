@@ -5,7 +5,7 @@ use client::{decimal, matches, visible};
 use operations::arguments::Which;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
-use protocol::capsule::{CapsuleCalibration, CapsuleStatus, GetCapsuleTotals};
+use protocol::capsule::{CapsuleCalibration, CapsuleState, CapsuleStatus, GetCapsuleTotals};
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
 use serde_json::{Map, Value, json};
@@ -60,6 +60,9 @@ pub(crate) fn info(
             screen.say(&capsule_text(&status));
             let found = device.call(GetCapsuleTotals)?.calibration;
             screen.say(&calibration_text(found.as_ref()));
+            if let Some(next) = way_out(status.state, found.is_some()) {
+                screen.say(&format!("  next: {next}"));
+            }
             calibration = json!(found);
             json!(status)
         };
@@ -154,6 +157,16 @@ fn capsule_text(status: &CapsuleStatus) -> String {
     text
 }
 
+/// The command that leads on, as in the table "The way out" of docs/capsule.md.
+const fn way_out(state: CapsuleState, is_calibrated: bool) -> Option<&'static str> {
+    match state {
+        CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is gone"),
+        CapsuleState::Unreferenced if is_calibrated => Some("`retrograde capsule reference`"),
+        CapsuleState::WasFolded => Some("`retrograde capsule check`, then `retrograde unfold`"),
+        _ => None,
+    }
+}
+
 /// Line about the calibration, which the way out of an unknown position needs.
 fn calibration_text(calibration: Option<&CapsuleCalibration>) -> String {
     calibration.map_or_else(
@@ -167,7 +180,27 @@ fn calibration_text(calibration: Option<&CapsuleCalibration>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::addresses;
+    use super::{addresses, way_out};
+    use protocol::capsule::CapsuleState;
+
+    #[test]
+    fn a_capsule_that_cannot_fold_is_told_its_next_command() {
+        for (state, is_calibrated, next) in [
+            (CapsuleState::Faulted, true, "`retrograde ack capsule`"),
+            (
+                CapsuleState::Unreferenced,
+                true,
+                "`retrograde capsule reference`",
+            ),
+            (CapsuleState::WasFolded, true, "`retrograde capsule check`"),
+        ] {
+            let told = way_out(state, is_calibrated).unwrap_or_default();
+            assert!(told.starts_with(next), "{state:?}: {told}");
+        }
+        // The line before says what a hand has to do.
+        assert_eq!(way_out(CapsuleState::Unreferenced, false), None);
+        assert_eq!(way_out(CapsuleState::Unfolded, true), None);
+    }
 
     #[test]
     fn only_addresses_of_the_last_words_are_part_of_a_command() {

@@ -51,8 +51,11 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     let found = report::find(&args.trials).map_err(Own::from)?;
     let report = report::write(&found, &[], &out, existing).map_err(Own::from)?;
     screen.say(&format!(
-        "{} trials in {}",
-        found.sidecars.len(),
+        "{} in {}",
+        match found.sidecars.len() {
+            1 => "1 trial".to_owned(),
+            n => format!("{n} trials"),
+        },
         out.display()
     ));
     for damaged in &report.damaged {

@@ -89,10 +89,15 @@ pub(crate) fn settings(
         }
         SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
-            let set = places
-                .connect(owner(key, of)?, Need::Own("settings set"))?
-                .call(Setting { key, value })?;
+            let kind = owner(key, of)?;
+            let mut machine = places.connect(kind, Need::Own("settings set"))?;
+            let is_rig = kind == DeviceKind::Rig;
+            let was_homed = is_rig && machine.rig_status().is_ok_and(|status| status.homed);
+            let set = machine.call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
+            if was_homed && machine.rig_status().is_ok_and(|status| !status.homed) {
+                screen.hint("positions mean something else now: `retrograde home`");
+            }
             Ok(json!({ set.key.name(): set.value }))
         }
         SettingsSubcommand::Export { file, force } => export(file, *force, kind, places, screen),

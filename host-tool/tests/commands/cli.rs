@@ -141,6 +141,63 @@ fn help_completions_and_manual_are_there() {
 }
 
 #[test]
+fn a_motion_of_the_capsule_says_what_it_takes_for_granted_and_what_it_reached() {
+    let folder = tempfile::tempdir().expect("folder");
+    let out_dir = folder.path().to_str().expect("UTF-8");
+    let run = |script: Script, words: &[&str]| {
+        let memory = Memory::with(vec![script]);
+        memory.run(&[words, &["--out", out_dir]].concat())
+    };
+    let new = || Script::new(DeviceKind::Capsule);
+    for (script, words, reached, warned) in [
+        (
+            ready(DeviceKind::Capsule),
+            &["fold"][..],
+            "complete: it is folded\n",
+            "",
+        ),
+        (
+            new(),
+            &["capsule", "calibrate"],
+            "complete: it is unfolded",
+            "",
+        ),
+        (
+            new(),
+            &["capsule", "reference"],
+            "complete: it is unfolded",
+            "there is no calibration",
+        ),
+        (
+            ready(DeviceKind::Capsule),
+            &["capsule", "calibrate"],
+            "complete: it is unfolded",
+            "becomes permanent",
+        ),
+        (
+            ready(DeviceKind::Capsule),
+            &["capsule", "reference"],
+            "complete: it is unfolded",
+            "",
+        ),
+        (
+            ready(DeviceKind::Capsule),
+            &["fold", "--thread-mm", "12"],
+            "complete: it stands at this length",
+            "",
+        ),
+    ] {
+        let (code, out, err) = run(script, words);
+        assert_eq!(code, 0, "{words:?}: {out}{err}");
+        assert!(out.contains(reached), "{words:?}: {out}");
+        let warns = ["there is no calibration", "becomes permanent"];
+        for warning in warns {
+            assert_eq!(err.contains(warning), warning == warned, "{words:?}: {err}");
+        }
+    }
+}
+
+#[test]
 fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
     let both = Memory::with(vec![ready(DeviceKind::Capsule), ready(DeviceKind::Rig)]);
     let (code, out, err) = both.run(&["home"]);
@@ -160,6 +217,7 @@ fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
     assert_eq!(json["rig"]["calibration"], Value::Null);
     let (_, out, _) = both.run(&["info", "capsule"]);
     assert!(out.contains("  calibrated: 21."), "{out}");
+    assert!(!out.contains("next:"), "{out}");
     let new = Memory::with(vec![Script::new(DeviceKind::Capsule)]);
     let (_, out, _) = new.run(&["info"]);
     assert!(out.contains("not calibrated: unfold it by hand"), "{out}");
@@ -232,7 +290,7 @@ fn a_run_is_recorded_and_reported() {
     let (code, out, err) =
         memory.run(&["report", out_dir, "--out", report.to_str().expect("UTF-8")]);
     assert_eq!(code, 0, "{err}");
-    assert!(out.starts_with("1 trials in"), "{out}");
+    assert!(out.starts_with("1 trial in"), "{out}");
     assert!(
         std::fs::read_to_string(report)
             .expect("report")

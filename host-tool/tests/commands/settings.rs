@@ -285,6 +285,16 @@ fn what_the_rig_refuses_has_changed_nothing() {
 }
 
 #[test]
+fn a_setting_that_moves_the_positions_asks_to_home_again() {
+    for (key, value, homes) in [("stroke_um", "100000", true), ("telemetry_ms", "20", false)] {
+        let (code, out, err) = rig().settings(&["set", key, value]);
+        assert_eq!(code, 0, "{err}");
+        assert_eq!(out, format!("{key} = {value}\n"));
+        assert_eq!(err.contains("`retrograde home`"), homes, "{err}");
+    }
+}
+
+#[test]
 fn a_name_that_no_terminal_can_show_is_refused() {
     let bench = rig();
     let (code, _, err) = bench.settings(&["name", "a\u{1b}[2Jb"]);

@@ -148,18 +148,6 @@ const INPUTS: &[(&str, u8, &str, &str)] = &[
         "retrograde devices",
     ),
     (
-        "home --rig virtual",
-        4,
-        "not part of this program",
-        "cargo xtask demo",
-    ),
-    (
-        "fold --capsule virtual",
-        4,
-        "not part of this program",
-        "cargo xtask demo",
-    ),
-    (
         "info --rig RIG --baud 0",
         2,
         "0 is not in 300 to 4000000",
