@@ -1,8 +1,10 @@
 //! Pictures of the page and of a trial's report, taken in a Chromium while both machines work on the virtual bench.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::channel;
+use std::thread;
 use std::time::Duration;
 
 use crate::images;
@@ -79,7 +81,7 @@ pub(super) fn take(browser: &Path) -> Result<()> {
     let page = said[0].trim();
     let mut motion = Ends(spawn(&mut session.tool(&["run"]))?);
     // The third stroke, at 24 mm.
-    std::thread::sleep(Duration::from_secs(9));
+    thread::sleep(Duration::from_secs(9));
     for picture in OF_PAGE {
         session.takes(picture, page)?;
     }
@@ -158,28 +160,40 @@ fn spawn(command: &mut Command) -> Result<Child> {
         .map_err(|why| Failure::new(format!("{command:?}: {why}"), "`cargo build --workspace`"))
 }
 
-/// Starts a program and reads its lines until one has each of these parts; the lines.
+/// Starts a program and reads what it says until a line has each of these parts; those lines.
 fn start(command: &mut Command, parts: &[&str]) -> Result<(Ends, Vec<String>)> {
-    let mut child = spawn(command.stdout(Stdio::piped()))?;
-    let out = child.stdout.take();
+    // The bench speaks on standard error, the tool on standard output.
+    let mut child = spawn(command.stdout(Stdio::piped()).stderr(Stdio::piped()))?;
+    let streams: [Option<Box<dyn Read + Send>>; 2] = [
+        child.stdout.take().map(|out| Box::new(out) as _),
+        child.stderr.take().map(|err| Box::new(err) as _),
+    ];
     let started = Ends(child);
-    let mut lines = out
-        .into_iter()
-        .flat_map(|out| BufReader::new(out).lines())
-        .map_while(std::io::Result::ok);
+    let (says, heard) = channel();
+    for stream in streams.into_iter().flatten() {
+        let says = says.clone();
+        thread::spawn(move || {
+            let lines = BufReader::new(stream)
+                .lines()
+                .map_while(std::io::Result::ok);
+            // What it says later is for nobody.
+            lines.for_each(|line| drop(says.send(line)));
+        });
+    }
     let mut found = vec![];
     for part in parts {
-        found.extend(lines.find(|line| line.contains(part)));
+        loop {
+            match heard.recv_timeout(Duration::from_secs(60)) {
+                Ok(line) if line.contains(part) => break found.push(line),
+                Ok(_) => {}
+                Err(_) => {
+                    let what = format!("{command:?} does not say where it is");
+                    return Err(Failure::new(what, "see its message"));
+                }
+            }
+        }
     }
-    // What it says later is for nobody.
-    std::thread::spawn(move || lines.for_each(drop));
-    match found.len() == parts.len() {
-        true => Ok((started, found)),
-        false => Err(Failure::new(
-            format!("{command:?} does not say where it is"),
-            "see its message",
-        )),
-    }
+    Ok((started, found))
 }
 
 #[cfg(test)]
