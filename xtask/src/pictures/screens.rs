@@ -15,7 +15,7 @@ const OF_PAGE: [(&str, u32, u32, &str, &[&str]); 3] = [
     ("page.png", 1200, 1180, "1", &[]),
     ("page-dark.png", 1200, 1180, "1", &["--force-dark-mode"]),
     // The least width of a window is 500.
-    ("page-phone.png", 500, 980, "1", &[]),
+    ("page-narrow.png", 500, 980, "1", &[]),
 ];
 const OF_TRIAL: (&str, u32, u32, &str, &[&str]) = ("trial.png", 1000, 1250, "1", &[]);
 
