@@ -105,8 +105,8 @@ fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> R
             screen.hint("there is no calibration, so this is one: is the origami unfolded, the thread slack?");
         }
         ActuationKind::Calibrate if capsule.capsule_status()?.referenced => screen.hint(
-            "NOTE: it was referenced before. Unless the origami was unfolded by hand since then, thread that the reference \
-             run has left on the spool becomes permanent",
+            "NOTE: if a reference run came before, and the origami was not unfolded by hand since then, the thread that it \
+             has left on the spool becomes permanent",
         ),
         _ => {}
     }

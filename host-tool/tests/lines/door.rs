@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, read, ready};
+use crate::support::bench::{Bench, read, ready, through_the_door_alone};
 use crate::support::signal::{Signal, kill};
 use client::door::lock::Doorway;
 use client::door::window::Window;
@@ -349,13 +349,6 @@ fn what_moves_is_refused_and_names_the_owner() {
     assert_eq!((bench.count("Run"), bench.connections()), (1, 1));
     // Only one record: the refused run has left none.
     bench.trial();
-}
-
-/// Tries until a stop has used the door alone. One that a busy computer does not answer within 250 ms also goes the
-/// direct way, as it should, and shows nothing of the door.
-fn through_the_door_alone(stopped: impl Fn() -> Bench) {
-    let alone = (0..5).any(|_| stopped().connections() == 1);
-    assert!(alone, "each of five stops went the direct way as well");
 }
 
 #[test]

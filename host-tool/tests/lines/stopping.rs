@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, ready};
+use crate::support::bench::{Bench, ready, through_the_door_alone};
 use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
 use client::door::lock::Doorway;
@@ -438,19 +438,21 @@ fn a_run_that_was_to_finish_without_its_host_finishes() {
 
 #[test]
 fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let mut run = bench.run(&[]);
-    let guests: Vec<_> = (0..32).map(|_| bench.window()).collect();
-    let (code, _, err) = bench.retrograde(&["info"]);
-    assert_eq!(code, Some(4), "{err}");
-    assert!(err.contains("32 other processes look"), "{err}");
-    let (code, out, err) = bench.retrograde(&["estop"]);
-    assert_eq!(code, Some(0), "{out}{err}");
-    assert!(bench.urgent().contains(&Urgent::EStop));
-    // The stop used the door: another connection would have broken the owner's.
-    assert_eq!(bench.connections(), 1);
-    assert_eq!(run.wait().expect("ended").code(), Some(6));
-    drop(guests);
+    // The stop uses the door: another connection breaks the owner's.
+    through_the_door_alone(|| {
+        let bench = Bench::on_tcp(DeviceKind::Rig);
+        let mut run = bench.run(&[]);
+        let guests: Vec<_> = (0..32).map(|_| bench.window()).collect();
+        let (code, _, err) = bench.retrograde(&["info"]);
+        assert_eq!(code, Some(4), "{err}");
+        assert!(err.contains("32 other processes look"), "{err}");
+        let (code, out, err) = bench.retrograde(&["estop"]);
+        assert_eq!(code, Some(0), "{out}{err}");
+        assert!(bench.urgent().contains(&Urgent::EStop));
+        assert_eq!(run.wait().expect("ended").code(), Some(6));
+        drop(guests);
+        bench
+    });
 }
 
 /// Cleaners of `/tmp` delete old files: the file with the owner's name, or its lock. Without the lock, a later command

@@ -212,8 +212,10 @@ class Rig:
 
     def check_value(self, position_mm: float) -> None:
         """Refuses a position outside the stroke, in mm. bluesky's `check_limits` asks this of each step before a plan begins."""
-        stroke_mm = self._rig.state()["stroke_length_um"] / 1e3
-        if not 0 <= position_mm <= stroke_mm:
+        stroke_um = self._rig.state().get("stroke_length_um")
+        # Without contact nothing is known of it, and the rig itself refuses.
+        stroke_mm = None if stroke_um is None else stroke_um / 1e3
+        if stroke_mm is not None and not 0 <= position_mm <= stroke_mm:
             raise RetrogradeError(f"the position is {position_mm} mm, allowed is 0 to {stroke_mm} mm", "correct the plan; nothing moved")
 
     def set(self, position_mm: float) -> Status:

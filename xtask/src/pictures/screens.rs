@@ -10,14 +10,15 @@ use std::time::Duration;
 use crate::images;
 use crate::process::{Failure, Result, host_cargo, root, run, target};
 
-/// Name, width and height in CSS pixels, how many pixels there are to each, and what else the browser is told.
-const OF_PAGE: [(&str, u32, u32, &str, &[&str]); 3] = [
-    ("page.png", 1200, 1180, "1", &[]),
-    ("page-dark.png", 1200, 1180, "1", &["--force-dark-mode"]),
+/// Name, width and height, and what else the browser is told.
+type Picture = (&'static str, u32, u32, &'static [&'static str]);
+const OF_PAGE: [Picture; 3] = [
+    ("page.png", 1200, 1180, &[]),
+    ("page-dark.png", 1200, 1180, &["--force-dark-mode"]),
     // The least width of a window is 500.
-    ("page-narrow.png", 500, 980, "1", &[]),
+    ("page-narrow.png", 500, 980, &[]),
 ];
-const OF_TRIAL: (&str, u32, u32, &str, &[&str]) = ("trial.png", 1000, 1250, "1", &[]);
+const OF_TRIAL: Picture = ("trial.png", 1000, 1250, &[]);
 
 /// The page, and where its hash is kept: of the page that the pictures show.
 const PAGE: &str = "host-tool/serve/src/page.html";
@@ -112,11 +113,7 @@ impl Session<'_> {
         command
     }
 
-    fn takes(
-        &self,
-        (name, width, height, scale, more): (&str, u32, u32, &str, &[&str]),
-        url: &str,
-    ) -> Result<()> {
+    fn takes(&self, (name, width, height, more): Picture, url: &str) -> Result<()> {
         let mut browser = Command::new(self.browser);
         browser
             .args([
@@ -135,7 +132,7 @@ impl Session<'_> {
                 self.folder.join("browser").display()
             ))
             .arg(format!("--window-size={width},{height}"))
-            .arg(format!("--force-device-scale-factor={scale}"))
+            .arg("--force-device-scale-factor=1")
             // The page's own time, for its stream to arrive.
             .arg("--virtual-time-budget=3000")
             .args(more)
