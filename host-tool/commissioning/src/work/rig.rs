@@ -15,6 +15,9 @@ use super::{LOOK_US, Work};
 use crate::halt::{Halt, fault_text, homing_text, refused};
 use crate::hands::{Act, Part};
 
+/// How long a loop that is open at an acknowledgement is watched for closing by itself, us.
+const LOOP_US: u64 = 500_000;
+
 /// Longest wait for the effect of an act, us.
 const SETTLE_US: u64 = 500_000;
 /// Time that homing may take beyond the announced time, us.
@@ -167,8 +170,12 @@ impl Work<'_> {
                     far_limit,
                     estop_loop,
                 } = status.inputs;
+                let closes = |status: &RigStatus| !status.inputs.estop_loop;
+                // A loop that was open just now and closes again by itself is noisy.
+                let stays_open = estop_loop && !closes(&self.until(LOOP_US, closes)?);
                 Err(Halt::Defect(match status.fault {
-                    _ if estop_loop => "the E-stop loop is open at rest: a button is pressed, an end-of-travel switch is actuated, or a wire of the loop is broken".to_owned(),
+                    _ if stays_open => "the E-stop loop is open at rest: a button is pressed, an end-of-travel switch is actuated, or a wire of the loop is broken".to_owned(),
+                    _ if estop_loop => fault_text(RigFault::EStopLoop),
                     _ if home_flag && far_limit => Refusal::BothSwitchesOpen.to_string(),
                     Some(fault) => fault_text(fault),
                     None => refused(&refusal),
