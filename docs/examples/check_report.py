@@ -84,7 +84,9 @@ def planned_mm(action, time_s):
 def deviation_mm(record):
     """Largest difference of a sample from the plan."""
     action = record.sidecar["action"]
-    starts = [event["time_us"] for event in record.sidecar["events"] if "'run_started'" in str(event["what"])]
+    # An event without parts is a text: `"link_lost"`.
+    whats = [(event["time_us"], event["what"]) for event in record.sidecar["events"]]
+    starts = [time_us for time_us, what in whats if isinstance(what, dict) and "run_started" in (what.get("rig") or {})]
     if not action["achieved"] or not action["executed"] or action["executed"]["holds"] or not starts:
         return None
     screw = action["screw"]

@@ -28,7 +28,7 @@ fn no_name_in_json_has_a_capital() {
     let mut seen = 0;
     let mut each = |name: &str| {
         seen += 1;
-        // What people call a machine, and its last words, are theirs.
+        // People name a machine as they like, and its last words are a sentence.
         let free = name.contains(' ');
         assert!(
             free || !name.contains(|c: char| c.is_ascii_uppercase()),

@@ -53,29 +53,23 @@ class RunEngineTest(BenchTest):
 
         for wanted in (
             protocols.Readable,
-            protocols.Configurable,
             protocols.Movable,
             protocols.Locatable,
             protocols.Checkable,
             protocols.HasHints,
             protocols.Stoppable,
             protocols.Stageable,
+        ):
+            self.assertIsInstance(self.rig, wanted)
+            self.assertIsInstance(self.capsule, wanted)
+        for wanted in (
+            protocols.Configurable,
             protocols.Preparable,
             protocols.Flyable,
             protocols.EventCollectable,
             protocols.Pausable,
         ):
             self.assertIsInstance(self.rig, wanted)
-        for wanted in (
-            protocols.Readable,
-            protocols.Movable,
-            protocols.Locatable,
-            protocols.Checkable,
-            protocols.HasHints,
-            protocols.Stoppable,
-            protocols.Stageable,
-        ):
-            self.assertIsInstance(self.capsule, wanted)
 
     def test_2_a_run_is_flown_and_its_telemetry_collected(self) -> None:
         from bluesky.plans import fly

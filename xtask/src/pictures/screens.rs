@@ -81,7 +81,7 @@ pub(super) fn take(browser: &Path) -> Result<()> {
     let (_serve, said) = start(&mut serve, &["http://"])?;
     let page = said[0].trim();
     let mut motion = Ends(spawn(&mut session.tool(&["run"]))?);
-    // The third stroke, at 24 mm.
+    // In the middle of the run.
     thread::sleep(Duration::from_secs(9));
     for picture in OF_PAGE {
         session.takes(picture, page)?;
@@ -173,7 +173,7 @@ fn start(command: &mut Command, parts: &[&str]) -> Result<(Ends, Vec<String>)> {
             let lines = BufReader::new(stream)
                 .lines()
                 .map_while(std::io::Result::ok);
-            // What it says later is for nobody.
+            // Later lines find no reader, and that ends nothing.
             lines.for_each(|line| drop(says.send(line)));
         });
     }

@@ -136,24 +136,44 @@ fn encoded(text: &str) -> Vec<u8> {
     text.chars().map(byte).collect()
 }
 
-/// Widths of the letters of [`LETTERS_OF_FONT`], in thousandths of the font size; 0 for what the font lacks.
-static WIDTHS: LazyLock<Vec<f32>> = LazyLock::new(|| {
-    let Ok(face) = ttf_parser::Face::parse(ARIMO, 0) else {
-        return vec![];
+/// What a reader has to know of the font, in thousandths of the font size.
+struct Metrics {
+    /// Of the letters of [`LETTERS_OF_FONT`]; 0 for what the font lacks.
+    widths: Vec<f32>,
+    bounds: Rect,
+    ascent: f32,
+    descent: f32,
+    capital: f32,
+}
+
+static METRICS: LazyLock<Metrics> = LazyLock::new(|| {
+    let face = ttf_parser::Face::parse(ARIMO, 0).expect("the font is part of the program");
+    let scaled = |units: i16| f32::from(units) * 1_000.0 / f32::from(face.units_per_em());
+    let width = |byte| {
+        let glyph = face.glyph_index(char::from(byte))?;
+        face.glyph_hor_advance(glyph)
     };
-    let thousandths = 1_000.0 / f32::from(face.units_per_em());
-    LETTERS_OF_FONT
-        .map(|byte| {
-            let glyph = face.glyph_index(char::from(byte));
-            let advance = glyph.and_then(|glyph| face.glyph_hor_advance(glyph));
-            f32::from(advance.unwrap_or(0)) * thousandths
-        })
-        .collect()
+    let bounds = face.global_bounding_box();
+    Metrics {
+        widths: LETTERS_OF_FONT
+            .map(|byte| scaled(width(byte).unwrap_or(0).cast_signed()))
+            .collect(),
+        bounds: Rect::new(
+            scaled(bounds.x_min),
+            scaled(bounds.y_min),
+            scaled(bounds.x_max),
+            scaled(bounds.y_max),
+        ),
+        ascent: scaled(face.ascender()),
+        descent: scaled(face.descender()),
+        capital: scaled(face.capital_height().unwrap_or(0)),
+    }
 });
 
 /// Width of encoded text, relative to the font size.
 fn width(text: &[u8]) -> f32 {
-    let of = |byte: &u8| WIDTHS.get(usize::from(byte.wrapping_sub(*LETTERS_OF_FONT.start())));
+    let place = |byte: &u8| usize::from(byte.wrapping_sub(*LETTERS_OF_FONT.start()));
+    let of = |byte| METRICS.widths.get(place(byte));
     text.iter().filter_map(of).sum::<f32>() / 1_000.0
 }
 
@@ -169,18 +189,18 @@ fn write_font(pdf: &mut Pdf, font: Ref, descriptor: Ref, file: Ref) {
         .pair(Name(b"Encoding"), Name(b"WinAnsiEncoding"));
     dict.insert(Name(b"Widths"))
         .array()
-        .items(WIDTHS.iter().copied());
+        .items(METRICS.widths.iter().copied());
     dict.finish();
-    // Thousandths of the font size, of the font's tables `head`, `hhea` and `OS/2`.
     pdf.font_descriptor(descriptor)
         .name(FONT_NAME)
         .flags(FontFlags::NON_SYMBOLIC)
-        .bbox(Rect::new(-203.0, -212.0, 957.0, 878.0))
+        .bbox(METRICS.bounds)
         .italic_angle(0.0)
-        .ascent(905.0)
-        .descent(-212.0)
-        .cap_height(688.0)
-        .stem_v(88.0)
+        .ascent(METRICS.ascent)
+        .descent(METRICS.descent)
+        .cap_height(METRICS.capital)
+        // The font does not say how thick its stems are, and 0 says that.
+        .stem_v(0.0)
         .font_file2(file);
     let length = i32::try_from(ARIMO.len()).unwrap_or(i32::MAX);
     pdf.stream(file, ARIMO).pair(Name(b"Length1"), length);
@@ -371,7 +391,7 @@ mod tests {
             .into_iter()
             .filter(|byte| *byte != b'?')
         {
-            assert!(WIDTHS[usize::from(byte - 32)] > 0.0, "{byte}");
+            assert!(METRICS.widths[usize::from(byte - 32)] > 0.0, "{byte}");
         }
     }
 }
