@@ -184,6 +184,38 @@ fn a_record_of_format_1_is_read_with_all_its_names() {
     assert!(nothing.to_string().contains("missing field"), "{nothing}");
 }
 
+#[test]
+fn telemetry_with_the_columns_of_format_1_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut trial = Trial::new(
+        Action::Actuation {
+            actuation: ActuationKind::Fold,
+            accepted: None,
+            record: None,
+        },
+        device(),
+        &Recording {
+            folder: folder.path().to_owned(),
+            stem: "run".to_owned(),
+            now: Timestamp::UNIX_EPOCH,
+            note: None,
+            telemetry_ms: 10,
+        },
+    );
+    trial.telemetry = "run.csv".to_owned();
+    let rows = "time_us,state,position_mm,speed_mm_s,stroke,position_steps,commanded_steps,residual_steps,home_flag,far_limit,estop_loop,missed,origin\n\
+                5,Running,1.250,0.000,0,1000,1000,0,true,false,true,0,board\n";
+    fs::write(folder.path().join("run.csv"), rows).expect("written");
+    let read: Vec<RigSample> = trial
+        .samples(&folder.path().join("run.json"))
+        .expect("rows");
+    let [row] = read.as_slice() else {
+        panic!("one row: {read:?}");
+    };
+    let inputs = (row.home_flag_open, row.far_limit_open, row.estop_loop_open);
+    assert_eq!((inputs, row.position_steps), ((true, false, true), 1_000));
+}
+
 fn event(index: u32, what: What) -> Event {
     Event {
         index,
