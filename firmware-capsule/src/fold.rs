@@ -35,12 +35,13 @@ use crate::calibration::Calibration;
 use crate::circuit::Circuit;
 use crate::detect::{Detector, Load, Trip};
 use crate::governor::{Effort, Governor};
-use crate::leg::{Decision, Leg, Purpose, Rise, is_near};
+use crate::leg::{Decision, Leg, Purpose, Rise, STOP_MARGIN, is_near};
 use crate::mechanics::{Counts, FOUND_AGAIN, FOUND_BY_RISE, Thread};
 use crate::record::Recorder;
 use crate::sample::{Sample, Spooling};
 use crate::settings::Settings;
 use measures::{Drift, FRICTION_FORCE, Mean, drawn_ma};
+use orders::CHECKED;
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
@@ -517,6 +518,7 @@ impl Capsule {
         if ends && self.circuit_disagrees() {
             return Err(CapsuleFault::SenseOrEncoder);
         }
+        let may_have_slipped = self.may_have_slipped();
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
@@ -548,16 +550,13 @@ impl Capsule {
                     return Ok(());
                 }
             },
+            Decision::Folded if may_have_slipped => self.feels_again(),
             Decision::Folded => {
-                let drifts = actuation.kind != ActuationKind::CheckFolded;
-                self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
-                if drifts {
-                    self.watch_drift(actions);
-                }
+                self.folded(now_us, actions);
                 return Ok(());
             }
             // The folded thread pulls as it did at the calibration: wind back to the start.
-            Decision::Arrived if actuation.kind == ActuationKind::CheckFolded => {
+            Decision::Arrived if ends_folded(actuation.kind) => {
                 match actuation.leg.spooling() {
                     Spooling::PayOut => {
                         // Allow the largest end force: friction must not end the way back.
@@ -569,7 +568,7 @@ impl Capsule {
                         }
                     }
                     Spooling::Wind => {
-                        self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
+                        self.folded(now_us, actions);
                         return Ok(());
                     }
                 }
@@ -677,6 +676,33 @@ impl Capsule {
         }))
     }
 
+    /// A fold has ended with a pull that less friction leaves, or a thread that has slipped.
+    fn may_have_slipped(&self) -> bool {
+        let Mode::Moving(actuation) = &self.mode else {
+            return false;
+        };
+        actuation.kind == ActuationKind::Fold
+            && actuation.winding_ma.is_none()
+            && actuation.pulls_less()
+    }
+
+    /// Feels the pull of the folded thread, in which friction cancels: winds and pays out a little, and winds it again.
+    fn feels_again(&mut self) -> Leg {
+        let here = self.thread();
+        if let Mode::Moving(actuation) = &mut self.mode {
+            actuation.from = Thread(here.0.saturating_add(STOP_MARGIN.0));
+        }
+        Leg::feel(self.sample.counts, Thread(here.0.saturating_sub(CHECKED.0)))
+    }
+
+    /// Ends a motion at the folded end.
+    fn folded(&mut self, now_us: u64, actions: &mut Actions) {
+        self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
+        if self.record().kind != ActuationKind::CheckFolded {
+            self.watch_drift(actions);
+        }
+    }
+
     /// A calibration has found the end too early, in a capsule whose zero may lie as high as it can: its last reference
     /// run has not wound all the thread itself. The place where a calibration begins becomes the unfolded end, so what
     /// is left on the spool would never be paid out again.
@@ -752,6 +778,10 @@ impl Capsule {
             _ => Drive::Off,
         }
     }
+}
+
+fn ends_folded(kind: ActuationKind) -> bool {
+    matches!(kind, ActuationKind::Fold | ActuationKind::CheckFolded)
 }
 
 fn fault_of(trip: Trip, thread: Thread) -> CapsuleFault {

@@ -1,7 +1,7 @@
 //! Measurements during a motion: no-load current, pull of the thread, friction of the worm, position of the folded
 //! ends.
 
-use super::{Actions, Capsule, Drive, Mode};
+use super::{Actions, Actuation, Capsule, Drive, Mode};
 use crate::calibration::Calibration;
 use crate::circuit::Reading;
 use crate::detect::Load;
@@ -49,6 +49,9 @@ const SCATTERED: i32 = 1_050;
 const COMPARED_UM: (i32, i32) = (350, 100);
 /// Minimum readings in that range.
 const LEAST_COMPARED: i32 = 8;
+/// Minimum pull just before the end, in thousandths of the calibration's, with which a fold is not felt again. After a
+/// slip of 2 mm it is 700 at most, but less friction leaves no more.
+const SURE_PULL: u16 = 800;
 /// Largest creep of the end that is believed, um: twice as much is a slip that keeps 65 % of its pull.
 const MOST_CREPT_UM: i32 = 800;
 /// Largest creep per cycle, um.
@@ -95,6 +98,13 @@ fn crept_by(share: i32, rise_um: i32) -> i32 {
     logarithm * rise_um / 693
 }
 
+impl Actuation {
+    /// Just before the calibrated end the thread pulled less than [`SURE_PULL`] of the calibration.
+    pub(super) fn pulls_less(&self) -> bool {
+        self.share.mean().is_some_and(|share| share < SURE_PULL)
+    }
+}
+
 impl Capsule {
     /// Scales the end force to the friction of this motion. The folded end is a place, but a current finds it, and
     /// that depends on the worm's friction and on anything else that scales the origami's force. If a fold feels half
@@ -110,8 +120,8 @@ impl Capsule {
         let Leg::Wind { end, short, .. } = actuation.leg else {
             return;
         };
-        // A check of a folded capsule begins beyond the compared range.
-        if actuation.kind == ActuationKind::CheckFolded && short.is_some() {
+        // A folded thread that was felt is wound back to where that began.
+        if actuation.kind != ActuationKind::FoldTo && short.is_some() {
             return;
         }
         let rise_um = calibration.rise.0.max(1);

@@ -23,7 +23,7 @@ const MOST_MOVED_MA: u16 = 7;
 /// Distance within which a partial fold has arrived, um.
 const ARRIVED: i32 = 100;
 /// Thread that a check of a folded capsule pays out and winds again: the tension zone, and its extensions.
-const CHECKED: Thread = Thread(1_500);
+pub(super) const CHECKED: Thread = Thread(1_500);
 
 fn out_of_range(thread: Thread, (least, most): (Thread, Thread)) -> Refusal {
     let count = |Thread(um)| u64::try_from(um).unwrap_or(0);

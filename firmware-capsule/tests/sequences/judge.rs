@@ -459,7 +459,8 @@ impl Judge {
         let thread_um = self.zero.map(|zero| um(count.wrapping_sub(zero)));
         let explained = match (order.kind, thread_um) {
             _ if order.leapt => true,
-            (ActuationKind::Fold, _) => false,
+            // At the folded end it may feel whether the thread pulls.
+            (ActuationKind::Fold, _) => um(order.top.wrapping_sub(count)) < CHECKED_UM + FELT_UM,
             (ActuationKind::Calibrate, _) => wound_um > 0,
             (ActuationKind::CheckFolded, _) => wound_um > -CHECKED_UM,
             // The thread pulled where it began to.

@@ -121,7 +121,7 @@ pub const REST_S: u32 = 30;
 /// # Errors
 /// [`IdentifyError`].
 pub fn identify(fold: &[TracePoint], unfold: &[TracePoint]) -> Result<Identified, IdentifyError> {
-    let folding = blocks("fold", fold, 1.0)?;
+    let folding = blocks("fold", once_wound(fold), 1.0)?;
     let unfolding = blocks("unfolding", unfold, -1.0)?;
     let (circuit_ohm, constant) = circuit(&folding, &unfolding)?;
     let load = load::fit(&folding, &unfolding)?;
@@ -142,6 +142,16 @@ impl Block {
         let both = self.duty * (1.0 - self.duty);
         self.duty * self.current_ma + RISE_MA_PER_V * self.battery_mv * 1e-3 * both * both
     }
+}
+
+/// A fold up to its farthest point. One that feels its thread there pays out and winds again, and the origami pulls less
+/// on that way.
+fn once_wound(fold: &[TracePoint]) -> &[TracePoint] {
+    let far_um = fold.iter().map(|point| point.thread_um).max();
+    let far = fold
+        .iter()
+        .position(|point| Some(point.thread_um) == far_um);
+    &fold[..far.map_or(0, |far| far + 1)]
 }
 
 /// The steady blocks of a recording; `sign` is that of the drive.
@@ -315,6 +325,17 @@ mod tests {
         }
         points.push(point(from_um, 20, 1_480));
         points
+    }
+
+    #[test]
+    fn of_a_fold_that_is_felt_the_first_way_counts() {
+        let fold = wound([200; 20]);
+        let mut felt = fold.clone();
+        felt.extend((0..100).map(|ms| point(4_000 - 15 * ms, 20, -1_480)));
+        felt.extend((0..=100).map(|ms| point(2_500 + 15 * ms, 20, 1_480)));
+        assert_eq!(once_wound(&felt), fold);
+        assert_eq!(once_wound(&fold), fold);
+        assert!(once_wound(&[]).is_empty());
     }
 
     /// Of 20 blocks, the first and the last have one neighbour only, and those in the last 0.7 mm do not count.
