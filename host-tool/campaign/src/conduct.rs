@@ -251,8 +251,6 @@ pub struct Conduct<'a> {
     gone: bool,
     /// Name of the camera's next file, if the operator has given one.
     camera: Option<String>,
-    /// Whether the rollers were clamped again within the block.
-    clamped_anew: bool,
     /// Block of the last homing in this session.
     homed_in: Option<u32>,
 }
@@ -284,7 +282,6 @@ impl<'a> Conduct<'a> {
             connect,
             gone: false,
             camera: None,
-            clamped_anew: false,
             homed_in: None,
         }
     }

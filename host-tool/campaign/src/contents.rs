@@ -198,11 +198,9 @@ fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, S
     Ok(rows)
 }
 
-/// Removes line breaks from a text, because people may read the CSV files line by line.
-pub(crate) fn in_a_line(text: &str) -> String {
-    let text: String = text
-        .chars()
-        .map(|char| if char.is_control() { ' ' } else { char })
-        .collect();
-    text.trim().to_owned()
+/// The text without line breaks, because people may read the CSV files line by line; none if nothing is left of it.
+pub(crate) fn in_a_line(text: &str) -> Option<String> {
+    let text = text.replace(char::is_control, " ");
+    let text = text.trim();
+    (!text.is_empty()).then(|| text.to_owned())
 }

@@ -6,6 +6,7 @@ use std::path::Path;
 use client::identity::Origin;
 use client::{limited, plain, wording};
 use jiff::{SignedDuration, Timestamp};
+use protocol::capsule::ActuationKind;
 use protocol::rig::Direction;
 use serde::Deserialize;
 use trials::check;
@@ -174,7 +175,8 @@ fn check_attempt(
     verified.findings.append(&mut found);
 }
 
-/// A start of a record that does not lie within its attempt.
+/// A start of a record that does not lie within its attempt. The capsule is unfolded once the body has been measured,
+/// which may be long after the attempt has ended.
 fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
     let start = record.started_utc;
     if attempt.ended.is_some_and(|ended| ended < attempt.began) {
@@ -182,9 +184,16 @@ fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
         return None;
     }
     let early = attempt.began.duration_since(start) > CLOCK_DRIFT;
+    let unfolds = matches!(
+        record.action,
+        Action::Actuation {
+            actuation: ActuationKind::Unfold,
+            ..
+        }
+    );
     let late = attempt
         .ended
-        .is_some_and(|ended| start.duration_since(ended) > CLOCK_DRIFT);
+        .is_some_and(|ended| !unfolds && start.duration_since(ended) > CLOCK_DRIFT);
     (early || late).then(|| {
         format!(
             "began at {start}, and by {TRIALS} the attempt lasted from {} to {}",
@@ -244,7 +253,7 @@ fn conditions_differ(
         () if Some(says.origin) != campaign.origin() => differs("the origin"),
         () if says.readings_set != attempt.readings_set => differs("the readings"),
         () if says.indentation_mm != attempt.indentation_mm => differs("a_n"),
-        () if says.camera_file.as_deref().map(in_a_line) != attempt.camera_file.clone() => {
+        () if says.camera_file.as_deref().and_then(in_a_line) != attempt.camera_file => {
             differs("the camera's file")
         }
         () => None,

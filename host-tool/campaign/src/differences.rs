@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use client::limited;
-use client::plain::{self, PART};
+use client::plain;
 
 use crate::CampaignError;
 use crate::contents::Campaign;
@@ -246,17 +246,20 @@ impl Differences {
             }
         }
         for path in self.added.keys() {
-            if path.ends_with(PART) {
-                left.parts.push(path.clone());
-                continue;
-            }
-            let attempt = path
+            let within = path
                 .strip_prefix(ATTEMPTS)
                 .and_then(|path| path.strip_prefix('/'))
-                .and_then(|path| path.split_once('/'))
-                .map(|(attempt, _)| attempt);
-            match attempt {
-                Some(attempt) if is_new(attempt, campaign) => {
+                .and_then(|path| path.split_once('/'));
+            match within {
+                // Only what this tool replaces: other programs use the suffix, too.
+                None if plain::of_part(path) == Some(manifest::NAME) => {
+                    left.parts.push(path.clone());
+                }
+                Some((attempt, name)) if is_new(attempt, campaign) => {
+                    if plain::of_part(name).is_some() {
+                        left.parts.push(path.clone());
+                        continue;
+                    }
                     if left.attempts.last().map(String::as_str) != Some(attempt) {
                         left.attempts.push(attempt.to_owned());
                     }

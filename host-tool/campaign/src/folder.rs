@@ -287,8 +287,8 @@ impl Folder {
         row.time_utc = now;
         row.origin = origin;
         self.is_of(origin)?;
-        row.text = row.text.as_deref().map(in_a_line);
-        row.camera_file = row.camera_file.as_deref().map(in_a_line);
+        row.text = row.text.as_deref().and_then(in_a_line);
+        row.camera_file = row.camera_file.as_deref().and_then(in_a_line);
         let mut state = self.campaign.state.clone();
         state.apply(&row).map_err(|error| {
             CampaignError::misuse(
@@ -324,7 +324,7 @@ impl Folder {
         row.time_utc = now;
         row.origin = origin;
         self.is_of(origin)?;
-        row.text = row.text.as_deref().map(in_a_line);
+        row.text = row.text.as_deref().and_then(in_a_line);
         let mut readings = self.campaign.readings.clone();
         readings
             .apply(&row)

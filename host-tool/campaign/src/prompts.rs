@@ -189,6 +189,8 @@ pub enum Answer {
 /// Parses a typed answer.
 #[must_use]
 pub fn parse(text: &str) -> Answer {
+    // A key that a terminal does not know may arrive as a control character.
+    let text = text.replace(char::is_control, " ");
     let text = text.trim();
     let (word, rest) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
     let rest = rest.trim().to_owned();

@@ -71,7 +71,7 @@ pub struct Set {
     pub values: Vec<Millimetres>,
     /// Whether it is accepted.
     pub accepted: bool,
-    /// Whether it is discarded.
+    /// Whether it is discarded: before it was accepted, or because the rollers were clamped anew.
     pub discarded: bool,
     /// The questions that were asked and confirmed, or why it is not used.
     pub text: Option<String>,
@@ -208,9 +208,10 @@ impl Readings {
                 set.text = row.text.clone();
             }
             Kind::Discarded => {
-                set.accepted = false;
                 set.discarded = true;
-                set.text = row.text.clone();
+                if !set.accepted {
+                    set.text = row.text.clone();
+                }
             }
             Kind::Reading | Kind::Withdrawn | Kind::Accepted => {
                 return Err(wrong(format!("set {} is complete", set.number)));
@@ -244,12 +245,13 @@ impl Readings {
             .rfind(|set| set.accepted && set.indentation.as_deref() == Some(indentation))
     }
 
-    /// The last set of i_n, which is the present clamping of the rollers.
+    /// The last set of i_n, which is the present clamping of the rollers; none if they were clamped anew since.
     #[must_use]
     pub fn clamped(&self) -> Option<&Set> {
         self.sets
             .iter()
             .rfind(|set| set.accepted && set.quantity == Quantity::BetweenCrests)
+            .filter(|set| !set.discarded)
     }
 
     /// a_n = (D - i_n)/2 from a set of i_n and the last accepted D, mm. None without D, or if they contradict each

@@ -174,6 +174,14 @@ pub fn part_of(name: &Path) -> OsString {
     part
 }
 
+/// Name of the file that `part` was about to replace, if it has the form of [`part_of`].
+#[must_use]
+pub fn of_part(part: &str) -> Option<&str> {
+    let (name, random) = part.strip_suffix(PART)?.rsplit_once('.')?;
+    let is_random = random.len() == 16 && random.bytes().all(|byte| byte.is_ascii_hexdigit());
+    (is_random && !name.is_empty()).then_some(name)
+}
+
 /// A folder that is written to. It was opened without following a link and stays the same one, whatever happens to
 /// its path meanwhile.
 #[derive(Debug)]

@@ -14,6 +14,7 @@ use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, So
 use campaign::manifest::{self, Manifest};
 use campaign::order::order;
 use campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
+use campaign::prompts::{self, Answer};
 use campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
 use campaign::verify::verify;
 use client::identity::Origin;
@@ -840,6 +841,47 @@ fn a_crash_at_any_byte_loses_no_whole_line() {
     }
 }
 
+/// A terminal may deliver control characters. What is left of them must be read back as it was written.
+#[test]
+fn a_text_of_control_characters_is_none() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = campaign(&path);
+    let before = fs::read(path.join(TRIALS)).expect("there");
+    let row = LedgerRow::of(LedgerEvent::Excluded, 3, Some(1)).saying(Some("\u{1b}".to_owned()));
+    let error = folder.append(row, at(100), Origin::Board);
+    assert!(error.is_err(), "without a reason");
+    assert_eq!(fs::read(path.join(TRIALS)).expect("there"), before);
+    let mut row = LedgerRow::of(LedgerEvent::Began, 4, Some(1));
+    row.camera_file = Some("\u{7}".to_owned());
+    folder.append(row, at(200), Origin::Board).expect("written");
+    assert_eq!(*folder.campaign(), Campaign::read(&path).expect("a campaign"));
+    let excluded = |text: &str| prompts::parse(&format!("exclude {text}"));
+    assert!(matches!(excluded("\u{1b}"), Answer::Unclear(_)));
+    assert_eq!(excluded("\u{1b}[Atorn"), Answer::Exclude("[Atorn".to_owned()));
+}
+
+/// Programs that save a file beside the campaign use the suffix, too.
+#[test]
+fn half_a_file_of_another_program_is_not_removed() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let ours = format!("{}.0123456789abcdef.part", manifest::NAME);
+    fs::write(path.join(&ours), "half").expect("written");
+    let (folder, told) = resume(&path, at(99)).expect("a crash");
+    assert!(told[0].contains(&ours), "{told:?}");
+    assert!(!path.join(&ours).exists());
+    drop(folder);
+    for name in ["IMG_7.MOV.part", "IMG_7.MOV.0123456789abcdef.part"] {
+        fs::write(path.join(name), "a film").expect("written");
+        let error = resume(&path, at(99)).err().expect("not of a crash");
+        assert!(error.why.contains("is not in SHA256SUMS"), "{error:?}");
+        assert!(path.join(name).exists());
+        fs::remove_file(path.join(name)).expect("there");
+    }
+}
+
 /// Kills the tool between any two steps of an attempt. The attempt counts if its record is complete; otherwise it is
 /// lost.
 #[test]
@@ -868,7 +910,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
         let text = text.replace(&at(16).to_string(), &at(200).to_string());
         fs::write(to.join(name), text).expect("copied");
     }
-    fs::write(to.join("run.json.part"), "half").expect("written");
+    fs::write(to.join("run.json.00c0ffee00c0ffee.part"), "half").expect("written");
     // Nothing tells to move or replace what the next session takes up.
     for finding in verify(&path).expect("readable").findings {
         let resumes = finding.remedy.contains("`retrograde campaign run`");

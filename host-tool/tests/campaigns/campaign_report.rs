@@ -180,6 +180,22 @@ fn campaign(path: &Path) -> Folder {
                 .seal_attempt(planned.trial, attempt)
                 .expect("written");
         }
+        if planned.shape == Shape::Folded.into() {
+            // The capsule is unfolded once the body has been measured: long after the attempt has ended.
+            clock.0 += 60;
+            let recording = Recording {
+                folder: folder.campaign().attempt_folder(planned.trial, last),
+                stem: "unfold".to_owned(),
+                now: clock.now(),
+                note: None,
+                telemetry_ms: 50,
+            };
+            let kind = ActuationKind::Unfold;
+            experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved).expect("unfold");
+            folder
+                .seal_attempt(planned.trial, last)
+                .expect("written");
+        }
         let mut row = LedgerRow::of(LedgerEvent::Displacement, planned.trial, Some(last));
         row.displacement_mm = Some(Millimetres::from_um(displacement_um(planned.trial)));
         row.source = Some(Source::Measured);

@@ -990,6 +990,69 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
     );
 }
 
+/// After `clamp` the former readings no longer hold, whatever is answered next: readings that are discarded, another word
+/// than Enter, a session that ends. The hand at the rollers may have turned the screw, so the rig homes again.
+#[test]
+fn rollers_that_are_clamped_anew_are_measured_anew() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "20.4"),
+            ("Reading 2 of 2: i", "20.4"),
+            ("Trial 1 of 6", "clamp"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "20.4"),
+            ("Reading 2 of 2: i", "21.4"),
+            ("Is that so?", "again"),
+            ("Clamp both rollers", "20.0"),
+            ("that is not for now", ""),
+            ("Reading 1 of 2: i", "20.0"),
+            ("Reading 2 of 2: i", "20.0"),
+            ("Trial 1 of 6", "clamp"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let homes = || memory.heard().iter().filter(|heard| **heard == "Home").count();
+    let before = homes();
+    let (code, shown) = converse(
+        &memory,
+        &["run", &out],
+        vec![
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "19.8"),
+            ("Reading 2 of 2: i", "19.8"),
+            ("Trial 1 of 6", ""),
+            ("Displacement of the tail", "repeat torn"),
+            ("Trial 1 of 6, attempt 2", "clamp"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "19.6"),
+            ("Reading 2 of 2: i", "19.6"),
+            ("Trial 1 of 6, attempt 2", ""),
+            ("Displacement of the tail", "12.5"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    assert_eq!(homes() - before, 2, "{shown}");
+    let campaign = whole(&out);
+    let attempts = &campaign.state.trials[0].attempts;
+    let widths_mm = attempts.iter().map(|attempt| attempt.indentation_mm);
+    let expected = ["2.3", "2.4"].map(|a| Some(a.parse().expect("a length")));
+    assert!(widths_mm.eq(expected), "{attempts:?}");
+    // Those of the first attempt stay in the report.
+    let sets = &campaign.readings.sets;
+    assert!(sets.iter().filter(|set| set.accepted).count() >= 4, "{sets:?}");
+}
+
 #[test]
 fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     let place = place(&small_plan(&[]));

@@ -15,6 +15,22 @@ enum Job {
     Replace(PathBuf, Vec<u8>),
 }
 
+/// Where the growing file's rows go.
+pub(crate) trait Sink: Write + Send + 'static {
+    /// Waits until everything written is on the disk.
+    fn sync(&mut self) -> io::Result<()>;
+}
+
+impl Sink for File {
+    fn sync(&mut self) -> io::Result<()> {
+        match self.sync_data() {
+            // A pipe or a terminal has no disk.
+            Err(error) if error.kind() == io::ErrorKind::InvalidInput => Ok(()),
+            result => result,
+        }
+    }
+}
+
 /// A failed write.
 #[derive(Clone, Debug)]
 pub(crate) struct WriteError {
@@ -37,7 +53,7 @@ pub(crate) struct Writer {
 
 impl Writer {
     /// Writes to the end of `file`, whose path is `path`.
-    pub(crate) fn new(path: PathBuf, file: File) -> Self {
+    pub(crate) fn new(path: PathBuf, file: impl Sink) -> Self {
         let (jobs, given) = mpsc::channel();
         let failed = Arc::new(OnceLock::new());
         let first = Arc::clone(&failed);
@@ -63,7 +79,8 @@ impl Writer {
         let _ = self.jobs.send(Job::Replace(path, bytes));
     }
 
-    /// Waits until everything is written; drop all appenders first.
+    /// Waits until everything is on the disk; drop all appenders first. Whatever is written afterwards, as the sidecar
+    /// that calls the record complete, cannot outlive the rows in a power cut.
     ///
     /// # Errors
     /// The first failed write. After a failed append, nothing more is appended to that file.
@@ -93,8 +110,13 @@ impl Write for Appender {
     }
 }
 
-fn write(path: &Path, mut file: File, jobs: Receiver<Job>, failed: &OnceLock<WriteError>) {
+fn write(path: &Path, mut file: impl Sink, jobs: Receiver<Job>, failed: &OnceLock<WriteError>) {
     let mut appends = true;
+    let fail = |path: PathBuf, io: io::Error| {
+        let why = io.to_string();
+        // Keep the first failure only: it is the cause.
+        let _ = failed.set(WriteError { path, why });
+    };
     for job in jobs {
         let written = match job {
             // Append nothing after a failure: rows would be missing in the middle.
@@ -108,10 +130,11 @@ fn write(path: &Path, mut file: File, jobs: Receiver<Job>, failed: &OnceLock<Wri
             Job::Replace(path, bytes) => replace(&path, &bytes).map_err(|io| (path, io)),
         };
         if let Err((path, io)) = written {
-            let why = io.to_string();
-            // Keep the first failure only: it is the cause.
-            let _ = failed.set(WriteError { path, why });
+            fail(path, io);
         }
+    }
+    if let Err(io) = file.sync() {
+        fail(path.to_owned(), io);
     }
 }
 
@@ -139,6 +162,37 @@ mod tests {
         assert_eq!(fs::read_to_string(&path).expect("there"), rows);
         assert_eq!(fs::read(&other).expect("there"), b"last");
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 2);
+    }
+
+    /// A file of which a test sees what was synced.
+    struct Disk(Arc<std::sync::Mutex<Vec<&'static str>>>);
+
+    impl Write for Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.lock().expect("free").push("written");
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Sink for Disk {
+        fn sync(&mut self) -> io::Result<()> {
+            self.0.lock().expect("free").push("synced");
+            Err(io::Error::other("no space"))
+        }
+    }
+
+    /// Else a power cut could leave a sidecar that calls the record complete beside a file that is cut short.
+    #[test]
+    fn what_is_finished_is_on_the_disk() {
+        let log = Arc::default();
+        let writer = Writer::new(PathBuf::from("a.csv"), Disk(Arc::clone(&log)));
+        writer.appender().write_all(b"row\n").expect("never fails");
+        let error = writer.finish().expect_err("it was not synced");
+        assert_eq!(error.why, "no space");
+        assert_eq!(*log.lock().expect("free"), ["written", "synced"]);
     }
 
     /// A pipe whose reader does not read acts as a disk that does not write.

@@ -25,10 +25,9 @@ impl Conduct<'_> {
             ];
             return self.prepare(todo, Quantity::Width, None);
         }
-        if !self.clamped_anew && self.is_clamped_for(planned) {
+        if self.is_clamped_for(planned) {
             return Ok(Then::Go);
         }
-        self.clamped_anew = false;
         let plan = &self.folder.campaign().plan;
         let name = &planned.indentation;
         let mut todo = vec![
@@ -66,6 +65,27 @@ impl Conduct<'_> {
                     .any(|attempt| attempt.readings_set == Some(set.number))
         });
         set.indentation.as_deref() == Some(&*planned.indentation) && !elsewhere
+    }
+
+    /// The rollers are to be clamped anew: the readings no longer hold, whatever happens before there are others, and the
+    /// hand at the rollers may turn the screw.
+    pub(super) fn clamp(&mut self) -> Result<(), Broken> {
+        self.homed_in = None;
+        let Some(set) = self.folder.campaign().readings.clamped().cloned() else {
+            return Ok(());
+        };
+        self.reading_row(ReadingRow {
+            row: 0,
+            time_utc: Timestamp::UNIX_EPOCH,
+            readings_set: set.number,
+            quantity: set.quantity,
+            indentation: set.indentation,
+            event: Kind::Discarded,
+            reading: None,
+            value_mm: None,
+            text: Some("clamped anew".to_owned()),
+            origin: Origin::Unknown,
+        })
     }
 
     fn prepare(

@@ -83,7 +83,7 @@ impl Conduct<'_> {
                 );
             }
             Answer::Camera(file) => self.camera = Some(file),
-            Answer::Clamp => self.clamped_anew = true,
+            Answer::Clamp => self.clamp()?,
             Answer::Repeat(_) => {
                 self.desk.say(
                     "  `undo` goes back to the last displacement; there `repeat` does it again",
