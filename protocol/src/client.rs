@@ -185,9 +185,9 @@ impl Client {
             .map(|frame| Pending::new(header, frame, ATTEMPTS));
     }
 
-    /// A client without session and pending request that continues the sequence numbers of this one.
-    pub const fn renewed(&self) -> Self {
-        Self::numbering_from(self.next_seq)
+    /// Forgets the pending request: it is not sent again, and an answer to it is not reported.
+    pub fn forget(&mut self) {
+        self.pending = None;
     }
 
     fn take_seq(&mut self) -> u16 {

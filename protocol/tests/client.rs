@@ -238,6 +238,22 @@ fn a_stop_without_an_answer_is_given_up_before_the_request() {
     assert_eq!(header(&sent(&mut client, end_us)), request);
 }
 
+/// As when a stop has made it pointless: sent again it would start what was stopped. The session goes on.
+#[test]
+fn a_request_that_is_forgotten_is_not_sent_again_and_its_answer_not_told() {
+    let mut client = connected();
+    client.request(&KEEP_ALIVE).unwrap();
+    let first = header(&sent(&mut client, 0));
+    client.forget();
+    assert_eq!(client.poll(RETRY_AFTER_US), Poll::WaitUntil(u64::MAX));
+    client.request(&KEEP_ALIVE).expect("in the same session");
+    let second = header(&sent(&mut client, RETRY_AFTER_US));
+    assert_eq!(second.session, first.session);
+    let reply = Reply::Accepted(Response::KeepAlive(Done));
+    assert_eq!(hear(&mut client, Kind::Reply, first.seq, &reply), None);
+    assert!(hear(&mut client, Kind::Reply, second.seq, &reply).is_some());
+}
+
 #[test]
 fn bad_frames_are_counted() {
     let mut client = connected();
@@ -264,10 +280,8 @@ fn a_late_reply_to_an_earlier_connection_confirms_nothing() {
     let own = header(&sent(&mut client, 0)).seq;
     assert_eq!(hear(&mut client, Kind::Reply, late, &done), None);
     assert_eq!(hear(&mut client, Kind::Reply, own, &done), confirmed);
-    // A renewed client continues the sequence numbers.
-    let mut renewed = client.renewed();
-    renewed.urgent(Urgent::EStop);
-    let next = header(&sent(&mut renewed, 0)).seq;
-    assert_eq!(hear(&mut renewed, Kind::Reply, own, &done), None);
-    assert_eq!(hear(&mut renewed, Kind::Reply, next, &done), confirmed);
+    client.urgent(Urgent::EStop);
+    let next = header(&sent(&mut client, 0)).seq;
+    assert_eq!(hear(&mut client, Kind::Reply, own, &done), None);
+    assert_eq!(hear(&mut client, Kind::Reply, next, &done), confirmed);
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use client::identity::Origin;
 use client::{limited, plain};
 use serde::de::DeserializeOwned;
+use trials::trial::Trial;
 
 use crate::CampaignError;
 use crate::files::{ATTEMPTS, ORDER, PLAN, READINGS, TRIALS};
@@ -95,6 +96,16 @@ impl Campaign {
     #[must_use]
     pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
         run_sidecar(&self.attempt_folder(trial, attempt))
+    }
+
+    /// The readable records of an attempt, with their files' names.
+    pub(crate) fn records(&self, trial: u32, attempt: u32) -> Vec<(String, Trial)> {
+        let files = plain::files(&self.attempt_folder(trial, attempt));
+        let named = |path: PathBuf| {
+            let name = path.file_name()?.to_str()?.to_owned();
+            Some((name, Trial::read(&path).ok()?))
+        };
+        files.into_iter().filter_map(named).collect()
     }
 
     /// Why this net displacement contradicts the displacements measured after each stroke; none if it does not, or if

@@ -15,6 +15,7 @@ use trials::trial::{Action, Trial};
 use crate::contents::{Campaign, in_a_line};
 use crate::differences::{COPY, Finding, RESUME, UNKNOWN};
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
+use crate::form::Form;
 use crate::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::order::Planned;
 use crate::plan::Millimetres;
@@ -116,7 +117,7 @@ fn check_attempt(
     );
     let mut found = vec![];
     let mut say = |what: String| found.push(Finding::new(&path, what, COPY));
-    let mut motions = vec![];
+    let mut records = vec![];
     for name in list(&campaign.folder.join(&path)) {
         let file = format!("{path}/{name}");
         let Some(record) = check_record(&campaign.folder, &file, verified) else {
@@ -125,24 +126,17 @@ fn check_attempt(
         if let Some(what) = not_within(&record, attempt) {
             say(format!("{name} {what}"));
         }
-        if ["run-", "pass-"].iter().any(|stem| name.starts_with(stem)) {
-            motions.push((name, record));
-        }
+        records.push((name, record));
     }
-    match &motions[..] {
-        [] if attempt.outcome == Some(AttemptOutcome::Complete) => say(format!(
-            "{TRIALS} says that it was completed, and there is no record of it"
-        )),
+    if attempt.outcome == Some(AttemptOutcome::Complete)
+        && let Some(what) = incomplete(planned, &records)
+    {
+        say(format!("{TRIALS} says that it was completed, and {what}"));
+    }
+    let motions: Vec<_> = records.iter().filter(|(name, _)| is_motion(name)).collect();
+    match motions[..] {
         [] => {}
         [(name, record)] => {
-            let says = AttemptOutcome::from(record.status);
-            if attempt.outcome == Some(AttemptOutcome::Complete) && says != AttemptOutcome::Complete
-            {
-                say(format!(
-                    "{TRIALS} says that it was completed, its record says {}",
-                    says.name()
-                ));
-            }
             let origin = record.device.origin;
             if campaign.origin().is_some_and(|of| of != origin) {
                 let of = campaign.origin().unwrap_or(Origin::Unknown);
@@ -175,6 +169,39 @@ fn check_attempt(
     verified.findings.append(&mut found);
 }
 
+/// Whether the name is that of a run's or a pass's record.
+pub(crate) fn is_motion(name: &str) -> bool {
+    ["run-", "pass-"].iter().any(|stem| name.starts_with(stem))
+}
+
+fn unfolds(record: &Trial) -> bool {
+    matches!(
+        record.action,
+        Action::Actuation {
+            actuation: ActuationKind::Unfold,
+            ..
+        }
+    )
+}
+
+/// Why these records, with their files' names, do not make an attempt complete. The capsule is unfolded after a complete
+/// one, so an unfolding does not count.
+pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Option<String> {
+    if !records.iter().any(|(name, _)| is_motion(name)) {
+        return Some("there is no record of it".to_owned());
+    }
+    let folds = records.iter().any(|(name, _)| name.starts_with("fold-"));
+    if planned.shape == Form::Folding && !folds {
+        return Some("there is no record of the fold in it".to_owned());
+    }
+    let counts = records.iter().filter(|(_, record)| !unfolds(record));
+    let other = |(name, record): &(String, Trial)| {
+        let says = AttemptOutcome::from(record.status);
+        (says != AttemptOutcome::Complete).then(|| format!("{name} says {}", says.name()))
+    };
+    counts.into_iter().find_map(other)
+}
+
 /// A start of a record that does not lie within its attempt. The capsule is unfolded once the body has been measured,
 /// which may be long after the attempt has ended.
 fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
@@ -184,16 +211,9 @@ fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
         return None;
     }
     let early = attempt.began.duration_since(start) > CLOCK_DRIFT;
-    let unfolds = matches!(
-        record.action,
-        Action::Actuation {
-            actuation: ActuationKind::Unfold,
-            ..
-        }
-    );
     let late = attempt
         .ended
-        .is_some_and(|ended| !unfolds && start.duration_since(ended) > CLOCK_DRIFT);
+        .is_some_and(|ended| !unfolds(record) && start.duration_since(ended) > CLOCK_DRIFT);
     (early || late).then(|| {
         format!(
             "began at {start}, and by {TRIALS} the attempt lasted from {} to {}",

@@ -13,18 +13,17 @@ use client::limited;
 use client::plain::{self, replace};
 use jiff::Timestamp;
 use serde::Serialize;
-use trials::trial::{Status, Trial};
 
 use crate::CampaignError;
 use crate::contents::{
     Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, in_a_line, not_a_campaign, order_text,
 };
-use crate::contradictions::CLOCK_STEP;
+use crate::contradictions::{CLOCK_STEP, incomplete};
 use crate::differences::{Differences, Left, read_manifest};
 use crate::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
 use crate::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow};
 use crate::manifest::{self, Manifest};
-use crate::order::order;
+use crate::order::{Planned, order};
 use crate::plan::CampaignPlan;
 use crate::readings::ReadingRow;
 
@@ -226,7 +225,7 @@ impl Folder {
         Ok((this, told))
     }
 
-    /// Ends an attempt that was going on when the tool ended: as lost, unless its record says that it was completed.
+    /// Ends an attempt that was going on when the tool ended: as lost, unless its records say that it was completed.
     fn end_lost_attempts(
         &mut self,
         now: Timestamp,
@@ -235,7 +234,7 @@ impl Folder {
         let Some(origin) = self.campaign.state.sequence.origin() else {
             return Ok(());
         };
-        let open: Vec<(u32, u32)> = self
+        let open: Vec<(Planned, u32)> = self
             .campaign
             .state
             .trials
@@ -244,20 +243,20 @@ impl Folder {
                 let last = trial.attempts.last()?;
                 last.outcome
                     .is_none()
-                    .then_some((trial.planned.trial, last.number))
+                    .then(|| (trial.planned.clone(), last.number))
             })
             .collect();
-        for (trial, attempt) in open {
-            let sidecar = self.campaign.run_sidecar(trial, attempt);
-            let record = sidecar.and_then(|path| Trial::read(&path).ok());
+        for (planned, attempt) in open {
+            let trial = planned.trial;
+            let records = self.campaign.records(trial, attempt);
             let folder = Attempt::folder(trial, attempt);
             let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(attempt));
-            let (outcome, text) = match record.map(|record| record.status) {
-                Some(Status::Complete) => (
+            let (outcome, text) = match incomplete(&planned, &records) {
+                None => (
                     AttemptOutcome::Complete,
-                    "the tool ended after the motion; its record says that it was completed",
+                    "the tool ended after the motion; its records say that it was completed",
                 ),
-                _ => (AttemptOutcome::Lost, "the tool ended within it"),
+                Some(_) => (AttemptOutcome::Lost, "the tool ended within it"),
             };
             row.outcome = Some(outcome);
             told.push(format!("{folder}: {text}: {}", outcome.name()));

@@ -179,9 +179,10 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
-            // An event that came before the answer will be fetched; forget it, or it would be reported twice.
+            // Forget what came before the answer: it would be reported twice, or wait for earlier ones for ever.
             let next = self.next_event;
             self.events.retain(|event| event.index < next);
+            self.early = self.early.split_off(&next);
             self.keep_alive_us = self.asked_keep_alive_us()?;
         }
         Ok(identity)

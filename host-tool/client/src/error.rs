@@ -26,7 +26,7 @@ pub enum ClientError {
     Link(#[from] LinkError),
 
     /// The link failed while something moved, or after an order to move was sent.
-    #[error("{link}; {seen}")]
+    #[error("{link}: it MAY BE MOVING{}", last_seen::after(seen.as_ref()))]
     #[diagnostic(
         code(retrograde::link_lost),
         help(
@@ -36,8 +36,8 @@ pub enum ClientError {
     Cut {
         /// The link's own error.
         link: LinkError,
-        /// What is known of the carriage.
-        seen: LastSeen,
+        /// What is known of the carriage; none of a capsule.
+        seen: Option<LastSeen>,
     },
 
     /// Nothing answered Hello.

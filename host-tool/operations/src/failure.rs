@@ -424,11 +424,21 @@ impl Failure {
 
     /// The reason for which a machine refused a request.
     fn refusal(&self) -> Option<&Refusal> {
+        match self.client()? {
+            ClientError::Refused { refusal, .. } => Some(refusal),
+            _ => None,
+        }
+    }
+
+    /// The link broke while the machine moved, or after it was ordered to: it may be moving.
+    #[must_use]
+    pub fn is_cut(&self) -> bool {
+        matches!(self.client(), Some(ClientError::Cut { .. }))
+    }
+
+    fn client(&self) -> Option<&ClientError> {
         match self {
-            Self::Client(error) | Self::Experiment(ExperimentError::Client(error)) => match error {
-                ClientError::Refused { refusal, .. } => Some(refusal),
-                _ => None,
-            },
+            Self::Client(error) | Self::Experiment(ExperimentError::Client(error)) => Some(error),
             _ => None,
         }
     }

@@ -205,9 +205,10 @@ impl Actions {
     ) -> Option<Action> {
         self.update(number, |action| {
             action.standing = failure.map_or(Standing::Complete, Standing::of);
-            // The machine accepted the action and was lost afterwards.
+            // The machine accepted the action and was lost afterwards, or with the order under way.
             let gone = failure.is_some_and(|failure| failure.exit_code() == NO_DEVICE);
-            if gone && !action.accepted.is_null() {
+            let cut = failure.is_some_and(Failure::is_cut);
+            if gone && !action.accepted.is_null() || cut {
                 action.standing = Standing::Unknown;
             }
             action.result = result;

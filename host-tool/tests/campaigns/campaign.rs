@@ -1127,7 +1127,7 @@ fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
         (
             &sidecar,
             |text| text.replace("\"complete\"", "\"stopped\""),
-            "its record says stopped",
+            "says stopped",
         ),
         (
             &path.join(TRIALS),

@@ -378,6 +378,40 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     }
 }
 
+/// A fold that did not end makes no folded trial, whatever its run says.
+#[test]
+fn an_attempt_is_as_complete_as_all_its_records() {
+    let (_place, path) = made();
+    let folder = path.join("trials/013-1");
+    let sidecar = |stem: &str| {
+        let mut found = files_of(&folder);
+        found.retain(|path| {
+            let name = path.file_name().expect("a name").to_string_lossy();
+            name.starts_with(stem) && name.ends_with(".json")
+        });
+        found.pop().expect("a record")
+    };
+    assert_eq!(files_of(&folder).len(), 6, "run, fold and unfold");
+    for (stem, is_found) in [("fold-", true), ("run-", true), ("unfold-", false)] {
+        let file = sidecar(stem);
+        let before = fs::read_to_string(&file).expect("there");
+        let after = before.replace("\"status\": \"complete\"", "\"status\": \"stopped\"");
+        assert_ne!(before, after);
+        fs::write(&file, after).expect("written");
+        let forged = manifest::of_folder(&path).expect("read");
+        fs::write(path.join(manifest::NAME), forged.text()).expect("written");
+        let found = crate::campaign::findings(&path);
+        let says = |found: &String| found.contains("completed, and") && found.contains(stem);
+        assert_eq!(found.iter().any(says), is_found, "{stem}: {found:?}");
+        fs::write(&file, before).expect("written");
+    }
+}
+
+fn files_of(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).expect("there").flatten();
+    entries.map(|entry| entry.path()).collect()
+}
+
 #[test]
 fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let (_place, path) = made();

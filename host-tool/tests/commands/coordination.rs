@@ -238,6 +238,31 @@ fn the_run_goes_on_whatever_becomes_of_the_capsule() {
     }
 }
 
+/// A capsule that is lost before the run begins: nothing moves, and its record does not run for ever.
+#[test]
+fn a_capsule_that_is_lost_before_the_run_leaves_a_record_that_has_ended() {
+    let (mut rig, rig_log) = connected(ready(DeviceKind::Rig));
+    let (mut capsule, _) = connected(Script {
+        deaf_to: vec![("SetTelemetry", 1_000)],
+        ..ready(DeviceKind::Capsule)
+    });
+    let folder = tempfile::tempdir().expect("a folder");
+    let recordings = Recordings {
+        run: &recording(folder.path(), "run"),
+        actuation: &recording(folder.path(), "fold"),
+    };
+    let both = (&mut rig, &mut capsule);
+    let (what, observer) = (at(1, None), &mut Unobserved);
+    let ran = coordination::run(both, RUN, what, &recordings, observer);
+    assert!(ran.is_err(), "nothing to record");
+    assert!(!rig_log.lock().expect("log").executed.contains(&"Run"));
+    let files = std::fs::read_dir(folder.path()).expect("there").flatten();
+    let mut sidecars = files.map(|file| file.path());
+    let sidecar = sidecars.find(|path| path.extension().is_some_and(|end| end == "json"));
+    let trial = Trial::read(&sidecar.expect("the fold's")).expect("a record");
+    assert_eq!(trial.status, Status::Unknown, "{trial:?}");
+}
+
 #[test]
 fn a_run_that_ends_before_its_place_folds_nothing() {
     let (mut rig, _) = connected(Script {
@@ -303,6 +328,32 @@ fn the_operators_stop_goes_to_both() {
         assert!(folds == 0 || !log.urgent.is_empty(), "{after_us}");
         assert_eq!(done.actuation.is_ok(), after_us == 2_600_000 || folds == 1);
     }
+}
+
+/// The stop comes while the fold is unanswered, and its first frame is lost.
+#[test]
+fn a_stop_that_meets_an_unanswered_fold_is_repeated_until_it_is_confirmed() {
+    let (mut rig, _) = connected(ready(DeviceKind::Rig));
+    let (mut capsule, log) = connected(Script {
+        deaf_to: vec![("Fold", 1_000), ("Urgent", 1)],
+        ..ready(DeviceKind::Capsule)
+    });
+    let wants = Arc::new(AtomicU64::new(0));
+    for device in [&mut rig, &mut capsule] {
+        let wants = Arc::clone(&wants);
+        device.set_interrupt(Arc::new(move || {
+            (wants.load(Ordering::Relaxed) > 0).then_some(Urgent::EStop)
+        }));
+    }
+    let mut operator = Operator {
+        began_us: None,
+        after_us: 2_010_000,
+        wants,
+    };
+    let done = tied((&mut rig, &mut capsule), RUN, at(2, None), &mut operator);
+    assert!(done.actuation.is_err());
+    let urgent = log.lock().expect("a log").urgent.clone();
+    assert_eq!(urgent.first().map(|urgent| urgent.0), Some(Urgent::EStop));
 }
 
 #[test]

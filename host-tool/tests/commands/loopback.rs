@@ -360,6 +360,8 @@ fn a_stop_overtakes_a_pending_command_which_is_not_sent_again() {
             "the lost frame was repeated after the stop"
         );
     }
+    // The session goes on: somebody wants to know what became of the motion.
+    assert_eq!(rig.rig_status().expect("answered").state, RigState::Ready);
     // After the wish to stop, nothing that moves may begin either.
     rig.hello(99).expect("a new session");
     assert!(matches!(
@@ -370,6 +372,38 @@ fn a_stop_overtakes_a_pending_command_which_is_not_sent_again() {
         rig.rig_status().expect("questions work").state,
         RigState::Ready
     );
+}
+
+/// As at the end of a jog, which sends a stop of its own.
+#[test]
+fn a_stop_does_not_replace_an_emergency_stop_that_was_not_confirmed() {
+    let mut script = Script::new(DeviceKind::Rig);
+    script.deaf_to = vec![("Urgent", 1)];
+    let (mut rig, log) = homed_rig(script);
+    rig.set_interrupt(Arc::new(|| Some(Urgent::EStop)));
+    rig.observe(10_000, &mut Unobserved).expect("sent, and lost");
+    assert_eq!(log.lock().expect("log").urgent, []);
+    rig.urgent(Urgent::Stop).expect("confirmed");
+    let urgent = log.lock().expect("log").urgent.clone();
+    assert_eq!(urgent.last().map(|urgent| urgent.0), Some(Urgent::EStop));
+    assert_eq!(rig.rig_status().expect("status").state, RigState::Faulted);
+}
+
+/// An event that comes between the two first answers of a connection is reported by none of the later ones, and asked for
+/// by none.
+#[test]
+fn an_event_while_connecting_is_not_asked_for_again_and_again() {
+    // Ten strokes in 40 s: the first one ends while the host connects.
+    let stroke_us = 4_000_000;
+    for before_us in (0..20_000).step_by(500) {
+        let mut script = Script::new(DeviceKind::Rig);
+        script.running = Some((PAPER_RUN, stroke_us - before_us));
+        let (link, log) = link(script);
+        let mut rig = Device::connect(link, DeviceKind::Rig, 1).expect("a rig");
+        rig.observe(1_000_000, &mut Unobserved).expect("it runs");
+        let asked = count(&log.lock().expect("log").heard, "GetEvents");
+        assert!(asked <= 4, "{before_us}: {asked} times");
+    }
 }
 
 #[test]

@@ -9,6 +9,7 @@ use client::{Device, Observer, Progress};
 use host_tool::cli::run_at;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
+use operations::failure::Failure;
 use protocol::rig::Home;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, World, link};
@@ -164,6 +165,31 @@ fn the_position_is_that_of_the_last_answer_and_its_age_grows_with_the_silence() 
         let age = rest.split_once(" s before").expect("an age").0;
         let tenths: u32 = age.replace('.', "").parse().expect("a number");
         assert!(ages.contains(&tenths), "{fault:?}: {text}");
+    }
+}
+
+/// A capsule has no carriage to tell of, but it may have begun.
+#[test]
+fn an_order_whose_answer_is_lost_with_the_cable_may_be_moving() {
+    for (kind, deaf) in [(DeviceKind::Capsule, "Fold"), (DeviceKind::Rig, "Home")] {
+        let script = Script {
+            deaf_to: vec![(deaf, 1_000)],
+            ..ready(kind)
+        };
+        let cable = Cable {
+            link: link(script).0,
+            fault: Some((Fault::Pulled, 200_000)),
+        };
+        let mut device = Device::connect(Box::new(cable), kind, 1).expect("there");
+        let error = match kind {
+            DeviceKind::Capsule => device.fold().map(drop),
+            _ => device.call(Home).map(drop),
+        };
+        let error = error.expect_err("lost");
+        assert!(matches!(error, ClientError::Cut { .. }), "{error:?}");
+        assert!(error.to_string().contains("MAY BE MOVING"), "{error}");
+        let failure = Failure::from(error);
+        assert!(failure.is_cut() && failure.exit_code() == 4);
     }
 }
 

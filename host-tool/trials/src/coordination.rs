@@ -84,7 +84,12 @@ pub fn run(
         recordings.actuation,
     )?;
     capsule.records(Some(recorder.sidecar()));
-    capsule.set_telemetry(recordings.actuation.telemetry_ms)?;
+    if let Err(error) = capsule.set_telemetry(recordings.actuation.telemetry_ms) {
+        capsule.records(None);
+        let ending = experiment::without_record(&recorder, &error);
+        recorder.finish(ending, capsule.lost_events())?;
+        return Err(error.into());
+    }
     capsule.take_telemetry();
     let mut partner = Partner {
         together_us: (rig.now_us(), capsule.now_us()),

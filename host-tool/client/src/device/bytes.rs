@@ -82,8 +82,11 @@ impl Device {
                 (Turn::UrgentUnanswered, _) => return Err(self.stop_unconfirmed()),
                 (Turn::Answered(output), Some(posted)) => Some((posted, Some(output))),
                 (Turn::Unanswered, Some(posted)) => Some((posted, None)),
+                // First the stop that has made it pointless.
                 (Turn::Nothing, Some(posted))
-                    if is_abandonable(posted.impact) && !self.commanding =>
+                    if is_abandonable(posted.impact)
+                        && !self.commanding
+                        && !self.urgent_pending =>
                 {
                     Some((posted, None))
                 }
@@ -240,11 +243,14 @@ impl Device {
             .flatten()
     }
 
-    /// The error of a link that has failed. A line that its owner has given up is free, and no rig is lost.
+    /// The error of a link that has failed. A line that its owner has given up is free, and no machine is lost.
     fn cut(&self, link: LinkError) -> ClientError {
-        match (link, self.lost_in_motion()) {
-            (link @ LinkError::Lost { .. }, Some(seen)) => ClientError::Cut { link, seen },
-            (link, _) => link.into(),
+        match link {
+            LinkError::Lost { .. } if self.moves || self.ordered => ClientError::Cut {
+                link,
+                seen: self.lost_seen(),
+            },
+            link => link.into(),
         }
     }
 
@@ -435,9 +441,9 @@ impl Device {
         if let Some(urgent) = stronger {
             self.interrupted = Some(urgent);
             if std::mem::take(&mut self.commanding) {
-                // If repeated after the stop, the command would start again what the operator has just stopped. Only a
-                // new client forgets it. That also ends the session, which a stop does not need.
-                self.client = self.client.renewed();
+                // If repeated after the stop, the command would start again what the operator has just stopped. The
+                // session goes on: whoever stopped wants to know what became of the motion.
+                self.client.forget();
             }
             self.client.urgent(urgent);
             self.urgent_pending = true;

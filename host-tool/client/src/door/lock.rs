@@ -10,8 +10,7 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::hash::BuildHasher;
 use std::hash::RandomState;
 use std::io;
-use std::net::SocketAddr;
-use std::net::ToSocketAddrs;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
@@ -337,12 +336,17 @@ fn line(address: &Address) -> Option<String> {
     }
 }
 
-/// Gives all loopback addresses of this computer the same name.
+/// Gives `localhost` in IPv4 and IPv6 the same name. Other loopback addresses are apart: each may be a tunnel to another
+/// machine, and a stop must not take the door of the wrong one.
 fn host(at: SocketAddr) -> String {
-    if at.ip().is_loopback() {
-        return format!("loopback:{}", at.port());
+    let is_local = match at.ip().to_canonical() {
+        IpAddr::V4(ip) => ip == Ipv4Addr::LOCALHOST,
+        IpAddr::V6(ip) => ip == Ipv6Addr::LOCALHOST,
+    };
+    match is_local {
+        true => format!("localhost:{}", at.port()),
+        false => at.to_string(),
     }
-    at.to_string()
 }
 
 /// The folder, created if necessary, and safe from other users.
@@ -420,11 +424,18 @@ mod tests {
 
     #[test]
     fn names_of_one_line_give_the_same_lock() {
-        let lines = ["tcp:127.0.0.1:7001", "tcp:[::1]:7001", "tcp:127.0.0.2:7001"];
+        let lines = [
+            "tcp:127.0.0.1:7001",
+            "tcp:[::1]:7001",
+            "tcp:[::ffff:127.0.0.1]:7001",
+        ];
         for text in lines {
             let address = text.parse().expect("an address");
-            assert_eq!(line(&address), Some("tcp loopback:7001".to_owned()));
+            assert_eq!(line(&address), Some("tcp localhost:7001".to_owned()));
         }
+        // Perhaps a tunnel to another machine.
+        let other = line(&"tcp:127.0.0.2:7001".parse().expect("an address"));
+        assert_eq!(other, Some("tcp 127.0.0.2:7001".to_owned()));
         for text in ["auto", "virtual", "/dev/retrograde-no-such-port"] {
             assert_eq!(line(&text.parse().expect("an address")), None);
         }
