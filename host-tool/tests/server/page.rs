@@ -186,3 +186,14 @@ fn the_tab_key_meets_the_stops_first_and_nothing_else_is_pressed_without_a_state
     }
     assert_eq!(buttons().len(), 13, "all but the stops and the token's");
 }
+
+/// A jog is stopped by letting go, also while an emergency stop goes on that nobody has confirmed yet.
+#[test]
+fn the_end_of_a_jog_wipes_no_word_about_a_stop() {
+    let after = PAGE.split_once("function stopJog()").expect("there").1;
+    let function = after.split_once("\n}").expect("its end").0;
+    let mut says = function.lines().filter(|line| line.contains("say("));
+    let only = says.next().expect("it tells what is wrong");
+    assert!(only.contains("if (!unconfirmed && !confirmed)"), "{only}");
+    assert_eq!(says.next(), None);
+}
