@@ -303,8 +303,9 @@ impl Detector {
             return Err(self.name_of_silence());
         }
         let mut load = self.load(now_us, counts, no_load_ma, settings);
-        // A surplus may be a short circuit, which has its own debounce. It is not an end force.
-        load.end_force &= !surplus;
+        // A surplus may be a short circuit, which has its own debounce. It is not an end force. Nor does a force end a
+        // leg that pays out: a motor that stands there is blocked.
+        load.end_force &= !surplus && self.spooling == Spooling::Wind;
         let stands = self.stands_still(now_us, counts);
         load.stands = stands;
         if load.end_force {

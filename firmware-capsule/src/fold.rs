@@ -41,7 +41,6 @@ use crate::record::Recorder;
 use crate::sample::{Sample, Spooling};
 use crate::settings::Settings;
 use measures::{Drift, FRICTION_FORCE, Mean, drawn_ma};
-use orders::CHECKED;
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, ActuationRecord, CapsuleEvent, CapsuleFault, CapsuleState,
@@ -155,7 +154,7 @@ struct Actuation {
     kind: ActuationKind,
     leg: Leg,
     detector: Detector,
-    /// Thread at the start, plus the distance by which a partial winding stops early.
+    /// Thread where the motion or the feeling of its end began, plus the distance by which a partial winding stops early.
     from: Thread,
     started_us: u64,
     deadline_us: u64,
@@ -559,6 +558,10 @@ impl Capsule {
             Decision::Arrived if ends_folded(actuation.kind) => {
                 match actuation.leg.spooling() {
                     Spooling::PayOut => {
+                        // Nothing shows that the thread holds.
+                        if actuation.leg.measures_tension() {
+                            return Err(CapsuleFault::SlipOrBreak);
+                        }
                         // Allow the largest end force: friction must not end the way back.
                         actuation.settings = self.settings.with_force(FRICTION_FORCE.1);
                         Leg::Wind {
@@ -676,14 +679,12 @@ impl Capsule {
         }))
     }
 
-    /// A fold has ended with a pull that less friction leaves, or a thread that has slipped.
+    /// The folded end was reached with a pull that less friction leaves, or a thread that has slipped.
     fn may_have_slipped(&self) -> bool {
         let Mode::Moving(actuation) = &self.mode else {
             return false;
         };
-        actuation.kind == ActuationKind::Fold
-            && actuation.winding_ma.is_none()
-            && actuation.pulls_less()
+        ends_folded(actuation.kind) && actuation.winding_ma.is_none() && actuation.pulls_less()
     }
 
     /// Feels the pull of the folded thread, in which friction cancels: winds and pays out a little, and winds it again.
@@ -692,14 +693,21 @@ impl Capsule {
         if let Mode::Moving(actuation) = &mut self.mode {
             actuation.from = Thread(here.0.saturating_add(STOP_MARGIN.0));
         }
-        Leg::feel(self.sample.counts, Thread(here.0.saturating_sub(CHECKED.0)))
+        self.feel_folded()
     }
 
     /// Ends a motion at the folded end.
     fn folded(&mut self, now_us: u64, actions: &mut Actions) {
+        let end = match &self.mode {
+            // Where it had come to before it was felt.
+            Mode::Moving(actuation) if actuation.winding_ma.is_some() => {
+                Thread(actuation.from.0.saturating_sub(STOP_MARGIN.0))
+            }
+            _ => self.thread(),
+        };
         self.end(now_us, Mode::Folded, ActuationOutcome::Complete, actions);
         if self.record().kind != ActuationKind::CheckFolded {
-            self.watch_drift(actions);
+            self.watch_drift(end, actions);
         }
     }
 

@@ -90,7 +90,7 @@ impl Recording {
         });
         Trace {
             actuation: self.actuation,
-            // At most 2,000.
+            // At most 2,800.
             total: self.count as u16,
             points: points.collect(),
         }

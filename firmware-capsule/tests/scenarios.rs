@@ -119,14 +119,16 @@ fn a_slip_that_leaves_most_of_the_tension_is_felt() {
 /// `Complete`, and up to 2 mm short.
 #[test]
 fn a_slip_that_pulls_like_less_friction_is_no_fold() {
-    for seed in 0..60 {
+    for (seed, command) in
+        (0..60).flat_map(|seed| [Command::Fold, Command::CheckFolded].map(|of| (seed, of)))
+    {
         let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
         sim.plant.suffer(Defect::Slip(2.0));
-        sim.run(Command::Fold);
+        sim.run(command);
         let fault = sim.capsule.fault().map(|fault| format!("{fault:?}"));
         let name = fault.unwrap_or_default();
         let right = ["SlipOrBreak", "SpoolSlip", "ThreadBroken"];
-        assert!(right.contains(&name.as_str()), "seed {seed}: {name}");
+        assert!(right.contains(&name.as_str()), "{command:?} {seed}: {name}");
     }
 }
 
@@ -545,6 +547,29 @@ fn an_obstacle_is_a_jam_and_the_way_back_is_open() {
     sim.run(Command::Unfold);
     assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
     assert!(sim.plant.extremes_mm().0 >= 0.0);
+}
+
+/// A seized worm: it stalled with all its current until the time-out of 4 to 16 s, which costs the position.
+#[test]
+fn a_motor_that_is_held_is_a_jam_either_way() {
+    let mut sim = nominal();
+    sim.run_past(Command::Fold, 15.0);
+    sim.order(Command::Stop);
+    sim.settle();
+    sim.plant.hold(true);
+    for command in [Command::Unfold, Command::Fold] {
+        let began_us = sim.now_us;
+        sim.run(command);
+        let fault = sim.capsule.fault();
+        assert!(matches!(fault, Some(CapsuleFault::Jam { .. })), "{fault:?}");
+        assert!(sim.now_us - began_us < 400_000, "{command:?}");
+        assert!(sim.capsule.referenced());
+        sim.order(Command::Acknowledge);
+    }
+    sim.run(Command::Reference);
+    let fault = sim.capsule.fault();
+    assert!(matches!(fault, Some(CapsuleFault::Jam { .. })), "{fault:?}");
+    sim.plant.hold(false);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Measurements during a motion: no-load current, pull of the thread, friction of the worm, position of the folded
 //! ends.
 
-use super::{Actions, Actuation, Capsule, Drive, Mode};
+use super::{Actions, Actuation, Capsule, Drive, Mode, ends_folded};
 use crate::calibration::Calibration;
 use crate::circuit::Reading;
 use crate::detect::Load;
@@ -301,7 +301,9 @@ impl Capsule {
             return Err(CapsuleFault::SlipOrBreak);
         }
         let back_emf_uv_cps = actuation.back_emf_uv_cps;
-        if let (None, Some(tension_ma)) = (found, tension_ma) {
+        // Once a cycle: an end that is felt is left again later.
+        let leaves = !ends_folded(actuation.kind);
+        if let (None, Some(tension_ma), true) = (found, tension_ma, leaves) {
             self.follow_creep(tension_ma);
         }
         if let Some((folded, rise)) = found {
@@ -318,9 +320,9 @@ impl Capsule {
         Ok(())
     }
 
-    /// Drops the reference if the folded ends wander: thread or zero have changed.
-    pub(super) fn watch_drift(&mut self, actions: &mut Actions) {
-        let by = self.drift.add(self.thread());
+    /// Drops the reference if the folded ends, of which this is one, wander: thread or zero have changed.
+    pub(super) fn watch_drift(&mut self, end: Thread, actions: &mut Actions) {
+        let by = self.drift.add(end);
         if by.0.saturating_abs() <= self.settings.drift.0 {
             return;
         }

@@ -22,8 +22,9 @@ const OPEN_MA: u16 = 1_000;
 const MOST_MOVED_MA: u16 = 7;
 /// Distance within which a partial fold has arrived, um.
 const ARRIVED: i32 = 100;
-/// Thread that a check of a folded capsule pays out and winds again: the tension zone, and its extensions.
-pub(super) const CHECKED: Thread = Thread(1_500);
+/// Thread that is paid out and wound again to feel a folded capsule: the tension zone with all its extensions, 1.9 mm, and
+/// the way that the motor runs on.
+const CHECKED: Thread = Thread(2_000);
 
 fn out_of_range(thread: Thread, (least, most): (Thread, Thread)) -> Refusal {
     let count = |Thread(um)| u64::try_from(um).unwrap_or(0);
@@ -235,7 +236,7 @@ impl Capsule {
             // At the folded end, the check pays out a little first. It then asks whether the end is where it should
             // be.
             (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => {
-                Leg::feel(origin, Thread(self.thread().0 - CHECKED.0))
+                self.feel_folded()
             }
             (ActuationKind::CheckFolded, Some(end)) if self.referenced => wind(end, true, None),
             (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
@@ -292,6 +293,12 @@ impl Capsule {
         // Supervise at once: a leg that is already at its end never switches the motor on.
         self.supervise(now_us, actions);
         self.govern(now_us);
+    }
+
+    /// Feels whether the folded thread pulls: winds a little, and pays out as much as that takes.
+    pub(super) fn feel_folded(&self) -> Leg {
+        let to = Thread(self.thread().0.saturating_sub(CHECKED.0));
+        Leg::feel(self.sample.counts, to)
     }
 
     /// Lower end of the tension zone, for a thread that is taut now.

@@ -22,7 +22,7 @@ const BRAKE_US: u64 = 40_000;
 /// Time limit of a motion that finds or confirms an end, ms.
 const SEEK_MS: u32 = 16_000;
 /// Thread that a check pays out at a folded end, um.
-const CHECKED_UM: i32 = 1_500;
+const CHECKED_UM: i32 = 2_000;
 /// Thread that a reference run backs off at a time, um, and how often before it knows where it is.
 const BACK_OFF_UM: i32 = 700;
 const BACK_OFFS: u32 = 15;

@@ -385,6 +385,14 @@ fn a_standstill_has_four_names() {
     );
 }
 
+/// No force ends a leg that pays out, so a motor that stands there with all its current is blocked.
+#[test]
+fn a_motor_that_stands_while_it_pays_out_is_blocked() {
+    let mut feed = Feed::new(Spooling::PayOut);
+    feed.draws(200, 200);
+    assert_eq!(feed.until_trip(100, 0), Some((41, Trip::Blocked)));
+}
+
 /// A motor that turns uncounted is driven like one that stands, brakes by that, and draws nothing for a while.
 #[test]
 fn a_standing_motor_that_drew_a_current_just_now_has_a_bridge() {

@@ -125,6 +125,59 @@ fn a_motor_that_stands_while_it_feels_is_pulled() {
 }
 
 /// A motor of 203 uV per count/s that draws 60 mA more than its voltage and speed explain.
+/// It has paid out all that it may, and was never steady enough for a reading: nothing shows that the thread holds.
+#[test]
+fn an_end_that_could_not_be_felt_is_none() {
+    for (mode, command) in [
+        (Mode::Folded, Command::CheckFolded),
+        (Mode::Unfolded, Command::Fold),
+    ] {
+        for (taut_to, felt) in [(Some(Thread(19_720)), false), (None, true)] {
+            let mut capsule = moving(mode.clone(), END, command);
+            let to = Thread(END.0 - 2_000);
+            actuation(&mut capsule).leg = Leg::PayOut { to, taut_to };
+            let thread = Thread(to.0 + 30);
+            capsule.sample.counts = thread.counts();
+            let mut actions = Actions::default();
+            let decided = capsule.decide(2_000, Load::default(), &mut actions);
+            let expected = match felt {
+                true => Ok(()),
+                false => Err(CapsuleFault::SlipOrBreak),
+            };
+            assert_eq!(decided, expected, "{command:?}");
+        }
+    }
+}
+
+/// The end creeps once a cycle, with the unfolding: one that is felt in a fold or a check is felt again then.
+#[test]
+fn only_what_leaves_the_folded_end_follows_its_creep() {
+    for (mode, command, follows) in [
+        (Mode::Folded, Command::Unfold, true),
+        (Mode::Folded, Command::CheckFolded, false),
+        (Mode::Unfolded, Command::Fold, false),
+    ] {
+        let mut capsule = moving(mode, END, command);
+        let taut_to = Thread(END.0 - 700);
+        let moves = actuation(&mut capsule);
+        moves.leg = Leg::PayOut {
+            to: Thread(0),
+            taut_to: Some(taut_to),
+        };
+        moves.detector = Detector::new(Spooling::PayOut, 0, 3_900);
+        // Three quarters of the calibrated pull.
+        moves.winding_ma = Some(100);
+        capsule.sample.current_ua = -32_000;
+        for um in [100, 0] {
+            capsule.sample.counts = Thread(taut_to.0 + um).counts();
+            capsule
+                .measure(Thread(taut_to.0 + um), true)
+                .expect("it pulls");
+        }
+        assert_eq!(capsule.crept != Thread(0), follows, "{command:?}");
+    }
+}
+
 fn contradicts(capsule: &mut Capsule) {
     for ms in 1..=49 {
         let reading = Reading {

@@ -371,8 +371,7 @@ fn folded_ends_that_wander_cost_the_reference() {
         capsule.mode = Mode::Folded;
         let mut actions = Actions::default();
         for end_um in [20_000, 20_000 + 2 * by_um] {
-            capsule.sample.counts = Thread(end_um).counts();
-            capsule.watch_drift(&mut actions);
+            capsule.watch_drift(Thread(end_um), &mut actions);
         }
         assert_eq!(capsule.referenced, !wanders, "{by_um} um");
         assert_eq!(matches!(capsule.mode, Mode::Unreferenced), wanders);
