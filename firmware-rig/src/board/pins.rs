@@ -297,7 +297,8 @@ pub fn set_direction(direction: Direction) {
     set(DIR, direction == Direction::Away);
 }
 
-/// Raises the far limit's interrupt if it is open: an opening on the way home ended nothing, and raises none at the turn.
+/// Raises the far limit's interrupt if it is open: an opening on the way home or before a start ended nothing, and raises
+/// none when the carriage turns away from home or starts.
 pub fn look_at_far_limit() {
     if inputs().far_limit {
         pac::EXTI.swier(0).write(|w| w.set_line(FAR_LINE, true));

@@ -310,6 +310,10 @@ impl Ring for StepGenerator {
             self.halt();
             return Err(StartError::LoopOpen);
         }
+        // An opening since the order was checked found nothing to cut.
+        if pins::direction() == Direction::Away {
+            pins::look_at_far_limit();
+        }
         TIM1.cr1().modify(|w| w.set_cen(true));
         self.running = true;
         Ok(())

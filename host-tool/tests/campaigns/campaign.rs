@@ -855,10 +855,16 @@ fn a_text_of_control_characters_is_none() {
     let mut row = LedgerRow::of(LedgerEvent::Began, 4, Some(1));
     row.camera_file = Some("\u{7}".to_owned());
     folder.append(row, at(200), Origin::Board).expect("written");
-    assert_eq!(*folder.campaign(), Campaign::read(&path).expect("a campaign"));
+    assert_eq!(
+        *folder.campaign(),
+        Campaign::read(&path).expect("a campaign")
+    );
     let excluded = |text: &str| prompts::parse(&format!("exclude {text}"));
     assert!(matches!(excluded("\u{1b}"), Answer::Unclear(_)));
-    assert_eq!(excluded("\u{1b}[Atorn"), Answer::Exclude("[Atorn".to_owned()));
+    assert_eq!(
+        excluded("\u{1b}[Atorn"),
+        Answer::Exclude("[Atorn".to_owned())
+    );
 }
 
 /// Programs that save a file beside the campaign use the suffix, too.

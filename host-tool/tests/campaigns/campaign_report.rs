@@ -192,9 +192,7 @@ fn campaign(path: &Path) -> Folder {
             };
             let kind = ActuationKind::Unfold;
             experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved).expect("unfold");
-            folder
-                .seal_attempt(planned.trial, last)
-                .expect("written");
+            folder.seal_attempt(planned.trial, last).expect("written");
         }
         let mut row = LedgerRow::of(LedgerEvent::Displacement, planned.trial, Some(last));
         row.displacement_mm = Some(Millimetres::from_um(displacement_um(planned.trial)));

@@ -1021,7 +1021,13 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
         ],
     );
     assert_eq!(code, 130, "{shown}");
-    let homes = || memory.heard().iter().filter(|heard| **heard == "Home").count();
+    let homes = || {
+        memory
+            .heard()
+            .iter()
+            .filter(|heard| **heard == "Home")
+            .count()
+    };
     let before = homes();
     let (code, shown) = converse(
         &memory,
@@ -1050,7 +1056,10 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
     assert!(widths_mm.eq(expected), "{attempts:?}");
     // Those of the first attempt stay in the report.
     let sets = &campaign.readings.sets;
-    assert!(sets.iter().filter(|set| set.accepted).count() >= 4, "{sets:?}");
+    assert!(
+        sets.iter().filter(|set| set.accepted).count() >= 4,
+        "{sets:?}"
+    );
 }
 
 #[test]

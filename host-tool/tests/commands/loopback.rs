@@ -381,7 +381,8 @@ fn a_stop_does_not_replace_an_emergency_stop_that_was_not_confirmed() {
     script.deaf_to = vec![("Urgent", 1)];
     let (mut rig, log) = homed_rig(script);
     rig.set_interrupt(Arc::new(|| Some(Urgent::EStop)));
-    rig.observe(10_000, &mut Unobserved).expect("sent, and lost");
+    rig.observe(10_000, &mut Unobserved)
+        .expect("sent, and lost");
     assert_eq!(log.lock().expect("log").urgent, []);
     rig.urgent(Urgent::Stop).expect("confirmed");
     let urgent = log.lock().expect("log").urgent.clone();

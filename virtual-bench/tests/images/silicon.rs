@@ -197,6 +197,47 @@ fn an_opening_just_before_the_start_arms_nothing() {
     rig.check_clean(0);
 }
 
+/// Opens the far limit for good at instants around the start of TIM1. No later edge tells of it, and nothing but the look
+/// at the start sees an opening between the check of the order and the arming.
+#[test]
+fn a_far_limit_that_opens_just_before_the_start_ends_the_run_at_once() {
+    let mut rig = quickly_homed();
+    let run = quick(1, 2_000, 20_000, 500_000).into_request();
+    rig.device.hello(100).expect("it answers");
+    let edges = rig.edge_count();
+    let sent_ns = rig.bench.now_ns();
+    rig.send(&run, 0);
+    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    let first = rig.edges(edges).iter().next().map(|edge| edge.at_ns);
+    let started_ns = first.expect("a step") - sent_ns;
+    for trial in 0..40 {
+        rig.device.hello(101 + trial).expect("it answers");
+        let edges = rig.edge_count();
+        // From 3.9 ms before the first step until it has left.
+        let at_ns = rig.bench.now_ns() + started_ns - u64::from(trial) * 100_000;
+        let stick = Action::Stick(Switch::Far, Some(true));
+        rig.look(move |rig| rig.plan(When::At(at_ns), stick));
+        rig.send(&run, trial as u16);
+        rig.bench.advance_us(300_000).expect("the bench runs");
+        let log = rig.edges(edges);
+        let late = log
+            .iter()
+            .filter(|edge| edge.at_ns > at_ns + 100_000)
+            .count();
+        let before_us = u64::from(trial) * 100;
+        assert_eq!(late, 0, "{before_us} us before the first step");
+        rig.act(Action::Stick(Switch::Far, None));
+        rig.bench.advance_us(50_000).expect("the bench runs");
+        rig.device.hello(201 + trial).expect("it answers");
+        if rig.device.rig_status().expect("a status").fault.is_some() {
+            rig.device.acknowledge().expect("the limit is closed");
+            rig.home();
+        }
+    }
+    // The first trial may cut its first pulse.
+    rig.check_clean_after(0, 1);
+}
+
 /// Prepared steps have not left the pin yet. The record of a cut run must count only the steps that did, and give their
 /// time.
 #[test]
