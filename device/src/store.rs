@@ -63,11 +63,10 @@ impl Ages {
         self.records += 1;
         let slot = match number {
             NAME_RECORD => Self::NUMBERS - 1,
-            number => usize::from(number),
+            number if usize::from(number) < SettingKey::ALL.len() => usize::from(number),
+            _ => return,
         };
-        if let Some(last) = self.last.get_mut(slot) {
-            *last = self.records;
-        }
+        self.last[slot] = self.records;
     }
 
     /// A number whose last record is too old, if any.

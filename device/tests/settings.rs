@@ -151,12 +151,26 @@ fn a_record_is_old_after_256_others() {
     }
 }
 
+/// Not even the first setting of a newer firmware, whose number follows on ours.
 #[test]
 fn a_number_of_another_firmware_does_not_count() {
-    let mut ages = Ages::new();
-    ages.wrote(200);
-    for _ in 0..1000 {
-        ages.wrote(0);
+    for number in [SettingKey::ALL.len() as u8, 200] {
+        let mut ages = Ages::new();
+        ages.wrote(number);
+        for _ in 0..1000 {
+            ages.wrote(0);
+        }
+        assert_eq!(ages.overdue(), None);
+        // Nor does it make the name look younger.
+        let mut ages = Ages::new();
+        ages.wrote(NAME_RECORD);
+        for _ in 0..200 {
+            ages.wrote(0);
+        }
+        ages.wrote(number);
+        for _ in 0..56 {
+            ages.wrote(0);
+        }
+        assert_eq!(ages.overdue(), Some(NAME_RECORD), "{number}");
     }
-    assert_eq!(ages.overdue(), None);
 }

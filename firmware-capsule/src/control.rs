@@ -31,6 +31,9 @@ use protocol::{
 /// Standstill required before writing the flash. A motor coasts for 0.3 s if its bridge has failed and cannot brake.
 const STANDS_US: u64 = 500_000;
 
+/// Time after which a write that has failed is tried again: seldom, because each try may use flash up.
+const AGAIN_US: u64 = 10_000_000;
+
 /// Counts that do not mean motion: an encoder line that rests on its edge may flicker.
 const FLICKER: u32 = 2;
 
@@ -49,6 +52,8 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     store: SettingsStore<F, Kept>,
     /// Number and energy of the motions that are not in the totals yet.
     ended: (u32, u64),
+    /// The last write has failed, and is tried again then; else 0.
+    again_us: u64,
     /// Position, and the time since when it has not changed with the bridge asleep.
     resting: (Counts, u64),
     calibrated: Option<Calibration>,
@@ -78,6 +83,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             machine: fold::Capsule::new(fault, calibration, totals.folded, settings),
             store,
             ended: (0, 0),
+            again_us: 0,
             resting: (Counts(0), 0),
             calibrated: None,
             recording: Recording::new(),
@@ -113,7 +119,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     }
 
     /// Writes pending data to flash, once the motor stands: the chip fetches no instruction during a write. Data that
-    /// cannot be written stay valid until the next start.
+    /// cannot be written stay valid until the next start, and pending: a cell that is too low for the flash may recover.
     fn keep(&mut self, at_us: u64, counts: Counts) {
         let (rests_at, since_us) = self.resting;
         let driven = self.machine.is_moving() || self.machine.drive() != Drive::Off;
@@ -122,21 +128,24 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             self.resting = (counts, at_us);
             return;
         }
-        if at_us.saturating_sub(since_us) < STANDS_US {
+        if at_us.saturating_sub(since_us) < STANDS_US || at_us < self.again_us {
             return;
         }
         let mut failed = false;
-        if let Some(calibration) = self.calibrated.take() {
+        if let Some(calibration) = self.calibrated {
             let kept = Kept {
                 calibration: Some(calibration),
                 ..*self.store.records()
             };
-            failed |= self.store.keep(CALIBRATION, kept).is_err();
+            match self.store.keep(CALIBRATION, kept) {
+                Ok(()) => self.calibrated = None,
+                Err(StorageFailed) => failed = true,
+            }
         }
-        let (actuations, energy_mj) = core::mem::take(&mut self.ended);
+        let (actuations, energy_mj) = self.ended;
         if actuations != 0 {
             let before = self.store.records().totals;
-            failed |= self.keep_totals(Totals {
+            let unwritten = self.keep_totals(Totals {
                 actuations: before.actuations.saturating_add(actuations),
                 energy_mj: before.energy_mj.saturating_add(energy_mj),
                 // An end that has wandered costs the reference, but the capsule is still folded.
@@ -146,10 +155,19 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
                 )
                 .then(|| self.machine.margin()),
             });
+            match unwritten {
+                false => self.ended = (0, 0),
+                true => failed = true,
+            }
         }
-        if failed {
+        if failed && self.again_us == 0 {
             self.emit(What::Capsule(CapsuleEvent::NotKept));
         }
+        self.again_us = if failed {
+            at_us.saturating_add(AGAIN_US)
+        } else {
+            0
+        };
     }
 
     /// Clears "folded" in flash before the motor turns, so that a power cut during the motion does not leave it set.

@@ -460,6 +460,23 @@ fn totals_that_flash_does_not_take_are_told() {
     assert_eq!(device.told(), [ended(ActuationOutcome::Stopped), not_kept]);
 }
 
+/// A cell that is too low for the flash may recover. Else a capsule that has unfolded would be "folded" after its next start.
+#[test]
+fn what_flash_did_not_take_is_tried_again_and_told_once() {
+    let mut device = Device::referencing();
+    device.flash.fail(0..3);
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    for _ in 0..45_000 {
+        device.read();
+    }
+    let not_kept = What::Capsule(CapsuleEvent::NotKept);
+    assert_eq!(device.told(), [ended(ActuationOutcome::Stopped), not_kept]);
+    let tried = device.flash.operations().len();
+    assert!(tried > 0, "it has recovered");
+    let mut later = Device::start_on(device.flash.clone(), FRESH, ResetCause::PowerOn);
+    assert_eq!(totals(&mut later).actuations, 1);
+}
+
 /// Calibrates a capsule of the model on this flash, and rests; the events.
 fn calibrated_on(flash: &Flash) -> Vec<What> {
     let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
