@@ -357,7 +357,7 @@ fn a_comparison_is_over_with_a_loss_until_the_next_path() {
     assert!(timing.timing.is_over());
     timing.clear();
     assert!(!timing.timing.is_over());
-    // Without the jumper the timeline forgets what no edge was compared with.
+    // Without the jumper no edge comes, and the timeline forgets steps before they were compared.
     for _ in 0..10_000 {
         timing.expect(steps(100, 0));
     }

@@ -1,4 +1,4 @@
-//! The checked-in corpus is that of these scripts: short ways to what is worth changing. `BLESS=1 cargo test -p fuzz --test corpus`
+//! The checked-in corpus is made of these scripts: short inputs that reach the states worth varying. `BLESS=1 cargo test -p fuzz --test corpus`
 //! writes it again after a change of a step or of a message.
 
 use std::collections::BTreeSet;

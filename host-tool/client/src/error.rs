@@ -170,7 +170,7 @@ pub enum ClientError {
         place: String,
         /// Name of the request.
         request: &'static str,
-        /// What is known of the carriage, for whoever knows that something may be moving.
+        /// Where the carriage was last seen, for callers that know that something may be moving.
         seen: Option<LastSeen>,
     },
 

@@ -26,7 +26,7 @@ pub struct Subject {
     pub firmware: String,
     /// Protocol of the image.
     pub protocol: String,
-    /// All settings by name; the capsule has none.
+    /// All settings of a rig by name; those of a capsule are not read.
     pub settings: BTreeMap<String, u32>,
 }
 

@@ -13,7 +13,7 @@ use crate::image::{self, ImageError};
 
 /// Flash of the STM32F411RE.
 const FLASH: std::ops::Range<u64> = 0x0800_0000..0x0808_0000;
-/// The part of it that keeps settings and events and is never part of an image.
+/// The part of it that keeps settings, name and calibration and is never part of an image.
 const KEPT: std::ops::Range<u64> = 0x0800_4000..0x0801_0000;
 /// RAM, with the last address of a full descending stack.
 const RAM: std::ops::RangeInclusive<u64> = 0x2000_0000..=0x2002_0000;

@@ -167,7 +167,7 @@ impl Places<'_> {
         }
     }
 
-    /// Checks that a rig called by name has this name. A capsule has none.
+    /// Checks that a rig called by name has this name. The name of a capsule is not checked.
     ///
     /// # Errors
     /// [`Failure::WrongName`], and those of the line.

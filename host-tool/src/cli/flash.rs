@@ -74,7 +74,7 @@ pub(crate) fn flash(
     })?;
     leave_alone(kind, places)?;
     screen.say(&format!(
-        "{}: image of the {name}, {} bytes of flash, fingerprint {:08x}. It leaves settings and events as they are.",
+        "{}: image of the {name}, {} bytes of flash, fingerprint {:08x}. It leaves settings, name and calibration as they are.",
         path.display(),
         image.bytes,
         image.fingerprint

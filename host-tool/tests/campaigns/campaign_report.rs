@@ -780,7 +780,7 @@ fn every_colour_of_a_figure_changes_on_a_dark_page() {
     assert!(count > 100, "{count}");
 }
 
-/// Where an SVG's dots of this colour stand, sideways; without the one in the legend.
+/// Horizontal positions of an SVG's dots of this colour, without the one in the legend.
 fn dots(svg: &str, colour: &str) -> BTreeSet<String> {
     let tags = svg.split("<circle ").skip(1);
     let tags = tags.filter_map(|rest| rest.split('>').next());

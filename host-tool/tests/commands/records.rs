@@ -300,7 +300,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
         catalogue::list(&folders, true, &wanted).entries.len()
     };
     assert_eq!((count("refused"), count("unknown")), (3, 0));
-    // Without a trial beside them there is nothing to report; with one they are left out, and nothing is lost.
+    // Alone, these records leave nothing to report. Beside a trial they are listed as left out, and none is lost.
     let none = report::find(&folders).expect_err("no trial").to_string();
     assert!(none.contains("nothing was done: "), "{none}");
     recorded_run(folder.path());

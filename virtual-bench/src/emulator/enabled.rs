@@ -12,7 +12,7 @@ const BUSES: [(u64, u64); 3] = [
     (0x4002_3840, 0x4000_0000),
     (0x4002_3844, 0x4001_0000),
 ];
-/// From this bit of AHB1ENR on, DMA1's, the block has a number higher by [`DMA_APART`].
+/// From this bit of AHB1ENR (DMA1) on, the block's number is the bit's number plus [`DMA_APART`].
 const DMA_BIT: u64 = 21;
 const DMA_APART: u64 = 3;
 /// Instructions that last two cycles of a bus at half the core's clock, with a store in the write buffer before them.
