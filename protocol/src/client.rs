@@ -10,7 +10,7 @@ use crate::{
     table::{Impact, Reply, Request, Response, SCHEMA_KEY, Telemetry},
 };
 
-/// Time to wait for an answer before the request is sent again. A full frame takes 19 ms at 115200 baud.
+/// Time to wait for an answer before the request is sent again. A full frame takes 15 ms at 115200 baud.
 pub const RETRY_AFTER_US: u64 = 100_000;
 /// Times a request is sent before its outcome is reported as unknown.
 pub const ATTEMPTS: u8 = 8;

@@ -1,6 +1,6 @@
 //! The order of the trials. Settings that take manual work at the rig form blocks: an indentation is set once for all
-//! its trials, and dry comes before lubricated. The plan's seed shuffles the rest: the blocks of equal lubrication,
-//! and the trials within a block.
+//! its trials, and dry comes before lubricated. The plan's seed shuffles the rest: the blocks of one group (series, fold
+//! test, passes) with equal lubrication, and the trials within a block.
 
 use std::collections::BTreeMap;
 

@@ -1,4 +1,4 @@
-//! The rig's steps. Those without motor power come first; nothing moves before the switches are known to work.
+//! The rig's steps. Those without motor power come first; nothing moves after a switch that has failed its step.
 
 mod board;
 mod depends;

@@ -12,6 +12,7 @@ use protocol::rig::{RigEvent, RigStatus};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, What};
 use protocol::table::Telemetry;
+use trials::trial::Screw;
 
 /// Interval of telemetry while a machine is watched and nothing is recorded: that of the drawings, ms.
 pub const TELEMETRY_MS: u16 = 50;
@@ -150,9 +151,10 @@ impl Panel {
                 status.inputs = sample.inputs;
                 status.stroke = sample.stroke;
                 status.position_steps = sample.position_steps;
-                let um = i64::from(sample.position_steps) * i64::from(status.lead_um)
-                    / i64::from(status.steps_per_rev.max(1));
-                status.position_um = i32::try_from(um).unwrap_or(status.position_um);
+                // Rounded as the rig does, half away from home.
+                let nm = Screw::from(&*status).nm(sample.position_steps.unsigned_abs().into());
+                let um = i32::try_from((nm + 500) / 1_000).unwrap_or(i32::MAX);
+                status.position_um = sample.position_steps.signum() * um;
                 self.speed = Some((sample.speed_um_s, at));
                 self.note_reach();
             }

@@ -31,7 +31,7 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Map, Value, json};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, oneshot};
-use tokio::time::timeout;
+use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 use trials::plan::{self, REFERENCE_LIMITS};
 
@@ -308,7 +308,7 @@ async fn state(State(app): Shared) -> Response {
 }
 
 async fn stream(State(app): Shared) -> Response {
-    let Some(body) = app.board.stream.body(&app.board.json()) else {
+    let Some(body) = app.board.stream.body(|| app.board.json()) else {
         return closing(bad(
             StatusCode::SERVICE_UNAVAILABLE,
             "100 readers are there already",
@@ -532,8 +532,9 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
         replies.push(told);
     }
     let mut told = vec![];
+    let until = At::now() + STOPPING;
     for (kind, reply) in kinds.iter().zip(replies) {
-        told.push(match timeout(STOPPING, reply).await {
+        told.push(match timeout_at(until, reply).await {
             Ok(Ok(told)) => told,
             _ => Told {
                 machine: kind_name(*kind).to_owned(),

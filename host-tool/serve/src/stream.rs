@@ -117,20 +117,23 @@ impl Stream {
         let _ = self.closed.send(true);
     }
 
-    /// A response body that lasts until its reader leaves; `first` is its first event. `None` if there are too many
+    /// A response body that lasts until its reader leaves; `first` makes its first event. `None` if there are too many
     /// readers.
-    pub fn body(self: &Arc<Self>, first: &Value) -> Option<Body> {
+    pub fn body(self: &Arc<Self>, first: impl FnOnce() -> Value) -> Option<Body> {
         let place = Place::take(self)?;
         let told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        let (ring, seen) = (self.ring.subscribe(), *told);
+        drop(told);
+        // Listen first: what happens while the first event is made comes after it.
+        let first = first();
         let reader = Reader {
-            ring: self.ring.subscribe(),
-            seen: *told,
+            ring,
+            seen,
             greeting: Some(format!("event: state\ndata: {first}\n\n").into()),
             held: None,
             closed: self.closed.subscribe(),
             _place: place,
         };
-        drop(told);
         Some(Body::from_stream(unfold(reader, |mut reader| async {
             let text = reader.next().await?;
             Some((Ok::<_, Infallible>(text), reader))
@@ -265,7 +268,7 @@ mod tests {
         run(async {
             let stream = Arc::new(Stream::new());
             stream.tell_samples(DeviceKind::Rig, vec![json!(0)]);
-            let mut body = stream.body(&json!({})).expect("a place");
+            let mut body = stream.body(|| json!({})).expect("a place");
             stream.tell_samples(DeviceKind::Rig, vec![json!(1), json!(2)]);
             stream.tell("event", &json!("e"));
             stream.tell_samples(DeviceKind::Capsule, vec![json!(3)]);
@@ -281,11 +284,26 @@ mod tests {
         });
     }
 
+    /// It is neither in the state nor counted as lost otherwise.
+    #[test]
+    fn what_happens_while_the_state_is_made_comes_after_it() {
+        run(async {
+            let stream = Arc::new(Stream::new());
+            let first = || {
+                stream.tell("event", &json!("between"));
+                json!({})
+            };
+            let mut body = stream.body(first).expect("a place");
+            let texts = read(&mut body, 2).await;
+            assert_eq!(texts[1], "event: event\ndata: \"between\"\n\n");
+        });
+    }
+
     #[test]
     fn a_slow_reader_is_told_exactly_what_it_has_lost_and_holds_nobody_up() {
         run(async {
             let stream = Arc::new(Stream::new());
-            let mut body = stream.body(&json!({})).expect("a place");
+            let mut body = stream.body(|| json!({})).expect("a place");
             let all = RING as u64 + 100;
             for number in 0..all {
                 let machine = [DeviceKind::Rig, DeviceKind::Capsule][number as usize % 2];
@@ -309,11 +327,11 @@ mod tests {
     #[test]
     fn readers_are_bounded_and_places_come_back() {
         let stream = Arc::new(Stream::new());
-        let bodies: Vec<_> = (0..READERS).map(|_| stream.body(&json!({}))).collect();
+        let bodies: Vec<_> = (0..READERS).map(|_| stream.body(|| json!({}))).collect();
         assert!(bodies.iter().all(Option::is_some));
-        assert!(stream.body(&json!({})).is_none());
+        assert!(stream.body(|| json!({})).is_none());
         drop(bodies);
-        assert!(stream.body(&json!({})).is_some());
+        assert!(stream.body(|| json!({})).is_some());
         assert!(!stream.is_read());
     }
 }

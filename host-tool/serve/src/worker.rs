@@ -122,7 +122,7 @@ impl Worker<'_> {
             self.pause(AGAIN, Some(&failure));
         }
         self.board.flush(self.machine, true);
-        while let Ok(order) = self.orders.try_recv() {
+        for order in waiting.into_iter().chain(self.orders.try_iter()) {
             self.refuse(&order, &server_ends());
         }
     }

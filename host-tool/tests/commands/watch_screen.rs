@@ -97,6 +97,37 @@ fn running(now: Instant) -> Panel {
     rig
 }
 
+/// As the rig itself rounds it: samples and answers must not differ by 1 um.
+#[test]
+fn a_sample_gives_the_position_that_the_status_gives() {
+    let now = Instant::now();
+    let mut rig = Panel::new(DeviceKind::Rig, "tcp:127.0.0.1:7001".to_owned());
+    rig.rig_status(&rig_status(), now);
+    for (steps, um) in [
+        (0, 0),
+        (1, 1),
+        (2, 3),
+        (3, 4),
+        (-2, -3),
+        (-3, -4),
+        (104_000, 130_000),
+    ] {
+        let Telemetry::Rig(sample) = rig_sample(61_000_000, RigState::Running, 0, 0) else {
+            unreachable!("it is a rig's");
+        };
+        let sample = RigTelemetry {
+            position_steps: steps,
+            ..sample
+        };
+        rig.sample(&Telemetry::Rig(sample), 0, now);
+        assert_eq!(
+            rig.rig.map(|status| status.position_um),
+            Some(um),
+            "{steps}"
+        );
+    }
+}
+
 fn folding(now: Instant) -> Panel {
     let mut capsule = Panel::new(DeviceKind::Capsule, "/dev/ttyACM1".to_owned());
     capsule.contact = Contact::Owned;

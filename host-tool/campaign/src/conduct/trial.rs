@@ -71,6 +71,7 @@ impl Conduct<'_> {
                 self.row(
                     LedgerRow::of(LedgerEvent::Skipped, planned.trial, None).saying(Some(reason)),
                 )?;
+                self.camera = None;
                 self.desk.say(&format!(
                     "  trial {} is skipped; undo takes it in again",
                     planned.trial
@@ -402,17 +403,16 @@ fn write_pulses(
 ) -> Result<(), RecordError> {
     let path = folder.join("sync.csv");
     let mut text = String::from("stroke,time_us,origin\n");
-    // The strokes of a campaign follow each other without dwell, so each one begins when the previous one ends.
-    let mut begins = events
+    // The strokes of a campaign follow each other without dwell, so each one begins when the previous one ends. An event
+    // may have been lost.
+    let mut begins: Vec<(u32, u64)> = events
         .iter()
-        .filter(|event| {
-            matches!(
-                event.what,
-                What::Rig(RigEvent::RunStarted { .. } | RigEvent::StrokeDone { .. })
-            )
+        .filter_map(|event| match event.what {
+            What::Rig(RigEvent::RunStarted { .. }) => Some((0, event.time_us)),
+            What::Rig(RigEvent::StrokeDone { stroke, .. }) => Some((stroke + 1, event.time_us)),
+            _ => None,
         })
-        .map(|event| event.time_us)
-        .collect::<Vec<_>>();
+        .collect();
     let ended = events.iter().any(|event| {
         matches!(event.what, What::Rig(RigEvent::RunEnded { outcome, .. }) if Status::from(outcome) == Status::Complete)
     });
@@ -420,7 +420,7 @@ fn write_pulses(
         // No stroke begins when the last one ends.
         begins.pop();
     }
-    for (stroke, time_us) in begins.iter().enumerate() {
+    for (stroke, time_us) in begins {
         text.push_str(&format!("{stroke},{time_us},{origin}\n"));
     }
     replace(&path, text.as_bytes()).map_err(|io| RecordError::write(&path, io))

@@ -41,7 +41,7 @@ const GREETING_TIME: Duration = Duration::from_secs(2);
 /// Stack of a guest's thread, bytes; small, because many guests may come at once.
 const GUEST_STACK: usize = 256 * 1024;
 
-/// First sequence number of guests' stops on the line, far from the owner's, which count from 0.
+/// First sequence number of guests' stops on the line. The owner's begin at random.
 const FIRST_SEQ: u16 = 0x8000;
 
 /// State shared by owner, pump and guests.
