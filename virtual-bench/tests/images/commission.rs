@@ -271,6 +271,10 @@ fn a_good_capsule_passes_in_one_go() {
     );
     let (code, text) = commission(&workshop, "capsule", &record, &[]);
     assert_eq!((code, begun(&text).len()), (0, 0), "{text}");
+    // Once more, now that it is calibrated: its motions are references then.
+    let another = record.with_file_name("another.json");
+    let (code, text) = commission(&workshop, "capsule", &another, &[]);
+    assert_eq!(code, 0, "{text}");
 }
 
 /// The amplifier shows both directions, but its shunt lies below the bridge: it sees the pulses only.
