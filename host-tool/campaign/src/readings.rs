@@ -245,12 +245,13 @@ impl Readings {
             .rfind(|set| set.accepted && set.indentation.as_deref() == Some(indentation))
     }
 
-    /// The last set of i_n, which is the present clamping of the rollers; none if they were clamped anew since.
+    /// The last complete set of i_n, which is the present clamping of the rollers; none if it was discarded: they are
+    /// clamped otherwise by now.
     #[must_use]
     pub fn clamped(&self) -> Option<&Set> {
         self.sets
             .iter()
-            .rfind(|set| set.accepted && set.quantity == Quantity::BetweenCrests)
+            .rfind(|set| set.quantity == Quantity::BetweenCrests && (set.accepted || set.discarded))
             .filter(|set| !set.discarded)
     }
 

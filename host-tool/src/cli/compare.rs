@@ -29,11 +29,7 @@ pub(crate) fn compare(
         .collect();
     if !work.screen.json {
         let text = poll.table(&sheet, &odds);
-        let written = work.screen.out.write_all(text.as_bytes());
-        written.map_err(|io| Failure::File {
-            path: "standard output".into(),
-            io,
-        })?;
+        work.screen.print(text.as_bytes());
     }
     let origin = model_file::origin_with(model, posterior);
     let of_bodies = format!(

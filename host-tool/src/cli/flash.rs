@@ -6,7 +6,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use client::door::lock::Doorway;
+use client::address::Address;
+use client::door::lock::{Doorway, Lock};
 use client::identity::{self, IdentityRecord};
 use commissioning::flashing::{self, Image};
 use operations::arguments::MachineKind;
@@ -72,7 +73,7 @@ pub(crate) fn flash(
             built(kind).display()
         ),
     })?;
-    leave_alone(kind, places)?;
+    let locks = taken(kind, places)?;
     screen.say(&format!(
         "{}: image of the {name}, {} bytes of flash, fingerprint {:08x}. It leaves settings, name and calibration as they are.",
         path.display(),
@@ -104,6 +105,7 @@ pub(crate) fn flash(
         .collect::<Vec<_>>();
     probe_rs(&["download", "--chip", CHIP, &text], &probe, screen)?;
     probe_rs(&["reset", "--chip", CHIP], &probe, screen)?;
+    drop(locks);
     let identity = ask(kind, &image, places)?;
     screen.say(&format!("Flashed. {}", identity::line(&identity)));
     if identity.profile == BuildProfile::Debug {
@@ -112,25 +114,51 @@ pub(crate) fn flash(
     Ok(done(false, Some(&identity)))
 }
 
-/// Refuses while another process works with the machine: a reset would end what it does.
-fn leave_alone(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
-    let Some(address) = places.address(kind) else {
-        return Ok(());
+/// Takes the machine's line, or each line where it may be if it has no address, so that nobody begins anything
+/// meanwhile. Refuses while another process works with one of them: a reset would end what it does.
+fn taken(kind: DeviceKind, places: &Places<'_>) -> Result<Vec<Lock>, Failure> {
+    let named = places.address(kind).filter(|at| **at != Address::Auto);
+    let addresses = match named {
+        Some(address) => vec![address.clone()],
+        None => {
+            let candidates = places.connector.candidates().into_iter();
+            candidates
+                .filter(|candidate| candidate.kind.is_none_or(|of| of == kind))
+                .map(|candidate| candidate.address)
+                .collect()
+        }
     };
-    let Some(doorway) = Doorway::of(address)? else {
-        return Ok(());
-    };
-    if doorway.claim()?.is_some() {
-        return Ok(());
+    let mut locks = vec![];
+    for doorway in addresses
+        .iter()
+        .filter_map(|at| places.connector.doorway(at))
+    {
+        match doorway.claim()? {
+            Some(lock) => locks.push(lock),
+            None => return Err(at_work(&doorway, named.is_some(), kind)),
+        }
     }
+    Ok(locks)
+}
+
+fn at_work(doorway: &Doorway, is_named: bool, kind: DeviceKind) -> Failure {
     let owner = doorway.owner().map_or_else(
         || "another `retrograde`".to_owned(),
         |owner| owner.to_string(),
     );
-    Err(Failure::Refused {
+    let elsewhere = match is_named {
+        true => String::new(),
+        false => format!(
+            "; if the {0} is another board, say where it is with `--{0}`",
+            identity::kind_name(kind)
+        ),
+    };
+    Failure::Refused {
         why: format!("{} belongs to {owner}", doorway.place()),
-        help: "nothing was flashed: wait until that process ends, or end it with Ctrl-C in its terminal".to_owned(),
-    })
+        help: format!(
+            "nothing was flashed: wait until that process ends, or end it with Ctrl-C in its terminal{elsewhere}"
+        ),
+    }
 }
 
 /// Asks the board for its identity.

@@ -33,8 +33,12 @@ pub(crate) fn jog(
     })?;
     let renew_us = RENEW_US.min(u64::from(dead_man.value) * 1_000 / 3);
     let end_us = rig.now_us().saturating_add(args.for_s.0.into());
-    rig.call(jog)?;
-    let mut early = false;
+    // Stopped before it was answered: it may have begun, and brakes then.
+    let mut early = match rig.call(jog) {
+        Ok(_) => false,
+        Err(ClientError::Interrupted { .. }) => true,
+        Err(error) => return Err(error.into()),
+    };
     while !early && rig.now_us() < end_us {
         let left_us = end_us - rig.now_us();
         let silent = |error| while_moving("the jog", error);
@@ -44,8 +48,8 @@ pub(crate) fn jog(
         if !early && rig.now_us() < end_us {
             early = match rig.call(jog) {
                 Ok(_) => false,
-                // The jog has just ended. The status will say why.
-                Err(ClientError::Refused { .. }) => true,
+                // The jog has just ended, or is stopped. The status will say why.
+                Err(ClientError::Refused { .. } | ClientError::Interrupted { .. }) => true,
                 Err(error) => return Err(error.into()),
             };
         }

@@ -44,10 +44,7 @@ pub(crate) fn man(
 /// Prints text as the result; with `--json` it becomes a field of the object.
 fn print(text: &[u8], name: &str, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     if !screen.json {
-        screen.out.write_all(text).map_err(|io| Failure::File {
-            path: "standard output".into(),
-            io,
-        })?;
+        screen.print(text);
     }
     Ok(json!({ name: String::from_utf8_lossy(text) }))
 }

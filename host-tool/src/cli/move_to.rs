@@ -1,6 +1,7 @@
 //! `move`: moves the rig to a position.
 
 use client::decimal;
+use client::error::ClientError;
 use operations::arguments::MoveArgs;
 use operations::ending::{cut_short, millimetres};
 use operations::failure::Failure;
@@ -31,6 +32,11 @@ pub(crate) fn move_to(
                 millimetres(&status)
             ));
             return Ok(json!({ "already": true, "status": status }));
+        }
+        // It may have begun, and brakes then.
+        Err(ClientError::Interrupted { .. }) => {
+            let status = rig.wait_rest()?;
+            return Err(cut_short("the move", &rig, &status));
         }
         accepted => accepted?,
     };

@@ -51,6 +51,12 @@ impl Screen<'_> {
         taken
     }
 
+    /// Prints a result as it is; no JSON.
+    pub(crate) fn print(&mut self, text: &[u8]) {
+        let written = self.out.write_all(text);
+        self.note(written);
+    }
+
     /// Keeps the first error of standard output. A closed pipe is no error: its reader has read enough.
     fn note(&mut self, written: io::Result<()>) {
         if let Err(io) = written

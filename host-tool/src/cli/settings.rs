@@ -4,11 +4,10 @@ mod import;
 mod values;
 
 use std::collections::BTreeMap;
-use std::fs::OpenOptions;
-use std::io::{ErrorKind, Write};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use client::{Device, identity};
+use client::{Device, identity, plain};
 use operations::arguments::MachineKind;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
@@ -129,10 +128,16 @@ pub(crate) fn settings(
                 "All settings of the {} go back to their defaults, and its name is removed.",
                 identity::kind_name(kind)
             );
+            let of = match kind {
+                DeviceKind::Capsule => " --of capsule",
+                _ => "",
+            };
             if !yes && !screen.confirms(&question) {
                 return Err(Failure::Refused {
                     why: "a reset was not confirmed; nothing was changed".to_owned(),
-                    help: "`retrograde settings export FILE` keeps what is there; then `retrograde settings reset --yes`".to_owned(),
+                    help: format!(
+                        "`retrograde settings{of} export FILE` keeps what is there; then `retrograde settings{of} reset --yes`"
+                    ),
                 });
             }
             places
@@ -160,16 +165,10 @@ fn export(
     }
     let exported = exported(&mut places.connect(kind, Need::Look)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
-    let mut options = OpenOptions::new();
-    options.write(true);
-    if force {
-        options.create(true).truncate(true);
-    } else {
-        options.create_new(true);
-    }
-    let written = options
-        .open(file)
-        .and_then(|mut open| open.write_all(text.as_bytes()));
+    let written = match force {
+        true => plain::replace(file, text.as_bytes()),
+        false => plain::create(file, text.as_bytes()),
+    };
     written.map_err(|io| match io.kind() {
         ErrorKind::AlreadyExists => exists(),
         _ => Failure::File {

@@ -1062,6 +1062,47 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
     );
 }
 
+/// The rollers stand at the new notch, although its readings were discarded: those of the block before do not hold.
+#[test]
+fn a_clamping_whose_readings_were_discarded_is_not_the_one_before() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let (code, shown) = converse(
+        &memory,
+        &["run", &plan, "--out", &out],
+        vec![
+            ("rollers OFF", ""),
+            ("Reading 1 of 2: D", "24.4"),
+            ("Reading 2 of 2: D", "24.4"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "20.4"),
+            ("Reading 2 of 2: i", "20.4"),
+            ("Trial 1 of 6", ""),
+            ("Displacement of the tail", "12.5"),
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "14.3"),
+            ("Reading 2 of 2: i", "15.3"),
+            ("Is that so?", "again"),
+            ("Clamp both rollers", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+    let (code, _, err) = memory.run(&["campaign", "edit", &out, "repeat", "1", "torn"]);
+    assert_eq!(code, 0, "{err}");
+    let (code, shown) = converse(
+        &memory,
+        &["run", &out],
+        vec![
+            ("Clamp both rollers", ""),
+            ("Reading 1 of 2: i", "20.2"),
+            ("Reading 2 of 2: i", "20.2"),
+            ("Trial 1 of 6, attempt 2", "q"),
+        ],
+    );
+    assert_eq!(code, 130, "{shown}");
+}
+
 #[test]
 fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     let place = place(&small_plan(&[]));

@@ -1,7 +1,7 @@
 //! Stops go to all machines at once, and the result of each is reported.
 
 use std::net::TcpListener;
-use std::sync::{Condvar, Mutex};
+use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -11,9 +11,10 @@ use client::link::{Link, LinkError, OpenError, Reason};
 use host_tool::cli::run_on;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Ports, Purpose};
-use protocol::system::DeviceKind;
+use protocol::settings::SettingKey;
+use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
-use simulated_machines::machine::{Script, link};
+use simulated_machines::machine::{Log, Script, link};
 
 /// Ports `dead...`, which never take a byte, and `live`. The dead ones open only after the live one, so a stop that
 /// asks one after the other never reaches it.
@@ -204,4 +205,146 @@ fn a_machine_that_is_silent_on_tcp_has_not_confirmed() {
     let out = String::from_utf8(out).expect("UTF-8");
     assert_eq!(code, 7, "{out}");
     assert_eq!(out.matches("sent, NOT CONFIRMED").count(), 2, "{out}");
+}
+
+/// A line that takes nothing for 30 ms, after which another process has sent a stop.
+struct Interrupted {
+    link: Box<dyn Link>,
+    from_us: u64,
+    urgent: Option<Urgent>,
+}
+
+impl Interrupted {
+    fn is_over(&self) -> bool {
+        self.link.now_us() >= self.from_us + 30_000
+    }
+}
+
+impl Link for Interrupted {
+    fn place(&self) -> String {
+        self.link.place()
+    }
+    fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        match self.now_us() < self.from_us || self.is_over() {
+            true => self.link.send(bytes),
+            false => Ok(()),
+        }
+    }
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.link.receive(buffer, deadline_us)
+    }
+    fn stopped(&mut self) -> Option<Urgent> {
+        self.urgent.filter(|_| self.is_over())
+    }
+    fn forget_stop(&mut self) {
+        self.urgent = None;
+    }
+}
+
+struct Desk {
+    from_us: u64,
+    urgent: Urgent,
+    log: Mutex<Option<Arc<Mutex<Log>>>>,
+}
+
+impl Desk {
+    fn new(from_us: u64, urgent: Urgent) -> Self {
+        Self {
+            from_us,
+            urgent,
+            log: Mutex::default(),
+        }
+    }
+
+    /// Exit code and errors.
+    fn run(&self, args: &[&str]) -> (u8, String) {
+        let args = [&["retrograde", "--rig", "0"], args].concat();
+        let (mut out, mut err) = (vec![], vec![]);
+        let args = args.into_iter().map(Into::into);
+        let code = run_on(args, self, &mut out, &mut err, false);
+        (code, String::from_utf8(err).expect("UTF-8"))
+    }
+}
+
+impl Connector for Desk {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let (link, log) = link(ready(DeviceKind::Rig));
+        *self.log.lock().expect("free") = Some(log);
+        Ok(Box::new(Interrupted {
+            link,
+            from_us: self.from_us,
+            urgent: Some(self.urgent),
+        }))
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// An import is all or nothing, also if it is stopped.
+#[test]
+fn an_import_that_is_stopped_leaves_everything_as_it_was() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("rig.json");
+    let text = r#"{"name": "new", "settings": {"dead_man_ms": 350, "stroke_um": 20000, "seek_um_s": 5000}}"#;
+    std::fs::write(&file, text).expect("written");
+    let import = ["settings", "import", file.to_str().expect("UTF-8")];
+    let mut undone = 0;
+    for from_us in (0..400_000).step_by(4_000) {
+        let desk = Desk::new(from_us, Urgent::Stop);
+        let (code, err) = desk.run(&import);
+        let log = desk.log.lock().expect("free").clone().expect("a rig");
+        let values = log.lock().expect("free").settings();
+        let changed = SettingKey::ALL.iter().zip(&values);
+        let changed = changed
+            .filter(|(key, value)| key.range().default != **value)
+            .count();
+        assert_eq!(
+            changed,
+            if code == 0 { 3 } else { 0 },
+            "{from_us} us: {err}"
+        );
+        undone += u32::from(err.contains("all settings are as before"));
+    }
+    assert!(undone > 0, "no stop came between two settings");
+}
+
+/// Whatever was under way when the stop came, an order or a question: the command waits for the end of the motion, and says
+/// where the carriage is.
+#[test]
+fn a_stop_says_where_the_carriage_stands_whatever_it_met() {
+    let jog = ["jog", "away", "--speed-mm-s", "10", "--for-s", "2"];
+    let to = ["move", "--speed-mm-s", "10", "60"];
+    for (urgent, code) in [(Urgent::Stop, 130), (Urgent::EStop, 6)] {
+        for (args, from) in [(&jog[..], 0..300_000), (&to, 0..100_000)] {
+            for from_us in from.step_by(4_000) {
+                let (ended, err) = Desk::new(from_us, urgent).run(args);
+                let all = format!("{urgent:?}, {from_us} us: {err}");
+                assert_eq!(ended, code, "{all}");
+                // Before there was an order, nothing has moved.
+                assert!(
+                    !err.contains("not sent, or not repeated") || from_us < 60_000,
+                    "{all}"
+                );
+            }
+        }
+    }
 }

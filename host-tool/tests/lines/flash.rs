@@ -6,6 +6,11 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use crate::support::bench::Bench;
+use client::address::Address;
+use client::door::lock::Doorway;
+use client::link::{Link, OpenError};
+use host_tool::cli::run_on;
+use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
@@ -340,6 +345,86 @@ fn a_machine_that_is_at_work_is_not_flashed() {
     assert_eq!(bay.told(), "");
     run.kill().expect("killed");
     run.wait().expect("ended");
+}
+
+/// Lines at unknown places, of which another process has one.
+struct Somewhere {
+    folder: tempfile::TempDir,
+    lines: Vec<Address>,
+}
+
+impl Connector for Somewhere {
+    fn open(
+        &self,
+        _: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        unreachable!("nothing is asked")
+    }
+
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
+        Doorway::within(self.folder.path(), address)
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        let candidate = |address: &Address| Candidate {
+            address: address.clone(),
+            kind: None,
+            description: String::new(),
+            may_ask: true,
+        };
+        self.lines.iter().map(candidate).collect()
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> jiff::Timestamp {
+        jiff::Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Without an address the machine may be at any of these lines.
+#[test]
+fn nothing_is_flashed_while_a_machine_somewhere_is_at_work() {
+    let image = tempfile::NamedTempFile::new().expect("a file");
+    Elf::rig().write(image.path());
+    let somewhere = Somewhere {
+        folder: tempfile::tempdir().expect("a folder"),
+        lines: [7_001, 7_002]
+            .map(|port| Address::Tcp(format!("127.0.0.1:{port}")))
+            .to_vec(),
+    };
+    let flash = |args: &[&str]| {
+        let path = image.path().to_str().expect("UTF-8");
+        let args = [
+            &["retrograde", "flash", "rig", "--dry-run", "--image", path],
+            args,
+        ]
+        .concat();
+        let (mut out, mut err) = (vec![], vec![]);
+        let args = args.into_iter().map(Into::into);
+        let code = run_on(args, &somewhere, &mut out, &mut err, false);
+        (code, String::from_utf8(err).expect("UTF-8"))
+    };
+    assert_eq!(flash(&[]).0, 0);
+    let busy = somewhere.doorway(&somewhere.lines[1]).expect("a line");
+    let owned = busy.claim().expect("possible").expect("free");
+    for args in [
+        &[][..],
+        &["--rig", "auto"],
+        &["--rig", "tcp:127.0.0.1:7002"],
+    ] {
+        let (code, err) = flash(args);
+        assert_eq!(code, 3, "{args:?}: {err}");
+        assert!(err.contains("7002 belongs to"), "{args:?}: {err}");
+    }
+    assert_eq!(flash(&["--rig", "tcp:127.0.0.1:7001"]).0, 0);
+    drop(owned);
+    assert_eq!(flash(&[]).0, 0);
 }
 
 /// `probe-rs` repeats what the board says: a terminal must not obey it.

@@ -87,7 +87,8 @@ pub fn run(
     if let Err(error) = capsule.set_telemetry(recordings.actuation.telemetry_ms) {
         capsule.records(None);
         let ending = experiment::without_record(&recorder, &error);
-        recorder.finish(ending, capsule.lost_events())?;
+        // The loss of the capsule is the cause; a record that cannot be written does not hide it.
+        let _ = recorder.finish(ending, capsule.lost_events());
         return Err(error.into());
     }
     capsule.take_telemetry();

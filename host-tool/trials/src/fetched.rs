@@ -54,7 +54,7 @@ pub struct Fetched {
     pub device: IdentityRecord,
     /// Its image at the time of the request.
     pub image: String,
-    /// Settings by name; the capsule has none.
+    /// Settings of a rig by name; those of a capsule are not read.
     pub settings: std::collections::BTreeMap<String, u32>,
     /// How the action ended.
     pub status: Status,

@@ -198,7 +198,8 @@ impl Conduct<'_> {
                 experiment::run(&mut self.machines.rig, run, &recording, &mut *observer)?
             }
         };
-        write_pulses(folder, &trial.trial.events, self.machines.origin)?;
+        let strokes = 2 * u32::from(run.cycles);
+        write_pulses(folder, &trial.trial.events, strokes, self.machines.origin)?;
         if trial.trial.status != Status::Complete {
             return Err(Broken::Ended {
                 action: "the run",
@@ -399,6 +400,7 @@ fn no_capsule() -> Broken {
 fn write_pulses(
     folder: &Path,
     events: &[protocol::system::Event],
+    strokes: u32,
     origin: Origin,
 ) -> Result<(), RecordError> {
     let path = folder.join("sync.csv");
@@ -413,13 +415,8 @@ fn write_pulses(
             _ => None,
         })
         .collect();
-    let ended = events.iter().any(|event| {
-        matches!(event.what, What::Rig(RigEvent::RunEnded { outcome, .. }) if Status::from(outcome) == Status::Complete)
-    });
-    if ended {
-        // No stroke begins when the last one ends.
-        begins.pop();
-    }
+    // No stroke begins when the last one ends.
+    begins.retain(|(stroke, _)| *stroke < strokes);
     for (stroke, time_us) in begins {
         text.push_str(&format!("{stroke},{time_us},{origin}\n"));
     }

@@ -4,6 +4,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
+use std::sync::Arc;
 
 use client::error::ClientError;
 use client::limited::{self, BY_HAND};
@@ -220,9 +221,13 @@ fn apply(
 }
 
 /// Undoes the changes in reverse order, so that the rig only meets combinations that it has accepted before. Returns
-/// the changes that remain.
+/// the changes that remain. A stop has interrupted the import, perhaps; it does not keep it from being undone.
 fn put_back(rig: &mut Device, done: Vec<Change>) -> Vec<String> {
     let mut changed = vec![];
+    if rig.settle().is_ok() {
+        rig.set_interrupt(Arc::new(|| None));
+        rig.forget_stop();
+    }
     for Change { from, to } in done.into_iter().rev() {
         if from.write(rig).is_err() {
             changed.push(format!("{} from {from} to {to}", to.name()));
