@@ -1,6 +1,7 @@
 //! A log of numbered records in flash: the last record of a number counts.
 //!
-//! A power cut at any instant leaves the old record or the new one (`sequential-storage`). We use its queue, not its
+//! A power cut at any instant leaves the old record or the new one (`sequential-storage`, and what is done here about an
+//! erasure that was cut). We use its queue, not its
 //! map. On a full sector the map searches all records for each of them: that takes six seconds, and the watchdog
 //! bites. Its remedy, a cache, and the map itself take 6 KB more flash. A full queue drops its oldest sector, so we
 //! rewrite a record that is still needed long before.
@@ -16,6 +17,7 @@ use sequential_storage::{
 
 /// Offsets of the log's sectors in flash, as in `memory.x`.
 pub const SECTORS: Range<u32> = 0x4000..0x1_0000;
+const SECTORS_END: u32 = SECTORS.end;
 /// Size of a sector, bytes.
 pub const SECTOR: u32 = 16 * 1024;
 /// Number of the name's record; settings have theirs from 0.
@@ -102,6 +104,54 @@ impl<F: NorFlash> Checked<F> {
         }
         Ok(true)
     }
+
+    /// Whether the log takes what is here for a mark: half of a byte's bits are programmed.
+    async fn is_marked(&mut self, offset: u32) -> Result<bool, F::Error> {
+        let mut read = [0xFF; LONGEST_READ];
+        let read = &mut read[..F::READ_SIZE];
+        self.0.read(offset, read).await?;
+        let programmed: u32 = read.iter().map(|byte| byte.count_zeros()).sum();
+        Ok(programmed >= 4)
+    }
+
+    /// Whether the log takes the sector for the one in use: marked at its begin and not at its end.
+    async fn is_in_use(&mut self, sector: u32) -> Result<bool, F::Error> {
+        let end = sector + SECTOR - F::READ_SIZE as u32;
+        Ok(self.is_marked(sector).await? && !self.is_marked(end).await?)
+    }
+
+    /// The sector behind the one in use, which the log erases next. If that was cut, it may look as if it were in use, too.
+    async fn oldest(&mut self) -> Result<Option<u32>, F::Error> {
+        let mut oldest = None;
+        for sector in SECTORS.step_by(SECTOR as usize) {
+            let behind = match sector + SECTOR {
+                SECTORS_END => SECTORS.start,
+                behind => behind,
+            };
+            if self.is_in_use(sector).await? && (oldest.is_none() || self.is_in_use(behind).await?)
+            {
+                oldest = Some(behind);
+            }
+        }
+        Ok(oldest)
+    }
+
+    /// Erases the oldest sector: a power cut may have half erased it. Nothing in it counts any more, for what is needed
+    /// was written again long before (see [`Ages`]). True if it did.
+    async fn erase_oldest(&mut self, only_in_use: bool) -> Result<bool, F::Error> {
+        let Some(oldest) = self.oldest().await? else {
+            return Ok(false);
+        };
+        let is_whole = match only_in_use {
+            true => !self.is_in_use(oldest).await?,
+            false => !self.is_marked(oldest).await?,
+        };
+        if is_whole {
+            return Ok(false);
+        }
+        self.0.erase(oldest, oldest + SECTOR).await?;
+        Ok(true)
+    }
 }
 
 impl<F: NorFlash> ErrorType for Checked<F> {
@@ -162,12 +212,15 @@ impl<F: NorFlash> Store<F> {
             && Ages::OLDEST + Ages::NUMBERS as u32 <= in_a_sector(F::WRITE_SIZE)
     );
 
-    /// The log in [`SECTORS`] of `flash`.
+    /// The log in [`SECTORS`] of `flash`. Erases a sector, for up to half a second, if a power cut has interrupted just that.
     pub fn new(flash: F) -> Self {
         const { Self::FITS };
+        let mut flash = Checked(flash);
+        // Two sectors in use: the log would read or write the wrong one. If that fails, reading and writing say so.
+        let _ = block_on(flash.erase_oldest(true));
         Self {
             log: QueueStorage::new(
-                Checked(flash),
+                flash,
                 const { QueueConfig::new(SECTORS) },
                 Cache::new_uncached(),
             ),
@@ -175,13 +228,23 @@ impl<F: NorFlash> Store<F> {
         }
     }
 
-    /// Calls `record` with number and content of every record, older ones first.
+    /// Calls `record` with number and content of every record, older ones first; from the start again if a sector that
+    /// was half erased is in the way.
     ///
     /// # Errors
     /// The sectors cannot be read as records; what was read before stands.
     pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
+        let read = self.read(&mut record);
+        if read.is_ok() || !block_on(self.log.flash().erase_oldest(false)).unwrap_or(false) {
+            return read;
+        }
+        self.read(&mut record)
+    }
+
+    fn read(&mut self, record: &mut impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
         let mut buffer = [0; LONGEST_READ];
         let buffer = &mut buffer[..Self::READ];
+        self.ages = Ages::new();
         block_on(async {
             let mut records = self.log.iter().await?;
             while let Some(entry) = records.next(buffer).await? {

@@ -74,7 +74,10 @@ pub fn young() -> Vec<u8> {
 }
 
 /// A flash whose next name drops a sector for the second time since [`KEPT`] was set, and the number of that name.
-pub static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
+pub static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| before_erasure(2));
+
+/// A flash whose next name drops a sector for the `wanted`-th time, and the number of that name.
+fn before_erasure(wanted: u32) -> (Vec<u8>, u32) {
     let flash = Flash::holding(young());
     let mut store = start(&flash);
     let mut erasures = 0;
@@ -85,12 +88,38 @@ pub static OLD: LazyLock<(Vec<u8>, u32)> = LazyLock::new(|| {
         if flash.operations()[operations..].iter().any(erased) {
             erasures += 1;
         }
-        if erasures == 2 {
+        if erasures == wanted {
             return (before, number);
         }
     }
     panic!("no sector was erased");
-});
+}
+
+/// A sector whose erasure was cut may look as if it were in use beside the sector that is. Whatever bits it has, the log is
+/// read and written on, wherever it stands.
+#[test]
+fn an_erasure_that_was_cut_spoils_nothing() {
+    for wanted in 1..=3 {
+        let (image, number) = before_erasure(wanted);
+        let old = Content::of(&start(&Flash::holding(image.clone())));
+        for (seed, cut) in (0..60).flat_map(|seed| Cut::ALL.map(|cut| (seed, cut))) {
+            let flash = Flash::holding(image.clone());
+            let mut store = start(&flash);
+            flash.cut(0, cut, seed);
+            let _ = store.set_name(long_name(number));
+            let context = format!("erasure {wanted}, {cut:?}, seed {seed}");
+            let flash = Flash::holding(flash.bytes());
+            let mut store = start(&flash);
+            assert_eq!(Content::of(&store).values, old.values, "{context}");
+            for number in number + 1..number + 4 {
+                store.set_name(long_name(number)).expect(&context);
+                let again = Content::of(&start(&Flash::holding(flash.bytes())));
+                assert_eq!(again.name, *long_name(number), "{context}");
+                assert_eq!(again.values, old.values, "{context}");
+            }
+        }
+    }
+}
 
 /// Makes a change with a cut in each of its operations. What each cut leaves has to satisfy `is_left`, and has to
 /// accept changes as usual.
