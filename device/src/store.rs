@@ -1,10 +1,9 @@
 //! A log of numbered records in flash: the last record of a number counts.
 //!
 //! A power cut at any instant leaves the old record or the new one (`sequential-storage`, and what is done here about an
-//! erasure that was cut). We use its queue, not its
-//! map. On a full sector the map searches all records for each of them: that takes six seconds, and the watchdog
-//! bites. Its remedy, a cache, and the map itself take 6 KB more flash. A full queue drops its oldest sector, so we
-//! rewrite a record that is still needed long before.
+//! erasure that was cut). We use its queue, not its map. On a full sector the map searches all records for each of
+//! them: that takes six seconds, and the watchdog bites. Its remedy, a cache, and the map itself take 6 KB more flash. A
+//! full queue drops its oldest sector, so we rewrite a record that is still needed long before.
 
 use core::ops::Range;
 use embassy_futures::block_on;

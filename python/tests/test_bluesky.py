@@ -151,6 +151,46 @@ class RunEngineTest(BenchTest):
         self.assertEqual(self.lab.rig.sample()["state"], "ready")
         self.assertGreater(self.rig.position, 0)
 
+    def test_4_a_run_is_held_also_after_a_move_in_the_same_plan(self) -> None:
+        # At a pause the RunEngine calls `stop` of whatever was `set`.
+        import bluesky.plan_stubs as stubs
+        from bluesky.plans import fly
+        from bluesky.utils import RunEngineInterrupted
+
+        def plan() -> Any:
+            yield from stubs.mv(self.rig, 1)
+            yield from stubs.mv(self.rig, 0)
+            # Else the RunEngine would repeat the moves, too, when it resumes.
+            yield from stubs.checkpoint()
+            yield from fly([self.rig])
+
+        self.rig.prepare({**SHORT, "duration_s": 6}).wait(60)
+        self.rig.stage()
+        self.pause_in_the_run()
+        with self.assertRaises(RunEngineInterrupted):
+            self.engine(plan())
+        self.assertEqual(self.lab.rig.sample()["state"], "held")
+        self.engine.resume()
+        self.assertEqual(self.rig.read()["rig_run_steps_counted"]["value"], 32_000)
+
+    def test_4_a_move_that_a_pause_has_stopped_is_repeated(self) -> None:
+        self.rig.stage()
+        status = self.rig.set(60)
+        self.rig.stop(success=True)
+        self.assertIsNone(status.exception(60))
+        self.assertLess(self.rig.position, 60)
+        self.rig.set(2).wait(60)
+        ended = self.rig.set(60)
+        self.rig.stop()
+        self.assertIsInstance(ended.exception(60), retrograde.Stopped)
+
+    def test_4_a_run_that_is_being_started_is_stopped_too(self) -> None:
+        self.rig.prepare({**SHORT, "duration_s": 6}).wait(60)
+        self.rig.stage()
+        self.rig.kickoff()
+        self.rig.unstage()
+        self.assertEqual(self.lab.rig.sample()["state"], "ready")
+
     def test_5_the_capsule_folds_in_a_plan(self) -> None:
         import bluesky.plan_stubs as stubs
 

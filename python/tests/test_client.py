@@ -1,5 +1,6 @@
 """The client against a server that answers as docs/serve.md says, and as it must not."""
 
+import _thread
 import io
 import json
 import os
@@ -214,6 +215,33 @@ class ClientTest(unittest.TestCase):
         with self.assertRaises(KeyboardInterrupt):
             self.lab.rig.home(press)
         self.assertEqual((self.posts()[-1].path, self.posts()[-1].body), ("/api/v1/stop", {"machine": "rig"}))
+
+    def test_ctrl_c_before_the_answer_stops_the_machine(self) -> None:
+        home = threading.Event()
+
+        def answer(call: Call) -> Answer:
+            if call.path == "/api/v1/rig/home":
+                home.set()
+                time.sleep(1.0)
+                return (202, action("under_way"))
+            return STATE if call.method == "GET" else (200, {"ok": True, "machines": []})
+
+        def press() -> None:
+            home.wait()
+            _thread.interrupt_main()
+
+        self.server.answer = answer
+        threading.Thread(target=press).start()
+        with self.assertRaises(KeyboardInterrupt):
+            self.lab.rig.home()
+        last = self.server.calls[-1]
+        self.assertEqual((last.path, last.body), ("/api/v1/stop", {"machine": "rig"}))
+
+    def test_a_busy_server_leaves_a_command_that_was_sent_unsure(self) -> None:
+        answers: List[Optional[Answer]] = [None, (503, failure(4, "too many connections")), (202, action("complete"))]
+        self.server.answer = lambda call: STATE if call.method == "GET" else answers.pop(0)
+        self.lab.rig.home()
+        self.assertEqual(answers, [])
 
     def test_a_stop_without_confirmation_is_told(self) -> None:
         machines = [{"machine": "rig", "outcome": "not_confirmed", "why": "no answer"}]

@@ -28,6 +28,9 @@ from .client import Action, Lab
 from .errors import RetrogradeError, Stopped
 from .types import RunOptions
 
+# A run that is ordered has begun, or was refused, within this time.
+START_S = 20.0
+
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
@@ -125,7 +128,9 @@ class Rig:
         self._run: Dict[str, Any] = {**run}
         self._flown: Optional[Action[Any]] = None
         self._flight: Optional[Status] = None
+        self._starting: Optional[Status] = None
         self._moving: Optional[Action[Any]] = None
+        self._repeats = False
         self._target_mm: Optional[float] = None
         self._held = False
         self._resumed = False
@@ -197,7 +202,11 @@ class Rig:
 
     def unstage(self) -> List[Any]:
         """Stops a run that is still under way: its plan was ended early. (The RunEngine itself stops only what was `set`.)"""
-        flown, self._resumed = self._flown, False
+        self._resumed = False
+        if self._is_starting():
+            self._rig.stop()
+            self._wait_for_start()
+        flown = self._flown
         if flown is not None and not flown.is_over:
             self._rig.stop()
             flown.refresh(10)
@@ -221,8 +230,18 @@ class Rig:
     def set(self, position_mm: float) -> Status:
         """Moves to a position, mm."""
         self._target_mm = float(position_mm)
+        self._repeats = False
         self._moving = action = self._rig.start_move(self._target_mm)
-        return Status(action.wait)
+
+        def end() -> None:
+            try:
+                action.wait()
+            except Stopped:
+                # By a pause: the RunEngine repeats the move.
+                if not self._repeats:
+                    raise
+
+        return Status(end)
 
     def locate(self) -> Dict[str, float]:
         """Where it was sent, and where it is, mm."""
@@ -230,10 +249,21 @@ class Rig:
         return {"setpoint": position if self._target_mm is None else self._target_mm, "readback": position}
 
     def stop(self, *, success: bool = False) -> None:
-        """Called at the end of a plan that failed or was ended, whatever the device was doing: stops what goes on."""
-        del success
-        if any(action is not None and not action.is_over for action in (self._moving, self._flown)):
+        """Stops what goes on: the plan has failed or was ended. With `success` it pauses only: a move is stopped and will be
+        repeated, a run is left to `pause`."""
+        flies = self._is_starting() or self._flown is not None and not self._flown.is_over
+        moves = self._moving is not None and not self._moving.is_over
+        if moves or flies and not success:
+            self._repeats = success
             self._rig.stop()
+
+    def _is_starting(self) -> bool:
+        return self._starting is not None and not self._starting.done
+
+    def _wait_for_start(self) -> None:
+        """Waits until the run that is being started has begun, or has not."""
+        if self._starting is not None:
+            self._starting.exception(START_S)
 
     # Flyable: a run.
 
@@ -257,7 +287,8 @@ class Rig:
             if not (goes_on and self._flown is not None and not self._flown.is_over):
                 self._flown = self._rig.start_run(**self._run)
 
-        return Status(start)
+        self._starting = Status(start)
+        return self._starting
 
     def complete(self) -> Status:
         """Done at the end of the run; fails if it was stopped or ended by a fault."""
@@ -275,6 +306,7 @@ class Rig:
 
     def pause(self) -> None:
         """The RunEngine pauses: a run is held. One that ends before it can be held is complete."""
+        self._wait_for_start()
         if self._flown is not None and not self._flown.is_over:
             try:
                 self._rig.hold()

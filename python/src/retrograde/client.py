@@ -169,7 +169,7 @@ class Lab:
 
     def record(self, name: str) -> bytes:
         """A file of a record: `...csv` or `...json`."""
-        status, content = self._once("GET", f"/api/v1/records/{urllib.parse.quote(name, safe='')}", None, None, ANSWER_S)
+        status, content = self._asked("GET", f"/api/v1/records/{urllib.parse.quote(name, safe='')}", None, ANSWER_S)
         if status != 200:
             raise errors.of_answer(status, _decoded(content))
         return content
@@ -181,7 +181,8 @@ class Lab:
 
     def plan(self, **run: Unpack[RunOptions]) -> Dict[str, Any]:
         """What a run asks of a rig as delivered; takes what `Rig.run` takes. Asks no machine."""
-        status, answer = self._post("/api/v1/plan", _run_body(**run), None, ANSWER_S)
+        status, content = self._asked("POST", "/api/v1/plan", _run_body(**run), ANSWER_S)
+        answer = _decoded(content)
         if status != 200:
             raise errors.of_answer(status, answer)
         return cast(Dict[str, Any], answer["plan"])
@@ -206,7 +207,7 @@ class Lab:
         for _ in range(3):
             try:
                 status, answer = self._post(path, body, None, STOP_S)
-            except (OSError, HTTPException) as problem:
+            except (OSError, HTTPException, RetrogradeError) as problem:
                 why = str(problem)
                 continue
             machines = answer.get("machines")
@@ -258,11 +259,17 @@ class Lab:
         status, content = self._once("POST", path, body, key, timeout_s)
         return status, _decoded(content)
 
-    def _get(self, path: str, timeout_s: float = ANSWER_S) -> Dict[str, Any]:
+    def _asked(
+        self, method: str, path: str, body: Optional[Dict[str, object]], timeout_s: float
+    ) -> Tuple[int, bytes]:
+        """A question, which changes nothing."""
         try:
-            status, content = self._once("GET", path, None, None, timeout_s)
+            return self._once(method, path, body, None, timeout_s)
         except (OSError, HTTPException) as why:
             raise self._no_server(why) from None
+
+    def _get(self, path: str, timeout_s: float = ANSWER_S) -> Dict[str, Any]:
+        status, content = self._asked("GET", path, None, timeout_s)
         answer = _decoded(content)
         if status != 200:
             raise errors.of_answer(status, answer)
@@ -272,9 +279,19 @@ class Lab:
         return NoServer(f"{self.url} does not answer: {why}", NO_SERVER)
 
     def _command(self, machine: str, name: str, body: Dict[str, object]) -> ActionData:
-        """Sends a command until it is answered; the server executes it once."""
+        """Sends a command until it is answered; the server executes it once. Ctrl-C meanwhile stops the machine."""
         # Of this moment: with a key of an earlier server nothing would be done.
         key = f"{self.state()['instance']}-{uuid.uuid4().hex}"
+        try:
+            return self._sent(machine, name, body, key)
+        except Exception:
+            raise
+        except BaseException:
+            # The server carries the command out, whether somebody waits for its answer or not.
+            self.stop(machine)
+            raise
+
+    def _sent(self, machine: str, name: str, body: Dict[str, object], key: str) -> ActionData:
         until = time.monotonic() + PATIENCE_S
         unsure: Optional[str] = None
         while True:
@@ -290,6 +307,13 @@ class Lab:
                 if status in (200, 202):
                     return cast(ActionData, answer["action"])
                 error = errors.of_answer(status, answer)
+                if status in (408, 503) and "action" not in answer and unsure is not None:
+                    # Nothing is known of the first one, which the server may be carrying out.
+                    unsure = str(error)
+                    if time.monotonic() <= until:
+                        time.sleep(0.2)
+                        continue
+                    raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine")
                 if status == 428 and unsure is not None:
                     # The server that got it first has ended since.
                     raise OutcomeUnknown(f"{machine}: {name} was sent, and then the server was started again", "look at the machine")
