@@ -300,6 +300,9 @@ fn carry_out(job: Job, folder: &Path) -> Ended {
     let output = String::from_utf8_lossy(&output).into_owned();
     let mut counts = counts(&output);
     let wrong = match status {
+        Ok(status) if status.success() && !output.contains("test result: ") => {
+            Some("it ended without a word on its tests".to_owned())
+        }
         Ok(status) if status.success() => None,
         Ok(status) => Some(status.to_string()),
         Err(error) => Some(format!("it does not start: {error}")),
@@ -473,6 +476,13 @@ mod tests {
         assert!(ended.wrong.is_some());
         assert_eq!(ended.counts.failed, 1);
         assert_eq!(ended.output, "said\nthought\n");
+    }
+
+    #[test]
+    fn a_program_that_says_nothing_of_its_tests_counts_as_a_failure() {
+        let ended = shell("true");
+        assert!(ended.wrong.is_some());
+        assert_eq!(ended.counts.failed, 1);
     }
 
     #[test]

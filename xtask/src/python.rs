@@ -96,10 +96,15 @@ fn with_packages() -> PathBuf {
 
 /// The Python of the environment in `target/python`, made if need be; `None` if there can be none here.
 pub(crate) fn environment() -> Option<PathBuf> {
-    let folder = target().join("python");
+    environment_in(&target().join("python"))
+}
+
+/// The same in this folder. What was left half made, for a package of the system was missing, is made anew.
+fn environment_in(folder: &Path) -> Option<PathBuf> {
     let python = folder.join("bin/python");
-    let made = || quiet(Command::new("python3").args(["-m", "venv"]).arg(&folder));
-    (answers(&python) || made()).then_some(python)
+    let is_whole = || quiet(Command::new(&python).args(["-m", "pip", "--version"]));
+    let made = || quiet(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder));
+    (is_whole() || made()).then_some(python)
 }
 
 /// Whether this Python carries a statement out, if need be after it has installed these packages.
@@ -124,6 +129,24 @@ fn answers(python: &Path) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// As `python3 -m venv` leaves it where Debian's python3-venv is not installed.
+    #[cfg(unix)]
+    #[test]
+    fn an_environment_that_was_left_half_made_is_made_anew() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = target().join("test-output/half-made");
+        let _ = std::fs::remove_dir_all(&folder);
+        let bin = folder.join("bin");
+        std::fs::create_dir_all(&bin).expect("made");
+        let python = bin.join("python");
+        std::fs::write(&python, "#!/bin/sh\n[ \"$1\" = --version ]\n").expect("written");
+        std::fs::set_permissions(&python, PermissionsExt::from_mode(0o755)).expect("set");
+        assert!(answers(&python));
+        // None where there can be none.
+        let made = environment_in(&folder);
+        assert!(made.is_none_or(|python| quiet(Command::new(python).args(["-c", "import venv"]))));
+    }
 
     #[test]
     fn the_words_of_unittest_are_counted() {

@@ -2,7 +2,8 @@
 //! refused, because a large enough discrepancy would explain it.
 //!
 //! Data are refused if no body explains them as they are, and a body explains them well after a change of sign or
-//! unit. A body that the model describes badly explains neither.
+//! unit. What is left after the change has to be a movement: a body that stands still explains anything that is made
+//! small enough.
 
 use crate::chance::{Random, stream};
 use crate::descent::{Place, lowest};
@@ -145,8 +146,10 @@ impl<'a> Search<'a> {
         if as_written.partial_cmp(&SUSPECTED) != Some(core::cmp::Ordering::Greater) {
             return None;
         }
+        let still = vec![0.0; self.places.iter().max().map_or(0, |last| last + 1)];
         MISTAKES
             .into_iter()
+            .filter(|mistake| self.square(mistake.factor, &still) > SUSPECTED)
             .map(|mistake| (self.misfit(mistake.factor), mistake))
             .min_by(|one, other| one.0.total_cmp(&other.0))
             .filter(|(corrected, _)| *corrected < as_written / BETTER && *corrected < SUSPECTED)

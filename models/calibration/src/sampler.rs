@@ -155,14 +155,18 @@ impl Draws {
         })
     }
 
-    /// At most `count` draws, evenly spread over ensembles and time.
+    /// At most `count` draws, evenly spread over ensembles, time and walkers: those of one walker depend on each other more
+    /// than those of several.
     #[must_use]
     pub fn thinned(&self, count: usize) -> Vec<Point> {
         let all: Vec<&Point> = self.ensembles.iter().flatten().collect();
         let count = count.min(all.len());
-        (0..count)
-            .map(|part| *all[(2 * part + 1) * all.len() / (2 * count)])
-            .collect()
+        let of = |part: usize| {
+            let even = (2 * part + 1) * all.len() / (2 * count);
+            let step = even - even % self.walkers;
+            all.get(step + part % self.walkers).unwrap_or(&all[even])
+        };
+        (0..count).map(|part| **of(part)).collect()
     }
 
     /// Values of an unknown in all draws, sorted.

@@ -3,6 +3,9 @@
 
 use calibration::chance::{normal, stream};
 use calibration::diagnostics::{bulk_ess, r_hat, tail_ess};
+use calibration::prior::UNKNOWNS;
+use calibration::sampler::Draws;
+use std::collections::BTreeSet;
 
 /// Chains that any program can reproduce: a linear congruential generator drives an autoregression.
 fn chains(seed: u64, count: usize, length: usize, memory: f64, shift: f64) -> Vec<Vec<f64>> {
@@ -147,4 +150,34 @@ fn walkers_count_for_what_they_are_worth() {
     let own = bulk_ess(&ensembles(false), walkers);
     assert!((1_500.0..2_700.0).contains(&alike), "{alike}");
     assert!((15_000.0..27_000.0).contains(&own), "{own}");
+}
+
+/// Those of one walker depend on each other: 200 of 48,000 came from a single one of each ensemble.
+#[test]
+fn a_few_draws_are_those_of_all_walkers() {
+    const WALKERS: usize = 24;
+    for (steps, count) in [(500, 200), (1_000, 200), (2_000, 4_000)] {
+        let point = |number: usize| {
+            let mut point = [0.0; UNKNOWNS];
+            point[0] = (number % WALKERS) as f64;
+            point[1] = (number / WALKERS) as f64;
+            point
+        };
+        let ensemble: Vec<_> = (0..steps * WALKERS).map(point).collect();
+        let draws = Draws {
+            walkers: WALKERS,
+            ensembles: vec![ensemble; 4],
+            accepted: 0.3,
+        };
+        let few = draws.thinned(count);
+        assert_eq!(few.len(), count);
+        let of_one = few.len() / 4;
+        for ensemble in few.chunks(of_one) {
+            let walkers: BTreeSet<_> = ensemble.iter().map(|point| point[0] as usize).collect();
+            assert_eq!(walkers.len(), WALKERS, "{steps} steps, {count} draws");
+            // In order, over all of the time.
+            assert!(ensemble.is_sorted_by(|one, next| one[1] <= next[1]));
+            assert!(ensemble[of_one - 1][1] - ensemble[0][1] > 0.95 * steps as f64);
+        }
+    }
 }

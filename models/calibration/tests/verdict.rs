@@ -5,8 +5,11 @@ mod wrong_bodies;
 
 use calibration::chance::{normal, stream};
 use calibration::fit::{Fit, Settings, Unfit, fit};
-use calibration::observation::{Kind, Lubrication, Observation};
+use calibration::observation::{Case, Condition, Kind, Lubrication, Observation, conditions};
+use calibration::plausible::mistake;
+use calibration::prediction::Predictor;
 use calibration::sampler::Effort;
+use calibration::table::{Region, Table};
 use calibration::verdict::Check;
 use locomotion::model::{Model, Setting, Value};
 use wrong_bodies::{LIKE, Unlike, displacements_mm};
@@ -105,15 +108,14 @@ fn fitted(trials: &[Observation], seed: u64) -> Result<Fit, Unfit> {
 /// The chain that the wrong bodies are made of moves like the model if none of its parts is wrong.
 #[test]
 fn a_body_like_the_model_moves_like_it() {
-    let case = |kind, indentation_mm| calibration::observation::Case {
+    let case = |kind, indentation_mm| Case {
         kind,
         indentation_mm,
     };
     for (depth_mm, ratio) in [(2.0, 40.0), (5.05, 5.0)] {
         let model = body(&[("body.friction_ratio", ratio)]);
         let cases = kinds().map(|kind| case(kind, depth_mm));
-        let predictor =
-            calibration::prediction::Predictor::new(&model, &cases, 0.05).expect("covered");
+        let predictor = Predictor::new(&model, &cases, 0.05).expect("covered");
         let values = calibration::prior::Values([0.15, ratio, 0.0007, 0.1]);
         let body = calibration::prior::parts(&values.point());
         let expected = predictor.displacements_mm(&body).expect("covered");
@@ -168,6 +170,64 @@ fn centimetres_are_refused() {
         let refused = fitted(&trials, 2).expect_err("refused").to_string();
         assert!(refused.contains("centimetres"), "{refused}");
     }
+}
+
+/// The mistake that is suspected in the nets of a body on a dry wall and of another one on a lubricated wall, after this
+/// change of each displacement.
+fn suspected(
+    ratios: [f64; 2],
+    uncertainty_mm: f64,
+    changed_mm: impl Fn(f64, f64) -> f64,
+) -> Option<&'static str> {
+    let cycles = 2;
+    let kind = Kind::Net { cycles };
+    let walls = [Lubrication::Dry, Lubrication::Lubricated];
+    let mut nets = vec![];
+    for (lubrication, ratio) in walls.into_iter().zip(ratios) {
+        let body = body(&[("body.friction_ratio", ratio)]);
+        for &indentation_mm in depths_mm() {
+            let [_, _, net_mm] = displacements_mm(&body, indentation_mm, LIKE, cycles);
+            nets.push(Observation {
+                kind,
+                lubrication,
+                indentation_mm,
+                displacement_mm: changed_mm(net_mm, indentation_mm),
+                uncertainty_mm,
+            });
+        }
+    }
+    let conditions = conditions(&nets).expect("usable");
+    let cases: Vec<_> = (depths_mm().iter())
+        .map(|&indentation_mm| Case {
+            kind,
+            indentation_mm,
+        })
+        .collect();
+    let at = |condition: &Condition| cases.iter().position(|case| *case == condition.case);
+    let places: Vec<_> = conditions.iter().filter_map(at).collect();
+    let predictor = Predictor::new(&Model::ONE, &cases, 0.5).expect("covered");
+    let table = Table::new(predictor, Region::WHOLE, [16, 14, 8]);
+    mistake(&conditions, &places, &table, 1).map(|mistake| mistake.what)
+}
+
+/// A body that hardly moves explains anything that is divided by a thousand. Nets that no body explains, for their walls
+/// differ or one reading is wrong, are no micrometres.
+#[test]
+fn nets_that_no_body_explains_are_not_taken_for_micrometres() {
+    let as_it_is = |net_mm, _| net_mm;
+    assert_eq!(suspected([40.0, 5.0], 0.3, as_it_is), None);
+    let mistyped = |net_mm, depth_mm| {
+        if depth_mm == 3.0 {
+            net_mm + 10.0
+        } else {
+            net_mm
+        }
+    };
+    assert_eq!(suspected([40.0, 40.0], 0.3, mistyped), None);
+    let micrometres = suspected([40.0, 40.0], 300.0, |net_mm, _| 1e3 * net_mm);
+    assert!(micrometres.is_some_and(|what| what.contains("micrometres")));
+    let reversed = suspected([40.0, 40.0], 0.3, |net_mm, _| -net_mm);
+    assert!(reversed.is_some_and(|what| what.contains("signs")));
 }
 
 fn has(fit: &Fit, check: Check) -> bool {
