@@ -103,7 +103,13 @@ pub(crate) fn environment() -> Option<PathBuf> {
 fn environment_in(folder: &Path) -> Option<PathBuf> {
     let python = folder.join("bin/python");
     let is_whole = || quiet(Command::new(&python).args(["-m", "pip", "--version"]));
-    let made = || quiet(Command::new("python3").args(["-m", "venv", "--clear"]).arg(folder));
+    let made = || {
+        quiet(
+            Command::new("python3")
+                .args(["-m", "venv", "--clear"])
+                .arg(folder),
+        )
+    };
     (is_whole() || made()).then_some(python)
 }
 
