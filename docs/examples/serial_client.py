@@ -640,7 +640,8 @@ def main():
         for machine in machines:
             try:
                 machine.stop()
-            except (Failed, OSError) as silence:
+            # Another Ctrl-C, too, leaves the other machine its stop.
+            except (Failed, OSError, KeyboardInterrupt) as silence:
                 print(f"NOT STOPPED: {silence} Use the switch of the motor supply.", file=sys.stderr)
         if not isinstance(why, (Failed, OSError, KeyboardInterrupt)):
             raise
