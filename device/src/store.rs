@@ -90,13 +90,17 @@ impl Default for Ages {
 
 /// A flash that erases a sector again before its first use, unless it is blank to the last word.
 #[derive(Debug)]
-struct Checked<F>(F);
+struct Checked<F> {
+    flash: F,
+    /// A sector whose erasure was cut, and could not be ended yet: it reads as blank, whatever is left in it.
+    half_erased: Option<u32>,
+}
 
 impl<F: NorFlash> Checked<F> {
     async fn is_blank(&mut self, sector: u32) -> Result<bool, F::Error> {
         let mut block = [0; LOOK];
         for offset in (sector..sector + SECTOR).step_by(block.len()) {
-            self.0.read(offset, &mut block).await?;
+            self.flash.read(offset, &mut block).await?;
             if block.chunks_exact(4).any(|word| word != [0xFF; 4]) {
                 return Ok(false);
             }
@@ -108,15 +112,19 @@ impl<F: NorFlash> Checked<F> {
     async fn is_marked(&mut self, offset: u32) -> Result<bool, F::Error> {
         let mut read = [0xFF; LONGEST_READ];
         let read = &mut read[..F::READ_SIZE];
-        self.0.read(offset, read).await?;
+        self.flash.read(offset, read).await?;
         let programmed: u32 = read.iter().map(|byte| byte.count_zeros()).sum();
         Ok(programmed >= 4)
     }
 
-    /// Whether the log takes the sector for the one in use: marked at its begin and not at its end.
-    async fn is_in_use(&mut self, sector: u32) -> Result<bool, F::Error> {
+    /// Whether the log takes begin and end of the sector for marked. The one in use has a mark at its beginning only.
+    async fn marks(&mut self, sector: u32) -> Result<(bool, bool), F::Error> {
         let end = sector + SECTOR - F::READ_SIZE as u32;
-        Ok(self.is_marked(sector).await? && !self.is_marked(end).await?)
+        Ok((self.is_marked(sector).await?, self.is_marked(end).await?))
+    }
+
+    async fn is_in_use(&mut self, sector: u32) -> Result<bool, F::Error> {
+        Ok(self.marks(sector).await? == (true, false))
     }
 
     /// The sector behind the one in use, which the log erases next. If that was cut, it may look as if it were in use, too.
@@ -135,20 +143,19 @@ impl<F: NorFlash> Checked<F> {
         Ok(oldest)
     }
 
-    /// Erases the oldest sector: a power cut may have half erased it. Nothing in it counts any more, for what is needed
-    /// was written again long before (see [`Ages`]). True if it did.
-    async fn erase_oldest(&mut self, only_in_use: bool) -> Result<bool, F::Error> {
+    /// Erases the oldest sector if its marks say that a power cut has half erased it, or `even_whole`. Nothing in it counts
+    /// any more, for what is needed was written again long before (see [`Ages`]). If it cannot be erased now, as with a
+    /// low supply, it is hidden until it is. True if there is such a sector.
+    async fn erase_oldest(&mut self, even_whole: bool) -> Result<bool, F::Error> {
         let Some(oldest) = self.oldest().await? else {
             return Ok(false);
         };
-        let is_whole = match only_in_use {
-            true => !self.is_in_use(oldest).await?,
-            false => !self.is_marked(oldest).await?,
-        };
-        if is_whole {
+        let (begin, end) = self.marks(oldest).await?;
+        if begin == end && !(begin && even_whole) {
             return Ok(false);
         }
-        self.0.erase(oldest, oldest + SECTOR).await?;
+        self.half_erased = Some(oldest);
+        let _ = self.erase(oldest, oldest + SECTOR).await;
         Ok(true)
     }
 }
@@ -161,11 +168,16 @@ impl<F: NorFlash> ReadNorFlash for Checked<F> {
     const READ_SIZE: usize = F::READ_SIZE;
 
     async fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), F::Error> {
-        self.0.read(offset, bytes).await
+        let hidden = |sector| (sector..sector + SECTOR).contains(&offset);
+        if self.half_erased.is_some_and(hidden) {
+            bytes.fill(0xFF);
+            return Ok(());
+        }
+        self.flash.read(offset, bytes).await
     }
 
     fn capacity(&self) -> usize {
-        self.0.capacity()
+        self.flash.capacity()
     }
 }
 
@@ -174,16 +186,20 @@ impl<F: NorFlash> NorFlash for Checked<F> {
     const ERASE_SIZE: usize = F::ERASE_SIZE;
 
     async fn erase(&mut self, from: u32, to: u32) -> Result<(), F::Error> {
-        self.0.erase(from, to).await
+        self.flash.erase(from, to).await?;
+        self.half_erased = self
+            .half_erased
+            .filter(|sector| !(from..to).contains(sector));
+        Ok(())
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), F::Error> {
         // A sector comes into use when its first word is written. An interrupted erasure may have left the two words
         // blank that the log checks, but not those in between.
         if offset.is_multiple_of(SECTOR) && !self.is_blank(offset).await? {
-            self.0.erase(offset, offset + SECTOR).await?;
+            self.erase(offset, offset + SECTOR).await?;
         }
-        self.0.write(offset, bytes).await
+        self.flash.write(offset, bytes).await
     }
 }
 
@@ -214,9 +230,12 @@ impl<F: NorFlash> Store<F> {
     /// The log in [`SECTORS`] of `flash`. Erases a sector, for up to half a second, if a power cut has interrupted just that.
     pub fn new(flash: F) -> Self {
         const { Self::FITS };
-        let mut flash = Checked(flash);
-        // Two sectors in use: the log would read or write the wrong one. If that fails, reading and writing say so.
-        let _ = block_on(flash.erase_oldest(true));
+        let mut flash = Checked {
+            flash,
+            half_erased: None,
+        };
+        // With two sectors in use the log would read or write the wrong one. A flash that cannot be read says so later.
+        let _ = block_on(flash.erase_oldest(false));
         Self {
             log: QueueStorage::new(
                 flash,
@@ -234,7 +253,7 @@ impl<F: NorFlash> Store<F> {
     /// The sectors cannot be read as records; what was read before stands.
     pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
         let read = self.read(&mut record);
-        if read.is_ok() || !block_on(self.log.flash().erase_oldest(false)).unwrap_or(false) {
+        if read.is_ok() || !block_on(self.log.flash().erase_oldest(true)).unwrap_or(false) {
             return read;
         }
         self.read(&mut record)

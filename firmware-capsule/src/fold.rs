@@ -679,23 +679,6 @@ impl Capsule {
         }))
     }
 
-    /// The folded end was reached with a pull that less friction leaves, or a thread that has slipped.
-    fn may_have_slipped(&self) -> bool {
-        let Mode::Moving(actuation) = &self.mode else {
-            return false;
-        };
-        ends_folded(actuation.kind) && actuation.winding_ma.is_none() && actuation.pulls_less()
-    }
-
-    /// Feels the pull of the folded thread, in which friction cancels: winds and pays out a little, and winds it again.
-    fn feels_again(&mut self) -> Leg {
-        let here = self.thread();
-        if let Mode::Moving(actuation) = &mut self.mode {
-            actuation.from = Thread(here.0.saturating_add(STOP_MARGIN.0));
-        }
-        self.feel_folded()
-    }
-
     /// Ends a motion at the folded end.
     fn folded(&mut self, now_us: u64, actions: &mut Actions) {
         let end = match &self.mode {

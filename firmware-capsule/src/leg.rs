@@ -17,7 +17,7 @@
 //! A rise that is too short may also mean that the origami was folded from the start. A reference run then backs off
 //! and tries once more; the second try decides. It backs off by [`BACK_OFF`] at a time, and only while it feels,
 //! winding, that the thread still pulls: such a thread is past its slack, and further from zero than `BACK_OFF`. A
-//! check that looks for the end pays nothing out.
+//! check without a reference pays nothing out.
 //!
 //! # Folded is not a force alone
 //!

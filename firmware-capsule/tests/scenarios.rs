@@ -115,7 +115,7 @@ fn a_slip_that_leaves_most_of_the_tension_is_felt() {
     assert_eq!(verdict.name, "SlipOrBreak", "{verdict:?}");
 }
 
-/// A thread that has slipped by 2 mm pulls in a third of the capsules as it does with less friction. Their folds were
+/// A thread that has slipped by 2 mm pulls in two fifths of the capsules as it does with less friction. Their folds were
 /// `Complete`, and up to 2 mm short.
 #[test]
 fn a_slip_that_pulls_like_less_friction_is_no_fold() {

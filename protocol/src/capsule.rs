@@ -320,7 +320,8 @@ pub enum CapsuleEvent {
     },
     /// A fault was latched.
     Faulted(CapsuleFault),
-    /// The flash could not be written: totals or calibration are lost with the next reset. It is tried again every 10 s.
+    /// The flash could not be written. At rest it is tried again every 10 s; until that succeeds a reset loses totals or
+    /// calibration.
     NotKept,
     /// The folded end has wandered since the reference, by more than [`crate::settings::SettingKey::DriftUm`]. The
     /// reference is taken away.

@@ -1,7 +1,7 @@
 //! Measurements during a motion: no-load current, pull of the thread, friction of the worm, position of the folded
 //! ends.
 
-use super::{Actions, Actuation, Capsule, Drive, Mode, ends_folded};
+use super::{Actions, Capsule, Drive, Mode, ends_folded};
 use crate::calibration::Calibration;
 use crate::circuit::Reading;
 use crate::detect::Load;
@@ -98,14 +98,18 @@ fn crept_by(share: i32, rise_um: i32) -> i32 {
     logarithm * rise_um / 693
 }
 
-impl Actuation {
-    /// Just before the calibrated end the thread pulled less than [`SURE_PULL`] of the calibration.
-    pub(super) fn pulls_less(&self) -> bool {
-        self.share.mean().is_some_and(|share| share < SURE_PULL)
-    }
-}
-
 impl Capsule {
+    /// The folded end was reached with a pull that less friction leaves, or a thread that has slipped, and was not felt yet.
+    pub(super) fn may_have_slipped(&self) -> bool {
+        let Mode::Moving(actuation) = &self.mode else {
+            return false;
+        };
+        let share = actuation.share.mean();
+        ends_folded(actuation.kind)
+            && actuation.winding_ma.is_none()
+            && share.is_some_and(|share| share < SURE_PULL)
+    }
+
     /// Scales the end force to the friction of this motion. The folded end is a place, but a current finds it, and
     /// that depends on the worm's friction and on anything else that scales the origami's force. If a fold feels half
     /// of the end force earlier than the calibration did, it may go on to more force without being called a jam. The

@@ -295,8 +295,17 @@ impl Capsule {
         self.govern(now_us);
     }
 
+    /// Feels the folded thread, and winds it again to here afterwards.
+    pub(super) fn feels_again(&mut self) -> Leg {
+        let here = self.thread();
+        if let Mode::Moving(actuation) = &mut self.mode {
+            actuation.from = Thread(here.0.saturating_add(STOP_MARGIN.0));
+        }
+        self.feel_folded()
+    }
+
     /// Feels whether the folded thread pulls: winds a little, and pays out as much as that takes.
-    pub(super) fn feel_folded(&self) -> Leg {
+    fn feel_folded(&self) -> Leg {
         let to = Thread(self.thread().0.saturating_sub(CHECKED.0));
         Leg::feel(self.sample.counts, to)
     }

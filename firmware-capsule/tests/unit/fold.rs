@@ -124,7 +124,6 @@ fn a_motor_that_stands_while_it_feels_is_pulled() {
     assert!(leg.measures_tension(), "{leg:?}");
 }
 
-/// A motor of 203 uV per count/s that draws 60 mA more than its voltage and speed explain.
 /// It has paid out all that it may, and was never steady enough for a reading: nothing shows that the thread holds.
 #[test]
 fn an_end_that_could_not_be_felt_is_none() {
@@ -178,6 +177,7 @@ fn only_what_leaves_the_folded_end_follows_its_creep() {
     }
 }
 
+/// A motor of 203 uV per count/s that draws 60 mA more than its voltage and speed explain.
 fn contradicts(capsule: &mut Capsule) {
     for ms in 1..=49 {
         let reading = Reading {

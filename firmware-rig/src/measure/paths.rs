@@ -87,7 +87,8 @@ fn play(
     ORDERS.signal(Order {
         path: Path::Move {
             profile,
-            direction: Direction::Away,
+            // Nobody has to connect the far limit here, and away from home an open one ends a path.
+            direction: Direction::Home,
         },
         window: Window {
             first: StepPosition(i32::MIN),

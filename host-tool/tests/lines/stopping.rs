@@ -463,7 +463,7 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
 fn a_stop_finds_the_door_without_its_owner_file() {
     for gone in ["owner", "lock"] {
         let bench = Bench::at_a_port(DeviceKind::Rig);
-        let mut run = bench.run(&[]);
+        let run = bench.run(&[]);
         for entry in std::fs::read_dir(bench.locks()).expect("locks") {
             let path = entry.expect("an entry").path();
             if path.extension().is_some_and(|kind| kind == gone) {
@@ -474,7 +474,8 @@ fn a_stop_finds_the_door_without_its_owner_file() {
         assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
         let (code, out, err) = bench.retrograde(&["estop"]);
         assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
-        assert_eq!(run.wait().expect("ended").code(), Some(6));
+        let ended = crate::support::bench::read(run.wait_with_output().expect("ended"));
+        assert_eq!(ended.0, Some(6), "without .{gone}: {ended:?}");
     }
 }
 
