@@ -178,8 +178,9 @@ def expected(campaign):
             values["values"].append(row["value_mm"])
         elif row["event"] == "withdrawn":
             values["values"].pop()
-        else:
-            values["good"] = row["event"] == "accepted"
+        elif row["event"] == "accepted":
+            # One that is discarded later stays valid for the trials that used it.
+            values["good"] = True
     good = {number: one for number, one in sets.items() if one["good"]}
     widths = [statistics.fmean(one["values"]) for one in good.values() if one["quantity"] == "width"]
     for number, one in good.items():

@@ -173,7 +173,7 @@ class RunEngineTest(BenchTest):
         self.engine.resume()
         self.assertEqual(self.rig.read()["rig_run_steps_counted"]["value"], 32_000)
 
-    def test_4_a_move_that_a_pause_has_stopped_is_repeated(self) -> None:
+    def test_4_a_move_that_a_pause_has_stopped_does_not_fail(self) -> None:
         self.rig.stage()
         status = self.rig.set(60)
         self.rig.stop(success=True)

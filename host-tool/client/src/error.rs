@@ -26,7 +26,7 @@ pub enum ClientError {
     Link(#[from] LinkError),
 
     /// The link failed while something moved, or after an order to move was sent.
-    #[error("{link}: it MAY BE MOVING{}", last_seen::after(seen.as_ref()))]
+    #[error("{link}{}", last_seen::or_moving(seen.as_ref()))]
     #[diagnostic(
         code(retrograde::link_lost),
         help(

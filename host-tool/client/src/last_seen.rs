@@ -66,6 +66,14 @@ pub(crate) fn after(seen: Option<&LastSeen>) -> String {
     seen.map(|seen| format!("; {seen}")).unwrap_or_default()
 }
 
+/// The same of a machine that was ordered to move: without anything known, that it may.
+pub(crate) fn or_moving(seen: Option<&LastSeen>) -> String {
+    match seen {
+        Some(_) => after(seen),
+        None => ": it MAY BE MOVING".to_owned(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -128,6 +128,10 @@ fn taken(kind: DeviceKind, places: &Places<'_>) -> Result<Vec<Lock>, Failure> {
                 .collect()
         }
     };
+    // What keeps locks from being made is told, for no line is opened that would tell it.
+    if let Some(address) = named {
+        Doorway::of(address)?;
+    }
     let mut locks = vec![];
     for doorway in addresses
         .iter()

@@ -4,6 +4,7 @@ mod import;
 mod values;
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
@@ -128,16 +129,14 @@ pub(crate) fn settings(
                 "All settings of the {} go back to their defaults, and its name is removed.",
                 identity::kind_name(kind)
             );
-            let of = match kind {
-                DeviceKind::Capsule => " --of capsule",
-                _ => "",
-            };
             if !yes && !screen.confirms(&question) {
                 return Err(Failure::Refused {
                     why: "a reset was not confirmed; nothing was changed".to_owned(),
-                    help: format!(
-                        "`retrograde settings{of} export FILE` keeps what is there; then `retrograde settings{of} reset --yes`"
-                    ),
+                    help: match kind {
+                        DeviceKind::Capsule => "`retrograde settings export --of capsule FILE` keeps what is there; then `retrograde settings reset --of capsule --yes`",
+                        _ => "`retrograde settings export FILE` keeps what is there; then `retrograde settings reset --yes`",
+                    }
+                    .to_owned(),
                 });
             }
             places
@@ -165,9 +164,11 @@ fn export(
     }
     let exported = exported(&mut places.connect(kind, Need::Look)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
-    let written = match force {
-        true => plain::replace(file, text.as_bytes()),
-        false => plain::create(file, text.as_bytes()),
+    let written = match (force, file.exists()) {
+        // A terminal or a device is written to, not replaced.
+        (true, true) if !plain::is_file(file) => fs::write(file, &text),
+        (true, _) => plain::replace(file, text.as_bytes()),
+        (false, _) => plain::create(file, text.as_bytes()),
     };
     written.map_err(|io| match io.kind() {
         ErrorKind::AlreadyExists => exists(),

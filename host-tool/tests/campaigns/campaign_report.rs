@@ -115,6 +115,20 @@ fn read(folder: &mut Folder, clock: &mut Clock, set: u32, name: Option<&str>, va
         .expect("written");
 }
 
+/// Ends the present clamping, as `clamp` at the prompt does.
+fn clamped_anew(folder: &mut Folder, clock: &mut Clock) {
+    let last = folder.campaign().reading_rows.last().expect("accepted");
+    let row = ReadingRow {
+        event: Kind::Discarded,
+        text: Some("clamped anew".to_owned()),
+        ..last.clone()
+    };
+    folder
+        .append_reading(row, clock.now(), Origin::Board)
+        .expect("written");
+    assert_eq!(folder.campaign().readings.clamped(), None);
+}
+
 /// All trials but the last are done. Trial 2 needed two attempts, trial 5 is excluded.
 fn campaign(path: &Path) -> Folder {
     let mut folder = Folder::create(path, PLAN, Path::new("small.toml")).expect("made");
@@ -138,6 +152,11 @@ fn campaign(path: &Path) -> Folder {
                 _ => ("a3", ["14.30", "14.31"]),
             };
             read(&mut folder, &mut clock, set, Some(name), values);
+            if block == 2 {
+                clamped_anew(&mut folder, &mut clock);
+                set += 1;
+                read(&mut folder, &mut clock, set, Some(name), values);
+            }
         }
         let last = if planned.trial == 2 { 2 } else { 1 };
         for attempt in 1..=last {

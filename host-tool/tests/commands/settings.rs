@@ -349,11 +349,11 @@ fn a_reset_wants_a_yes() {
     let (code, _, err) = capsule.run(&["--capsule", "0", "settings", "--of", "capsule", "reset"]);
     assert_eq!(code, 3, "{err}");
     assert!(
-        err.contains("`retrograde settings --of capsule export FILE`"),
+        err.contains("`retrograde settings export --of capsule FILE`"),
         "{err}"
     );
     assert!(
-        err.contains("`retrograde settings --of capsule reset --yes`"),
+        err.contains("`retrograde settings reset --of capsule --yes`"),
         "{err}"
     );
 }

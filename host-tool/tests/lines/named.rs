@@ -47,8 +47,15 @@ fn a_rig_is_called_by_the_name_that_it_carries_and_by_no_other() {
     let (code, out, _) = left(&["doctor"]);
     assert_eq!(code, Some(4));
     assert!(out.contains("other_name"), "{out}");
-    let (_, out, _) = left(&["watch", "--for-s", "1"]);
-    assert!(out.contains("`right-bench`, not `left-bench`"), "{out}");
+    // A busy computer may take longer than a second to connect.
+    let says = |seconds: &str| {
+        let (_, out, _) = left(&["watch", "--for-s", seconds]);
+        out.contains("`right-bench`, not `left-bench`")
+    };
+    assert!(
+        ["1", "5", "20"].into_iter().any(says),
+        "it watches the other one"
+    );
     // A stop does not check the name.
     let (code, out, err) = left(&["stop"]);
     assert_eq!(code, Some(0), "{out}{err}");

@@ -446,14 +446,12 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
         let (code, _, err) = bench.retrograde(&["info"]);
         assert_eq!(code, Some(4), "{err}");
         assert!(err.contains("32 other processes look"), "{err}");
-        let begin = Instant::now();
         let (code, out, err) = bench.retrograde(&["estop"]);
-        let took = begin.elapsed();
         assert_eq!(code, Some(0), "{out}{err}");
         assert!(bench.urgent().contains(&Urgent::EStop));
         assert_eq!(run.wait().expect("ended").code(), Some(6));
         drop(guests);
-        (bench, took)
+        bench
     });
 }
 

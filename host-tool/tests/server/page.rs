@@ -187,13 +187,21 @@ fn the_tab_key_meets_the_stops_first_and_nothing_else_is_pressed_without_a_state
     assert_eq!(buttons().len(), 13, "all but the stops and the token's");
 }
 
-/// A jog is stopped by letting go, also while an emergency stop goes on that nobody has confirmed yet.
+/// A jog is stopped by letting go, and an order is answered late, also while an emergency stop goes on that nobody has
+/// confirmed yet. Only the order's first word, which somebody has just asked for, may take the place of that.
 #[test]
-fn the_end_of_a_jog_wipes_no_word_about_a_stop() {
-    let after = PAGE.split_once("function stopJog()").expect("there").1;
-    let function = after.split_once("\n}").expect("its end").0;
-    let mut says = function.lines().filter(|line| line.contains("say("));
-    let only = says.next().expect("it tells what is wrong");
-    assert!(only.contains("if (!unconfirmed && !confirmed)"), "{only}");
-    assert_eq!(says.next(), None);
+fn no_late_answer_wipes_a_word_about_a_stop() {
+    for (function, says) in [("function stopJog()", 0), ("async function command(", 2)] {
+        let after = PAGE.split_once(function).expect("there").1;
+        let body = after.split_once("\n}").expect("its end").0;
+        let said: Vec<_> = body.lines().filter(|line| line.contains("say(")).collect();
+        assert_eq!(said.len(), says, "{said:?}");
+        assert!(body.contains("tell("), "{function}");
+    }
+    let tell = PAGE
+        .split_once("function tell(text, tone) {")
+        .expect("there")
+        .1;
+    let body = tell.split_once("\n}").expect("its end").0;
+    assert!(body.contains("if (!unconfirmed && !confirmed)"), "{body}");
 }

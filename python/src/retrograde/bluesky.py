@@ -28,8 +28,8 @@ from .client import Action, Lab
 from .errors import RetrogradeError, Stopped
 from .types import RunOptions
 
-# A run that is ordered has begun, or was refused, within this time.
-START_S = 20.0
+# Longest wait until an ordered run has begun or was refused: that of the client.
+START_S = 90.0
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -237,7 +237,7 @@ class Rig:
             try:
                 action.wait()
             except Stopped:
-                # By a pause: the RunEngine repeats the move.
+                # By the RunEngine: at a pause, after which it repeats the move, or at the end of the plan.
                 if not self._repeats:
                     raise
 
@@ -249,13 +249,18 @@ class Rig:
         return {"setpoint": position if self._target_mm is None else self._target_mm, "readback": position}
 
     def stop(self, *, success: bool = False) -> None:
-        """Stops what goes on: the plan has failed or was ended. With `success` it pauses only: a move is stopped and will be
-        repeated, a run is left to `pause`."""
+        """The RunEngine calls this with `success` at each pause and at each end, also after a failure: a move is stopped, a
+        run is left to `pause` or `unstage`. Without `success` a run is stopped, too."""
         flies = self._is_starting() or self._flown is not None and not self._flown.is_over
         moves = self._moving is not None and not self._moving.is_over
         if moves or flies and not success:
             self._repeats = success
             self._rig.stop()
+        if flies and not success:
+            # The stop may have come before the order.
+            self._wait_for_start()
+            if self._flown is not None and not self._flown.is_over:
+                self._rig.stop()
 
     def _is_starting(self) -> bool:
         return self._starting is not None and not self._starting.done
@@ -306,6 +311,7 @@ class Rig:
 
     def pause(self) -> None:
         """The RunEngine pauses: a run is held. One that ends before it can be held is complete."""
+        self._held = False
         self._wait_for_start()
         if self._flown is not None and not self._flown.is_over:
             try:

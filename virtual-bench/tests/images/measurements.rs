@@ -10,7 +10,7 @@ use virtual_bench::{
     emulator::{Beats, ChipOptions},
     faults::When,
     plants::{
-        rig::{Action, Rig, RigOptions},
+        rig::{Action, Rig, RigOptions, Switch},
         wire::Fault,
     },
 };
@@ -124,6 +124,14 @@ fn a_lost_capture_is_named_and_a_missing_jumper_is_no_pass() {
     let told = measured(RigOptions::REFERENCE, |_| (), |_| ());
     let exact = [M::RepeatExact, M::CruiseExact, M::RampExact, M::FastExact];
     assert_eq!(told.unexpected(), exact, "{told}");
+}
+
+/// The wires that are asked for leave the far limit out, so it reads open.
+#[test]
+fn a_far_limit_that_is_not_connected_disturbs_no_measurement() {
+    let open = |rig: &mut Rig| rig.act(Action::Stick(Switch::Far, Some(true)), 0);
+    let told = measured(RigOptions::WITH_BOTH_JUMPERS, |_| (), open);
+    assert_eq!(told.unexpected(), [], "{told}");
 }
 
 /// Without the clock and with the loop open nothing hangs, and what could not be measured is called that.

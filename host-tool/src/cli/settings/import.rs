@@ -221,7 +221,8 @@ fn apply(
 }
 
 /// Undoes the changes in reverse order, so that the rig only meets combinations that it has accepted before. Returns
-/// the changes that remain. A stop has interrupted the import, perhaps; it does not keep it from being undone.
+/// the changes that remain. If a stop has interrupted the import, it is confirmed first; then the changes are undone all
+/// the same.
 fn put_back(rig: &mut Device, done: Vec<Change>) -> Vec<String> {
     let mut changed = vec![];
     if rig.settle().is_ok() {
