@@ -217,18 +217,20 @@ class ClientTest(unittest.TestCase):
         self.assertEqual((self.posts()[-1].path, self.posts()[-1].body), ("/api/v1/stop", {"machine": "rig"}))
 
     def test_ctrl_c_before_the_answer_stops_the_machine(self) -> None:
-        home = threading.Event()
+        home, pressed = threading.Event(), threading.Event()
 
         def answer(call: Call) -> Answer:
             if call.path == "/api/v1/rig/home":
                 home.set()
-                time.sleep(1.0)
+                # The client waits meanwhile, and finds the key as soon as it is answered.
+                pressed.wait()
                 return (202, action("under_way"))
             return STATE if call.method == "GET" else (200, {"ok": True, "machines": []})
 
         def press() -> None:
             home.wait()
             _thread.interrupt_main()
+            pressed.set()
 
         self.server.answer = answer
         threading.Thread(target=press).start()

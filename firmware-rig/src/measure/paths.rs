@@ -87,7 +87,7 @@ fn play(
     ORDERS.signal(Order {
         path: Path::Move {
             profile,
-            // Nobody has to connect the far limit here, and away from home an open one ends a path.
+            // Away from home an open far limit would end the path, and the wiring of this measurement leaves it out.
             direction: Direction::Home,
         },
         window: Window {

@@ -147,12 +147,16 @@ fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
 }
 
 /// The sidecar of the run or the pass in the folder of an attempt.
+/// Whether the name is that of a run's or a pass's file.
+pub(crate) fn is_motion(name: &str) -> bool {
+    ["run-", "pass-"].iter().any(|stem| name.starts_with(stem))
+}
+
 fn run_sidecar(folder: &Path) -> Option<PathBuf> {
     let mut found = plain::files(folder);
     found.retain(|path| {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        let is_motion = name.starts_with("run-") || name.starts_with("pass-");
-        is_motion && name.ends_with(".json")
+        is_motion(&name) && name.ends_with(".json")
     });
     found.pop()
 }

@@ -12,7 +12,7 @@ use serde::Deserialize;
 use trials::check;
 use trials::trial::{Action, Trial};
 
-use crate::contents::{Campaign, in_a_line};
+use crate::contents::{Campaign, in_a_line, is_motion};
 use crate::differences::{COPY, Finding, RESUME, UNKNOWN};
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
 use crate::form::Form;
@@ -169,11 +169,6 @@ fn check_attempt(
     verified.findings.append(&mut found);
 }
 
-/// Whether the name is that of a run's or a pass's record.
-pub(crate) fn is_motion(name: &str) -> bool {
-    ["run-", "pass-"].iter().any(|stem| name.starts_with(stem))
-}
-
 fn unfolds(record: &Trial) -> bool {
     matches!(
         record.action,
@@ -199,7 +194,7 @@ pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Opti
         let says = AttemptOutcome::from(record.status);
         (says != AttemptOutcome::Complete).then(|| format!("{name} says {}", says.name()))
     };
-    counts.into_iter().find_map(other)
+    counts.filter_map(other).next()
 }
 
 /// A start of a record that does not lie within its attempt. The capsule is unfolded once the body has been measured,

@@ -36,7 +36,7 @@ pub enum ClientError {
     Cut {
         /// The link's own error.
         link: LinkError,
-        /// What is known of the carriage; none of a capsule.
+        /// Where the carriage was last seen; none for a capsule.
         seen: Option<LastSeen>,
     },
 

@@ -128,7 +128,7 @@ fn taken(kind: DeviceKind, places: &Places<'_>) -> Result<Vec<Lock>, Failure> {
                 .collect()
         }
     };
-    // What keeps locks from being made is told, for no line is opened that would tell it.
+    // Fails if no lock can be made: elsewhere opening the line would report that, and flashing opens none.
     if let Some(address) = named {
         Doorway::of(address)?;
     }

@@ -990,6 +990,22 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
     );
 }
 
+/// The questions for the width, and their answers.
+const WIDTH: [(&str, &str); 3] = [
+    ("rollers OFF", ""),
+    ("Reading 1 of 2: D", "24.4"),
+    ("Reading 2 of 2: D", "24.4"),
+];
+
+/// The questions for a clamping, and their answers.
+fn clamped(between_mm: &'static str) -> [(&'static str, &'static str); 3] {
+    [
+        ("Clamp both rollers", ""),
+        ("Reading 1 of 2: i", between_mm),
+        ("Reading 2 of 2: i", between_mm),
+    ]
+}
+
 /// After `clamp` the former readings no longer hold, whatever is answered next: readings that are discarded, another word
 /// than Enter, a session that ends. The hand at the rollers may have turned the screw, so the rig homes again.
 #[test]
@@ -1000,25 +1016,24 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
     let (code, shown) = converse(
         &memory,
         &["run", &plan, "--out", &out],
-        vec![
-            ("rollers OFF", ""),
-            ("Reading 1 of 2: D", "24.4"),
-            ("Reading 2 of 2: D", "24.4"),
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "20.4"),
-            ("Reading 2 of 2: i", "20.4"),
-            ("Trial 1 of 6", "clamp"),
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "20.4"),
-            ("Reading 2 of 2: i", "21.4"),
-            ("Is that so?", "again"),
-            ("Clamp both rollers", "20.0"),
-            ("that is not for now", ""),
-            ("Reading 1 of 2: i", "20.0"),
-            ("Reading 2 of 2: i", "20.0"),
-            ("Trial 1 of 6", "clamp"),
-            ("Clamp both rollers", "q"),
-        ],
+        [
+            &WIDTH[..],
+            &clamped("20.4")[..],
+            &[
+                ("Trial 1 of 6", "clamp"),
+                ("Clamp both rollers", ""),
+                ("Reading 1 of 2: i", "20.4"),
+                ("Reading 2 of 2: i", "21.4"),
+                ("Is that so?", "again"),
+                ("Clamp both rollers", "20.0"),
+                ("that is not for now", ""),
+                ("Reading 1 of 2: i", "20.0"),
+                ("Reading 2 of 2: i", "20.0"),
+                ("Trial 1 of 6", "clamp"),
+                ("Clamp both rollers", "q"),
+            ],
+        ]
+        .concat(),
     );
     assert_eq!(code, 130, "{shown}");
     let homes = || {
@@ -1032,20 +1047,21 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
     let (code, shown) = converse(
         &memory,
         &["run", &out],
-        vec![
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "19.8"),
-            ("Reading 2 of 2: i", "19.8"),
-            ("Trial 1 of 6", ""),
-            ("Displacement of the tail", "repeat torn"),
-            ("Trial 1 of 6, attempt 2", "clamp"),
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "19.6"),
-            ("Reading 2 of 2: i", "19.6"),
-            ("Trial 1 of 6, attempt 2", ""),
-            ("Displacement of the tail", "12.5"),
-            ("Clamp both rollers", "q"),
-        ],
+        [
+            &clamped("19.8")[..],
+            &[
+                ("Trial 1 of 6", ""),
+                ("Displacement of the tail", "repeat torn"),
+                ("Trial 1 of 6, attempt 2", "clamp"),
+            ],
+            &clamped("19.6")[..],
+            &[
+                ("Trial 1 of 6, attempt 2", ""),
+                ("Displacement of the tail", "12.5"),
+                ("Clamp both rollers", "q"),
+            ],
+        ]
+        .concat(),
     );
     assert_eq!(code, 130, "{shown}");
     assert_eq!(homes() - before, 2, "{shown}");
@@ -1071,21 +1087,20 @@ fn a_clamping_whose_readings_were_discarded_is_not_the_one_before() {
     let (code, shown) = converse(
         &memory,
         &["run", &plan, "--out", &out],
-        vec![
-            ("rollers OFF", ""),
-            ("Reading 1 of 2: D", "24.4"),
-            ("Reading 2 of 2: D", "24.4"),
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "20.4"),
-            ("Reading 2 of 2: i", "20.4"),
-            ("Trial 1 of 6", ""),
-            ("Displacement of the tail", "12.5"),
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "14.3"),
-            ("Reading 2 of 2: i", "15.3"),
-            ("Is that so?", "again"),
-            ("Clamp both rollers", "q"),
-        ],
+        [
+            &WIDTH[..],
+            &clamped("20.4")[..],
+            &[
+                ("Trial 1 of 6", ""),
+                ("Displacement of the tail", "12.5"),
+                ("Clamp both rollers", ""),
+                ("Reading 1 of 2: i", "14.3"),
+                ("Reading 2 of 2: i", "15.3"),
+                ("Is that so?", "again"),
+                ("Clamp both rollers", "q"),
+            ],
+        ]
+        .concat(),
     );
     assert_eq!(code, 130, "{shown}");
     let (code, _, err) = memory.run(&["campaign", "edit", &out, "repeat", "1", "torn"]);
@@ -1093,12 +1108,7 @@ fn a_clamping_whose_readings_were_discarded_is_not_the_one_before() {
     let (code, shown) = converse(
         &memory,
         &["run", &out],
-        vec![
-            ("Clamp both rollers", ""),
-            ("Reading 1 of 2: i", "20.2"),
-            ("Reading 2 of 2: i", "20.2"),
-            ("Trial 1 of 6, attempt 2", "q"),
-        ],
+        [&clamped("20.2")[..], &[("Trial 1 of 6, attempt 2", "q")]].concat(),
     );
     assert_eq!(code, 130, "{shown}");
 }

@@ -6,7 +6,6 @@ use client::error::ClientError;
 use client::link::owner::Owner;
 use client::link::{Link, LinkError, OpenError};
 use client::{Device, Observer, Progress};
-use host_tool::cli::run_at;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
 use operations::failure::Failure;
@@ -15,7 +14,7 @@ use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, World, link};
 use trials::experiment::PAPER_RUN;
 
-use crate::support::tool::ready;
+use crate::support::tool::{self, ready};
 
 /// What happens to the cable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,12 +122,8 @@ impl Connector for Computer {
 /// Exit code and everything said.
 fn said(script: Script, fault: Option<(Fault, u64)>, args: &[&str]) -> (u8, String) {
     let computer = Computer { script, fault };
-    let args = [&["retrograde", "--rig", "0"], args].concat();
-    let (mut out, mut err) = (vec![], vec![]);
-    let args = args.into_iter().map(Into::into);
-    let code = run_at(args, &computer, &mut out, &mut err, false, None);
-    let text = String::from_utf8([out, err].concat()).expect("UTF-8");
-    (code, text)
+    let (code, out, err) = tool::run(&computer, &[&["--rig", "0"], args].concat());
+    (code, out + &err)
 }
 
 #[derive(Default)]

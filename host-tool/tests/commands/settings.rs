@@ -344,7 +344,7 @@ fn a_reset_wants_a_yes() {
     }
     assert_eq!(bench.settings(&["reset", "--yes"]).0, 0);
     assert_eq!(bench.heard("FactoryReset"), 3);
-    // What it advises must not meet the other machine.
+    // The advice names the capsule: without that it would reset the rig.
     let capsule = Memory::with(vec![ready(DeviceKind::Capsule)]);
     let (code, _, err) = capsule.run(&["--capsule", "0", "settings", "--of", "capsule", "reset"]);
     assert_eq!(code, 3, "{err}");

@@ -5,7 +5,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::tool::{Memory, ready};
+use crate::support::tool::{self, Memory, ready};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use host_tool::cli::run_on;
@@ -34,11 +34,7 @@ impl Hall {
     }
 
     fn run(&self, args: &[&str]) -> (u8, String, String) {
-        let args = std::iter::once("retrograde").chain(args.iter().copied());
-        let (mut out, mut err) = (vec![], vec![]);
-        let code = run_on(args.map(Into::into), self, &mut out, &mut err, false);
-        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-        (code, text(out), text(err))
+        tool::run(self, args)
     }
 }
 
@@ -261,11 +257,8 @@ impl Desk {
 
     /// Exit code and errors.
     fn run(&self, args: &[&str]) -> (u8, String) {
-        let args = [&["retrograde", "--rig", "0"], args].concat();
-        let (mut out, mut err) = (vec![], vec![]);
-        let args = args.into_iter().map(Into::into);
-        let code = run_on(args, self, &mut out, &mut err, false);
-        (code, String::from_utf8(err).expect("UTF-8"))
+        let (code, _, err) = tool::run(self, &[&["--rig", "0"], args].concat());
+        (code, err)
     }
 }
 

@@ -6,10 +6,10 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use crate::support::bench::Bench;
+use crate::support::tool;
 use client::address::Address;
 use client::door::lock::Doorway;
 use client::link::{Link, OpenError};
-use host_tool::cli::run_on;
 use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use serde_json::Value;
@@ -400,15 +400,9 @@ fn nothing_is_flashed_while_a_machine_somewhere_is_at_work() {
     };
     let flash = |args: &[&str]| {
         let path = image.path().to_str().expect("UTF-8");
-        let args = [
-            &["retrograde", "flash", "rig", "--dry-run", "--image", path],
-            args,
-        ]
-        .concat();
-        let (mut out, mut err) = (vec![], vec![]);
-        let args = args.into_iter().map(Into::into);
-        let code = run_on(args, &somewhere, &mut out, &mut err, false);
-        (code, String::from_utf8(err).expect("UTF-8"))
+        let flash = ["flash", "rig", "--dry-run", "--image", path];
+        let (code, _, err) = tool::run(&somewhere, &[&flash[..], args].concat());
+        (code, err)
     };
     assert_eq!(flash(&[]).0, 0);
     let busy = somewhere.doorway(&somewhere.lines[1]).expect("a line");

@@ -37,18 +37,7 @@ impl Memory {
     }
 
     fn run_with(&self, args: &[&str], keyboard: Option<Keyboard>) -> (u8, String, String) {
-        let args = std::iter::once("retrograde").chain(args.iter().copied());
-        let (mut out, mut err) = (vec![], vec![]);
-        let code = run_at(
-            args.map(Into::into),
-            self,
-            &mut out,
-            &mut err,
-            false,
-            keyboard,
-        );
-        let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-        (code, text(out), text(err))
+        run_with(self, args, keyboard)
     }
 
     pub fn heard(&self) -> Vec<&'static str> {
@@ -57,6 +46,24 @@ impl Memory {
             .flat_map(|log| log.lock().expect("log").heard.clone())
             .collect()
     }
+}
+
+/// Runs a command line over these machines, without a keyboard. Returns exit code, output and errors.
+pub fn run(machines: &dyn Connector, args: &[&str]) -> (u8, String, String) {
+    run_with(machines, args, None)
+}
+
+fn run_with(
+    machines: &dyn Connector,
+    args: &[&str],
+    keyboard: Option<Keyboard>,
+) -> (u8, String, String) {
+    let args = std::iter::once("retrograde").chain(args.iter().copied());
+    let args = args.map(Into::into);
+    let (mut out, mut err) = (vec![], vec![]);
+    let code = run_at(args, machines, &mut out, &mut err, false, keyboard);
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
+    (code, text(out), text(err))
 }
 
 impl Connector for Memory {

@@ -136,7 +136,7 @@ fn encoded(text: &str) -> Vec<u8> {
     text.chars().map(byte).collect()
 }
 
-/// What a reader has to know of the font, in thousandths of the font size.
+/// The font's measures that a PDF states, in thousandths of the font size.
 struct Metrics {
     /// Of the letters of [`LETTERS_OF_FONT`]; 0 for what the font lacks.
     widths: Vec<f32>,
