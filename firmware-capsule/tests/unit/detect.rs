@@ -580,9 +580,22 @@ fn an_open_amplifier_is_told_from_a_large_current() {
         let mut feed = Feed::at_speed(spooling, 11);
         feed.sample.current_ua = spooling.along(along_ma * 1_000);
         feed.sample.battery_mv = battery_mv;
+        assert!(feed.step(11).is_ok(), "{spooling:?} after one reading");
         let found = feed.step(11) == Err(Trip::SenseLost);
         assert_eq!(found, is_open, "{spooling:?} {along_ma} {battery_mv}");
     }
+}
+
+/// The supply is measured first: if it falls right after that, the battery reads as if it did not sag.
+#[test]
+fn a_short_circuit_whose_sag_is_read_late_is_no_open_amplifier() {
+    let mut feed = Feed::at_speed(Spooling::PayOut, 11);
+    feed.draws(1_400, 40);
+    assert!(feed.step(11).is_ok());
+    feed.sample.battery_mv -= 600;
+    let trip = feed.until_trip(3, 11);
+    let current_ma = 1_400;
+    assert_eq!(trip, Some((2, Trip::OverCurrent { current_ma })));
 }
 
 /// With the bridge's resistance the motor stops in 7.3 ms times its speed: 80 counts at 11,000 counts/s.

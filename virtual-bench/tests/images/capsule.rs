@@ -423,6 +423,7 @@ fn what_the_image_once_missed_is_named() {
         (Kind::LateJam, 30),
         (Kind::LateJam, 207),
         (Kind::Slip, 15),
+        (Kind::Short, 9),
     ] {
         let verdict = workbench.try_case(kind, seed);
         let verdict = verdict.unwrap_or_else(|why| panic!("{why}"));
