@@ -53,9 +53,6 @@ const RAIL_MA: i16 = 1_300;
 const SHORT_SAG_MV: u16 = 100;
 /// Below this no current flows: a turning motor draws at least 10 mA.
 const NOTHING_MA: u16 = 5;
-/// Time that a current which no motor draws must last: two readings. A sample measures the supply first, so that a
-/// short circuit that begins right after that shows no sag of the battery yet.
-const OPEN_DEBOUNCE_US: u64 = 1_000;
 /// Readings without current after which the thread is not taken for slack. A dead amplifier is named later.
 const SILENT_READINGS: usize = 3;
 /// Smallest ordered current whose absence means something.
@@ -169,7 +166,6 @@ pub struct Detector {
     /// Furthest count so far, and the time at which it was reached.
     furthest: Option<(Counts, u64)>,
     driver: Debounce,
-    open: Debounce,
     over_current: Debounce,
     surplus: Debounce,
     sag: Debounce,
@@ -194,7 +190,6 @@ impl Detector {
             started_at: None,
             furthest: None,
             driver: Debounce::default(),
-            open: Debounce::default(),
             over_current: Debounce::default(),
             surplus: Debounce::default(),
             sag: Debounce::default(),
@@ -273,8 +268,7 @@ impl Detector {
         if lasts(&mut self.driver, driver_fault, DRIVER_DEBOUNCE_US) {
             return Err(Trip::Driver);
         }
-        let open = self.is_open(along_ma, battery_mv);
-        if lasts(&mut self.open, open, OPEN_DEBOUNCE_US) {
+        if self.is_open(along_ma, battery_mv) {
             return Err(Trip::SenseLost);
         }
         let over = along_ma > OVER_CURRENT_MA as i16 || along_ma < -MOST_BRAKING_MA;
@@ -382,7 +376,9 @@ impl Detector {
             rise_from: rise_from_half,
             long_rise_from,
             resisted: slowed || above(settings.resisted_ma),
-            struck: slowed,
+            // A motor that draws so much is short-circuited. Driven backwards against its momentum, it would read like
+            // an amplifier whose output is open.
+            struck: slowed && self.over_current.began_at().is_none(),
             stands: false,
             silent: self.window.is_driven(SILENT_READINGS) && self.draws_nothing(SILENT_READINGS),
         }
