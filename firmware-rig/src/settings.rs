@@ -168,7 +168,7 @@ impl Settings {
         let (interval, least) = (profile.min_interval().0, self.limits.min_interval_ticks);
         if interval < u64::from(least) {
             return Err(Refusal::StepRateLimit {
-                needed_hz: TICK_HZ / interval.max(1),
+                needed_hz: TICK_HZ.div_ceil(interval.max(1)),
                 max_hz: TICK_HZ / u64::from(least),
             });
         }

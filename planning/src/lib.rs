@@ -154,7 +154,8 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
             min_interval,
             ..
         } => Refusal::StepRateLimit {
-            needed_hz: TICK_HZ / interval.0.max(1),
+            // Up: a rate that is too large by less than 1 Hz must not read like the limit.
+            needed_hz: TICK_HZ.div_ceil(interval.0.max(1)),
             max_hz: TICK_HZ / min_interval.0.max(1),
         },
         RunError::Turnaround {

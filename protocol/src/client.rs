@@ -226,8 +226,10 @@ impl Client {
     /// Takes one received byte.
     pub fn receive(&mut self, byte: u8) -> Option<Output> {
         let frame = self.deframer.push(byte)?;
+        // A device that has started again sends on its own, in no session, before this end knows of it.
+        let in_session = self.session != 0 && frame.header.session != 0;
         match frame.header.kind {
-            Kind::Telemetry if self.session != 0 => {
+            Kind::Telemetry if in_session => {
                 let sample = frame.decode()?;
                 let seq = frame.header.seq;
                 let missed = self
@@ -236,7 +238,7 @@ impl Client {
                 self.next_telemetry = Some(seq.wrapping_add(1));
                 Some(Output::Telemetry { missed, sample })
             }
-            Kind::Event if self.session != 0 => frame.decode().map(Output::Event),
+            Kind::Event if in_session => frame.decode().map(Output::Event),
             Kind::Reply => {
                 let (header, reply) = (frame.header, frame.decode::<Reply>()?);
                 self.reply(header, reply)

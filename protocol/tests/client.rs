@@ -202,6 +202,26 @@ fn missed_telemetry_is_counted_within_a_session() {
     assert_eq!(missed(&mut client, 40_000), Some(0));
 }
 
+/// A device that has started again sends with its own settings, before this end knows of it.
+#[test]
+fn what_is_sent_in_no_session_is_not_heard_in_one() {
+    let mut client = connected();
+    assert_eq!(missed(&mut client, 7), Some(0));
+    let of = |kind| Header {
+        kind,
+        session: 0,
+        seq: 0,
+    };
+    for frame in [
+        encode(of(Kind::Telemetry), &exemplars::telemetry()[0]),
+        encode(of(Kind::Event), &exemplars::events()[0]),
+    ] {
+        let frame = frame.expect("it fits");
+        assert!(frame.iter().all(|&byte| client.receive(byte).is_none()));
+    }
+    assert_eq!(missed(&mut client, 8), Some(0));
+}
+
 #[test]
 fn a_stop_goes_ahead_of_a_request_and_the_request_follows_it() {
     let mut client = connected();
