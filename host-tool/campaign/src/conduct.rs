@@ -75,8 +75,8 @@ pub enum Broken {
     /// The folder cannot be used.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
-    /// A machine or a record failed.
-    #[error(transparent)]
+    /// A machine or a record failed. This text is kept in the ledger.
+    #[error("{}", in_ledger(.0))]
     Experiment(#[from] ExperimentError),
     /// A motion did not end as planned.
     #[error("{action} ended as {status:?}")]
@@ -110,6 +110,13 @@ impl From<RecordError> for Broken {
     }
 }
 
+fn in_ledger(error: &ExperimentError) -> String {
+    match error {
+        ExperimentError::Client(error) => error.in_record(),
+        error => error.to_string(),
+    }
+}
+
 impl Broken {
     /// Outcome of the attempt in which it happened.
     fn outcome(&self) -> AttemptOutcome {
@@ -120,7 +127,10 @@ impl Broken {
             Self::Experiment(ExperimentError::Client(error)) => match error {
                 error if error.is_refusal() => AttemptOutcome::Refused,
                 ClientError::Interrupted { .. } => AttemptOutcome::Stopped,
-                ClientError::NotHomed { fault: None } => AttemptOutcome::Stopped,
+                ClientError::NotHomed {
+                    link_lost: true, ..
+                } => AttemptOutcome::LinkLost,
+                ClientError::NotHomed { fault: None, .. } => AttemptOutcome::Stopped,
                 ClientError::NotHomed { .. } | ClientError::Overdue { .. } => {
                     AttemptOutcome::Faulted
                 }

@@ -328,10 +328,15 @@ impl Device {
         self.client.rejected_frames()
     }
 
-    /// Number of events that the device had already dropped when they were to be fetched.
+    /// Number of events that the device had already dropped when they were to be fetched, since the last call.
+    pub fn take_lost_events(&mut self) -> u32 {
+        std::mem::take(&mut self.lost_events)
+    }
+
+    /// Longest time between two requests while this device moves, us.
     #[must_use]
-    pub fn lost_events(&self) -> u32 {
-        self.lost_events
+    pub fn keep_alive_us(&self) -> u64 {
+        self.keep_alive_us
     }
 }
 

@@ -276,7 +276,7 @@ pub enum ClientError {
     },
 
     /// Homing ended without a position.
-    #[error("homing did not find the position: {}", homing_failure(*fault))]
+    #[error("homing did not find the position: {}", homing_failure(*fault, *link_lost))]
     #[diagnostic(
         code(retrograde::not_homed),
         help(
@@ -286,6 +286,8 @@ pub enum ClientError {
     NotHomed {
         /// The latched fault; none if homing was stopped.
         fault: Option<RigFault>,
+        /// The rig stopped because it had not heard from this tool.
+        link_lost: bool,
     },
 }
 
@@ -296,6 +298,15 @@ impl ClientError {
         matches!(
             self,
             Self::Refused { .. } | Self::Rejected { .. } | Self::Owned { .. }
+        )
+    }
+
+    /// The machine may be moving: it has not confirmed a stop, or is no longer heard in a motion.
+    #[must_use]
+    pub const fn may_move(&self) -> bool {
+        matches!(
+            self,
+            Self::StopUnconfirmed { .. } | Self::Silent { .. } | Self::Cut { .. }
         )
     }
 }
@@ -329,9 +340,10 @@ fn unharmed(impact: Impact) -> &'static str {
     }
 }
 
-fn homing_failure(fault: Option<RigFault>) -> String {
-    fault.map_or_else(
-        || "it was stopped; home again".to_owned(),
-        |fault| fault.to_string(),
-    )
+fn homing_failure(fault: Option<RigFault>, link_lost: bool) -> String {
+    match (fault, link_lost) {
+        (Some(fault), _) => fault.to_string(),
+        (None, true) => "the rig had not heard from this tool for too long; home again".to_owned(),
+        (None, false) => "it was stopped; home again".to_owned(),
+    }
 }

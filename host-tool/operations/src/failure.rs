@@ -312,8 +312,7 @@ fn ended(status: Status) -> &'static str {
 }
 
 /// The commands that find the thread of a capsule that is not referenced.
-pub const FIND_THREAD: &str =
-    "`retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`";
+pub const FIND_THREAD: &str = "folded when it was reset: `retrograde capsule check`; else `retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`";
 
 /// The commands that lead on from a refusal.
 fn way_on(refusal: &Refusal) -> Option<&'static str> {
@@ -464,8 +463,8 @@ pub fn client_code(error: &ClientError) -> u8 {
         | ClientError::Silent { .. }
         | ClientError::WrongResponse { .. } => UNKNOWN,
         ClientError::Overdue { .. } => FAULT,
-        ClientError::NotHomed { fault } => {
-            if fault.is_some() {
+        ClientError::NotHomed { fault, link_lost } => {
+            if fault.is_some() || *link_lost {
                 FAULT
             } else {
                 STOPPED

@@ -6,10 +6,9 @@ use std::path::Path;
 use client::Device;
 use client::error::ClientError;
 use client::identity::IdentityRecord;
-use client::plain::replace;
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
-use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, RecordError, Status, Trial, json};
+use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, Status, Trial};
 
 /// Completes the record that was left on the line of `device`, if there is one and nothing moves any more. Returns a
 /// message for the user.
@@ -35,8 +34,11 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
             "what the process began whose record is {name} still moves, though that process has ended; `retrograde stop` stops it"
         )));
     };
-    trial.end(ending);
-    let said = match write(&sidecar, &trial) {
+    let kept = match is_same(device, &trial) {
+        true => device.kept_events()?,
+        false => (vec![], 0),
+    };
+    let said = match trial.end_left(&sidecar, ending, kept) {
         Ok(()) => format!(
             "the process that recorded {name} ended before its action; the record was ended from what the machine knows"
         ),
@@ -48,26 +50,23 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
     Ok(Some(said))
 }
 
-fn write(sidecar: &Path, trial: &Trial) -> Result<(), RecordError> {
-    json(trial)
-        .and_then(|bytes| replace(sidecar, &bytes))
-        .map_err(|io| RecordError::write(sidecar, io))
-}
-
-/// The end of the action according to the machine; `None` while it moves.
-fn ending(device: &mut Device, trial: &Trial) -> Result<Option<Ending>, ClientError> {
+/// The machine is that of the record, and has not been started again since.
+fn is_same(device: &Device, trial: &Trial) -> bool {
     let place = device.place();
     let now = device
         .identity()
         .map(|identity| IdentityRecord::new(identity, &place));
-    let is_same =
-        now.is_some_and(|now| (&now.uid, now.boot_id) == (&trial.device.uid, trial.device.boot_id));
+    now.is_some_and(|now| (&now.uid, now.boot_id) == (&trial.device.uid, trial.device.boot_id))
+}
+
+/// The end of the action according to the machine; `None` while it moves.
+fn ending(device: &mut Device, trial: &Trial) -> Result<Option<Ending>, ClientError> {
     let lost = |why: &str| {
         Ok(Some(Ending::Lost(format!(
             "the process that recorded it has ended; {why}"
         ))))
     };
-    if !is_same {
+    if !is_same(device, trial) {
         return lost("the machine was started again since, or is another one");
     }
     match &trial.action {

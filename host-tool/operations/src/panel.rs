@@ -151,10 +151,7 @@ impl Panel {
                 status.inputs = sample.inputs;
                 status.stroke = sample.stroke;
                 status.position_steps = sample.position_steps;
-                // Rounded as the rig does, half away from home.
-                let nm = Screw::from(&*status).nm(sample.position_steps.unsigned_abs().into());
-                let um = i32::try_from((nm + 500) / 1_000).unwrap_or(i32::MAX);
-                status.position_um = sample.position_steps.signum() * um;
+                status.position_um = position_um(status, sample.position_steps);
                 self.speed = Some((sample.speed_um_s, at));
                 self.note_reach();
             }
@@ -284,6 +281,15 @@ pub fn millimetres(um: i32) -> String {
     decimal::fixed(um.into(), 3)
 }
 
+/// Position of the carriage at this step, with the screw of the rig's status. Rounded as the rig does, half away from
+/// home.
+#[must_use]
+pub fn position_um(status: &RigStatus, position_steps: i32) -> i32 {
+    let nm = Screw::from(status).nm(position_steps.unsigned_abs().into());
+    let um = i32::try_from((nm + 500) / 1_000).unwrap_or(i32::MAX);
+    position_steps.signum() * um
+}
+
 /// Whether the rig is in a run.
 #[must_use]
 pub fn in_run(status: &RigStatus) -> bool {
@@ -344,7 +350,8 @@ pub fn event_text(event: &Event) -> String {
 }
 
 const SETTINGS_RESET: &str = "all settings are at their defaults";
-const SETTINGS_UNUSABLE: &str = "the stored settings cannot be used: the defaults are in force";
+/// What to say of a machine that has found its stored settings unusable.
+pub const SETTINGS_UNUSABLE: &str = "the stored settings cannot be used: the defaults are in force";
 
 fn setting_changed(key: SettingKey) -> String {
     format!("setting {} changed", key.name())

@@ -19,7 +19,7 @@ pub enum CapsuleSubcommand {
     Reference(RecordArgs),
     /// "This is unfolded": measure how far it is to the end force, and keep it in the capsule's flash. Once per capsule.
     Calibrate(RecordArgs),
-    /// After a reset: wind gently to the end force, and stay folded. Nothing is paid out.
+    /// Wind gently to the end force, and stay folded. A folded one may pay out up to 2 mm first; one that was reset does not.
     Check(RecordArgs),
     /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
     Trace(TraceArgs),

@@ -2,8 +2,10 @@
 
 use operations::ending::homed_text;
 use operations::failure::Failure;
+use operations::panel::SETTINGS_UNUSABLE;
 use operations::places::{Need, Places};
-use protocol::system::DeviceKind;
+use protocol::rig::RigEvent;
+use protocol::system::{DeviceKind, What};
 use serde_json::{Value, json};
 use trials::experiment;
 
@@ -11,6 +13,14 @@ use crate::cli::screen::Screen;
 
 pub(crate) fn home(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut rig = places.connect(DeviceKind::Rig, Need::Own("home"))?;
+    // Homing is the first motion after a start, which nobody has heard of.
+    let (kept, _) = rig.kept_events()?;
+    let unusable = What::Rig(RigEvent::SettingsUnusable);
+    if kept.iter().any(|event| event.what == unusable) {
+        screen.hint(&format!(
+            "{SETTINGS_UNUSABLE}; `retrograde settings list` shows them, `retrograde settings import FILE` sets them"
+        ));
+    }
     let homed = experiment::home(&mut rig, &mut screen.live())?;
     screen.say(&homed_text(&homed));
     Ok(json!({ "homed": homed }))

@@ -12,7 +12,7 @@ use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::{Coordination, Cue};
-use trials::experiment::{self, RunTrial};
+use trials::experiment::{self, ExperimentError, RunTrial};
 use trials::plan;
 use trials::trial::{Status, Trial};
 
@@ -124,6 +124,10 @@ pub(crate) fn run(
     let actuation = match (actuation, ran.is_ok()) {
         (Ok(actuation), _) => actuation,
         (Err(error), true) => return Err(error.into()),
+        // A capsule that may be moving matters more than a run that has ended.
+        (Err(ExperimentError::Client(error)), false) if error.may_move() => {
+            return Err(error.into());
+        }
         // Report the capsule's failure, but exit with the run's: it usually caused the other.
         (Err(error), false) => {
             screen.say(&error.to_string());

@@ -18,6 +18,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
+use crate::cli::settings::import::Imported;
 use crate::cli::settings::values::{Key, checked_name, value_of};
 
 /// Subcommands of `settings`.
@@ -91,21 +92,23 @@ pub(crate) fn settings(
             let (key, value) = (key.0, value_of(key.0, value)?);
             let kind = owner(key, of)?;
             let mut machine = places.connect(kind, Need::Own("settings set"))?;
-            let is_rig = kind == DeviceKind::Rig;
-            let was_homed = is_rig && machine.rig_status().is_ok_and(|status| status.homed);
+            let before = Basis::of(&mut machine, kind)?;
             let set = machine.call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
-            if was_homed && machine.rig_status().is_ok_and(|status| !status.homed) {
-                screen.hint("positions mean something else now: `retrograde home`");
-            }
+            before.tell_change(&mut machine, screen)?;
             Ok(json!({ set.key.name(): set.value }))
         }
         SettingsSubcommand::Export { file, force } => export(file, *force, kind, places, screen),
         SettingsSubcommand::Import { file } => {
             let wanted = import::read(file, kind)?;
-            let mut rig = places.connect(kind, Need::Own("settings import"))?;
-            let changed = import::import(&mut rig, file, wanted)?;
+            let mut machine = places.connect(kind, Need::Own("settings import"))?;
+            let before = Basis::of(&mut machine, kind)?;
+            let Imported { changed, renamed } = import::import(&mut machine, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
+            if let Some((from, to)) = renamed {
+                screen.say(&format!("the name is now `{to}`; it was `{from}`"));
+            }
+            before.tell_change(&mut machine, screen)?;
             Ok(json!({ "changed": changed }))
         }
         SettingsSubcommand::Name { name: None } => {
@@ -139,12 +142,54 @@ pub(crate) fn settings(
                     .to_owned(),
                 });
             }
-            places
-                .connect(kind, Need::Own("settings reset"))?
-                .call(FactoryReset)?;
+            let mut machine = places.connect(kind, Need::Own("settings reset"))?;
+            let before = Basis::of(&mut machine, kind)?;
+            machine.call(FactoryReset)?;
             screen.say("all settings and the name are at their defaults");
+            before.tell_change(&mut machine, screen)?;
             Ok(json!({ "reset": true }))
         }
+    }
+}
+
+/// What a position rests on: a rig's reference, and the force to which a capsule was calibrated.
+enum Basis {
+    Rig { homed: bool },
+    Capsule { end_force_ma: u32 },
+}
+
+impl Basis {
+    fn of(machine: &mut Device, kind: DeviceKind) -> Result<Self, Failure> {
+        Ok(match kind {
+            DeviceKind::Rig => Self::Rig {
+                homed: machine.rig_status()?.homed,
+            },
+            DeviceKind::Capsule => {
+                let key = SettingKey::EndForceMa;
+                Self::Capsule {
+                    end_force_ma: machine.call(GetSetting { key })?.value,
+                }
+            }
+        })
+    }
+
+    /// Says what to do if a change has taken it away.
+    fn tell_change(self, machine: &mut Device, screen: &mut Screen<'_>) -> Result<(), Failure> {
+        match self {
+            Self::Rig { homed } if homed && !machine.rig_status()?.homed => {
+                screen.hint("positions mean something else now: `retrograde home`");
+            }
+            Self::Capsule { end_force_ma } => {
+                let key = SettingKey::EndForceMa;
+                if machine.call(GetSetting { key })?.value != end_force_ma {
+                    screen.hint(
+                        "the calibration was made with another end force: `retrograde unfold`, then `retrograde capsule calibrate`",
+                    );
+                }
+            }
+            Self::Rig { .. } => {}
+        }
+        Ok(())
     }
 }
 

@@ -538,8 +538,9 @@ fn endurance_ends_with_the_first_thing_that_is_wrong() {
     assert_eq!(summary["status"], "unknown");
 
     // The cell is too low before anything moves.
-    let (code, rows, _, text) = cycle(at(0, World::Battery { mv: 2_900 }), "5");
+    let (code, rows, summary, text) = cycle(at(0, World::Battery { mv: 2_900 }), "5");
     assert_eq!((code, rows.len()), (3, 0), "{text}");
+    assert_eq!(summary["status"], "refused");
     assert!(text.contains("0 of 5 pairs"), "{text}");
     let (code, _, summary, text) = cycle(Script::new(DeviceKind::Capsule), "5");
     assert_eq!((code, summary), (3, Value::Null), "{text}");

@@ -5,12 +5,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::support::tool::{Memory, ready};
+use client::error::ClientError;
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState};
 use protocol::rig::{RigEvent, RigState, Run, RunTiming};
+use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, Urgent, What};
-use simulated_machines::machine::{Script, World, link};
+use simulated_machines::machine::{Script, World, estop, link};
 use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::Cue;
 use trials::experiment::{ExperimentError, PAPER_RUN};
@@ -116,8 +118,14 @@ fn it_begins_within_20_ms_of_its_place() {
         },
         ..RUN
     };
+    let delayed = Run {
+        start_delay_us: 2_000_000,
+        ..RUN
+    };
     for (run, cycle, at_um) in [
         (RUN, 1, None),
+        (delayed, 1, None),
+        (delayed, 2, None),
         (RUN, 2, None),
         (RUN, 3, None),
         (dwelling, 1, None),
@@ -127,7 +135,10 @@ fn it_begins_within_20_ms_of_its_place() {
         (RUN, 2, Some(9_999)),
         (RUN, 3, Some(10_000)),
     ] {
-        let what = format!("cycle {cycle}, {at_um:?} um, dwell {}", run.home_dwell_us);
+        let what = format!(
+            "cycle {cycle}, {at_um:?} um, dwell {}, delay {}",
+            run.home_dwell_us, run.start_delay_us
+        );
         let (mut rig, _) = connected(ready(DeviceKind::Rig));
         let (mut capsule, _) = connected(ready(DeviceKind::Capsule));
         // Let the two devices' clocks differ.
@@ -143,9 +154,12 @@ fn it_begins_within_20_ms_of_its_place() {
         });
         let place_us = match (cycle, at_um) {
             (_, Some(_)) => None,
-            (1, None) => Some(time_of(&done.run.trial.events, |what| {
-                matches!(what, What::Rig(RigEvent::RunStarted { .. }))
-            })),
+            (1, None) => Some(
+                u64::from(run.start_delay_us)
+                    + time_of(&done.run.trial.events, |what| {
+                        matches!(what, What::Rig(RigEvent::RunStarted { .. }))
+                    }),
+            ),
             (_, None) => Some(
                 u64::from(run.home_dwell_us)
                     + time_of(&done.run.trial.events, |what| {
@@ -277,6 +291,61 @@ fn a_run_that_ends_before_its_place_folds_nothing() {
     assert!(why.contains("before cycle 3"), "{why}");
     assert_eq!(done.coordination.cue_time_us, None);
     assert!(!log.lock().expect("a log").executed.contains(&"Fold"));
+}
+
+/// Whatever ends the run early, such as the rig's own button, ends the fold, too.
+#[test]
+fn what_stops_the_rig_stops_the_fold() {
+    for world in [estop(2_600_000), vec![(2_600_000, World::StopFrame)]] {
+        let (mut rig, _) = connected(Script {
+            world: world.clone(),
+            ..ready(DeviceKind::Rig)
+        });
+        let (mut capsule, log) = connected(ready(DeviceKind::Capsule));
+        let both = (&mut rig, &mut capsule);
+        let done = tied(both, RUN, at(2, None), &mut Unobserved);
+        assert_ne!(done.run.trial.status, Status::Complete);
+        let fold = done.actuation.expect("it has begun");
+        assert_eq!(fold.record.outcome, ActuationOutcome::Stopped, "{world:?}");
+        assert_eq!(log.lock().expect("a log").urgent.len(), 1, "{world:?}");
+    }
+}
+
+/// A capsule that does not confirm the stop may be moving: its error is not hidden behind that of the run.
+#[test]
+fn a_capsule_that_confirms_no_stop_is_told() {
+    let (mut rig, _) = connected(Script {
+        world: vec![(2_600_000, World::StopFrame)],
+        ..ready(DeviceKind::Rig)
+    });
+    let (mut capsule, _) = connected(Script {
+        deaf_to: vec![("Urgent", 1_000)],
+        ..ready(DeviceKind::Capsule)
+    });
+    let both = (&mut rig, &mut capsule);
+    let done = tied(both, RUN, at(2, None), &mut Unobserved);
+    let why = done.actuation.expect_err("not confirmed");
+    assert!(
+        matches!(
+            why,
+            ExperimentError::Client(ClientError::StopUnconfirmed { .. })
+        ),
+        "{why}"
+    );
+}
+
+#[test]
+fn a_capsule_with_the_shortest_link_timeout_hears_the_host_often_enough() {
+    let (mut rig, _) = connected(ready(DeviceKind::Rig));
+    let shortest_ms = SettingKey::LinkTimeoutMs.range().min;
+    let (mut capsule, _) = connected(Script {
+        settings: vec![(SettingKey::LinkTimeoutMs, shortest_ms)],
+        ..ready(DeviceKind::Capsule)
+    });
+    let both = (&mut rig, &mut capsule);
+    let done = tied(both, RUN, at(2, None), &mut Unobserved);
+    let fold = done.actuation.expect("it ends");
+    assert_eq!(fold.record.outcome, ActuationOutcome::Complete);
 }
 
 /// An operator who wants a stop this long after the run has begun.

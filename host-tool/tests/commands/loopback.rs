@@ -9,7 +9,7 @@ use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
 use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
-use protocol::settings::SettingKey;
+use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
 use simulated_machines::link::{Memory, Peer};
@@ -180,7 +180,7 @@ fn lost_events_are_fetched_again_in_order() {
     rig.wait_run(&accepted, &mut seen).expect("ends");
     let indices: Vec<_> = seen.events.iter().map(|event| event.index).collect();
     assert_eq!(indices, [2, 3, 4, 5, 6, 7]);
-    assert_eq!(rig.lost_events(), 0);
+    assert_eq!(rig.take_lost_events(), 0);
 }
 
 #[test]
@@ -723,6 +723,53 @@ fn idling_keeps_the_session_and_collects_events() {
     assert_eq!(
         rig.run_record().expect("record").outcome,
         RunOutcome::Complete
+    );
+}
+
+/// A rig that brakes slowly for a hold loses more time by it than the ramps of its run.
+#[test]
+fn a_run_whose_rig_brakes_slowly_for_a_hold_is_not_overdue() {
+    let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
+    let key = SettingKey::StopAccelUmS2;
+    let value = key.range().min;
+    rig.call(Setting { key, value }).expect("at rest");
+    let run = Run {
+        cycles: 3,
+        ..PAPER_RUN
+    };
+    let accepted = rig.run(run).expect("accepted");
+    let begin_us = rig.now_us();
+    let wish = |at_s: u64, pace| (begin_us + at_s * 1_000_000, pace);
+    let holds = (0..4).flat_map(|hold| {
+        [
+            wish(4 + 9 * hold, Pace::Hold),
+            wish(9 + 9 * hold, Pace::Resume),
+        ]
+    });
+    rig.set_pacer(wishes(&log, holds.collect()));
+    let record = rig.wait_run(&accepted, &mut Unobserved).expect("ends");
+    assert_eq!((record.outcome, record.holds), (RunOutcome::Complete, 4));
+}
+
+#[test]
+fn a_homing_that_the_rig_has_stopped_in_silence_says_so() {
+    let script = Script {
+        settings: vec![(SettingKey::LinkTimeoutMs, 500)],
+        deaf_to: vec![("GetRigStatus", 6)],
+        ..Script::new(DeviceKind::Rig)
+    };
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 11).expect("a rig");
+    let accepted = rig.home().expect("accepted");
+    let ended = rig.wait_homing(&accepted, &mut Unobserved);
+    assert!(
+        matches!(
+            ended,
+            Err(ClientError::NotHomed {
+                fault: None,
+                link_lost: true
+            })
+        ),
+        "{ended:?}"
     );
 }
 

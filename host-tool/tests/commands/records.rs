@@ -16,7 +16,7 @@ use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationKind, ActuationOutcome};
-use protocol::rig::{MoveTo, Run, RunOutcome, RunTiming};
+use protocol::rig::{MoveTo, RigState, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Identity, Urgent};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, link};
@@ -24,7 +24,7 @@ use trials::check;
 use trials::experiment::{
     self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
 };
-use trials::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
+use trials::trial::{Action, Ending, Recorder, Recording, RigSample, Screw, Status, Trial};
 
 const SHORT_RUN: Run = Run {
     cycles: 2,
@@ -251,6 +251,102 @@ fn an_emergency_stop_behind_the_end_is_in_the_record() {
     assert_eq!(urgent, [Urgent::Stop, Urgent::EStop]);
     let told = Trial::read(&run.sidecar).expect("sidecar");
     assert_eq!(told.status, Status::Faulted, "{:?}", told.error);
+}
+
+/// An emergency stop just behind a run that is complete: the record says both, and does not contradict itself.
+#[test]
+fn an_emergency_stop_behind_a_complete_run_is_no_contradiction() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (link, log) = link(Script {
+        ready: true,
+        ..Script::new(DeviceKind::Rig)
+    });
+    let mut rig = Device::connect(link, DeviceKind::Rig, 5).expect("there");
+    rig.set_interrupt(Arc::new(move || {
+        let log = log.lock().expect("log");
+        let off = |name: &&&str| **name == "SetTelemetry";
+        (log.executed.iter().filter(off).count() == 2).then_some(Urgent::EStop)
+    }));
+    let recording = recording(folder.path());
+    let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
+    assert_eq!(run.record.outcome, RunOutcome::Complete);
+    let told = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(told.status, Status::Faulted);
+    let found = check::record(&run.sidecar, &told);
+    assert_eq!(found.contradictions, [""; 0]);
+}
+
+/// What a killed process leaves: a sidecar that says `running`, without events, and rows of which the last is cut short.
+#[test]
+fn a_record_that_a_killed_process_left_is_ended_without_a_contradiction() {
+    let folder = tempfile::tempdir().expect("folder");
+    let mut rig = ready(DeviceKind::Rig);
+    let recording = recording(folder.path());
+    // An earlier run, whose events the rig keeps, too.
+    rig.run(SHORT_RUN).expect("accepted");
+    rig.idle(10_000_000, &mut Unobserved).expect("there");
+    let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
+    let Action::Run {
+        screw,
+        requested,
+        achieved,
+        ..
+    } = run.trial.action.clone()
+    else {
+        panic!("a run");
+    };
+    let mut left = Trial {
+        status: Status::Running,
+        samples: 0,
+        missed_samples: 0,
+        events: vec![],
+        action: Action::Run {
+            screw,
+            requested,
+            achieved,
+            executed: None,
+        },
+        ..run.trial.clone()
+    };
+    let rows = fs::read_to_string(&run.csv).expect("rows");
+    fs::write(&run.csv, &rows[..rows.len() - 7]).expect("written");
+    let kept = rig.kept_events().expect("there");
+    left.end_left(&run.sidecar, Ending::Run(run.record), kept)
+        .expect("written");
+    let told = Trial::read(&run.sidecar).expect("sidecar");
+    assert_eq!(told.samples + 1, run.trial.samples);
+    assert_eq!(told.events, run.trial.events);
+    let found = check::record(&run.sidecar, &told);
+    assert_eq!(found.contradictions, [""; 0]);
+}
+
+/// What an earlier action has lost is not lost in the next record.
+#[test]
+fn events_that_were_lost_before_a_run_are_not_lost_in_it() {
+    let folder = tempfile::tempdir().expect("folder");
+    // More events than the rig keeps, none of which is sent by itself.
+    let script = Script {
+        ready: true,
+        silent_events: (0..200).collect(),
+        ..Script::new(DeviceKind::Rig)
+    };
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 5).expect("there");
+    let many = Run {
+        cycles: 60,
+        timing: RunTiming::Total {
+            total_us: 120_000_000,
+            accel_um_s2: 100_000,
+        },
+        ..SHORT_RUN
+    };
+    rig.run(many).expect("accepted");
+    rig.fall_silent(1_000_000).expect("there");
+    while rig.rig_status().expect("there").state == RigState::Running {
+        rig.fall_silent(300_000).expect("there");
+    }
+    let recording = recording(folder.path());
+    let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
+    assert_eq!(run.trial.lost_events, 0);
 }
 
 /// A refused action never begins: it is recorded as refused, and no list or report counts it as a trial.

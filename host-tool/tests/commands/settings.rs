@@ -176,6 +176,8 @@ fn an_import_finds_the_order_in_which_values_go_together() {
     assert!(out.contains("3 settings changed"), "{out}");
     assert_eq!(bench.value(SettingKey::StrokeUm), 2_000);
     assert_eq!(bench.name(), "left bench");
+    assert!(out.contains("the name is now `left bench`"), "{out}");
+    assert!(err.contains("`retrograde home`"), "{err}");
 }
 
 #[test]

@@ -140,8 +140,9 @@ impl Defects {
 
     /// Compares the outcome by the machine's record with the sidecar's status.
     fn ends_alike(&mut self, says: Status, trial: &Trial, of: &str) {
-        // A fault that was latched after the motion had been stopped is in the sidecar only.
-        let later = (says, trial.status) == (Status::Stopped, Status::Faulted);
+        // A fault that was latched behind the end of the motion is in the sidecar only.
+        let ended = [Status::Complete, Status::Stopped, Status::LinkLost].contains(&says);
+        let later = ended && trial.status == Status::Faulted;
         if says != trial.status && !(later && trial.error.is_some()) {
             self.say(format!("{of} and the sidecar's status differ"));
         }

@@ -7,12 +7,12 @@ use std::path::Path;
 
 use client::error::ClientError;
 use client::identity::IdentityRecord;
-use client::{Begun, Both, Clock, Device, KEEP_ALIVE_US, Observer};
+use client::{Begun, Both, Clock, Device, Observer};
 use protocol::capsule::{
     ActuationAccepted, ActuationKind, ActuationRecord, CapsuleEvent, Fold, GetCapsuleStatus, Unfold,
 };
-use protocol::rig::{RigEvent, Run};
-use protocol::system::{DeviceKind, Event, What};
+use protocol::rig::{RigEvent, Run, RunOutcome};
+use protocol::system::{DeviceKind, Event, Urgent, What};
 use protocol::table::{Endpoint, Telemetry};
 use serde::{Deserialize, Serialize};
 
@@ -57,7 +57,8 @@ pub struct Recordings<'a> {
     pub actuation: &'a Recording,
 }
 
-/// Executes a run, and an actuation that begins at its cue. The run continues even if the actuation fails.
+/// Executes a run, and an actuation that begins at its cue. The run continues even if the actuation fails; a run that
+/// ends early stops the actuation.
 ///
 /// # Errors
 /// The rig refused or was lost, or a record could not be written; the actuation's record is complete even then. All
@@ -84,21 +85,24 @@ pub fn run(
         recordings.actuation,
     )?;
     capsule.records(Some(recorder.sidecar()));
-    if let Err(error) = capsule.set_telemetry(recordings.actuation.telemetry_ms) {
+    if let Err(error) = experiment::listen(capsule, recordings.actuation.telemetry_ms) {
         capsule.records(None);
         let ending = experiment::without_record(&recorder, &error);
         // The loss of the capsule is the cause; a record that cannot be written does not hide it.
-        let _ = recorder.finish(ending, capsule.lost_events());
+        let _ = recorder.finish(ending, capsule.take_lost_events());
         return Err(error.into());
     }
-    capsule.take_telemetry();
     let mut partner = Partner {
         together_us: (rig.now_us(), capsule.now_us()),
         told_us: capsule.now_us(),
         capsule,
         shaping,
         cue,
-        dwell_us: run.home_dwell_us.into(),
+        // Nothing moves before the first cycle but for the delay of its start.
+        dwell_us: match cue.stroke() {
+            0 => run.start_delay_us.into(),
+            _ => run.home_dwell_us.into(),
+        },
         screw,
         stroke_um: run.stroke_um,
         recorder,
@@ -107,7 +111,7 @@ pub fn run(
         phase: Phase::Waiting,
     };
     let ran = experiment::run(rig, run, recordings.run, &mut Both(&mut partner, observer));
-    let (actuation, coordination) = partner.end(ran.as_ref().ok().map(|run| &*run.sidecar));
+    let (actuation, coordination) = partner.end(ran.as_ref().ok());
     Ok(Coordinated {
         run: ran?,
         actuation,
@@ -134,6 +138,21 @@ enum Phase {
         accepted: ActuationAccepted,
     },
     Failed(ClientError),
+}
+
+/// Why there is no record of the actuation: for its sidecar, and the error if there was one.
+struct Left {
+    ending: Ending,
+    error: Option<ClientError>,
+}
+
+impl Left {
+    fn refused(why: &str) -> Self {
+        Self {
+            ending: Ending::Refused(why.to_owned()),
+            error: None,
+        }
+    }
 }
 
 /// The capsule, served while the host waits for the rig.
@@ -243,7 +262,7 @@ impl Partner<'_> {
                 };
             }
         }
-        if !self.capsule.is_posted() && until_us >= self.told_us + KEEP_ALIVE_US {
+        if !self.capsule.is_posted() && until_us >= self.told_us + self.capsule.keep_alive_us() {
             self.told_us = until_us;
             self.capsule.post(GetCapsuleStatus)?;
         }
@@ -253,7 +272,7 @@ impl Partner<'_> {
     /// Waits for the end of the actuation, if it has begun, and completes its record.
     fn end(
         mut self,
-        run: Option<&Path>,
+        run: Option<&RunTrial>,
     ) -> (Result<ActuationTrial, ExperimentError>, Coordination) {
         // If the run ended between the command and its answer, the capsule moves nevertheless: wait for the answer.
         while self.capsule.is_posted() && !matches!(self.phase, Phase::Failed(_)) {
@@ -261,48 +280,57 @@ impl Partner<'_> {
             let on_us = self.capsule.now_us() - capsule_us + SHORT_US;
             self.turn(rig_us + on_us, None);
         }
+        self.stop_with(run);
         let mut cue_time = None;
-        let outcome: Result<ActuationRecord, Ending> = match &self.phase {
-            Phase::Waiting => Err(Ending::Refused(format!(
+        let phase = std::mem::replace(&mut self.phase, Phase::Waiting);
+        let outcome: Result<ActuationRecord, Left> = match phase {
+            Phase::Waiting => Err(Left::refused(&format!(
                 "the run ended before cycle {} came to its place",
                 self.cue.cycle
             ))),
-            Phase::Cued { asked: false, .. } => Err(Ending::Refused(
-                "the run ended in the dwell before it".into(),
-            )),
+            Phase::Cued { asked: false, .. } => {
+                Err(Left::refused("the run ended in the dwell before it"))
+            }
             Phase::Cued {
                 cue_us,
                 clock,
                 asked: true,
                 ..
             } => {
-                cue_time = Some((*cue_us, *clock));
-                Err(Ending::Lost(
-                    "the run ended before the capsule answered".into(),
-                ))
+                cue_time = Some((cue_us, clock));
+                Err(Left {
+                    ending: Ending::Lost("the run ended before the capsule answered".into()),
+                    error: None,
+                })
             }
-            Phase::Failed(error) => Err(experiment::without_record(&self.recorder, error)),
+            Phase::Failed(error) => Err(Left {
+                ending: experiment::without_record(&self.recorder, &error),
+                error: Some(error),
+            }),
             Phase::Accepted {
                 cue_us,
                 clock,
                 accepted,
             } => {
-                cue_time = Some((*cue_us, *clock));
+                cue_time = Some((cue_us, clock));
                 let mut noting = Noting {
                     recorder: &mut self.recorder,
                     began_us: &mut self.began_us,
                 };
-                let ended = self.capsule.wait_actuation(accepted, &mut noting);
-                ended.map_err(|error| Ending::Lost(error.to_string()))
+                let ended = self.capsule.wait_actuation(&accepted, &mut noting);
+                ended.map_err(|error| Left {
+                    ending: Ending::Lost(error.to_string()),
+                    error: Some(error),
+                })
             }
         };
-        let coordination = self.coordination(run, cue_time);
+        let coordination = self.coordination(run.map(|run| &*run.sidecar), cue_time);
         let (csv, sidecar) = (
             self.recorder.csv().to_owned(),
             self.recorder.sidecar().to_owned(),
         );
         self.recorder.coordinated(coordination.clone());
-        let lost = self.capsule.lost_events();
+        let lost = self.capsule.take_lost_events();
         // Discard what it still sends.
         let _ = self.capsule.set_telemetry(0);
         // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
@@ -312,7 +340,7 @@ impl Partner<'_> {
         }
         let finished = match &outcome {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
-            Err(ending) => self.recorder.finish(ending.clone(), lost),
+            Err(left) => self.recorder.finish(left.ending.clone(), lost),
         };
         self.capsule.records(None);
         let trial = match (finished, outcome) {
@@ -323,6 +351,12 @@ impl Partner<'_> {
                 csv,
                 sidecar,
             }),
+            (
+                Ok(_),
+                Err(Left {
+                    error: Some(error), ..
+                }),
+            ) if error.may_move() => Err(error.into()),
             (Ok(trial), Err(_)) => Err(ExperimentError::Incomplete {
                 step: match self.shaping {
                     Shaping::Fold => "folding",
@@ -334,6 +368,18 @@ impl Partner<'_> {
             }),
         };
         (trial, coordination)
+    }
+
+    /// Stops the actuation if its run has ended early: whatever stopped the rig stops both.
+    fn stop_with(&mut self, run: Option<&RunTrial>) {
+        let ended_early = run.is_some_and(|run| run.record.outcome != RunOutcome::Complete);
+        if ended_early
+            && matches!(self.phase, Phase::Accepted { .. })
+            && self.capsule.interrupted().is_none()
+            && let Err(error) = self.capsule.urgent(Urgent::Stop)
+        {
+            self.phase = Phase::Failed(error);
+        }
     }
 
     fn coordination(&self, run: Option<&Path>, cue: Option<(u64, Option<Clock>)>) -> Coordination {
@@ -373,9 +419,7 @@ impl Observer for Partner<'_> {
         let away = self.cue.stroke();
         match (event.what, self.cue.at_um) {
             (What::Rig(RigEvent::RunStarted { .. }), None) if away == 0 => {
-                // There is no dwell before the first cycle.
-                self.dwell_us = 0;
-                self.cued(event.time_us);
+                self.cued(event.time_us + self.dwell_us);
             }
             (What::Rig(RigEvent::StrokeDone { stroke, .. }), None)
                 if stroke.checked_add(1) == Some(away) =>

@@ -206,6 +206,7 @@ impl Run {
         if let Err(error) = &result {
             self.endurance.status = match error {
                 ExperimentError::Client(ClientError::Interrupted { .. }) => Status::Stopped,
+                ExperimentError::Client(ClientError::Refused { .. }) => Status::Refused,
                 _ => Status::Unknown,
             };
             self.endurance.error = Some(error.to_string());

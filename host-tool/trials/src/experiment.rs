@@ -148,8 +148,7 @@ pub fn run(
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     rig.records(Some(&sidecar));
     let outcome = (|| {
-        rig.set_telemetry(recording.telemetry_ms)?;
-        rig.take_telemetry();
+        listen(rig, recording.telemetry_ms)?;
         let accepted = rig.run(run)?;
         let record = rig.wait_run(
             &accepted,
@@ -193,10 +192,7 @@ pub fn move_to(
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     rig.records(Some(&sidecar));
     let outcome = (|| {
-        rig.set_telemetry(recording.telemetry_ms)?;
-        // Discard telemetry and events of an earlier move.
-        rig.take_telemetry();
-        rig.take_events()?;
+        listen(rig, recording.telemetry_ms)?;
         let accepted = rig.call(requested)?;
         let (outcome, status) = rig.wait_move(
             &accepted,
@@ -299,8 +295,7 @@ pub fn actuate(
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     capsule.records(Some(&sidecar));
     let outcome = (|| {
-        capsule.set_telemetry(recording.telemetry_ms)?;
-        capsule.take_telemetry();
+        listen(capsule, recording.telemetry_ms)?;
         let accepted = match kind {
             ActuationKind::Reference => capsule.reference()?,
             ActuationKind::Calibrate => capsule.call(Calibrate)?,
@@ -328,6 +323,15 @@ pub fn actuate(
         csv,
         sidecar,
     })
+}
+
+/// Turns the telemetry on and discards what came before: telemetry, events and losses of an earlier action.
+pub(crate) fn listen(device: &mut Device, telemetry_ms: u16) -> Result<(), ClientError> {
+    device.set_telemetry(telemetry_ms)?;
+    device.take_telemetry();
+    device.take_events()?;
+    device.take_lost_events();
+    Ok(())
 }
 
 /// Passes everything on to the record and to the observer; also tells the observer about failures of the record.
@@ -416,7 +420,7 @@ fn end<T>(
     outcome: Result<T, ClientError>,
     ending: impl FnOnce(&T) -> Ending,
 ) -> Result<(Trial, T), ExperimentError> {
-    let lost_events = device.lost_events();
+    let lost_events = device.take_lost_events();
     let ended = finish(device, recorder, observer, outcome, ending, lost_events);
     device.records(None);
     ended

@@ -24,6 +24,7 @@ pub mod experiment;
 pub mod fetched;
 pub mod force;
 pub mod identify;
+mod left;
 pub mod listing;
 mod older;
 pub mod plan;

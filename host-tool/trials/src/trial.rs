@@ -644,7 +644,7 @@ impl Recorder {
 }
 
 /// Truncates an incomplete last row of a file that could not be written to its end. Returns the number of rows left.
-fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
+pub(crate) fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
     let file = OpenOptions::new().read(true).write(true).open(csv)?;
     let mut reader = io::BufReader::new(&file);
     let (mut line, mut lines, mut whole) = (vec![], 0_u64, 0);

@@ -11,7 +11,7 @@ use protocol::rig::{Direction, MoveTo, RigEvent};
 use protocol::system::What;
 use serde_json::json;
 use trials::coordination::{self, Recordings, Shaping};
-use trials::experiment;
+use trials::experiment::{self, ExperimentError};
 use trials::trial::{RecordError, Recording, Status, json as json_text};
 
 use crate::conduct::{Broken, Conduct, Then};
@@ -200,6 +200,13 @@ impl Conduct<'_> {
         };
         let strokes = 2 * u32::from(run.cycles);
         write_pulses(folder, &trial.trial.events, strokes, self.machines.origin)?;
+        let fold = match fold {
+            // A capsule that may be moving matters more than a run that has ended.
+            Some(Err(ExperimentError::Client(error))) if error.may_move() => {
+                return Err(error.into());
+            }
+            fold => fold,
+        };
         if trial.trial.status != Status::Complete {
             return Err(Broken::Ended {
                 action: "the run",

@@ -3,8 +3,9 @@
 use protocol::capsule::{self, ActuationAccepted, ActuationRecord, CapsuleEvent};
 use protocol::rig::{
     self, HomeAccepted, MoveAccepted, RigEvent, RigState, RigStatus, RunAccepted, RunOutcome,
-    RunRecord,
+    RunRecord, Stroke,
 };
+use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{Event, Urgent, What};
 
 use crate::device::observer::{Begun, Clock, Homed, Observer, Pace, Progress, Unobserved};
@@ -69,7 +70,7 @@ enum ActionState {
     Running,
     /// Held: its time limit is put off.
     Paused,
-    /// Running again after a hold, which prolongs the announced duration by this time, us.
+    /// A hold prolongs the announced duration by this time, us.
     Extended(u64),
     Ended,
 }
@@ -92,10 +93,11 @@ impl Device {
     ) -> Result<Homed, ClientError> {
         observer.begun(&Begun::Homing(*accepted));
         let start_us = self.now_us();
-        let mut found = None;
+        let (mut found, mut link_lost) = (None, false);
         let at_most_us = homing_limit_us(accepted);
         self.wait("homing", at_most_us, observer, |device, event, observer| {
             if let Some(event) = event {
+                link_lost |= event.what == What::LinkLost;
                 return Ok(match event.what {
                     What::Rig(RigEvent::Homed {
                         repeat_steps,
@@ -131,6 +133,7 @@ impl Device {
             }),
             None => Err(ClientError::NotHomed {
                 fault: self.rig_status()?.fault,
+                link_lost,
             }),
         }
     }
@@ -146,9 +149,9 @@ impl Device {
     ) -> Result<RunRecord, ClientError> {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
-        // Braking and accelerating again takes no longer than the ramps of a stroke.
-        let detour_us = accepted.forward.ramp_ticks.max(accepted.back.ramp_ticks) / 50;
         let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0_u64, None);
+        // The present hold has been granted its time.
+        let mut granted = false;
         self.wait("the run", total_us, observer, |device, event, observer| {
             if let Some(event) = event {
                 return Ok(match event.what {
@@ -164,7 +167,10 @@ impl Device {
                             .take()
                             .map_or(0, |since_us| event.time_us.saturating_sub(since_us));
                         paused_us = paused_us.saturating_add(held_us);
-                        ActionState::Extended(detour_us)
+                        match std::mem::take(&mut granted) {
+                            true => ActionState::Running,
+                            false => ActionState::Extended(device.detour_us(accepted)?),
+                        }
                     }
                     _ => ActionState::Running,
                 });
@@ -182,12 +188,39 @@ impl Device {
                 held: status.state == RigState::Held,
             });
             Ok(match status.state {
+                RigState::Stopping if !granted => {
+                    granted = true;
+                    ActionState::Extended(device.detour_us(accepted)?)
+                }
                 RigState::Running | RigState::Stopping => ActionState::Running,
                 RigState::Held => ActionState::Paused,
                 _ => ActionState::Ended,
             })
         })?;
-        self.run_record()
+        let record = self.run_record()?;
+        if record.outcome != RunOutcome::Complete {
+            self.hand_out_the_last(observer);
+        }
+        Ok(record)
+    }
+
+    /// Longest time by which a hold delays a run, us, the hold itself apart: braking with the rig's deceleration, and
+    /// accelerating again as the run does.
+    fn detour_us(&mut self, accepted: &RunAccepted) -> Result<u64, ClientError> {
+        let key = SettingKey::StopAccelUmS2;
+        let stop_um_s2 = self.call(GetSetting { key })?.value;
+        let strokes = [accepted.forward, accepted.back];
+        let longest = |of: fn(&Stroke) -> u64| strokes.iter().map(of).max().unwrap_or(0);
+        let peak_um_s = longest(|stroke| stroke.peak_um_s.into());
+        let brakes_us = peak_um_s * 1_000_000 / u64::from(stop_um_s2.max(1));
+        Ok(brakes_us + longest(|stroke| stroke.ramp_ticks) / 100)
+    }
+
+    /// Hands out the events behind the end of a motion: the rig tells its end first, and its cause, such as a fault,
+    /// after that. A machine that no longer answers is noticed by the next request.
+    fn hand_out_the_last(&mut self, observer: &mut dyn Observer) {
+        let _ = self.fetch_events();
+        self.hand_out(observer);
     }
 
     /// Waits until a move ends, successfully or not, and returns its result and the rig's status.
@@ -227,6 +260,9 @@ impl Device {
             None if link_lost => RunOutcome::LinkLost,
             None => RunOutcome::Stopped,
         };
+        if outcome != RunOutcome::Complete {
+            self.hand_out_the_last(observer);
+        }
         Ok((outcome, status))
     }
 
@@ -457,7 +493,8 @@ impl Device {
                         continue;
                     }
                     ActionState::Paused => limit_us = limit_us.saturating_add(now_us - asked_us),
-                    ActionState::Running | ActionState::Extended(_) => {}
+                    ActionState::Extended(us) => limit_us = limit_us.saturating_add(us),
+                    ActionState::Running => {}
                 }
                 asked_us = now_us;
                 start_clock = start_clock.or(self.clock);

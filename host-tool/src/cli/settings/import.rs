@@ -156,11 +156,19 @@ struct Change {
     to: Entry,
 }
 
-/// Sets the values that differ; returns the number of settings changed.
+/// What an import has changed.
+pub(super) struct Imported {
+    /// Number of settings.
+    pub(super) changed: usize,
+    /// The name before and after, if they differ.
+    pub(super) renamed: Option<(String, String)>,
+}
+
+/// Sets the values that differ.
 ///
 /// # Errors
 /// [`Own::Import`], which lists the changes that could not be undone.
-pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<usize, Failure> {
+pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<Imported, Failure> {
     let mut changes = vec![];
     for to in wanted.settings {
         let from = rig.call(GetSetting { key: to.key })?;
@@ -169,15 +177,17 @@ pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<us
             changes.push(Change { from, to });
         }
     }
-    let count = changes.len();
+    let changed = changes.len();
     let name = rig.call(GetName)?.name;
-    if name != wanted.name {
+    let differs = name != wanted.name;
+    let renamed = differs.then(|| (name.to_string(), wanted.name.to_string()));
+    if differs {
         let (from, to) = (Entry::Name(name), Entry::Name(wanted.name));
         changes.push(Change { from, to });
     }
     let mut done = vec![];
     match apply(rig, changes, &mut done) {
-        Ok(()) => Ok(count),
+        Ok(()) => Ok(Imported { changed, renamed }),
         Err((setting, cause)) => Err(Own::Import {
             file: file.to_owned(),
             setting,

@@ -273,14 +273,17 @@ fn each_stroke_and_both_ends_may_hide_steps() {
     }
 }
 
-/// A fault that was latched after a stop is in the sidecar only, and is told there.
+/// A fault that was latched behind the end of a motion is in the sidecar only, and is told there.
 #[test]
-fn only_a_fault_behind_a_stop_may_differ_from_the_machines_record() {
+fn only_a_fault_behind_the_end_may_differ_from_the_machines_record() {
     for (outcome, status, error, differs) in [
         (RunOutcome::Stopped, Status::Faulted, true, false),
         (RunOutcome::Stopped, Status::Faulted, false, true),
-        (RunOutcome::Complete, Status::Faulted, true, true),
+        (RunOutcome::Complete, Status::Faulted, true, false),
+        (RunOutcome::LinkLost, Status::Faulted, true, false),
+        (RunOutcome::Complete, Status::Faulted, false, true),
         (RunOutcome::Stopped, Status::Complete, true, true),
+        (RunOutcome::Complete, Status::Stopped, true, true),
     ] {
         let found = changed(|trial, _| {
             executed(trial).outcome = outcome;
