@@ -1,10 +1,12 @@
 """The client against a server that answers as docs/serve.md says, and as it must not."""
 
-import _thread
+import contextlib
 import io
 import json
 import os
 import pathlib
+import signal
+import socket
 import tempfile
 import threading
 import time
@@ -16,7 +18,7 @@ from unittest import mock
 
 import retrograde
 from bench import until
-from retrograde import client
+from retrograde import bluesky, client
 
 Answer = Tuple[int, Dict[str, Any]]
 INSTANCE = "abc123"
@@ -91,7 +93,9 @@ def action(state: str, **more: Any) -> Dict[str, Any]:
 STATE: Answer = (200, {"ok": True, "instance": INSTANCE, "machines": {"rig": {"state": "ready"}}})
 
 
-class ClientTest(unittest.TestCase):
+class ServerTest(unittest.TestCase):
+    """A client and its server."""
+
     def setUp(self) -> None:
         self.server = Server()
         thread = threading.Thread(target=self.server.serve_forever, args=(0.02,), daemon=True)
@@ -116,6 +120,8 @@ class ClientTest(unittest.TestCase):
     def renewals(self) -> List[Call]:
         return [post for post in self.posts() if post.path.endswith("renew")]
 
+
+class ClientTest(ServerTest):
     def test_a_command_is_sent_with_key_and_token_and_waited_for(self) -> None:
         done = action("complete", result={"repeat_steps": 1, "shift_steps": 0, "duration_us": 5})
         self.answers(
@@ -222,14 +228,14 @@ class ClientTest(unittest.TestCase):
         def answer(call: Call) -> Answer:
             if call.path == "/api/v1/rig/home":
                 home.set()
-                # The client waits meanwhile, and finds the key as soon as it is answered.
+                # The client waits meanwhile. The key wakes it, as at a terminal.
                 pressed.wait()
                 return (202, action("under_way"))
             return STATE if call.method == "GET" else (200, {"ok": True, "machines": []})
 
         def press() -> None:
             home.wait()
-            _thread.interrupt_main()
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
             pressed.set()
 
         self.server.answer = answer
@@ -259,6 +265,33 @@ class ClientTest(unittest.TestCase):
     def test_a_stop_is_tried_again(self) -> None:
         self.answers({"/api/v1/stop": [None, (200, {"ok": True, "machines": []})]})
         self.lab.stop()
+
+    def test_a_server_that_hangs_is_no_reason_to_say_nothing(self) -> None:
+        told = io.StringIO()
+        said: List[str] = []
+        hung = socket.create_server(("127.0.0.1", 0))
+        self.addCleanup(hung.close)
+        lab = retrograde.Lab(f"http://127.0.0.1:{hung.getsockname()[1]}/")
+        times = {"STOP_S": 0.6, "STOPS_S": 1.0, "WARN_S": 0.1}
+        threading.Timer(0.4, lambda: said.append(told.getvalue())).start()
+        begin = time.monotonic()
+        with mock.patch.multiple(client, **times), contextlib.redirect_stderr(told):
+            with self.assertRaises(retrograde.NotStopped):
+                lab.estop()
+        # Two tries, the second cut short: not three of them.
+        self.assertLess(time.monotonic() - begin, 1.5)
+        self.assertIn("cut the motor supply NOW", said[0])
+        self.assertEqual(told.getvalue().count("NOW"), 1)
+        # As they are, somebody is told in time for the button.
+        self.assertLessEqual((client.WARN_S, client.STOPS_S), (2, 20))
+
+    def test_a_stop_that_is_confirmed_says_nothing(self) -> None:
+        self.answers({"/api/v1/stop": (200, {"ok": True, "machines": []})})
+        told = io.StringIO()
+        with mock.patch.object(client, "WARN_S", 0.2), contextlib.redirect_stderr(told):
+            self.lab.stop()
+            time.sleep(0.4)
+        self.assertEqual(told.getvalue(), "")
 
     def test_numbers_go_as_they_are_and_unknown_fields_nowhere(self) -> None:
         self.answers({"/api/v1/rig/run": (200, action("complete"))})
@@ -380,6 +413,56 @@ class ClientTest(unittest.TestCase):
         self.server.RequestHandlerClass = Record
         row = {"time_us": 5, "position_mm": 1.25, "far_limit_open": False, "state": "running", "note": None}
         self.assertEqual(self.lab.rows("run-1.csv"), [row])
+
+
+class StagingTest(ServerTest):
+    """bluesky's devices need no bluesky to be staged."""
+
+    def stage(self, device: Any, order: str, machine: str, stop: Callable[[], Any]) -> None:
+        """Stages the device in a thread, as the RunEngine does, and stops it meanwhile."""
+        stopped = threading.Event()
+
+        def answer(call: Call) -> Answer:
+            if call.path == "/api/v1/stop":
+                stopped.set()
+                return (200, {"ok": True, "machines": []})
+            if call.path == "/api/v1/state":
+                known: Dict[str, Any] = {"rig": {"homed": False}, "capsule": {"referenced": False}}
+                return (200, {"ok": True, "instance": INSTANCE, "machines": known})
+            state = action("stopped" if stopped.is_set() else "under_way")
+            state["action"]["machine"] = machine
+            return (202, state) if call.path.endswith(order) else (200, state)
+
+        self.server.answer = answer
+        self.server.calls.clear()
+        ended: List[str] = []
+
+        def stage() -> None:
+            try:
+                device.stage()
+            except retrograde.RetrogradeError as why:
+                ended.append(type(why).__name__)
+
+        thread = threading.Thread(target=stage)
+        thread.start()
+        until(lambda: any("/actions/" in call.path for call in list(self.server.calls)))
+        stop()
+        # Without a stop it would go on for ever.
+        sent = stopped.is_set()
+        stopped.set()
+        thread.join(30)
+        self.assertTrue(sent, "no stop was sent")
+        self.assertEqual(ended, ["Stopped"])
+        self.assertEqual([post.body for post in self.posts() if post.path == "/api/v1/stop"], [{"machine": machine}])
+
+    def test_what_stage_moves_is_stopped(self) -> None:
+        rig, capsule = bluesky.Rig(self.lab), bluesky.Capsule(self.lab)
+        ends: List[Callable[[], Any]] = [rig.stop, lambda: rig.stop(success=True), rig.unstage]
+        for end in ends:
+            self.stage(rig, "/rig/home", "rig", end)
+        ends = [capsule.stop, capsule.unstage]
+        for end in ends:
+            self.stage(capsule, "/capsule/reference", "capsule", end)
 
 
 if __name__ == "__main__":

@@ -333,7 +333,10 @@ pub struct PartialArgs {
         long,
         value_name = "MM",
         default_value = "1",
-        allow_negative_numbers = true
+        allow_negative_numbers = true,
+        requires = "indentation_mm",
+        // Beside an argument that excludes the required one, clap does not ask for that.
+        conflicts_with = "thread_mm"
     )]
     pub slack_mm: Milli,
 }
@@ -370,5 +373,29 @@ mod tests {
         }
         let refused = parse("left").expect_err("no direction").to_string();
         assert!(refused.contains("away, home"), "{refused}");
+    }
+
+    /// Regression: a slack without an indentation was dropped, and the capsule folded to its end.
+    #[test]
+    fn a_slack_is_refused_without_its_indentation() {
+        let parse = |args: &[&str]| {
+            let command = PartialArgs::augment_args(Command::new("fold").no_binary_name(true));
+            let matches = command.try_get_matches_from(args)?;
+            PartialArgs::from_arg_matches(&matches)
+        };
+        for (args, says) in [
+            (&["--slack-mm", "2"][..], "--indentation-mm <MM>"),
+            (
+                &["--thread-mm", "5", "--slack-mm", "2"],
+                "cannot be used with",
+            ),
+        ] {
+            let refused = parse(args).expect_err("no indentation").to_string();
+            assert!(refused.contains(says), "{refused}");
+        }
+        let args = ["--slack-mm", "2", "--indentation-mm", "3"];
+        let slack = parse(&args).map(|args| args.slack_mm.0);
+        assert_eq!(slack.expect("both"), 2_000);
+        assert!(parse(&["--thread-mm", "5"]).is_ok() && parse(&[]).is_ok());
     }
 }

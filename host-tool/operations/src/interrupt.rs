@@ -1,4 +1,4 @@
-//! Handles Ctrl-C, SIGTERM and SIGHUP: the first is a controlled stop, the second the emergency stop.
+//! Handles Ctrl-C, SIGTERM and SIGHUP. Each is a controlled stop; Ctrl-C, pressed again, is the emergency stop.
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -12,21 +12,25 @@ const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
 /// Number of interrupts. Global, because a process has one handler.
 static PRESSED: OnceLock<Arc<AtomicU8>> = OnceLock::new();
 
+/// A signal that ends this program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Signal {
+    /// Ctrl-C: somebody is at the keyboard.
+    Key,
+    /// SIGTERM or SIGHUP. Several of them are no emergency: closing a terminal sends SIGHUP twice, by its shell and by
+    /// the system.
+    End,
+}
+
 /// Installs the handler on the first call. Returns the interrupt that reports the stop to send.
 pub fn install() -> Interrupt {
     let pressed = PRESSED
         .get_or_init(|| {
             let pressed = Arc::new(AtomicU8::new(0));
             let count = Arc::clone(&pressed);
-            // Ignore failures: without a handler Ctrl-C ends the process, and the device stops by its link time-out.
-            let _ = ctrlc::set_handler(move || {
-                // Atomic: [`press`] may be called at the same moment, and neither count may be lost.
-                let more = |before: u8| Some(before.saturating_add(1));
-                let before = count.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more);
-                tell(match before {
-                    Ok(0) => STOPPING,
-                    _ => "emergency stop",
-                });
+            on_signals(move |signal| match signal {
+                Signal::Key => escalate(&count),
+                Signal::End => stop(&count),
             });
             pressed
         })
@@ -38,14 +42,66 @@ pub fn install() -> Interrupt {
     })
 }
 
+/// Calls `handle` for each signal that ends this program, in a thread that may wait and allocate. Without a handler,
+/// which a system may refuse, a signal ends the process, and the device stops by its link time-out.
+#[cfg(unix)]
+pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
+    use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+    let handle = Arc::new(handle);
+    let _ = follow(&[SIGINT], Signal::Key, Arc::clone(&handle));
+    let _ = follow(&[SIGTERM, SIGHUP], Signal::End, handle);
+}
+
+/// Passes on each of these signals. A pipe counts them: two that come before the thread wakes up stay two.
+#[cfg(unix)]
+fn follow(
+    numbers: &[i32],
+    signal: Signal,
+    handle: Arc<impl Fn(Signal) + Send + Sync + 'static>,
+) -> io::Result<()> {
+    use std::io::Read;
+
+    let (mut arrived, arriving) = io::pipe()?;
+    for number in numbers {
+        signal_hook::low_level::pipe::register(*number, arriving.try_clone()?)?;
+    }
+    std::thread::spawn(move || {
+        while arrived.read_exact(&mut [0]).is_ok() {
+            handle(signal);
+        }
+    });
+    Ok(())
+}
+
+/// Calls `handle` for each Ctrl-C, and for a console that is closed.
+#[cfg(not(unix))]
+pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
+    let _ = ctrlc::set_handler(move || handle(Signal::Key));
+}
+
 /// Requests a controlled stop, as the first Ctrl-C does. Repeating it changes nothing: a key that repeats is not an
 /// emergency.
 pub fn press() {
-    if let Some(pressed) = PRESSED.get()
-        && pressed.fetch_max(1, Ordering::Relaxed) == 0
-    {
+    if let Some(pressed) = PRESSED.get() {
+        stop(pressed);
+    }
+}
+
+fn stop(pressed: &AtomicU8) {
+    if pressed.fetch_max(1, Ordering::Relaxed) == 0 {
         tell(STOPPING);
     }
+}
+
+fn escalate(pressed: &AtomicU8) {
+    // Atomic: [`press`] may be called at the same moment, and neither count may be lost.
+    let more = |before: u8| Some(before.saturating_add(1));
+    let before = pressed.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more);
+    tell(match before {
+        Ok(0) => STOPPING,
+        _ => "emergency stop",
+    });
 }
 
 /// Prints a message, even if a progress bar occupies the line.

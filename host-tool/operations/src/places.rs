@@ -1,5 +1,6 @@
 //! Finds the machine that `--rig` or `--capsule` means, and opens a session with it.
 
+use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock};
 use std::thread;
@@ -42,6 +43,9 @@ const SHORT_LOOK: Duration = Duration::from_millis(100);
 
 /// Interval between attempts at a line that is about to be free.
 const AGAIN: Duration = Duration::from_millis(10);
+
+/// Interval between two looks at Ctrl-C while a command waits for the line.
+const PRESSED: Duration = Duration::from_millis(20);
 
 /// A place and its answer.
 pub struct Found {
@@ -216,8 +220,9 @@ impl Places<'_> {
         let again =
             CONNECTED[usize::from(kind == DeviceKind::Capsule)].swap(true, Ordering::Relaxed);
         let mark = if again { now } else { now.at(*BEGAN) };
-        let interrupt = told(doorway, interrupt::install());
-        let mut device = self.open_for_command(kind, &address, need)?;
+        let pressed = interrupt::install();
+        let interrupt = told(doorway, Arc::clone(&pressed));
+        let mut device = self.open_stoppable(kind, &address, need, &pressed)?;
         // The owner of the line may end while it is asked; then the line is free, and a new attempt succeeds.
         for attempt in 1.. {
             need.admit(&device)?;
@@ -225,7 +230,7 @@ impl Places<'_> {
             device.set_interrupt(Arc::clone(&interrupt));
             match device.hello(self.connector.nonce()) {
                 Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
-                    device = self.open_for_command(kind, &address, need)?;
+                    device = self.open_stoppable(kind, &address, need, &pressed)?;
                 }
                 Err(error) => return Err(error.into()),
                 Ok(_) => break,
@@ -316,13 +321,69 @@ impl Places<'_> {
         kinds.into_iter().map(target).collect()
     }
 
+    /// Like [`Places::open_for_command`], which may wait for seconds. Ctrl-C meanwhile stops the machine at once, as
+    /// `retrograde stop` does: there is no session yet that would send the stop.
+    ///
+    /// # Errors
+    /// [`ClientError::Interrupted`] after a confirmed stop, [`Failure::Stops`] after any other.
+    fn open_stoppable(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        need: Need,
+        interrupt: &Interrupt,
+    ) -> Result<Device, Failure> {
+        // What was pressed before is sent by the session.
+        let before = interrupt();
+        let pressed = || interrupt().filter(|urgent| Some(*urgent) != before);
+        let target = Target {
+            kind: Some(kind),
+            address: Some(address.clone()),
+        };
+        let waits = AtomicBool::new(true);
+        thread::scope(|scope| {
+            let stopper = scope.spawn(|| {
+                let (mut sent, mut result) = (None, Ok(()));
+                loop {
+                    match pressed().filter(|urgent| sent != Some(*urgent)) {
+                        Some(urgent) => {
+                            sent = Some(urgent);
+                            result = Err(self.stopped(&target, urgent, need));
+                        }
+                        None if waits.load(Ordering::Relaxed) => thread::park_timeout(PRESSED),
+                        None => return result,
+                    }
+                }
+            });
+            let mut opened = Some(self.open_for_command(kind, address, need, &pressed));
+            if pressed().is_some() {
+                // The stop goes out over this line: give it back.
+                opened = None;
+            }
+            waits.store(false, Ordering::Relaxed);
+            stopper.thread().unpark();
+            stopper.join().unwrap_or_else(|why| resume_unwind(why))?;
+            opened.unwrap_or_else(|| Err(interrupted(need)))
+        })
+    }
+
+    /// Stops the machine of a command that has no session yet. Returns the failure of the command.
+    fn stopped(&self, target: &Target, urgent: Urgent, need: Need) -> Failure {
+        let told = target.told(self.urgent(target, urgent));
+        match told.delivery {
+            Delivery::Stopped => interrupted(need),
+            Delivery::NotConfirmed | Delivery::NotDelivered => Failure::Stops { told: vec![told] },
+        }
+    }
+
     /// Like [`Places::open`]. If the command is for the owner of the line, a present owner that only looks gives the
-    /// line up.
+    /// line up. The wait for it ends when a stop is `pressed`.
     fn open_for_command(
         &self,
         kind: DeviceKind,
         address: &Address,
         need: Need,
+        pressed: &dyn Fn() -> Option<Urgent>,
     ) -> Result<Device, Failure> {
         let begin = Instant::now();
         loop {
@@ -335,7 +396,7 @@ impl Places<'_> {
             } else {
                 SHORT_LOOK
             };
-            if begin.elapsed() > limit {
+            if begin.elapsed() > limit || pressed().is_some() {
                 return Ok(device);
             }
             drop(device);
@@ -427,6 +488,12 @@ impl Places<'_> {
         }
         Ok(there)
     }
+}
+
+/// The failure of a command that was stopped before it sent anything.
+fn interrupted(need: Need) -> Failure {
+    let request = need.of_owner().unwrap_or("Hello");
+    Failure::Client(ClientError::Interrupted { request })
 }
 
 /// This process's interrupt, extended to announce each stop to the other processes before it is sent.

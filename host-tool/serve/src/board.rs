@@ -65,8 +65,10 @@ pub struct Machine {
     pub stops: Arc<Stops>,
     /// Lock and door of the machine's line, once a line is known.
     doorway: Mutex<Option<Doorway>>,
-    /// This server is moving the machine.
+    /// This server is moving the machine, or has begun what it has not seen end.
     pub acting: Arc<AtomicBool>,
+    /// The run that this server began last, if that was the last that it began.
+    run: Mutex<Option<u32>>,
     pub orders: SyncSender<Order>,
     pub lease: Mutex<Option<Lease>>,
     samples: Mutex<(Vec<Value>, Instant)>,
@@ -87,6 +89,7 @@ impl Machine {
             stops: Arc::default(),
             doorway: Mutex::default(),
             acting: Arc::default(),
+            run: Mutex::default(),
             orders,
             lease: Mutex::default(),
             samples: Mutex::new((vec![], Instant::now())),
@@ -103,6 +106,34 @@ impl Machine {
 
     pub fn meet(&self, identity: Option<&Identity>, place: String) {
         *lock(&self.identity) = identity.map(|identity| (*identity, place));
+    }
+
+    // What this server has begun.
+
+    /// This server is about to move the machine.
+    pub fn begin(&self) {
+        *lock(&self.run) = None;
+        self.acting.store(true, Ordering::SeqCst);
+    }
+
+    /// The rig has accepted this run of the server.
+    pub fn runs(&self, run: u32) {
+        *lock(&self.run) = Some(run);
+    }
+
+    /// Notes the end of what this server began in an earlier connection, if the status that has just come shows it. A
+    /// run that finishes without its host goes on; what another owner of the line moves is that owner's.
+    pub fn note_end(&self, is_owner: bool) {
+        let panel = self.panel();
+        let run = panel.rig.filter(in_run).map(|status| status.run);
+        let goes_on = match is_owner {
+            true => panel.moves() || run.is_some(),
+            false => run.is_some() && run == *lock(&self.run),
+        };
+        drop(panel);
+        if !goes_on {
+            self.acting.store(false, Ordering::SeqCst);
+        }
     }
 
     // Stops.

@@ -12,7 +12,7 @@
 //! * `connections`: limits the connections, and decides which one to drop.
 //! * `orders`: turns the body of a request into an order, using the command line's arguments.
 //! * `actions`: commands and their results; each is executed once.
-//! * `worker`: connection, orders and telemetry of one machine.
+//! * `worker`: connection, orders and telemetry of one machine; `worker::busy` while it works.
 //! * `results`: the result of an order.
 //! * `direct`: stops and questions, which bypass the worker.
 //! * `board`: the state that all of them share, and its JSON form.
@@ -42,6 +42,7 @@ pub mod worker;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::net::SocketAddr;
+use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{channel, sync_channel};
@@ -105,7 +106,8 @@ pub struct Options {
 /// Serves until the operator ends it; returns the listening address.
 ///
 /// # Errors
-/// Fails if the address cannot be listened on, or the token's file cannot be used.
+/// Fails if the address cannot be listened on, if the token's file cannot be used, or if what the server began may go
+/// on after its end.
 pub fn serve(
     options: Options,
     places: &Places<'_>,
@@ -158,9 +160,10 @@ pub fn serve(
 
     let leaving = AtomicBool::new(false);
     let questions = Questions::default();
-    thread::scope(|scope| {
+    let told = thread::scope(|scope| {
         // Dropped on panic as well, so that the threads always end.
         let leave = Leave(&leaving, direct);
+        let mut workers = vec![];
         for (machine, orders) in board.machines.iter().zip(orders) {
             let worker = Worker {
                 places,
@@ -170,33 +173,41 @@ pub fn serve(
                 leaving: &leaving,
                 pressed: Arc::clone(pressed),
             };
-            scope.spawn(move || worker.work());
+            workers.push(scope.spawn(move || worker.work()));
         }
         let (board, questions) = (&*board, &questions);
         scope.spawn(move || direct::run(scope, places, board, questions, &to_do));
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
-        // Before the workers leave, every moving machine has to come to rest; until then stops are still accepted.
-        runtime.block_on(async {
-            while pressed().is_none() {
-                sleep(LOOK).await;
-            }
-            leaving.store(true, Ordering::Relaxed);
-            while board
-                .machines
-                .iter()
-                .any(|machine| machine.acting.load(Ordering::SeqCst))
-            {
-                sleep(LOOK).await;
-            }
-        });
+        runtime.block_on(until_rest(board, pressed, &leaving));
         board.stream.close();
         drop(leave);
+        let told = workers.into_iter().filter_map(|worker| {
+            let told = worker.join();
+            told.unwrap_or_else(|why| resume_unwind(why))
+        });
+        told.collect::<Vec<_>>()
     });
     runtime.shutdown_timeout(Duration::from_millis(500));
     drop(server_file);
-    Ok(url)
+    match told.is_empty() {
+        true => Ok(url),
+        false => Err(Failure::Stops { told }),
+    }
+}
+
+/// Waits for Ctrl-C, and then until what this server moves stands or its stop has failed; until then stops are still
+/// accepted.
+async fn until_rest(board: &Board, pressed: &Interrupt, leaving: &AtomicBool) {
+    while pressed().is_none() {
+        sleep(LOOK).await;
+    }
+    leaving.store(true, Ordering::Relaxed);
+    let moves = |machine: &Machine| machine.acting.load(Ordering::SeqCst);
+    while board.machines.iter().any(moves) {
+        sleep(LOOK).await;
+    }
 }
 
 /// Ends the workers and the thread of direct requests when dropped.

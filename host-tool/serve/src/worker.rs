@@ -1,35 +1,38 @@
 //! Keeps one machine, on a thread of its own. It owns the line or looks through the door of its owner, executes
 //! orders, and reports what happens. Stops do not pass through here; this thread only notices them.
 
+mod busy;
+
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use client::error::ClientError;
 use client::link::LinkError;
-use client::{Begun, Device, Interrupt, Observer, Pace, Progress, while_moving};
+use client::{Device, Interrupt, Observer, while_moving};
 use commissioning::warning;
 use operations::arguments::{DATA_FOLDER, RecordArgs};
 use operations::connector::Purpose;
+use operations::delivery::{Delivery, Told};
 use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
-use operations::places::Places;
+use operations::places::{Places, Target};
 use operations::{ending, left, reached};
-use protocol::error::Refusal;
-use protocol::rig::{self, RigEvent, RigState, RigStatus};
+use protocol::rig::{self, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
-use protocol::system::{Event, Urgent, What};
+use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
-use trials::experiment::{self, Actuation};
-use trials::trial::{Achieved, Recording};
+use trials::experiment::{self, Actuation, ExperimentError};
+use trials::trial::{Recording, Status};
 
 use crate::board::{Board, Lease, Machine, Order};
 use crate::orders::Work;
 use crate::results::server_ends;
 use crate::results::{ended, files, lost, overtaken, place};
+use crate::worker::busy::{Busy, Pacing, held};
 
 /// Interval between status requests, us.
 const ASK_US: u64 = 250_000;
@@ -69,9 +72,6 @@ impl From<Value> for ActionResult {
     }
 }
 
-/// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
-type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
-
 pub struct Worker<'a> {
     pub places: &'a Places<'a>,
     pub board: &'a Board,
@@ -83,11 +83,14 @@ pub struct Worker<'a> {
 }
 
 impl Worker<'_> {
-    /// Keeps the machine until the server shuts down, and reconnects whenever the line is lost.
-    pub fn work(&self) {
+    /// Keeps the machine until the server shuts down, and reconnects whenever the line is lost. Returns the result of
+    /// the last stop if what this server began may go on.
+    pub fn work(&self) -> Option<Told> {
         // An order that waits until this server owns the line.
         let mut waiting = None;
+        let mut last = None;
         while !self.is_leaving() {
+            last = None;
             let failure = match self.connection(&mut waiting) {
                 Ok(()) if self.is_leaving() => break,
                 Ok(()) => {
@@ -120,11 +123,44 @@ impl Worker<'_> {
                 self.refuse(&order, &lost(&failure));
             }
             self.pause(AGAIN, Some(&failure));
+            last = Some(failure);
         }
+        let told = self.stop_what_goes_on(last.as_ref());
         self.board.flush(self.machine, true);
         for order in waiting.into_iter().chain(self.orders.try_iter()) {
             self.refuse(&order, &server_ends());
         }
+        told
+    }
+
+    /// Stops what this server began and has not seen end: its line was lost, or its stop was not confirmed. `last` is
+    /// the failure of the last connection. Returns the result unless the machine has confirmed it.
+    fn stop_what_goes_on(&self, last: Option<&Failure>) -> Option<Told> {
+        let machine = self.machine;
+        let target = Target {
+            kind: Some(machine.kind),
+            address: Some(machine.address.clone()),
+        };
+        let (mut sent, mut told) = (None, None);
+        while machine.acting.load(Ordering::SeqCst) {
+            // Ctrl-C, pressed again meanwhile, is the emergency stop.
+            let Some(urgent) = (self.pressed)().filter(|urgent| sent != Some(*urgent)) else {
+                break;
+            };
+            sent = Some(urgent);
+            told = Some(target.told(self.places.urgent(&target, urgent)));
+        }
+        machine.acting.store(false, Ordering::SeqCst);
+        let mut told = told.filter(|told| told.delivery != Delivery::Stopped)?;
+        // The first stop was sent, and its failure knows where the carriage was.
+        if let Some(Failure::Client(error) | Failure::Experiment(ExperimentError::Client(error))) =
+            last
+            && matches!(error, ClientError::StopUnconfirmed { .. })
+        {
+            told.delivery = Delivery::NotConfirmed;
+            told.why = error.to_string();
+        }
+        Some(told)
     }
 
     fn is_leaving(&self) -> bool {
@@ -236,7 +272,10 @@ impl Worker<'_> {
     }
 
     fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
-        panel::ask(device, || self.machine.panel())
+        panel::ask(device, || self.machine.panel())?;
+        // After a lost connection this shows whether what was begun goes on.
+        self.machine.note_end(device.owner().is_none());
+        Ok(())
     }
 
     /// Waits until a stop that was sent is confirmed; then the machine is ready for the next order.
@@ -298,7 +337,7 @@ impl Worker<'_> {
         let acting = work.is_for_owner();
         if acting {
             device.offer_line(false);
-            self.machine.acting.store(true, Ordering::SeqCst);
+            self.machine.begin();
         }
         let kind = work.kind();
         // From here on, a stop is noticed between any two frames.
@@ -309,7 +348,6 @@ impl Worker<'_> {
         let result = self.act(device, action, &work);
         device.ask_once(true);
         stops.end_order();
-        self.machine.acting.store(false, Ordering::SeqCst);
         let (outcome, lost) = match result {
             Ok(outcome) => (outcome, false),
             Err(failure) => {
@@ -329,8 +367,12 @@ impl Worker<'_> {
         // Send all samples first, so that the readers' picture is complete when the action ends.
         self.board.flush(self.machine, true);
         let settled = match lost {
+            // It may go on.
             true => Ok(()),
-            false => self.settle(device).and_then(|()| self.ask(device)),
+            false => self.settle(device).and_then(|()| {
+                self.machine.acting.store(false, Ordering::SeqCst);
+                self.ask(device)
+            }),
         };
         self.board.actions.update(action, |action| {
             if !outcome.files.is_null() {
@@ -438,7 +480,11 @@ impl Worker<'_> {
         busy.paced(|_| Err(&too_late));
         let trial = trial?;
         let at = trial.sidecar.display();
-        let help = format!("the data is in {at}; a new run has to start at 0: home first");
+        let way_on = match trial.trial.status {
+            Status::Faulted => "once the cause is gone acknowledge it, then home",
+            _ => "a new run has to start at 0: home first",
+        };
+        let help = format!("the data is in {at}; {way_on}");
         let failure = ended("the run", &trial.trial, help);
         self.board
             .actions
@@ -593,10 +639,6 @@ impl Worker<'_> {
     }
 }
 
-fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>> {
-    pacing.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// Handles what the machine sends while no order is executed.
 struct Seen<'a>(&'a Worker<'a>);
 
@@ -606,184 +648,5 @@ impl Observer for Seen<'_> {
     }
     fn event(&mut self, event: &Event) {
         self.0.board.event(self.0.machine, event);
-    }
-}
-
-/// Handles what the machine sends during an action, and takes orders meanwhile.
-struct Busy<'a> {
-    worker: &'a Worker<'a>,
-    action: u64,
-    kind: &'static str,
-    pacing: Pacing,
-}
-
-impl Busy<'_> {
-    /// Takes orders during an action: a hold or a resume of a run, and nothing else.
-    fn look(&mut self) {
-        let worker = self.worker;
-        while let Ok(order) = worker.orders.try_recv() {
-            let pace = match order.work {
-                Work::Hold => Some(Pace::Hold),
-                Work::Resume => Some(Pace::Resume),
-                _ => None,
-            };
-            let mut pacing = held(&self.pacing);
-            match pace {
-                Some(pace) if self.kind == "run" && pacing.is_none() => {
-                    *pacing = Some((order.action, pace, false));
-                }
-                _ => {
-                    drop(pacing);
-                    let machine = client::identity::kind_name(worker.machine.kind);
-                    let failure = Failure::Refused {
-                        why: format!("the {machine} is busy: `{}` is under way", self.kind),
-                        help: "nothing was moved by this request; wait for the end, or stop it"
-                            .to_owned(),
-                    };
-                    worker.refuse(&order, &failure);
-                }
-            }
-        }
-        worker.board.flush(worker.machine, false);
-    }
-
-    /// Reports the end of the hold or resume that is waiting for it.
-    fn paced<'f>(&mut self, end: impl FnOnce(Pace) -> Result<Value, &'f Failure>) {
-        let Some((action, pace, _)) = held(&self.pacing).take() else {
-            return;
-        };
-        let board = self.worker.board;
-        match end(pace) {
-            Ok(result) => board.ended(action, result, None),
-            Err(failure) => {
-                board.ended(action, Value::Null, Some(failure));
-                board.notice(self.worker.machine, Notice::Bad(failure.in_one_line()));
-            }
-        }
-    }
-}
-
-impl Observer for Busy<'_> {
-    fn begun(&mut self, begun: &Begun) {
-        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.worker.machine.panel().rig)
-        {
-            // The panel is otherwise stale until the next status request.
-            status.run = accepted.run;
-            status.strokes = u32::from(accepted.requested.cycles) * 2;
-            status.elapsed_us = 0;
-        }
-        let accepted = match begun {
-            Begun::Homing(accepted) => json!(accepted),
-            Begun::Run(accepted) => json!(Achieved::from(accepted)),
-            Begun::Actuation(accepted) => json!(accepted),
-            Begun::Move(accepted) => json!(accepted),
-        };
-        self.worker.board.accepted(self.action, accepted);
-    }
-
-    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
-        self.worker
-            .board
-            .sample(self.worker.machine, sample, missed);
-    }
-
-    fn event(&mut self, event: &Event) {
-        self.worker.board.event(self.worker.machine, event);
-        let at = |steps: i32| json!({ "position_steps": steps, "position_um": self.worker.machine.panel().rig.map(|status| status.position_um) });
-        let waiting = held(&self.pacing).map(|(_, pace, _)| pace);
-        match (event.what, waiting) {
-            (What::Rig(RigEvent::Held { position_steps }), Some(Pace::Hold)) => {
-                let result = at(position_steps);
-                self.paced(|_| Ok(result));
-            }
-            (What::Rig(RigEvent::Resumed), Some(Pace::Resume)) => {
-                let steps = self
-                    .worker
-                    .machine
-                    .panel()
-                    .rig
-                    .map_or(0, |status| status.position_steps);
-                let result = at(steps);
-                self.paced(|_| Ok(result));
-            }
-            _ => {}
-        }
-    }
-
-    fn progress(&mut self, progress: &Progress) {
-        let shown = match *progress {
-            Progress::Homing {
-                elapsed_us,
-                at_most_us,
-                position_um,
-            } => {
-                json!({ "elapsed_us": elapsed_us, "total_us": at_most_us, "position_um": position_um })
-            }
-            Progress::Run {
-                elapsed_us,
-                total_us,
-                stroke,
-                strokes,
-                position_um,
-                held,
-            } => json!({
-                "elapsed_us": elapsed_us, "total_us": total_us, "stroke": stroke, "strokes": strokes,
-                "position_um": position_um, "held": held,
-            }),
-            Progress::Actuation {
-                elapsed_us,
-                at_most_us,
-                thread_um,
-                current_ma,
-            } => json!({
-                "elapsed_us": elapsed_us, "total_us": at_most_us, "thread_um": thread_um, "current_ma": current_ma,
-            }),
-        };
-        let worker = self.worker;
-        worker
-            .board
-            .actions
-            .update(self.action, |action| action.progress = shown);
-        {
-            // The wait has asked for the status; copy to the panel what telemetry does not contain.
-            let mut panel = worker.machine.panel();
-            if let (
-                Progress::Run {
-                    elapsed_us,
-                    strokes,
-                    ..
-                },
-                Some(status),
-            ) = (progress, &mut panel.rig)
-            {
-                status.elapsed_us = *elapsed_us;
-                status.strokes = *strokes;
-            }
-        }
-        self.look();
-    }
-
-    fn unrecorded(&mut self, why: &str) {
-        let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
-        self.worker
-            .board
-            .notice(self.worker.machine, Notice::Bad(notice));
-    }
-
-    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
-        let failure = Failure::Client(ClientError::Refused {
-            place: self.worker.machine.address.to_string(),
-            request: match pace {
-                Pace::Hold => "Hold",
-                Pace::Resume => "Resume",
-            },
-            impact: protocol::table::Impact::Pace,
-            refusal: *refusal,
-        });
-        self.paced(|_| Err(&failure));
-    }
-
-    fn turn(&mut self, _now_us: u64, _clock: Option<client::Clock>) {
-        self.look();
     }
 }

@@ -5,6 +5,8 @@ mod terminal;
 use std::path::PathBuf;
 
 use clap::Args;
+use client::Device;
+use client::error::ClientError;
 use client::identity::kind_name;
 use client::subject::Subject;
 use commissioning::hands::{Bench, Hands, Nobody};
@@ -115,16 +117,16 @@ pub(crate) fn commission(
     let mut work = Work::new(device, subject, options, &mut *hands, &mut say, &reopen);
     let now = || places.connector.now();
     let ended = session::carry_out(&mut work, &mut record, &path, &now);
-    let left = matches!(ended, Ok(Ending::Left(_)));
-    if left && work.device.interrupted().is_none() {
-        // If the operator leaves during a motion, stop it.
-        let _ = work.device.urgent(Urgent::Stop);
-    }
+    let stopped = match &ended {
+        Ok(Ending::Left(_)) => stop(&mut work.device),
+        _ => Ok(()),
+    };
     let off = work.supply_is_off();
     let subject = work.subject;
     if off {
         screen.say("The motor supply is off.");
     }
+    stopped?;
     ended_as(ended, &path)?;
     let open = procedure::open(all, &record, &subject);
     if open.is_empty() {
@@ -152,6 +154,18 @@ pub(crate) fn commission(
         ),
     }
     .into())
+}
+
+/// Stops what moves when the operator leaves, and waits for the confirmation.
+fn stop(device: &mut Device) -> Result<(), ClientError> {
+    match device.interrupted() {
+        None => device.urgent(Urgent::Stop),
+        // Ctrl-C has sent the stop. A line that was given up, to find a board again that was reset, carries none.
+        Some(_) => match device.settle() {
+            Err(ClientError::Link(_)) => Ok(()),
+            settled => settled,
+        },
+    }
 }
 
 /// The hands at the machine: a person's, or the virtual bench's.

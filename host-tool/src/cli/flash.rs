@@ -6,14 +6,17 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
+use client::Device;
 use client::address::Address;
 use client::door::lock::{Doorway, Lock};
 use client::identity::{self, IdentityRecord};
 use commissioning::flashing::{self, Image};
 use operations::arguments::MachineKind;
+use operations::connector::{Candidate, Purpose};
 use operations::failure::Failure;
 use operations::places::{Need, Places};
-use protocol::rig::GetRigHealth;
+use protocol::capsule::CapsuleState;
+use protocol::rig::{GetRigHealth, RigState};
 use protocol::system::{BuildProfile, DeviceKind, Identity};
 use serde_json::{Value, json};
 
@@ -73,6 +76,9 @@ pub(crate) fn flash(
             built(kind).display()
         ),
     })?;
+    if !args.dry_run {
+        require_rest(kind, places)?;
+    }
     let locks = taken(kind, places)?;
     screen.say(&format!(
         "{}: image of the {name}, {} bytes of flash, fingerprint {:08x}. It leaves settings, name and calibration as they are.",
@@ -114,20 +120,79 @@ pub(crate) fn flash(
     Ok(done(false, Some(&identity)))
 }
 
+/// The machine's address, if one was given.
+fn named<'a>(kind: DeviceKind, places: &'a Places<'_>) -> Option<&'a Address> {
+    places.address(kind).filter(|at| **at != Address::Auto)
+}
+
+/// The machine's address, or each of these places where it may be.
+fn addresses(
+    kind: DeviceKind,
+    places: &Places<'_>,
+    of_these: impl Fn(&Candidate) -> bool,
+) -> Vec<Address> {
+    if let Some(address) = named(kind, places) {
+        return vec![address.clone()];
+    }
+    let candidates = places.connector.candidates().into_iter();
+    candidates
+        .filter(|candidate| candidate.kind.is_none_or(|of| of == kind) && of_these(candidate))
+        .map(|candidate| candidate.address)
+        .collect()
+}
+
+/// Refuses unless the machine is at rest, or cannot be asked: flashing mends such a board. A run may go on without a
+/// process that owns its line: one that finishes without its host, or the start button's.
+fn require_rest(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
+    for address in addresses(kind, places, |candidate| candidate.may_ask) {
+        let Some(state) = motion(kind, &address, places) else {
+            continue;
+        };
+        let name = identity::kind_name(kind);
+        return Err(Failure::Refused {
+            why: format!("the {name} at {address} is not at rest: {state}"),
+            help: format!(
+                "nothing was flashed, for that resets the board: wait for the end, or `retrograde stop {name}`"
+            ),
+        });
+    }
+    Ok(())
+}
+
+/// The state of the machine there if it is not at rest; `None` also if it cannot be asked, or has an owner.
+fn motion(kind: DeviceKind, address: &Address, places: &Places<'_>) -> Option<String> {
+    let Places {
+        baud, connector, ..
+    } = *places;
+    let link = connector.open(kind, address, baud, Purpose::Look).ok()?;
+    let nonce = connector.nonce();
+    let mut device = Device::new(link, nonce);
+    // An owner is refused by its name.
+    if device.owner().is_some() {
+        return None;
+    }
+    device.hello(nonce).ok()?;
+    device.require(kind).ok()?;
+    match kind {
+        DeviceKind::Rig => {
+            use RigState::{Faulted, Ready, Unhomed};
+            let state = device.rig_status().ok()?.state;
+            (!matches!(state, Faulted | Ready | Unhomed)).then(|| format!("{state:?}"))
+        }
+        DeviceKind::Capsule => {
+            use CapsuleState::{Checking, Folding, Referencing, Unfolding};
+            let state = device.capsule_status().ok()?.state;
+            matches!(state, Checking | Folding | Referencing | Unfolding)
+                .then(|| format!("{state:?}"))
+        }
+    }
+}
+
 /// Takes the machine's line, or each line where it may be if it has no address, so that nobody begins anything
 /// meanwhile. Refuses while another process works with one of them: a reset would end what it does.
 fn taken(kind: DeviceKind, places: &Places<'_>) -> Result<Vec<Lock>, Failure> {
-    let named = places.address(kind).filter(|at| **at != Address::Auto);
-    let addresses = match named {
-        Some(address) => vec![address.clone()],
-        None => {
-            let candidates = places.connector.candidates().into_iter();
-            candidates
-                .filter(|candidate| candidate.kind.is_none_or(|of| of == kind))
-                .map(|candidate| candidate.address)
-                .collect()
-        }
-    };
+    let named = named(kind, places);
+    let addresses = addresses(kind, places, |_| true);
     // Fails if no lock can be made: elsewhere opening the line would report that, and flashing opens none.
     if let Some(address) = named {
         Doorway::of(address)?;

@@ -8,7 +8,7 @@ pub mod terminal;
 use std::io::{self, IsTerminal};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
@@ -17,7 +17,8 @@ use client::decimal::ShortSeconds;
 use client::{Pace, identity};
 use crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use operations::arguments::{Which, above_zero};
-use operations::failure::Failure;
+use operations::failure::{DONE, Failure};
+use operations::interrupt;
 use operations::panel::{Contact, Panel};
 use operations::places::Places;
 use protocol::system::{DeviceKind, Urgent};
@@ -56,22 +57,44 @@ const LEAVING: Duration = Duration::from_secs(3);
 /// Set once a signal to end has come. Global, because a process has one handler.
 static SIGNALLED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
+/// The machines that are watched.
+static WATCHED: Mutex<Option<Arc<[Shared]>>> = Mutex::new(None);
+
 fn signalled() -> Arc<AtomicBool> {
     let signalled = SIGNALLED.get_or_init(|| {
         let signalled = Arc::new(AtomicBool::new(false));
         let set = Arc::clone(&signalled);
         // A signal only leaves: watching never stops a machine by itself.
-        let _ = ctrlc::set_handler(move || {
+        interrupt::on_signals(move |_| {
             set.store(true, Ordering::Relaxed);
-            // Exit by force: if the terminal is gone, the reader of its keys never returns.
-            thread::spawn(|| {
-                thread::sleep(LEAVING);
-                std::process::exit(0);
-            });
+            thread::spawn(leave_by_force);
         });
         signalled
     });
     Arc::clone(signalled)
+}
+
+/// Exits after a while: if the terminal is gone, the reader of its keys never returns.
+fn leave_by_force() {
+    thread::sleep(LEAVING);
+    let watched = WATCHED.lock().unwrap_or_else(PoisonError::into_inner);
+    let code = match watched.as_deref().map_or(Ok(()), all_confirmed) {
+        Ok(()) => DONE,
+        Err(failure) => {
+            interrupt::tell(&failure.text());
+            failure.exit_code()
+        }
+    };
+    std::process::exit(code.into());
+}
+
+/// Fails if a stop that a key has ordered was not confirmed.
+fn all_confirmed(machines: &[Shared]) -> Result<(), Failure> {
+    let told: Vec<_> = machines.iter().filter_map(Shared::unconfirmed).collect();
+    match told.is_empty() {
+        true => Ok(()),
+        false => Err(Failure::Stops { told }),
+    }
 }
 
 pub(crate) fn watch(
@@ -83,6 +106,8 @@ pub(crate) fn watch(
     for kind in places.machines(&args.which)? {
         machines.push(Shared::new(kind, places.resolve(kind)?));
     }
+    let machines: Arc<[Shared]> = machines.into();
+    *WATCHED.lock().unwrap_or_else(PoisonError::into_inner) = Some(Arc::clone(&machines));
     let signalled = signalled();
     let full = !args.plain && !screen.json && screen.terminal && is_full_screen();
     let end = args.for_s.map(|seconds| {
@@ -94,7 +119,7 @@ pub(crate) fn watch(
         // Ends the feeds even if the screen panics.
         let leave = Leave(&leaving);
         let mut paces = vec![];
-        for shared in &machines {
+        for shared in machines.iter() {
             let (sender, receiver) = channel();
             paces.push(sender);
             let feed = Feed {
@@ -122,9 +147,10 @@ pub(crate) fn watch(
         drop(leave);
         shown
     });
+    all_confirmed(&machines)?;
     shown.map_err(|io| Failure::Output { io })?;
     let mut all = Map::new();
-    for shared in &machines {
+    for shared in machines.iter() {
         let panel = shared.panel();
         let name = identity::kind_name(shared.kind).to_owned();
         let status = match (&panel.rig, &panel.capsule) {

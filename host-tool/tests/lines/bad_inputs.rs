@@ -434,12 +434,7 @@ const INPUTS: &[(&str, u8, &str, &str)] = &[
         "the speed is 500 mm/s",
         "to 49 mm/s",
     ),
-    (
-        "hold --rig RIG",
-        3,
-        "no run is going on",
-        "nothing was moved",
-    ),
+    ("hold --rig RIG", 3, "no run is moving", "nothing was moved"),
     ("resume --rig RIG", 3, "no run is held", "nothing was moved"),
     (
         "ack --rig RIG",

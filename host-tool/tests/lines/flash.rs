@@ -4,6 +4,7 @@
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use crate::support::bench::Bench;
 use crate::support::tool;
@@ -345,6 +346,36 @@ fn a_machine_that_is_at_work_is_not_flashed() {
     assert_eq!(bay.told(), "");
     run.kill().expect("killed");
     run.wait().expect("ended");
+}
+
+/// Its run goes on without a process that owns the line; flashing resets the board, and "Nothing moves." was said first.
+#[test]
+fn a_machine_whose_run_goes_on_without_its_host_is_not_flashed() {
+    let mut bay = Bay::new(DeviceKind::Rig);
+    let mut run = bay
+        .bench
+        .run(&["--on-link-loss", "finish", "--duration-s", "60"]);
+    run.kill().expect("killed");
+    run.wait().expect("ended");
+    let image = bay.image(&Elf::rig());
+    let (code, out, err) = bay.flash("rig", &image, &[]);
+    assert_eq!(code, Some(3), "{out}{err}");
+    assert!(err.contains("is not at rest: Running"), "{err}");
+    assert!(err.contains("`retrograde stop rig`"), "{err}");
+    assert!(!out.contains("Nothing moves"), "{out}");
+    assert_eq!(bay.told(), "");
+    let (code, out, err) = bay.bench.retrograde(&["stop", "rig"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    let begin = Instant::now();
+    while !bay.bench.retrograde(&["info", "rig"]).1.contains("Ready") {
+        assert!(begin.elapsed() < Duration::from_secs(60), "it moves on");
+    }
+    bay.flash("rig", &image, &[]);
+    assert_eq!(bay.told().lines().count(), 2);
+    // A board that does not answer may be flashed: that may be what it needs.
+    bay.bench.address = "tcp:127.0.0.1:1".to_owned();
+    let (_, _, err) = bay.flash("rig", &image, &[]);
+    assert_eq!(bay.told().lines().count(), 4, "{err}");
 }
 
 /// Lines at unknown places, of which another process has one.

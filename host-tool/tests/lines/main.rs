@@ -10,5 +10,6 @@ mod doctor;
 mod door;
 mod flash;
 mod held_up;
+mod leaving;
 mod named;
 mod stopping;

@@ -23,12 +23,12 @@ use rustix::process::Signal;
 use serde_json::Value;
 use simulated_machines::dice::Dice;
 
-const SOON: Duration = Duration::from_secs(60);
+pub(super) const SOON: Duration = Duration::from_secs(60);
 
 /// States of the line: passes everything, swallows everything, or is broken.
 const CARRIED: u8 = 0;
 const SWALLOWED: u8 = 1;
-const DEAD: u8 = 2;
+pub(super) const DEAD: u8 = 2;
 /// `LAST`: the line passes one more stop, then goes over to `HELD`, which holds the machine's answers back.
 const LAST: u8 = 3;
 const HELD: u8 = 4;
@@ -36,7 +36,7 @@ const HELD: u8 = 4;
 const LATE: u8 = 5;
 
 /// Puts a line between tool and machine that can fall silent or break.
-fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
+pub(super) fn breakable(bench: &mut Bench) -> Arc<AtomicU8> {
     let state = Arc::new(AtomicU8::new(CARRIED));
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let to = bench.address.trim_start_matches("tcp:").to_owned();
@@ -124,22 +124,22 @@ fn stop_of(kind: &str) -> String {
 }
 
 /// A server process.
-struct Server {
-    process: Killed,
+pub(super) struct Server {
+    pub(super) process: Killed,
     at: String,
-    token: String,
-    instance: String,
+    pub(super) token: String,
+    pub(super) instance: String,
 }
 
 /// An order that the server has registered and whose body it waits for.
-struct Order {
+pub(super) struct Order {
     stream: TcpStream,
     body: String,
 }
 
 impl Order {
     /// Sends the body and returns the answer; an error if the server is killed.
-    fn finish(mut self) -> std::io::Result<String> {
+    pub(super) fn finish(mut self) -> std::io::Result<String> {
         self.stream.write_all(self.body.as_bytes())?;
         let mut text = String::new();
         self.stream.read_to_string(&mut text)?;
@@ -148,8 +148,12 @@ impl Order {
 }
 
 impl Server {
-    fn start(bench: &Bench) -> Self {
-        let (process, at, token) = server::start(bench, &[]);
+    pub(super) fn start(bench: &Bench) -> Self {
+        Self::new(server::start(bench, &[]))
+    }
+
+    /// A server that was started, once it has a connection.
+    pub(super) fn new((process, at, token): (Killed, String, String)) -> Self {
         let mut server = Self {
             process,
             at,
@@ -173,7 +177,7 @@ impl Server {
         stream
     }
 
-    fn send(&self, request: &str) -> (u16, String) {
+    pub(super) fn send(&self, request: &str) -> (u16, String) {
         answer(self.ask(request))
     }
 
@@ -191,7 +195,7 @@ impl Server {
 
     /// Orders a motion without its body. The server asks for the body once it has registered the order and counted
     /// the stops before it. So any stop sent afterwards is later than the order.
-    fn order(&self, body: &str, key: u32) -> Order {
+    pub(super) fn order(&self, body: &str, key: u32) -> Order {
         let mut stream = self.connect();
         let head = format!(
             "POST /api/v1/rig/move HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{key}\r\nContent-Type: application/json\r\nExpect: 100-continue\r\nContent-Length: {}\r\n\r\n",
@@ -217,7 +221,7 @@ impl Server {
         serde_json::from_str(body).expect("JSON")
     }
 
-    fn until(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
+    pub(super) fn until(&self, what: &str, is: impl Fn(&Value) -> bool) -> Value {
         let begin = Instant::now();
         loop {
             let state = self.state();
@@ -587,7 +591,7 @@ impl Drop for Processes {
 
 /// Waits until a command has noted its age, after which it connects to the line or its door. Systems other than Linux
 /// get a fixed time instead.
-fn has_begun(child: &mut Child) {
+pub(super) fn has_begun(child: &mut Child) {
     let fds = format!("/proc/{}/fd", child.id());
     let is_connected = |fd: std::fs::DirEntry| {
         std::fs::read_link(fd.path()).is_ok_and(|to| to.to_string_lossy().starts_with("socket:"))

@@ -622,6 +622,26 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     assert!(told.iter().all(|(event, _)| event != "lost"));
 }
 
+/// The position was that of the last sample, which may be a second old.
+#[test]
+fn a_hold_says_where_its_step_is() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let server = Server::start(&bench);
+    let mut run = short_run();
+    run["telemetry_ms"] = json!(1_000);
+    assert_eq!(server.post("/api/v1/rig/run", &run).status, 202);
+    thread::sleep(Duration::from_millis(600));
+    let held = server.done("/api/v1/rig/hold", &json!({}));
+    let result = &held["result"];
+    let steps = result["position_steps"].as_i64().expect("a number");
+    // 800 steps for each mm.
+    let position_um = (steps * 1_250 + 500) / 1_000;
+    assert!(steps > 0, "{held}");
+    assert_eq!(result["position_um"], position_um, "{held}");
+    let resumed = server.done("/api/v1/rig/resume", &json!({}));
+    assert_eq!(resumed["state"], "complete", "{resumed}");
+}
+
 #[test]
 fn a_browser_that_goes_away_stops_nothing_and_a_stop_ends_a_run() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -712,6 +732,12 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
             matches!(ended["state"].as_str(), Some("faulted" | "stopped")),
             "{path}: {ended}"
         );
+        if path == "rig/run" {
+            // Homing is refused until then.
+            let help = ended["error"]["help"].as_str().unwrap_or_default();
+            let way_on = "once the cause is gone acknowledge it, then home";
+            assert!(help.ends_with(way_on), "{ended}");
+        }
         acknowledge();
     }
     // Many at once are all confirmed.

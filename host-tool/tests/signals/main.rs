@@ -58,8 +58,9 @@ fn wait_until(log: &Mutex<Log>, is_so: impl Fn(&Log) -> bool) {
     }
 }
 
-/// Starts a command, waits until the rig has executed `request` and 0.4 s more, then sends `signals`. Returns the
-/// exit code, standard error, the time to the end by the machine's clock, and the requests that the machine received.
+/// Starts a command, waits until the rig has executed `request` and 0.4 s more, then sends `signals`: each when the
+/// stop of the one before has come, because the system makes one of two that come at once. Returns the exit code,
+/// standard error, the time to the end by the machine's clock, and the requests that the machine received.
 fn signalled(
     args: &[&str],
     request: &str,
@@ -81,9 +82,9 @@ fn signalled(
     let begun_us = now_us();
     wait_until(&log, |log| log.now_us > begun_us + 400_000);
     let asked_us = now_us();
-    for signal in signals {
+    for (sent, signal) in signals.iter().enumerate() {
+        wait_until(&log, |log| sent == 0 || !log.urgent.is_empty());
         kill(*signal, tool.id());
-        thread::sleep(Duration::from_millis(1));
     }
     let output = tool.wait_with_output().expect("ends");
     let took = Duration::from_micros(now_us() - asked_us);
@@ -111,6 +112,26 @@ fn each_of_the_three_signals_is_a_controlled_stop() {
         );
         // The run lasts 40 s, so it was cut short.
         assert!(took < Duration::from_secs(20), "{signal:?}: {took:?}");
+    }
+}
+
+/// A terminal that is closed sends SIGHUP twice, by its shell and by the system: that was the emergency stop, which
+/// loses the position.
+#[test]
+fn only_ctrl_c_again_is_the_emergency_stop() {
+    let folder = tempfile::tempdir().expect("folder");
+    let run = ["run", "--out", folder.path().to_str().expect("UTF-8")];
+    for (signals, wanted, last) in [
+        ([Signal::HUP, Signal::HUP], 130, Urgent::Stop),
+        ([Signal::TERM, Signal::HUP], 130, Urgent::Stop),
+        ([Signal::INT, Signal::HUP], 130, Urgent::Stop),
+        ([Signal::INT, Signal::INT], 6, Urgent::EStop),
+        ([Signal::TERM, Signal::INT], 6, Urgent::EStop),
+    ] {
+        let (code, err, _, urgent) = signalled(&run, "Run", &signals);
+        assert_eq!(code, Some(wanted), "{signals:?}: {err}");
+        assert_eq!(urgent.first(), Some(&Urgent::Stop), "{signals:?}");
+        assert_eq!(urgent.last(), Some(&last), "{signals:?}: {err}");
     }
 }
 

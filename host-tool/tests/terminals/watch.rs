@@ -3,10 +3,11 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::Command;
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, read};
+use crate::support::bench::{Bench, read, ready};
 use crate::support::signal::{Signal, kill};
 use crate::support::terminal::{End, Terminal};
 use host_tool::cli::watch::terminal::take;
@@ -99,6 +100,52 @@ fn a_key_is_an_emergency_stop_and_the_fault_is_shown_with_its_remedy() {
     assert_eq!(code, Some(0), "{out}{err}");
     terminal.wait_for("stop from another terminal");
     kill(Signal::TERM, terminal.child.id());
+    assert_eq!(terminal.ends_restored(), Some(0));
+}
+
+/// The screen that said so is gone after leaving, which ended with exit code 0.
+#[test]
+fn a_stop_that_is_not_confirmed_is_told_after_leaving() {
+    let mut script = ready(DeviceKind::Rig);
+    script.deaf_to = vec![("Urgent", u32::MAX)];
+    let bench = Bench::on_tcp_as(&script, 1);
+    for (key, end) in [
+        ("s", End::Key("q")),
+        ("e", End::Signal(Signal::TERM)),
+        ("s", End::Signal(Signal::HUP)),
+    ] {
+        let mut terminal = watch(&bench);
+        terminal.wait_for("READY");
+        terminal.press(key);
+        if matches!(end, End::Signal(_)) {
+            // The signal must not come before the key.
+            terminal.wait_for("NOT CONFIRMED");
+        }
+        terminal.end_by(end);
+        let screen = Arc::clone(&terminal.screen);
+        assert_eq!(terminal.ends_restored(), Some(7), "{end:?}");
+        let shown = screen.lock().expect("free").screen().contents();
+        let shown = shown.replace(['\n', ' '], "");
+        for part in ["NOTCONFIRMEDbyrig", "cutthemotorsupplyNOW"] {
+            assert!(shown.contains(part), "{end:?}: {shown}");
+        }
+    }
+}
+
+/// What a later stop has made good is no failure.
+#[test]
+fn a_stop_that_is_confirmed_when_it_is_repeated_is_one() {
+    let mut script = ready(DeviceKind::Rig);
+    // All that the first press sends: eight times each, over its own line and over another one.
+    script.deaf_to = vec![("Urgent", 16)];
+    let bench = Bench::on_tcp_as(&script, 1);
+    let mut terminal = watch(&bench);
+    terminal.wait_for("READY");
+    terminal.press("s");
+    terminal.wait_for("NOT CONFIRMED");
+    terminal.press("s");
+    terminal.wait_for("stop confirmed");
+    terminal.press("q");
     assert_eq!(terminal.ends_restored(), Some(0));
 }
 

@@ -12,7 +12,8 @@
 
 `Rig` can be read (position, speed, state, the last run), moved (`bps.mv(rig, 60)`, mm) and flown (a run; its telemetry is collected).
 `bps.prepare(rig, {...})` says which run: what `Rig.run` of the package takes. RE's pause holds a run, its resume goes on with it.
-Its stop and abort stop it, if the device was staged, as above.
+Its stop and abort stop it, if the device was staged, as above. While `stage` homes or references, the RunEngine waits and does none of
+these: `stop()` of the device in another thread stops that, and so do the page and `retrograde stop`.
 
 `Capsule` can be read and set to "folded" or "unfolded".
 """
@@ -197,12 +198,17 @@ class Rig:
     def stage(self) -> List[Any]:
         """Homes the rig if it does not know its position, or does not stand at 0."""
         if not self._rig.state().get("homed") or self.position:
-            self._rig.home()
+            self._repeats = False
+            # Kept, so that `stop` and `unstage` in another thread find it.
+            self._moving = homing = self._rig.start_home()
+            homing.wait()
         return [self]
 
     def unstage(self) -> List[Any]:
-        """Stops a run that is still under way: its plan was ended early. (The RunEngine itself stops only what was `set`.)"""
+        """Stops a run or a homing that is still under way: its plan was ended early. (The RunEngine itself stops only what was `set`.)"""
         self._resumed = False
+        if self._moving is not None and not self._moving.is_over:
+            self._rig.stop()
         if self._is_starting():
             self._rig.stop()
             self._wait_for_start()
@@ -407,11 +413,14 @@ class Capsule:
     def stage(self) -> List[Any]:
         """References the capsule if it does not know its thread. It is unfolded then."""
         if not self._capsule.state().get("referenced"):
-            self._capsule.reference()
+            # Kept, so that `stop` and `unstage` in another thread find it.
+            self._moving = referencing = self._capsule.start("reference")
+            referencing.wait()
         return [self]
 
     def unstage(self) -> List[Any]:
-        """Nothing is left to do."""
+        """Stops what is still under way: its plan was ended early."""
+        self.stop()
         return [self]
 
     def check_value(self, shape: str) -> None:

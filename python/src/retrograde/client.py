@@ -49,8 +49,12 @@ Progress = Callable[[ActionData], None]
 
 # How long the server may take for an answer, s: a machine that is busy with its flash takes up to 3.
 ANSWER_S = 30.0
-# How long a stop may take to be confirmed, s; the server itself gives up after 10.
-STOP_S = 15.0
+# How long one try of a stop may take to be answered, s; the server itself gives up after 10.
+STOP_S = 11.0
+# How long a stop may take with all its tries, s.
+STOPS_S = 20.0
+# After this time without a confirmation somebody has to go to the button, s. The tries go on.
+WARN_S = 2.0
 # How long an answer to a command that was sent is tried to be had, s.
 PATIENCE_S = 20.0
 # How long a sample may take to come, s; the slowest telemetry is one in a second.
@@ -59,6 +63,7 @@ SAMPLE_S = 5.0
 TURN_S = 1
 
 OVER = ("complete", "stopped", "link_lost", "faulted", "refused", "failed", "unknown")
+DO_NOW = "press the emergency stop button or cut the motor supply NOW"
 NO_SERVER = "start `retrograde serve`, or say where it is: connect('http://127.0.0.1:7080', token='...')"
 
 
@@ -192,7 +197,7 @@ class Lab:
     def stop(self, machine: Optional[str] = None) -> None:
         """Stops both machines, or `rig` or `capsule`; the position is kept. Needs no token on this computer.
 
-        Raises `NotStopped` unless every machine has confirmed it.
+        Raises `NotStopped` unless every machine has confirmed it, within about 20 s. After 2 s standard error says what to do.
         """
         self._stop("/api/v1/stop", machine)
 
@@ -202,11 +207,31 @@ class Lab:
 
     def _stop(self, path: str, machine: Optional[str]) -> None:
         body: Dict[str, object] = {} if machine is None else {"machine": machine}
+        told = threading.Timer(WARN_S, _warn)
+        told.daemon = True
+        try:
+            told.start()
+        except RuntimeError:
+            # An interpreter that ends starts no threads. The stop goes out all the same.
+            pass
+        try:
+            self._try_to_stop(path, body)
+        except KeyboardInterrupt:
+            _warn()
+            raise
+        finally:
+            told.cancel()
+
+    def _try_to_stop(self, path: str, body: Dict[str, object]) -> None:
         why = "no answer"
+        until = time.monotonic() + STOPS_S
         # Each try is a stop of its own: repeating it does no harm.
         for _ in range(3):
+            left_s = until - time.monotonic()
+            if left_s <= 0:
+                break
             try:
-                status, answer = self._post(path, body, None, STOP_S)
+                status, answer = self._post(path, body, None, min(STOP_S, left_s))
             except (OSError, HTTPException, RetrogradeError) as problem:
                 why = str(problem)
                 continue
@@ -321,6 +346,11 @@ class Lab:
             if time.monotonic() > until:
                 raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine") from None
             time.sleep(0.2)
+
+
+def _warn() -> None:
+    """Says on standard error what to do about a stop that is not confirmed."""
+    print(f"retrograde: the stop is NOT YET CONFIRMED: {DO_NOW}", file=sys.stderr, flush=True)
 
 
 def _decoded(content: bytes) -> Dict[str, Any]:

@@ -9,6 +9,7 @@ use protocol::rig::{RigState, RigStatus};
 use ratatui_core::buffer::Buffer;
 use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Style};
+use trials::progress;
 
 /// Minimum columns and rows.
 const LEAST: (u16, u16) = (80, 24);
@@ -44,15 +45,10 @@ impl Look {
     /// The look that the user's environment asks for.
     #[must_use]
     pub fn of_environment() -> Self {
-        let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
-        let locale = set("LC_ALL").or(set("LC_CTYPE")).or(set("LANG"));
-        let utf8 = locale.is_some_and(|locale| {
-            let locale = locale.to_lowercase();
-            locale.contains("utf-8") || locale.contains("utf8")
-        });
+        let set = |name: &str| std::env::var_os(name).is_some_and(|value| !value.is_empty());
         Self {
-            colours: set("NO_COLOR").is_none(),
-            unicode: utf8 || cfg!(windows),
+            colours: !set("NO_COLOR"),
+            unicode: progress::is_unicode(),
         }
     }
 
@@ -349,10 +345,12 @@ fn rig_tone(state: RigState) -> Tone {
 fn rig_panel(panel: &Panel, status: &RigStatus, at: Instant, sheet: &mut Sheet<'_>) {
     let state = format!("{:?}", status.state).to_uppercase();
     sheet.put(0, 0, &state, rig_tone(status.state));
-    let homed = match (status.homed, status.needs_acknowledge) {
-        (_, true) => "restarted after a failure: `retrograde ack`",
-        (true, _) => "homed",
-        (false, _) => "not homed: the position is not known",
+    let homed = match (status.fault, status.homed, status.needs_acknowledge) {
+        (Some(_), true, _) => "acknowledge with `retrograde ack`",
+        (Some(_), false, _) => "not homed; acknowledge with `retrograde ack`",
+        (None, _, true) => "restarted after a failure: `retrograde ack`",
+        (None, true, _) => "homed",
+        (None, false, _) => "not homed: the position is not known",
     };
     sheet.put(12, 0, homed, Tone::Plain);
     track(status, sheet);
@@ -374,7 +372,6 @@ fn rig_panel(panel: &Panel, status: &RigStatus, at: Instant, sheet: &mut Sheet<'
     if let Some(fault) = status.fault {
         let text = format!("FAULT: {fault}");
         sheet.wrap(3, 3, &text, Tone::Bad);
-        sheet.put(12, 0, "acknowledge with `retrograde ack`", Tone::Plain);
     } else if let Some(thousandths) = panel.run_thousandths() {
         let width = sheet.area.width / 3;
         let all = u64::from(status.strokes) * 1_000;
@@ -438,10 +435,11 @@ fn capsule_tone(state: CapsuleState) -> Tone {
 fn capsule_panel(panel: &Panel, status: &CapsuleStatus, at: Instant, sheet: &mut Sheet<'_>) {
     let state = format!("{:?}", status.state).to_uppercase();
     sheet.put(0, 0, &state, capsule_tone(status.state));
-    let referenced = match (status.referenced, status.needs_acknowledge) {
-        (_, true) => "restarted after a failure: `retrograde ack`",
-        (true, _) => "referenced",
-        (false, _) => "not referenced",
+    let referenced = match (status.fault, status.referenced, status.needs_acknowledge) {
+        (Some(_), ..) => "acknowledge with `retrograde ack`",
+        (None, _, true) => "restarted after a failure: `retrograde ack`",
+        (None, true, _) => "referenced",
+        (None, false, _) => "not referenced",
     };
     sheet.put(14, 0, referenced, Tone::Plain);
     let battery = format!("battery {} V", decimal::fixed(status.battery_mv.into(), 3));
@@ -474,7 +472,6 @@ fn capsule_panel(panel: &Panel, status: &CapsuleStatus, at: Instant, sheet: &mut
     if let Some(fault) = status.fault {
         let text = format!("FAULT: {fault}");
         sheet.wrap(4, 2, &text, Tone::Bad);
-        sheet.put(14, 0, "acknowledge with `retrograde ack`", Tone::Plain);
     }
 }
 

@@ -12,7 +12,7 @@ use client::link::LinkError;
 use client::wording;
 use client::{Device, Interrupt, Observer, Pace};
 use operations::connector::Purpose;
-use operations::delivery::DO_NOW;
+use operations::delivery::{DO_NOW, Delivery, Told};
 use operations::failure::Failure;
 use operations::left;
 use operations::panel::{self, Contact, MOVES_ALREADY, Notice, Panel, TELEMETRY_MS};
@@ -42,6 +42,8 @@ pub(crate) struct Shared {
     /// Stops ordered by keys, with those that are not confirmed yet.
     stops: Arc<Stops>,
     asks: Mutex<Vec<Ask>>,
+    /// Stops that were given up, with their results.
+    given_up: Mutex<Vec<(Ask, Told)>>,
 }
 
 impl Shared {
@@ -52,6 +54,7 @@ impl Shared {
             address,
             stops: Arc::default(),
             asks: Mutex::default(),
+            given_up: Mutex::default(),
         }
     }
 
@@ -71,6 +74,31 @@ impl Shared {
 
     fn asks(&self) -> MutexGuard<'_, Vec<Ask>> {
         self.asks.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn given_up(&self) -> MutexGuard<'_, Vec<(Ask, Told)>> {
+        self.given_up.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The result of a stop that the machine has not confirmed, neither itself nor by a later one.
+    pub(crate) fn unconfirmed(&self) -> Option<Told> {
+        let is_open = |ask: &Ask| !self.stops.is_confirmed(*ask);
+        let given_up = self.given_up();
+        let last = given_up.iter().rev().find(|(ask, _)| is_open(ask));
+        last.map(|(_, told)| told.clone()).or_else(|| {
+            self.asks().iter().any(is_open).then(|| Told {
+                machine: self.target().to_string(),
+                delivery: Delivery::NotConfirmed,
+                why: "it was not answered in time".to_owned(),
+            })
+        })
+    }
+
+    fn target(&self) -> Target {
+        Target {
+            kind: Some(self.kind),
+            address: Some(self.address.clone()),
+        }
     }
 
     /// Notes that the machine has confirmed this stop. `asked` is the last order that the stop covers.
@@ -95,26 +123,22 @@ impl Shared {
             return;
         };
         let (asked, asks) = (self.stops.asked(), self.asks().clone());
-        let target = Target {
-            kind: Some(self.kind),
-            address: Some(self.address.clone()),
-        };
-        let result = places.urgent(&target, urgent);
-        self.tell(match result {
-            Ok(_) => {
-                self.confirmed(urgent, asked);
-                confirmed(urgent)
-            }
-            Err(failure) => {
-                // Forget these orders: a stop that goes out by itself an hour later would surprise.
-                self.asks().retain(|ask| !asks.contains(ask));
-                for ask in asks {
-                    self.stops.withdraw(ask);
-                }
-                let name = stops::name(urgent);
-                Notice::Bad(format!("{name} NOT CONFIRMED: {DO_NOW} ({failure})"))
-            }
-        });
+        let target = self.target();
+        let told = target.told(places.urgent(&target, urgent));
+        if told.delivery == Delivery::Stopped {
+            self.confirmed(urgent, asked);
+            self.tell(confirmed(urgent));
+            return;
+        }
+        let name = stops::name(urgent);
+        let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
+        // Forget these orders: a stop that goes out by itself an hour later would surprise.
+        self.asks().retain(|ask| !asks.contains(ask));
+        for ask in asks {
+            self.stops.withdraw(ask);
+            self.given_up().push((ask, told.clone()));
+        }
+        self.tell(Notice::Bad(notice));
     }
 
     fn interrupt(&self) -> Interrupt {
@@ -146,8 +170,14 @@ pub(crate) struct Feed<'a> {
 }
 
 impl Feed<'_> {
-    /// Watches until the person leaves, and reconnects whenever the line is lost.
+    /// Watches until the person leaves. The last key may have been a stop that no connection has taken.
     pub(crate) fn follow(&self) {
+        self.keep_connected();
+        self.shared.stop_directly(self.places);
+    }
+
+    /// Watches until the person leaves, and reconnects whenever the line is lost.
+    fn keep_connected(&self) {
         while !self.is_leaving() {
             let result = self.connection();
             self.shared.stop_directly(self.places);

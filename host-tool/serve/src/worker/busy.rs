@@ -1,0 +1,211 @@
+//! What happens during an action: reports what the machine sends, and takes a hold or a resume.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use client::error::ClientError;
+use client::{Begun, Observer, Pace, Progress};
+use operations::failure::Failure;
+use operations::panel::{self, Notice};
+use protocol::error::Refusal;
+use protocol::rig::RigEvent;
+use protocol::system::{Event, What};
+use protocol::table::Telemetry;
+use serde_json::{Value, json};
+use trials::trial::Achieved;
+
+use crate::orders::Work;
+use crate::worker::Worker;
+
+/// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
+pub(super) type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
+
+pub(super) fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>> {
+    pacing.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Handles what the machine sends during an action, and takes orders meanwhile.
+pub(super) struct Busy<'a> {
+    pub(super) worker: &'a Worker<'a>,
+    pub(super) action: u64,
+    pub(super) kind: &'static str,
+    pub(super) pacing: Pacing,
+}
+
+impl Busy<'_> {
+    /// Takes orders during an action: a hold or a resume of a run, and nothing else.
+    pub(super) fn look(&mut self) {
+        let worker = self.worker;
+        while let Ok(order) = worker.orders.try_recv() {
+            let pace = match order.work {
+                Work::Hold => Some(Pace::Hold),
+                Work::Resume => Some(Pace::Resume),
+                _ => None,
+            };
+            let mut pacing = held(&self.pacing);
+            match pace {
+                Some(pace) if self.kind == "run" && pacing.is_none() => {
+                    *pacing = Some((order.action, pace, false));
+                }
+                _ => {
+                    drop(pacing);
+                    let machine = client::identity::kind_name(worker.machine.kind);
+                    let failure = Failure::Refused {
+                        why: format!("the {machine} is busy: `{}` is under way", self.kind),
+                        help: "nothing was moved by this request; wait for the end, or stop it"
+                            .to_owned(),
+                    };
+                    worker.refuse(&order, &failure);
+                }
+            }
+        }
+        worker.board.flush(worker.machine, false);
+    }
+
+    /// Reports the end of the hold or resume that is waiting for it.
+    pub(super) fn paced<'f>(&mut self, end: impl FnOnce(Pace) -> Result<Value, &'f Failure>) {
+        let Some((action, pace, _)) = held(&self.pacing).take() else {
+            return;
+        };
+        let board = self.worker.board;
+        match end(pace) {
+            Ok(result) => board.ended(action, result, None),
+            Err(failure) => {
+                board.ended(action, Value::Null, Some(failure));
+                board.notice(self.worker.machine, Notice::Bad(failure.in_one_line()));
+            }
+        }
+    }
+}
+
+impl Observer for Busy<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        if let Begun::Run(accepted) = begun {
+            self.worker.machine.runs(accepted.run);
+        }
+        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.worker.machine.panel().rig)
+        {
+            // The panel is otherwise stale until the next status request.
+            status.run = accepted.run;
+            status.strokes = u32::from(accepted.requested.cycles) * 2;
+            status.elapsed_us = 0;
+        }
+        let accepted = match begun {
+            Begun::Homing(accepted) => json!(accepted),
+            Begun::Run(accepted) => json!(Achieved::from(accepted)),
+            Begun::Actuation(accepted) => json!(accepted),
+            Begun::Move(accepted) => json!(accepted),
+        };
+        self.worker.board.accepted(self.action, accepted);
+    }
+
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.worker
+            .board
+            .sample(self.worker.machine, sample, missed);
+    }
+
+    fn event(&mut self, event: &Event) {
+        self.worker.board.event(self.worker.machine, event);
+        let at = |steps: i32| {
+            let status = self.worker.machine.panel().rig;
+            // The panel's own position is as old as the last sample.
+            let position_um = status.map(|status| panel::position_um(&status, steps));
+            json!({ "position_steps": steps, "position_um": position_um })
+        };
+        let waiting = held(&self.pacing).map(|(_, pace, _)| pace);
+        match (event.what, waiting) {
+            (What::Rig(RigEvent::Held { position_steps }), Some(Pace::Hold)) => {
+                let result = at(position_steps);
+                self.paced(|_| Ok(result));
+            }
+            (What::Rig(RigEvent::Resumed), Some(Pace::Resume)) => {
+                let steps = self
+                    .worker
+                    .machine
+                    .panel()
+                    .rig
+                    .map_or(0, |status| status.position_steps);
+                let result = at(steps);
+                self.paced(|_| Ok(result));
+            }
+            _ => {}
+        }
+    }
+
+    fn progress(&mut self, progress: &Progress) {
+        let shown = match *progress {
+            Progress::Homing {
+                elapsed_us,
+                at_most_us,
+                position_um,
+            } => {
+                json!({ "elapsed_us": elapsed_us, "total_us": at_most_us, "position_um": position_um })
+            }
+            Progress::Run {
+                elapsed_us,
+                total_us,
+                stroke,
+                strokes,
+                position_um,
+                held,
+            } => json!({
+                "elapsed_us": elapsed_us, "total_us": total_us, "stroke": stroke, "strokes": strokes,
+                "position_um": position_um, "held": held,
+            }),
+            Progress::Actuation {
+                elapsed_us,
+                at_most_us,
+                thread_um,
+                current_ma,
+            } => json!({
+                "elapsed_us": elapsed_us, "total_us": at_most_us, "thread_um": thread_um, "current_ma": current_ma,
+            }),
+        };
+        let worker = self.worker;
+        worker
+            .board
+            .actions
+            .update(self.action, |action| action.progress = shown);
+        {
+            // The wait has asked for the status; copy to the panel what telemetry does not contain.
+            let mut panel = worker.machine.panel();
+            if let (
+                Progress::Run {
+                    elapsed_us,
+                    strokes,
+                    ..
+                },
+                Some(status),
+            ) = (progress, &mut panel.rig)
+            {
+                status.elapsed_us = *elapsed_us;
+                status.strokes = *strokes;
+            }
+        }
+        self.look();
+    }
+
+    fn unrecorded(&mut self, why: &str) {
+        let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
+        self.worker
+            .board
+            .notice(self.worker.machine, Notice::Bad(notice));
+    }
+
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        let failure = Failure::Client(ClientError::Refused {
+            place: self.worker.machine.address.to_string(),
+            request: match pace {
+                Pace::Hold => "Hold",
+                Pace::Resume => "Resume",
+            },
+            impact: protocol::table::Impact::Pace,
+            refusal: *refusal,
+        });
+        self.paced(|_| Err(&failure));
+    }
+
+    fn turn(&mut self, _now_us: u64, _clock: Option<client::Clock>) {
+        self.look();
+    }
+}
