@@ -51,17 +51,20 @@ impl Values {
         Ok(values)
     }
 
-    /// Loads a record from flash. Ignores one that is unknown, of another layout or out of range: an older or newer
-    /// firmware wrote it.
-    pub fn load(&mut self, number: u8, record: &[u8]) {
-        let (Some(key), [RECORD_VERSION, a, b, c, d]) = (SettingKey::from_number(number), record)
-        else {
-            return;
+    /// Loads a record from flash. Ignores that of an unknown setting. False if it is of another layout or out of range:
+    /// an older or newer firmware wrote it. The default counts then, and no value that it has replaced; so it does
+    /// after an empty record.
+    pub fn load(&mut self, number: u8, record: &[u8]) -> bool {
+        let Some(key) = SettingKey::from_number(number) else {
+            return true;
         };
-        let value = u32::from_le_bytes([*a, *b, *c, *d]);
-        if let Ok(values) = self.with(key, value) {
-            *self = values;
-        }
+        self.0[key as usize] = key.range().default;
+        let [RECORD_VERSION, a, b, c, d] = record else {
+            return record.is_empty();
+        };
+        let loaded = self.with(key, u32::from_le_bytes([*a, *b, *c, *d]));
+        *self = loaded.unwrap_or(*self);
+        loaded.is_ok()
     }
 
     /// A value as it is written to flash.
@@ -108,6 +111,8 @@ impl Records for SettingsOnly {
 enum Found {
     /// A log of settings, or an empty one.
     Settings,
+    /// A log of settings, some of which this firmware cannot read: their defaults count.
+    Unread,
     /// A log whose values contradict each other.
     Conflict,
     /// No log.
@@ -132,30 +137,40 @@ impl<F: NorFlash> SettingsStore<F> {
 
 impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// Reads the flash. The second value is false if the content cannot be used: it is not a log, or the values fail
-    /// `go_together` (a power cut during a reset to the defaults may cause this). The defaults are then in force.
+    /// `go_together` (a power cut during a reset to the defaults may cause this). The defaults are then in force. It is
+    /// also false if a single value cannot be used: then its default is in force.
+    ///
     /// Without a log the other records are dropped too: those that could be read may be years old.
     pub fn load_with(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
         let mut store = Store::new(flash);
         let (mut values, mut name) = (Values::DEFAULT, String::new());
         let mut records = R::default();
+        // By the last record of each setting: a later one has replaced what was passed over.
+        let mut passed_over = [false; SettingKey::ALL.len()];
         let loaded = store.load(|number, record| match number {
             NAME_RECORD => {
                 let text = core::str::from_utf8(record).unwrap_or_default();
                 name = text.try_into().unwrap_or_default();
             }
             _ if R::NUMBERS.contains(&number) => records.load(number, record),
-            _ if setting::<R>(number).is_some() => values.load(number, record),
-            _ => {} // of another firmware
+            _ => {
+                // Else it is of another firmware.
+                if let Some(key) = setting::<R>(number) {
+                    passed_over[key as usize] = !values.load(number, record);
+                }
+            }
         });
         let found = if loaded.is_err() {
             Found::Noise
-        } else if go_together(&values) {
-            Found::Settings
-        } else {
+        } else if !go_together(&values) {
             Found::Conflict
+        } else if passed_over.contains(&true) {
+            Found::Unread
+        } else {
+            Found::Settings
         };
         let usable = found == Found::Settings;
-        if !usable {
+        if matches!(found, Found::Noise | Found::Conflict) {
             values = Values::DEFAULT;
         }
         if found == Found::Noise {
@@ -188,12 +203,17 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
 
     // Write flash first: the values in force are always those that the next start will find.
 
-    /// Changes a value, which is within its range.
+    /// Changes a value, which is within its range. After a conflict it writes the defaults first: else the next start
+    /// would find the conflict again, or this value would end it and the old values of the others would come back.
     ///
     /// # Errors
-    /// Nothing has changed.
+    /// Nothing has changed that is in force.
     pub fn set(&mut self, key: SettingKey, value: u32) -> Result<(), StorageFailed> {
         let values = self.values.with(key, value).map_err(|_| StorageFailed)?;
+        if self.found == Found::Conflict {
+            self.save_defaults()?;
+            self.found = Found::Settings;
+        }
         self.save(key as u8, &Values::record(value))?;
         self.values = values;
         Ok(())
@@ -229,7 +249,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// # Errors
     /// The flash is worn out; some values may have changed in it, none in force.
     pub fn reset(&mut self) -> Result<(), StorageFailed> {
-        if self.found == Found::Noise || self.save_defaults().is_err() {
+        let is_log = self.found != Found::Noise;
+        if !is_log || self.save_defaults().is_err() || self.save(NAME_RECORD, &[]).is_err() {
             self.begin_anew()?;
         }
         self.found = Found::Settings;
@@ -254,12 +275,12 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
         for key in SettingKey::of(R::KIND) {
             let default = key.range().default;
-            // After a conflict, the values in force differ from those in flash.
-            if self.found == Found::Conflict || self.values.get(key) != default {
+            // What was left out of force is in flash all the same, and another firmware may find it there.
+            if self.found != Found::Settings || self.values.get(key) != default {
                 self.save(key as u8, &Values::record(default))?;
             }
         }
-        self.save(NAME_RECORD, &[])
+        Ok(())
     }
 
     /// Writes a record. First rewrites the old ones that would otherwise be dropped some day.

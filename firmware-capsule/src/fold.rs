@@ -182,6 +182,8 @@ struct Actuation {
     back_emf_uv_cps: u16,
     /// Length and rise that a calibration has found; its tension is measured afterwards.
     found: Option<(Thread, Rise)>,
+    /// The calibration that this motion has made is in force.
+    calibrated: bool,
     /// Settings with the end force scaled to this motion's friction.
     settings: Settings,
 }
@@ -585,9 +587,6 @@ impl Capsule {
                 if actuation.leg.measures_tension() {
                     return Err(CapsuleFault::SlipOrBreak);
                 }
-                if actuation.found.is_some() {
-                    actions.calibrated = self.calibration;
-                }
                 self.end(now_us, Mode::Unfolded, ActuationOutcome::Complete, actions);
                 return Ok(());
             }
@@ -731,6 +730,8 @@ impl Capsule {
             CapsuleFault::Jam { .. } | CapsuleFault::LowBattery { .. }
         );
         self.referenced &= keeps_position;
+        // Nothing moves at rest: what was folded still is.
+        self.was_folded |= matches!(self.mode, Mode::Folded);
         if self.is_moving() {
             let outcome = ActuationOutcome::Faulted(fault);
             self.end(now_us, Mode::Faulted(fault), outcome, actions);
@@ -743,6 +744,10 @@ impl Capsule {
         // An undriven motor needs no brake.
         if self.drive != Drive::Off {
             self.brake_until_us = now_us.saturating_add(BRAKE_US);
+        }
+        // Whatever has ended it: the next start must find the calibration that is in force.
+        if matches!(&self.mode, Mode::Moving(actuation) if actuation.calibrated) {
+            actions.calibrated = self.calibration;
         }
         self.mode = mode;
         self.recorder.end(outcome, self.thread());

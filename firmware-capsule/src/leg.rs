@@ -139,6 +139,10 @@ impl Rise {
     }
 }
 
+/// Most thread that a folded capsule winds to its end force in a check: it has crept and slackened by less. One that
+/// winds more may not be folded, whatever the flash says, and has to show the rise of the origami, too.
+const STILL_FOLDED: Thread = Thread(3_000);
+
 /// Part of a motion with one direction and one end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Leg {
@@ -362,6 +366,12 @@ impl Leg {
             } if load.end_force => {
                 let wound = counts.since(origin).thread();
                 let rise = Rise::to(counts, &load);
+                let purpose = match purpose {
+                    Purpose::Check { believed: true } if wound.0 > STILL_FOLDED.0 => {
+                        Purpose::Check { believed: false }
+                    }
+                    purpose => purpose,
+                };
                 let right = match (purpose, known) {
                     (Purpose::Check { believed: true }, _) => true,
                     (Purpose::Reference | Purpose::Check { .. }, Some((calibration, _))) => {

@@ -1,5 +1,6 @@
 //! Control as the board runs it: readings and questions in; drive, replies and events out.
 
+use capsule_plant::Parameters;
 use device::{
     common::Surroundings,
     last_words::LastWords,
@@ -28,7 +29,7 @@ use protocol::{
     table::{Reply, Request, Response},
 };
 use simulated_machines::chip::Flash;
-use simulated_machines::plant::board::PERIODS_PER_MS;
+use simulated_machines::plant::{self, board::PERIODS_PER_MS};
 
 /// A motor without a load, and a record of everything that control says.
 #[derive(Default)]
@@ -477,29 +478,68 @@ fn what_flash_did_not_take_is_tried_again_and_told_once() {
     assert_eq!(totals(&mut later).actuations, 1);
 }
 
+/// A reading of a capsule of the model, a millisecond later.
+fn read_from(model: &mut plant::board::Board, device: &mut Device) {
+    let drive = device.board().drives.last().copied().unwrap_or_default();
+    device.board().now_us += 1_000;
+    let now_us = device.board().now_us;
+    model.run(drive, PERIODS_PER_MS);
+    let sample = model.sample(now_us, drive != Drive::Off);
+    device.control.read(now_us, sample);
+}
+
 /// Calibrates a capsule of the model on this flash, and rests; the events.
 fn calibrated_on(flash: &Flash) -> Vec<What> {
     let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
-    let mut model = simulated_machines::plant::Simulation::nominal().board;
-    let mut read = |device: &mut Device| {
-        let drive = device.board().drives.last().copied().unwrap_or_default();
-        device.board().now_us += 1_000;
-        let now_us = device.board().now_us;
-        model.run(drive, PERIODS_PER_MS);
-        let sample = model.sample(now_us, drive != Drive::Off);
-        device.control.read(now_us, sample);
-    };
-    read(&mut device);
+    let mut model = plant::Simulation::nominal().board;
+    read_from(&mut model, &mut device);
     device.accepted(Request::Calibrate(Calibrate));
     while device.state().0 == CapsuleState::Referencing {
-        read(&mut device);
+        read_from(&mut model, &mut device);
     }
     assert_eq!(device.state(), (CapsuleState::Unfolded, None));
     for _ in 0..700 {
-        read(&mut device);
+        read_from(&mut model, &mut device);
     }
     assert!(totals(&mut device).calibration.is_some());
     device.told()
+}
+
+/// The totals show a calibration from where it is in force; the next start has to find that one.
+#[test]
+fn a_calibration_that_is_stopped_once_it_is_in_force_is_in_flash() {
+    let flash = Flash::blank();
+    calibrated_on(&flash);
+    let shorter = Parameters {
+        slack_mm: 0.5,
+        ..Parameters::nominal()
+    };
+    // None: the host falls silent.
+    for urgent in [Some(Urgent::Stop), Some(Urgent::EStop), None] {
+        let flash = Flash::holding(flash.bytes());
+        let mut device = Device::start_on(flash, FRESH, ResetCause::PowerOn);
+        let mut model = plant::Simulation::new(shorter, 0).board;
+        read_from(&mut model, &mut device);
+        let before = totals(&mut device).calibration;
+        device.accepted(Request::Calibrate(Calibrate));
+        while totals(&mut device).calibration == before {
+            read_from(&mut model, &mut device);
+        }
+        assert_eq!(device.state().0, CapsuleState::Referencing);
+        match urgent {
+            Some(urgent) => {
+                device.control.answer(Inbound::Urgent(urgent));
+            }
+            None => device.board().silence_us = 1_000_001,
+        }
+        for _ in 0..700 {
+            read_from(&mut model, &mut device);
+        }
+        let in_force = totals(&mut device).calibration;
+        let flash = Flash::holding(device.flash.bytes());
+        let mut later = Device::start_on(flash, FRESH, ResetCause::PowerOn);
+        assert_eq!(totals(&mut later).calibration, in_force, "{urgent:?}");
+    }
 }
 
 /// The host has to know that the next start will not find the calibration.
@@ -699,4 +739,30 @@ fn settings_are_kept_at_rest_and_refused_in_motion() {
         moving,
         Reply::Refused(Refusal::CapsuleBusy(CapsuleState::Referencing))
     ));
+}
+
+/// Values within their ranges that break a rule together. What is set then is in force at the next start, too, and the
+/// old values of other settings do not come back.
+#[test]
+fn a_setting_after_a_conflict_is_in_force_at_the_next_start() {
+    let flash = Flash::blank();
+    let (mut store, _) = SettingsStore::<_, Kept>::load_with(flash.clone(), |_| true);
+    store.set(SettingKey::LoadedBatteryMv, 3_400).unwrap();
+    store.set(SettingKey::EndForceMa, 120).unwrap();
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    let unusable = What::Capsule(CapsuleEvent::SettingsUnusable);
+    assert!(device.told().contains(&unusable));
+    rest(&mut device);
+    device.accepted(set(SettingKey::LinkTimeoutMs, 3_000));
+    let mut later = Device::start_on(flash, FRESH, ResetCause::PowerOn);
+    assert_eq!(later.told(), [What::Booted(ResetCause::PowerOn)]);
+    for (key, value) in [
+        (SettingKey::LinkTimeoutMs, 3_000),
+        (SettingKey::LoadedBatteryMv, 2_700),
+        (SettingKey::EndForceMa, 132),
+    ] {
+        let get = Request::GetSetting(GetSetting { key });
+        let got = Response::GetSetting(Setting { key, value });
+        assert_eq!(later.accepted(get), got);
+    }
 }

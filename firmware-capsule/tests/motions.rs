@@ -1,7 +1,9 @@
 //! Single motions, reading by reading: the drive that follows from each, and the data that stay.
 
 use capsule_plant::{Defect, Parameters};
+use device::settings::Values;
 use firmware_capsule::{
+    calibration::Calibration,
     fold::{Command, Drive, Event},
     mechanics::Thread,
     sample::Sample,
@@ -11,6 +13,7 @@ use firmware_capsule::{
 use protocol::{
     capsule::{ActuationOutcome, CapsuleFault, CapsuleState, GetTrace},
     error::Refusal,
+    settings::SettingKey,
 };
 use simulated_machines::plant::Simulation;
 use std::sync::LazyLock;
@@ -263,5 +266,84 @@ fn a_folded_thread_is_felt_before_it_is_paid_out_for_long() {
         sim.order(Command::FoldTo(to));
         let (_, drive) = sim.tick();
         assert_eq!(matches!(drive, Drive::Millivolts(1..)), feels, "{drive:?}");
+    }
+}
+
+/// A capsule that is calibrated again, with less thread than before, up to where the new calibration is in force; and
+/// that one.
+fn calibrated_anew() -> (Simulation, Calibration) {
+    let before = unfolded().kept.expect("calibrated");
+    let parameters = Parameters {
+        slack_mm: 0.5,
+        ..Parameters::nominal()
+    };
+    let mut sim = Simulation::new(parameters, 0);
+    sim.kept = Some(before);
+    sim.reset(false);
+    sim.order(Command::Calibrate);
+    while sim.capsule.calibration() == Some(&before) {
+        sim.tick();
+        assert!(sim.capsule.is_moving(), "{:?}", sim.capsule.record());
+    }
+    let in_force = *sim.capsule.calibration().expect("calibrated");
+    (sim, in_force)
+}
+
+/// After the next start a reference with the calibration before would pay out past zero. While the motor turns, nothing
+/// can be written.
+#[test]
+fn a_calibration_in_force_is_kept_whatever_ends_its_motion() {
+    let (sim, in_force) = calibrated_anew();
+    let before = sim.kept;
+    type End = fn(&mut Simulation);
+    let ends: [(&str, End); 4] = [
+        ("stop", |sim| sim.order(Command::Stop)),
+        ("emergency stop", |sim| sim.order(Command::EStop)),
+        ("silent host", |sim| {
+            sim.give(Event::LinkSilent);
+        }),
+        ("time-out", |sim| sim.now_us += 16_000_000),
+    ];
+    for (name, end) in ends {
+        let mut sim = sim.clone();
+        assert_eq!(sim.kept, before, "not in the motion");
+        end(&mut sim);
+        sim.settle();
+        let outcome = sim.capsule.record().outcome;
+        assert_ne!(outcome, ActuationOutcome::Complete, "{name}");
+        assert_eq!(sim.capsule.calibration(), Some(&in_force), "{name}");
+        assert_eq!(sim.kept, Some(in_force), "{name}: {outcome:?}");
+        sim.reset(false);
+        sim.run(Command::Reference);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded, "{name}");
+        let least_mm = sim.plant.extremes_mm().0;
+        assert!(least_mm >= 0.0, "{name}: {least_mm} mm");
+    }
+}
+
+/// The folded end is a place that a calibration has found with its force. Folds go on ending there, if they can.
+#[test]
+fn another_end_force_moves_the_folded_end_only_once_it_is_calibrated() {
+    for (force_ma, folds_there, moves_um) in
+        [(60, false, -1_820), (100, true, -590), (160, true, 385)]
+    {
+        let values = Values::DEFAULT.with(SettingKey::EndForceMa, force_ma);
+        let settings = Settings::new(&values.expect("within its range")).expect("keeps the rules");
+        let mut sim = unfolded();
+        sim.capsule.set_settings(settings);
+        let end_um = |sim: &Simulation| sim.capsule.calibration().expect("calibrated").folded.0;
+        let before_um = end_um(&sim);
+        let mut folds = sim.clone();
+        folds.run(Command::Fold);
+        let folded_um = folds.capsule.thread().0;
+        match folds.capsule.fault() {
+            None => assert!(folded_um.abs_diff(before_um) < 150, "{folded_um} um"),
+            fault => assert!(matches!(fault, Some(CapsuleFault::Jam { .. })), "{fault:?}"),
+        }
+        let folded = folds.capsule.state() == CapsuleState::Folded;
+        assert_eq!(folded, folds_there, "{force_ma} mA");
+        sim.run(Command::Calibrate);
+        let moved_um = end_um(&sim) - before_um;
+        assert!(moved_um.abs_diff(moves_um) < 100, "{moved_um} um");
     }
 }

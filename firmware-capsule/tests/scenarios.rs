@@ -467,6 +467,14 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
             );
         }
     }
+    // Not folded, whatever the flash says, and something is in the way of the check.
+    let mut sim = nominal();
+    sim.kept = calibration;
+    sim.reset(true);
+    sim.plant.suffer(Defect::Jam(10.0));
+    sim.run(Command::CheckFolded);
+    let fault = sim.capsule.fault();
+    assert!(matches!(fault, Some(CapsuleFault::Jam { .. })), "{fault:?}");
     // Not folded before; folded afterwards.
     let mut sim = nominal();
     sim.kept = calibration;
@@ -836,4 +844,20 @@ fn a_reference_between_two_cycles_is_no_jam() {
         assert_eq!(name, "Complete", "seed {seed}, friction x {friction}");
         assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
     }
+}
+
+/// An emergency stop at rest costs the position, but nothing has moved: a check confirms the fold.
+#[test]
+fn an_emergency_stop_at_rest_leaves_a_folded_capsule_folded() {
+    let mut sim = nominal();
+    sim.run(Command::Fold);
+    sim.order(Command::EStop);
+    assert_eq!(sim.capsule.fault(), Some(CapsuleFault::EStopFrame));
+    sim.order(Command::Acknowledge);
+    assert_eq!(sim.capsule.state(), CapsuleState::WasFolded);
+    sim.run(Command::CheckFolded);
+    assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+    sim.run(Command::Unfold);
+    assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+    assert!(sim.plant.extremes_mm().0 >= 0.0, "paid out past zero");
 }

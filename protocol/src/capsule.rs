@@ -333,7 +333,7 @@ pub enum CapsuleEvent {
     SettingChanged(SettingKey),
     /// All settings are at their defaults, and the name is cleared.
     SettingsReset,
-    /// The settings in flash cannot be used; the defaults are in force.
+    /// Settings in flash cannot be used; their defaults are in force, or all defaults if they contradict each other.
     SettingsUnusable,
 }
 

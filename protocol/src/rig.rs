@@ -514,7 +514,7 @@ pub enum RigEvent {
     SettingChanged(SettingKey),
     /// All settings are at their defaults now.
     SettingsReset,
-    /// The stored settings contradict each other or cannot be read: the defaults are in force.
+    /// Settings in flash cannot be used; their defaults are in force, or all defaults if they contradict each other.
     SettingsUnusable,
     /// The start button was pressed, but nothing could start.
     ButtonIgnored,

@@ -280,6 +280,129 @@ fn a_reset_ends_a_conflict() {
     assert!(flash.operations().len() < 4 && written > 20);
 }
 
+/// A rule that [`KEPT`] breaks and the defaults keep.
+fn keeps_the_rule(values: &Values) -> bool {
+    values.get(SettingKey::FlagUm) != 900 || values.get(SettingKey::StrokeUm) != 100_000
+}
+
+/// Whether it ends the conflict or has nothing to do with it: the value is in force, now and at the next start, and no
+/// older value is.
+#[test]
+fn a_value_that_is_set_in_a_conflict_stays_and_none_from_before_it_revives() {
+    for (key, value) in [
+        (SettingKey::LinkTimeoutMs, 3_000),
+        (SettingKey::FlagUm, 800),
+    ] {
+        let flash = Flash::holding(young());
+        let (mut store, usable) = Store::load(flash.clone(), keeps_the_rule);
+        assert!(!usable);
+        store.set(key, value).unwrap();
+        let set = Content {
+            values: Values::DEFAULT.with(key, value).unwrap(),
+            name: "left bench".to_owned(),
+        };
+        assert_eq!(Content::of(&store), set);
+        // The conflict is over: a further change is one record.
+        let written = flash.operations().len();
+        store.set(SettingKey::PullOffUm, 999).unwrap();
+        assert!(flash.operations().len() < written + 4, "one record");
+        let (store, usable) = Store::load(Flash::holding(flash.bytes()), keeps_the_rule);
+        assert!(usable);
+        let both = set.values.with(SettingKey::PullOffUm, 999).unwrap();
+        assert_eq!(*store.values(), both, "{}", key.name());
+        assert_eq!(store.name(), "left bench");
+    }
+}
+
+/// Nothing is in force that flash did not take.
+#[test]
+fn a_value_that_a_worn_flash_does_not_take_in_a_conflict_is_not_in_force() {
+    for failing in [0..usize::MAX, 20..usize::MAX] {
+        let flash = Flash::holding(young());
+        let (mut store, _) = Store::load(flash.clone(), keeps_the_rule);
+        flash.fail(failing);
+        let set = store.set(SettingKey::LinkTimeoutMs, 3_000);
+        assert_eq!(set, Err(StorageFailed));
+        assert_eq!(*store.values(), Values::DEFAULT);
+        flash.fail(0..0);
+        store.set(SettingKey::LinkTimeoutMs, 3_000).unwrap();
+        let (later, usable) = Store::load(Flash::holding(flash.bytes()), keeps_the_rule);
+        assert!(usable);
+        assert_eq!(later.values(), store.values());
+    }
+}
+
+/// The one was set to another value before, the other was not.
+const OUT_OF_RANGE: [SettingKey; 2] = [SettingKey::FlagUm, SettingKey::PullOffUm];
+
+/// A flash with values that only a newer firmware takes.
+fn out_of_range() -> Flash {
+    let flash = Flash::holding(young());
+    let mut log = Log::new(flash.clone());
+    log.load(|_, _| {}).unwrap();
+    for key in OUT_OF_RANGE {
+        let record = Values::record(key.range().max + 1);
+        log.save(key as u8, &record).unwrap();
+    }
+    Flash::holding(flash.bytes())
+}
+
+/// Its default counts; an older value was replaced, and does not come back. All others count.
+#[test]
+fn a_value_out_of_range_is_passed_over_and_told() {
+    let flash = out_of_range();
+    let (mut store, usable) = Store::load(flash.clone(), |_| true);
+    assert!(!usable, "it is to be told");
+    assert_eq!(flash.operations(), []);
+    for (key, value) in KEPT {
+        let expected = match key {
+            SettingKey::FlagUm => key.range().default,
+            _ => value,
+        };
+        assert_eq!(store.values().get(key), expected, "{}", key.name());
+    }
+    assert_eq!(store.name(), "left bench");
+    // Until other values replace them.
+    for key in OUT_OF_RANGE {
+        store.set(key, 800).unwrap();
+    }
+    let store = start(&Flash::holding(flash.bytes()));
+    assert!(OUT_OF_RANGE.map(|key| store.values().get(key)) == [800, 800]);
+}
+
+/// Else the newer firmware would find it again, although everything was reset.
+#[test]
+fn a_reset_replaces_a_value_out_of_range() {
+    let flash = out_of_range();
+    let (mut store, _) = Store::load(flash.clone(), |_| true);
+    store.reset().unwrap();
+    for key in OUT_OF_RANGE {
+        let mut last = None;
+        let mut log = Log::new(Flash::holding(flash.bytes()));
+        let read = log.load(|number, record| {
+            if number == key as u8 {
+                last = Some(record.to_vec());
+            }
+        });
+        assert_eq!(read, Ok(()));
+        let default = Values::record(key.range().default);
+        assert_eq!(last.as_deref(), Some(&default[..]), "{}", key.name());
+    }
+    assert_eq!(Content::of(&start(&flash)), Content::default());
+}
+
+/// Another machine's firmware writes an empty record over a setting that is none of its own: nothing was passed over.
+#[test]
+fn an_empty_record_is_none() {
+    let flash = Flash::holding(young());
+    let mut log = Log::new(flash.clone());
+    log.load(|_, _| {}).unwrap();
+    log.save(SettingKey::FlagUm as u8, &[]).unwrap();
+    let default = SettingKey::FlagUm.range().default;
+    let store = start(&Flash::holding(flash.bytes()));
+    assert_eq!(store.values().get(SettingKey::FlagUm), default);
+}
+
 /// The sectors of a new chip, or of one after an unforeseen cut, may contain anything.
 #[test]
 fn a_flash_of_noise_can_be_reset() {

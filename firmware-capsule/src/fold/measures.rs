@@ -306,6 +306,7 @@ impl Capsule {
             return Err(CapsuleFault::SlipOrBreak);
         }
         let back_emf_uv_cps = actuation.back_emf_uv_cps;
+        actuation.calibrated = found.is_some();
         // Once a cycle: an end that is felt is left again later.
         let leaves = !ends_folded(actuation.kind);
         if let (None, Some(tension_ma), true) = (found, tension_ma, leaves) {

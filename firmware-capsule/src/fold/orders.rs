@@ -282,6 +282,7 @@ impl Capsule {
             back_emf_uv_cps: 0,
             prolongations: measures::PROLONGATIONS,
             found: None,
+            calibrated: false,
             settings: self.settings,
         });
         self.recorder

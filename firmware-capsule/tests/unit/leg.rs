@@ -321,12 +321,25 @@ fn a_short_rise_is_tried_again_by_a_reference_only() {
         (Purpose::Reference, 1_850),
         (Purpose::Calibrate, 510),
         (doubted, 1_500),
-        (Purpose::Check { believed: true }, 0),
     ] {
         let found = decide(seek(false, purpose), at, risen(um));
         assert!(
             matches!(found, Ok(Decision::EndFound { .. })),
             "{purpose:?} {found:?}"
+        );
+    }
+}
+
+/// A folded capsule has little to wind. One that winds more has to show the rise of the origami.
+#[test]
+fn the_flash_alone_is_believed_for_the_first_3_mm() {
+    let believed = Purpose::Check { believed: true };
+    for (wound_um, found) in [(2_900, true), (3_100, false), (20_000, false)] {
+        let decided = decide(seek(false, believed), after(ORIGIN, wound_um), END_FORCE);
+        assert_eq!(
+            matches!(decided, Ok(Decision::EndFound { purpose, .. }) if purpose == believed),
+            found,
+            "{wound_um} um: {decided:?}"
         );
     }
 }

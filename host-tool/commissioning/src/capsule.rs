@@ -6,6 +6,7 @@ use protocol::capsule::{
     ActuationAccepted, ActuationOutcome, ActuationRecord, CapsuleFault, CapsuleState,
     CapsuleStatus, TracePoint,
 };
+use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{BuildProfile, Urgent};
 
 use crate::device;
@@ -117,8 +118,10 @@ const REST_MA: u16 = 10;
 const LEAST_DRIVE_MA: u16 = 10;
 /// Allowed difference between the capsule's battery voltage and the meter's, parts per hundred.
 const BATTERY_PERCENT: i64 = 3;
-/// Silence of the host, us: longer than the capsule waits for its host by default.
-const SILENCE_US: u64 = 1_500_000;
+/// Silence of the host beyond the time that the capsule waits for it, us.
+const SILENT_LONGER_US: u64 = 500_000;
+/// Longest time in which the capsule notices that this time is over, ms: it looks at each reading.
+const NOTICES_MS: u32 = 50;
 /// Thread left at the end of unfolding, um.
 const UNFOLDED_UM: i32 = 300;
 /// Thread on the spool when a fold is well under way, um.
@@ -431,14 +434,33 @@ fn e_stop(work: &mut Work<'_>) -> Result<(), Halt> {
 }
 
 fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
+    let key = SettingKey::LinkTimeoutMs;
+    let timeout_ms = work.device.call(GetSetting { key })?.value;
     // In a fold, which keeps the thread's position: the capsule ends unfolded.
     folding(work)?;
-    work.device.fall_silent(SILENCE_US)?;
-    let outcome = work.device.actuation_record()?.outcome;
+    let heard_ms = work.device.actuation_record()?.duration_ms;
+    let silent_us = u64::from(timeout_ms) * 1_000 + SILENT_LONGER_US;
+    work.device.fall_silent(silent_us)?;
+    let record = work.device.actuation_record()?;
     stands(work)?;
-    match outcome {
-        ActuationOutcome::LinkLost => unfolded(work),
+    match ended_silent(&record, heard_ms, timeout_ms) {
+        Err(defect @ Halt::Defect(_)) => Err(defect),
+        shown => unfolded(work).and(shown),
+    }
+}
+
+/// Judges how a fold ended whose host was heard for the last time `heard_ms` after its beginning.
+fn ended_silent(record: &ActuationRecord, heard_ms: u32, timeout_ms: u32) -> Result<(), Halt> {
+    let silent_ms = record.duration_ms.saturating_sub(heard_ms);
+    match record.outcome {
+        ActuationOutcome::LinkLost => Ok(()),
         ActuationOutcome::Faulted(fault) => Err(Halt::Defect(fault.to_string())),
+        ActuationOutcome::Complete if silent_ms <= timeout_ms.saturating_add(NOTICES_MS) => {
+            Err(Halt::NotShown(format!(
+                "the fold was over before link_timeout_ms, {timeout_ms} ms, had passed: set it to {} for this step",
+                SettingKey::LinkTimeoutMs.range().default
+            )))
+        }
         other => Err(Halt::Defect(format!(
             "the motor did not stop when the host was silent: {other:?}"
         ))),
@@ -448,6 +470,41 @@ fn silence(work: &mut Work<'_>) -> Result<(), Halt> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use protocol::capsule::ActuationKind;
+
+    /// Whoever keeps quiet for 1.6 s of a fold of 2 s shows nothing to a capsule that waits for longer.
+    #[test]
+    fn a_fold_that_was_over_before_the_time_out_shows_nothing() {
+        let ended = |outcome, duration_ms, timeout_ms| {
+            let record = ActuationRecord {
+                actuation: 1,
+                kind: ActuationKind::Fold,
+                outcome,
+                duration_ms,
+                thread_um: 21_700,
+                end_current_ma: 148,
+                peak_current_ma: 148,
+                engaged_um: 1_000,
+                energy_mj: 200,
+                min_battery_mv: 3_600,
+            };
+            ended_silent(&record, 400, timeout_ms)
+        };
+        let lost = ActuationOutcome::LinkLost;
+        assert!(ended(lost, 1_402, 1_000).is_ok());
+        let complete = ActuationOutcome::Complete;
+        for timeout_ms in [1_600, 3_000, 60_000, u32::MAX] {
+            match ended(complete, 2_000, timeout_ms) {
+                Err(Halt::NotShown(why)) => assert!(why.contains("link_timeout_ms"), "{why}"),
+                other => panic!("{timeout_ms} ms: {other:?}"),
+            }
+        }
+        let running = ActuationOutcome::Running;
+        for (outcome, timeout_ms) in [(complete, 1_000), (complete, 1_500), (running, 3_000)] {
+            let judged = ended(outcome, 2_000, timeout_ms);
+            assert!(matches!(judged, Err(Halt::Defect(_))), "{judged:?}");
+        }
+    }
 
     /// A held motor whose drive rises from 0.1 to 1.5 V within 300 ms, with the current that `sensed` makes of duty and
     /// mA.

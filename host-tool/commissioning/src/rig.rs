@@ -9,7 +9,7 @@ mod travel;
 use protocol::settings::SettingKey as Key;
 
 use crate::step::Step;
-use depends::{HOMING, PULSES, RUN, SCREW};
+use depends::{BRAKED, HOMING, PULSES, RUN, SCREW};
 
 pub use travel::wrong_travel;
 
@@ -156,6 +156,7 @@ pub const STEPS: &[Step] = &[
             Key::LeadUm,
             Key::FullSteps,
             Key::Microsteps,
+            Key::StopAccelUmS2,
         ],
         check: runs::cable,
         ..PLAIN
@@ -163,14 +164,22 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "hold",
         shows: "a run that is held and resumed makes all its steps",
-        settings: &SCREW,
+        settings: BRAKED,
         check: runs::hold,
         ..PLAIN
     },
     Step {
         name: "jog",
         shows: "a jog that is not renewed stops by itself, a move ends where it was sent",
-        settings: &[Key::DeadManMs, Key::LeadUm, Key::FullSteps, Key::Microsteps],
+        settings: &[
+            Key::DeadManMs,
+            Key::LeadUm,
+            Key::FullSteps,
+            Key::Microsteps,
+            Key::StrokeUm,
+            Key::HomingAccelUmS2,
+            Key::StopAccelUmS2,
+        ],
         check: runs::jog,
         ..PLAIN
     },
@@ -178,7 +187,14 @@ pub const STEPS: &[Step] = &[
         name: "stroke",
         shows: "the whole stroke is free: far limit and end switches lie beyond it",
         look: "nothing touches on the way",
-        settings: &[Key::StrokeUm, Key::LeadUm, Key::FullSteps, Key::Microsteps],
+        // The flag's place is that of position 0, from which the stroke counts.
+        settings: &[
+            Key::StrokeUm,
+            Key::LeadUm,
+            Key::FullSteps,
+            Key::Microsteps,
+            Key::FlagUm,
+        ],
         check: travel::stroke,
         ..PLAIN
     },

@@ -1,12 +1,17 @@
 //! Commissioning without the image: the next step, the record, and the view of a person at the terminal.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard};
 
 use crate::support::tool::{Memory, ready};
+use client::Device;
 use client::identity::Origin;
+use client::link::{Link, LinkError};
 use client::subject::Subject;
-use commissioning::hands::{Act, Part, Reading, Wish};
+use commissioning::halt::Halt;
+use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
 use commissioning::image;
 use commissioning::procedure::{Procedure, Standing, open, standing};
 use commissioning::record::{Commissioning, Finding, StepOutcome};
@@ -14,11 +19,12 @@ use commissioning::rig::wrong_travel;
 use commissioning::session::wrapped;
 use commissioning::step::Step;
 use commissioning::steps;
+use commissioning::work::{Options, Work};
 use jiff::Timestamp;
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use serde_json::{Map, Value};
-use simulated_machines::machine::Script;
+use simulated_machines::machine::{Script, link};
 
 const NOW: Timestamp = Timestamp::UNIX_EPOCH;
 
@@ -102,6 +108,31 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
     let mut button = known;
     button.settings.insert("button_cycles".to_owned(), 7);
     assert_eq!(open_names(&record, &button), Vec::<&str>::new());
+}
+
+/// The flag's place is that of position 0, and its distance the length of the short strokes. The deceleration is that
+/// of a hold, of a lost link and of a jog.
+#[test]
+fn a_setting_opens_the_steps_that_move_by_it() {
+    let record = complete(&subject());
+    for (setting, steps) in [
+        (
+            "flag_um",
+            &["read-back", "edge-timing", "stroke", "run"][..],
+        ),
+        ("ledger_limit_steps", &["read-back", "edge-timing", "run"]),
+        ("stop_accel_um_s2", &["cable", "hold", "jog"]),
+        ("homing_accel_um_s2", &["jog"]),
+        ("stroke_um", &["jog", "stroke", "run"]),
+        ("link_timeout_ms", &["cable"]),
+    ] {
+        let mut set = subject();
+        set.settings.insert(setting.to_owned(), 901);
+        let mut open = open_names(&record, &set);
+        // Homing depends on most of them, and is not asked here.
+        open.retain(|name| !["pulses", "home", "repeat"].contains(name));
+        assert_eq!(open, steps, "{setting}");
+    }
 }
 
 #[test]
@@ -520,4 +551,91 @@ fn a_run_says_that_its_board_was_not_commissioned() {
     let (code, _, err) = memory.run(&run);
     assert_eq!(code, 0, "{err}");
     assert!(err.contains("cannot be read"), "{err}");
+}
+
+/// A machine whose cable is pulled and plugged again: it goes on meanwhile.
+struct Replugged(Arc<Mutex<dyn Link>>);
+
+impl Replugged {
+    fn link(&self) -> MutexGuard<'_, dyn Link + 'static> {
+        self.0.lock().expect("a link")
+    }
+}
+
+impl Link for Replugged {
+    fn place(&self) -> String {
+        self.link().place()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.link().now_us()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.link().send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.link().receive(buffer, deadline_us)
+    }
+}
+
+/// Hands that are quick.
+struct Quick;
+
+impl Hands for Quick {
+    fn act(&mut self, _: Act, _: bool, _: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
+        Ok(())
+    }
+
+    fn read(&mut self, _: Reading, _: &mut Say<'_>) -> Result<i64, Halt> {
+        Err(Halt::NotShown("nothing to read".to_owned()))
+    }
+}
+
+/// Carries out one step on a good machine that waits for its host as long as this.
+fn with_timeout(machine: DeviceKind, name: &str, timeout_ms: u32) -> Result<(), Halt> {
+    let (link, _) = link(Script {
+        settings: vec![(SettingKey::LinkTimeoutMs, timeout_ms)],
+        ..Script::new(machine)
+    });
+    let link = Arc::new(Mutex::new(*link));
+    let sessions = Cell::new(1);
+    let connect = || {
+        let mut device = Device::new(Box::new(Replugged(link.clone())), 1);
+        let hello = device.hello(sessions.replace(sessions.get() + 1));
+        hello.map(|_| device).map_err(|error| error.to_string())
+    };
+    let mut device = connect().expect("it answers");
+    let subject = Subject::of(&mut device).expect("it answers");
+    let options = Options {
+        read_back_cycles: 2,
+        cycles: 1,
+        clock_us: 200_000,
+        image: None,
+    };
+    let (mut hands, mut say) = (Quick, |_: &str| {});
+    let mut work = Work::new(device, subject, options, &mut hands, &mut say, &connect);
+    let step = steps::of(machine).iter().find(|step| step.name == name);
+    (step.expect("a step").check)(&mut work)
+}
+
+/// The longest setting is a minute. A fold is over by then, which tells nothing; a run is not.
+#[test]
+fn a_machine_that_waits_longer_for_its_host_does_not_fail() {
+    for timeout_ms in [200, 1_000, 3_000, 60_000] {
+        let silence = with_timeout(DeviceKind::Capsule, "silence", timeout_ms);
+        match silence {
+            Ok(()) => assert!(timeout_ms <= 1_000, "{timeout_ms} ms"),
+            Err(Halt::NotShown(why)) => {
+                assert!(
+                    timeout_ms > 1_000 && why.contains("link_timeout_ms"),
+                    "{why}"
+                );
+            }
+            other => panic!("{timeout_ms} ms: {other:?}"),
+        }
+        let cable = with_timeout(DeviceKind::Rig, "cable", timeout_ms);
+        assert!(cable.is_ok(), "{timeout_ms} ms: {cable:?}");
+    }
 }

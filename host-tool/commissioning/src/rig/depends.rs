@@ -21,7 +21,8 @@ pub(super) const HOMING: &[Key] = &[
     Key::MaxStepHz,
     Key::StepPulseNs,
 ];
-/// Settings that the pulses of a run depend on.
+/// Settings that the pulses of short strokes depend on. How long these are follows from `FlagUm` or, where that is 0,
+/// from `LedgerLimitSteps`.
 pub(super) const PULSES: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,
@@ -31,6 +32,15 @@ pub(super) const PULSES: &[Key] = &[
     Key::MaxStepHz,
     Key::StepPulseNs,
     Key::TurnaroundUs,
+    Key::FlagUm,
+    Key::LedgerLimitSteps,
+];
+/// Settings that a slow run which brakes on its way depends on.
+pub(super) const BRAKED: &[Key] = &[
+    Key::LeadUm,
+    Key::FullSteps,
+    Key::Microsteps,
+    Key::StopAccelUmS2,
 ];
 /// Settings that a whole run depends on.
 pub(super) const RUN: &[Key] = &[

@@ -182,7 +182,10 @@ pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
 
 pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     work.at_home()?;
-    work.start_short_run(10)?;
+    let timeout_ms = work.setting(Key::LinkTimeoutMs);
+    // A cycle takes 4 s: the run outlasts the time-out.
+    let cycles = u16::try_from(10 + timeout_ms / 4_000).unwrap_or(u16::MAX);
+    work.start_short_run(cycles)?;
     work.under_way()?;
     let boot = work.boot_id();
     work.pull_the_cable()?;
@@ -191,14 +194,16 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
             "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/rig.md".to_owned(),
         ));
     }
-    let status = work.until(2_000_000, at_rest)?;
+    // This session has not begun the run, so its questions do not keep it going.
+    let limit_us = u64::from(timeout_ms) * 1_000 + 2_000_000;
+    let status = work.until(limit_us, at_rest)?;
     let record = work.device.run_record()?;
     work.note("stands_at_um", status.position_um);
     match record.outcome {
         RunOutcome::LinkLost => Ok(()),
-        RunOutcome::Complete => Err(Halt::NotShown(
-            "the run was over before the cable was pulled".to_owned(),
-        )),
+        RunOutcome::Complete => Err(Halt::NotShown(format!(
+            "the run was over before the cable was pulled, or before link_timeout_ms, {timeout_ms} ms, had passed after that"
+        ))),
         RunOutcome::Faulted(fault) => Err(Halt::Defect(fault_text(fault))),
         other => Err(Halt::Defect(format!(
             "the run did not end with the cable: {other:?}"
