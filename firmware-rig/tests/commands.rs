@@ -423,8 +423,8 @@ fn a_move_may_be_as_fast_as_the_driver() {
         })
     };
     let max_hz = 32_000;
-    for (speed_um_s, interval) in [(40_001, 3_124), (49_000, 2_551)] {
-        let needed_hz = u32::div_ceil(100_000_000, interval);
+    for (speed_um_s, interval) in [(40_001, 3_124_u64), (49_000, 2_551)] {
+        let needed_hz = u64::div_ceil(100_000_000, interval);
         let refused = Refusal::StepRateLimit { needed_hz, max_hz };
         assert_eq!(refusal(&mut rig, to(speed_um_s)), refused);
     }

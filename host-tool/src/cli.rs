@@ -54,20 +54,21 @@ use std::sync::LazyLock;
 
 use clap::builder::{OsStr, Resettable};
 use clap::error::ErrorKind;
+use clap::parser::ValueSource;
 use clap::{CommandFactory, FromArgMatches, Parser};
-use client::address::Address;
+use client::address::{Address, Given};
 use client::link::serial::DEFAULT_BAUD;
-use client::visible;
+use client::{identity, visible};
 use operations::arguments::{
     FoldArgs, JogArgs, MachineKind, MoveArgs, PartialArgs, RunArgs, Which,
 };
 use operations::connector::Connector;
 use operations::delivery::{Delivery, Told};
 use operations::failure::{DONE, Failure, USAGE, usage, usage_text};
-use operations::names;
+use operations::names::{self, Names};
 use operations::places::{self, Places};
 use protocol::capsule::ActuationKind;
-use protocol::system::Urgent;
+use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
 
 use crate::cli::campaign::CampaignSubcommand;
@@ -157,10 +158,10 @@ const WITHOUT_MACHINES: [&str; 10] = [
 pub struct Cli {
     /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
-    pub rig: Option<Address>,
+    pub rig: Option<Given>,
     /// The capsule: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
-    pub capsule: Option<Address>,
+    pub capsule: Option<Given>,
     /// Speed of serial ports.
     #[arg(long, global = true, default_value_t = DEFAULT_BAUD, value_parser = clap::value_parser!(u32).range(300..=4_000_000))]
     pub baud: u32,
@@ -297,6 +298,13 @@ pub enum Subcommand {
     },
 }
 
+impl Subcommand {
+    /// Whether it stops machines.
+    const fn is_stop(&self) -> bool {
+        matches!(self, Self::Stop(_) | Self::Estop(_))
+    }
+}
+
 /// Runs one command line, program name first, on the process's streams.
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
     LazyLock::force(&places::BEGAN);
@@ -313,9 +321,8 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
 /// Whether a command line, with its environment, is meant for a virtual machine.
 #[must_use]
 pub fn is_virtual(args: &[OsString]) -> bool {
-    let parsed = command().try_get_matches_from(args);
-    let parsed = parsed.and_then(|matches| Cli::from_arg_matches(&matches));
-    parsed.is_ok_and(|cli| [cli.rig, cli.capsule].contains(&Some(Address::Virtual)))
+    let is_virtual = |given: &Given| given.address == Ok(Address::Virtual);
+    parsed(args).is_ok_and(|cli| [cli.rig, cli.capsule].iter().flatten().any(is_virtual))
 }
 
 /// Runs one command line on these streams, without a keyboard. `terminal` allows a progress bar on standard error.
@@ -390,8 +397,7 @@ fn run_in(
     at: At,
 ) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
-    let parsed = command().try_get_matches_from(&args);
-    let mut cli = match parsed.and_then(|matches| Cli::from_arg_matches(&matches)) {
+    let cli = match parsed(&args) {
         Ok(cli) => cli,
         Err(error) => {
             let error = without_environment(error, &args);
@@ -418,20 +424,40 @@ fn run_in(
         keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };
-    let result = match names::resolve(&mut cli.rig, &mut cli.capsule) {
-        Ok(names) => {
-            let places = Places {
-                rig: cli.rig,
-                capsule: cli.capsule,
-                names,
-                baud: cli.baud,
-                connector,
-            };
-            carry_out(&cli.subcommand, &places, &mut screen)
-        }
-        Err(failure) => Err(undelivered(&cli.subcommand, failure)),
-    };
+    let result = Addressed::of(&cli).and_then(|found| {
+        let places = Places {
+            rig: found.rig,
+            capsule: found.capsule,
+            names: found.names,
+            baud: cli.baud,
+            connector,
+        };
+        carry_out(&cli.subcommand, &places, found.unread, &mut screen)
+    });
     screen.finish(result)
+}
+
+/// Reads a command line. An empty variable counts as not set. An address that cannot be read is an error of every command
+/// but a stop, which goes to the other machine even so.
+fn parsed(args: &[OsString]) -> Result<Cli, clap::Error> {
+    let matches = command().try_get_matches_from(args)?;
+    let mut cli = Cli::from_arg_matches(&matches)?;
+    for (name, given) in [("rig", &mut cli.rig), ("capsule", &mut cli.capsule)] {
+        let by_variable = matches.value_source(name) == Some(ValueSource::EnvVariable);
+        given.take_if(|given| by_variable && given.text.is_empty());
+        if let Some(Given {
+            text,
+            address: Err(why),
+        }) = given
+            && !cli.subcommand.is_stop()
+        {
+            let why = format!(
+                "invalid value '{text}' for '--{name} <WHERE>': {why}\n\nFor more information, try '--help'.\n"
+            );
+            return Err(clap::Error::raw(ErrorKind::ValueValidation, why));
+        }
+    }
+    Ok(cli)
 }
 
 /// Rebuilds a usage error so that arguments given by the environment are not shown as required.
@@ -447,22 +473,105 @@ fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
     command.try_get_matches_from(args).err().unwrap_or(error)
 }
 
-/// Reports a stop as undelivered if its machine cannot even be named.
-fn undelivered(subcommand: &Subcommand, failure: Failure) -> Failure {
-    if !matches!(subcommand, Subcommand::Stop(_) | Subcommand::Estop(_)) {
-        return failure;
+/// Machines whose addresses cannot be read, so that no stop reaches them.
+type Unread = Vec<(DeviceKind, Told)>;
+
+/// The addresses of a command line, with names replaced.
+struct Addressed {
+    rig: Option<Address>,
+    capsule: Option<Address>,
+    names: Names,
+    /// Empty unless the command is a stop.
+    unread: Unread,
+}
+
+impl Addressed {
+    fn of(cli: &Cli) -> Result<Self, Failure> {
+        let mut unread = vec![];
+        if cli.subcommand.is_stop() {
+            return Ok(Self {
+                rig: place_to_stop(DeviceKind::Rig, cli.rig.as_ref(), &mut unread),
+                capsule: place_to_stop(DeviceKind::Capsule, cli.capsule.as_ref(), &mut unread),
+                // A stop compares no names.
+                names: Names::default(),
+                unread,
+            });
+        }
+        let address = |given: &Option<Given>| given.as_ref()?.address.clone().ok();
+        let (mut rig, mut capsule) = (address(&cli.rig), address(&cli.capsule));
+        Ok(Self {
+            names: names::resolve(&mut rig, &mut capsule)?,
+            rig,
+            capsule,
+            unread,
+        })
     }
-    let told = Told {
-        machine: "the machine of this name".to_owned(),
-        delivery: Delivery::NotDelivered,
-        why: failure.to_string(),
+}
+
+/// The place of a machine to stop. If it cannot be read, or its name not be looked up, the machine is `unread`.
+fn place_to_stop(kind: DeviceKind, given: Option<&Given>, unread: &mut Unread) -> Option<Address> {
+    let given = given?;
+    let address = given.address.clone().map_err(|why| why.to_string());
+    let place = address.and_then(|address| {
+        let (mut address, mut other) = (Some(address), None);
+        let named = match kind {
+            DeviceKind::Rig => names::resolve(&mut address, &mut other),
+            DeviceKind::Capsule => names::resolve(&mut other, &mut address),
+        };
+        named
+            .map(|_| address)
+            .map_err(|failure| failure.to_string())
+    });
+    place.unwrap_or_else(|why| {
+        let told = Told {
+            machine: format!("{} at {}", identity::kind_name(kind), given.text),
+            delivery: Delivery::NotDelivered,
+            why,
+        };
+        unread.push((kind, told));
+        None
+    })
+}
+
+/// Stops the machines whose addresses can be read, and reports the other ones as not told.
+fn stop(
+    urgent: Urgent,
+    which: &Which,
+    places: &Places<'_>,
+    mut unread: Unread,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
+    let machine = which.machine.map(DeviceKind::from);
+    unread.retain(|(kind, _)| machine.is_none_or(|machine| machine == *kind));
+    if unread.is_empty() {
+        return stops::stop(urgent, which, places, screen);
+    }
+    let is_another = machine.is_none() && (places.rig.is_some() || places.capsule.is_some());
+    let mut told = match is_another.then(|| stops::stop(urgent, which, places, screen)) {
+        None => vec![],
+        Some(Err(Failure::Stops { told })) => told,
+        Some(Err(failure)) => return Err(failure),
+        Some(Ok(value)) => {
+            let stopped = value["stopped"].as_array().into_iter().flatten();
+            let stopped = stopped.filter_map(Value::as_str).map(|machine| Told {
+                machine: machine.to_owned(),
+                delivery: Delivery::Stopped,
+                why: String::new(),
+            });
+            stopped.collect()
+        }
     };
-    Failure::Stops { told: vec![told] }
+    for (_, unread) in unread {
+        screen.say(&unread.line(urgent));
+        told.push(unread);
+    }
+    Err(Failure::Stops { told })
 }
 
 fn carry_out(
     subcommand: &Subcommand,
     places: &Places<'_>,
+    unread: Unread,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     match subcommand {
@@ -475,8 +584,8 @@ fn carry_out(
         Subcommand::Verify(args) => verify::verify(args, screen),
         Subcommand::Records { subcommand } => records::records(subcommand, places, screen),
         Subcommand::Commission(args) => commission::commission(args, places, screen),
-        Subcommand::Stop(which) => stops::stop(Urgent::Stop, which, places, screen),
-        Subcommand::Estop(which) => stops::stop(Urgent::EStop, which, places, screen),
+        Subcommand::Stop(which) => stop(Urgent::Stop, which, places, unread, screen),
+        Subcommand::Estop(which) => stop(Urgent::EStop, which, places, unread, screen),
         Subcommand::Ack(which) => ack::acknowledge(which, places, screen),
         Subcommand::Capsule { subcommand } => capsule::capsule(subcommand, places, screen),
         Subcommand::Fold(args) => fold::fold(args, places, screen),

@@ -13,6 +13,7 @@ pub mod section;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use ::campaign::files::is_record;
 use client::identity::Origin;
 use client::plain;
 use maud::html;
@@ -167,14 +168,11 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
     Ok(all)
 }
 
-/// Prefixes of a record's files.
-const STEMS: [&str; 5] = ["run-", "fold-", "unfold-", "reference-", "check-"];
-
 /// Classifies a file: a trial if it is a sidecar of an action that began; none if it needs no mention; otherwise why it is omitted, and
 /// whether it is part of a trial's record.
 fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
-    let stem = file.file_name().unwrap_or_default().to_string_lossy();
-    let is_record = STEMS.iter().any(|known| stem.starts_with(known));
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let is_record = is_record(&name);
     let is = |wanted: &str| {
         file.extension()
             .is_some_and(|extension| extension == wanted)

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use trials::trial::Trial;
 
 use crate::CampaignError;
-use crate::files::{ATTEMPTS, ORDER, PLAN, READINGS, TRIALS};
+use crate::files::{ATTEMPTS, MOTIONS, ORDER, PLAN, READINGS, TRIALS, is_of};
 use crate::ledger::{Attempt, CampaignState, LedgerRow};
 use crate::order::{Planned, order};
 use crate::plan::{CampaignPlan, Millimetres};
@@ -146,12 +146,12 @@ fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
         .map_or(Ok(()), |link| Err(refused(&link.path())))
 }
 
-/// The sidecar of the run or the pass in the folder of an attempt.
 /// Whether the name is that of a run's or a pass's file.
 pub(crate) fn is_motion(name: &str) -> bool {
-    ["run-", "pass-"].iter().any(|stem| name.starts_with(stem))
+    MOTIONS.iter().any(|stem| is_of(name, stem))
 }
 
+/// The sidecar of the run or the pass in the folder of an attempt.
 fn run_sidecar(folder: &Path) -> Option<PathBuf> {
     let mut found = plain::files(folder);
     found.retain(|path| {

@@ -10,11 +10,11 @@ use protocol::capsule::ActuationKind;
 use protocol::rig::Direction;
 use serde::Deserialize;
 use trials::check;
-use trials::trial::{Action, Trial};
+use trials::trial::{Action, Status, Trial};
 
 use crate::contents::{Campaign, in_a_line, is_motion};
 use crate::differences::{COPY, Finding, RESUME, UNKNOWN};
-use crate::files::{ATTEMPTS, READINGS, TRIALS};
+use crate::files::{ATTEMPTS, READINGS, TRIALS, is_record};
 use crate::form::Form;
 use crate::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::order::Planned;
@@ -30,6 +30,8 @@ pub struct Verified {
     pub files: usize,
     /// Number of trial records whose contents were checked.
     pub records: usize,
+    /// Those without an end: under way, or what recorded them was cut off.
+    pub unended: Vec<String>,
     /// All findings.
     pub findings: Vec<Finding>,
 }
@@ -51,6 +53,11 @@ pub(crate) fn contradictions(folder: &Path, verified: &mut Verified) {
         Err(error) => {
             let path = error.path.strip_prefix(folder).unwrap_or(&error.path);
             let path = path.to_string_lossy().into_owned();
+            let is_gone = fs::symlink_metadata(&error.path).is_err();
+            if is_gone && verified.findings.iter().any(|found| found.path == path) {
+                // The manifest has said so, with the same remedy.
+                return;
+            }
             // The manifest reports the change; this adds its consequence.
             verified
                 .findings
@@ -334,31 +341,19 @@ pub(crate) fn check_record(folder: &Path, path: &str, verified: &mut Verified) -
     match Trial::read(&full) {
         Ok(trial) => {
             verified.records += 1;
+            if trial.status == Status::Running {
+                verified.unended.push(path.to_owned());
+            }
             for what in check::record(&full, &trial).contradictions {
                 verified.findings.push(Finding::new(path, what, COPY));
             }
             Some(trial)
         }
         // Summaries of other kinds also lie beside CSV files.
-        Err(_) if !is_trial(path) => None,
+        Err(_) if !is_record(path.rsplit('/').next().unwrap_or(path)) => None,
         Err(error) => {
             verified.findings.push(Finding::new(path, error.why, COPY));
             None
         }
     }
-}
-
-/// Whether the name is one that `run`, `fold` and similar commands give.
-fn is_trial(path: &str) -> bool {
-    let name = path.rsplit('/').next().unwrap_or(path);
-    let stems = [
-        "run-",
-        "pass-",
-        "fold-",
-        "unfold-",
-        "reference-",
-        "calibrate-",
-        "check-folded-",
-    ];
-    stems.iter().any(|stem| name.starts_with(stem))
 }

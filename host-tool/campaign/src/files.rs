@@ -1,4 +1,7 @@
-//! Names of the files in the folder of a campaign.
+//! Names of the files in the folder of a campaign, and of those of any record.
+
+use protocol::capsule::ActuationKind;
+use trials::experiment::stem;
 
 /// The plan as the user wrote it.
 pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
@@ -12,3 +15,27 @@ pub const READINGS: &str = "readings.csv";
 pub const LOCK: &str = ".lock";
 /// A folder for each attempt at a trial.
 pub const ATTEMPTS: &str = "trials";
+
+/// First parts of the names of a rig's records: of a run, and of a pass.
+pub const MOTIONS: [&str; 2] = ["run", "pass"];
+
+/// Whether a file's name is one that the record of an action gets, of either machine.
+#[must_use]
+pub fn is_record(name: &str) -> bool {
+    let actuations = [
+        ActuationKind::Reference,
+        ActuationKind::Calibrate,
+        ActuationKind::CheckFolded,
+        ActuationKind::Fold,
+        ActuationKind::Unfold,
+        ActuationKind::FoldTo,
+    ];
+    let mut stems = MOTIONS.into_iter().chain(actuations.map(stem));
+    stems.any(|stem| is_of(name, stem))
+}
+
+/// Whether a name begins with this first part.
+pub(crate) fn is_of(name: &str, stem: &str) -> bool {
+    let rest = name.strip_prefix(stem);
+    rest.is_some_and(|rest| rest.starts_with('-'))
+}

@@ -44,6 +44,25 @@ pub enum LedgerEvent {
     Note,
 }
 
+impl LedgerEvent {
+    /// What a trial of the wrong state is not to be, in words.
+    const fn words(self) -> &'static str {
+        match self {
+            Self::Began => "begun",
+            Self::Ended => "ended",
+            Self::Displacement => "measured",
+            Self::Stroke => "measured after a stroke",
+            Self::StrokesLeftOut => "left without its strokes",
+            Self::Undone => "taken back",
+            Self::Repeated => "repeated",
+            Self::Skipped => "skipped",
+            Self::Excluded => "excluded",
+            Self::Included => "taken in again",
+            Self::Note => "remarked on",
+        }
+    }
+}
+
 outcomes! {
     /// How an attempt ended.
     AttemptOutcome {
@@ -234,6 +253,29 @@ pub enum Standing {
     Excluded,
     /// Skipped.
     Skipped,
+}
+
+impl Standing {
+    /// The state in words.
+    const fn words(self) -> &'static str {
+        match self {
+            Self::Open => "not done yet",
+            Self::UnderWay => "under way",
+            Self::Unmeasured => "not measured yet",
+            Self::Done => "done",
+            Self::Excluded => "excluded",
+            Self::Skipped => "skipped",
+        }
+    }
+
+    /// Why a trial in this state does not take the event.
+    fn refusal(self, trial: u32, event: LedgerEvent) -> String {
+        format!(
+            "trial {trial} is {}, not to be {}",
+            self.words(),
+            event.words()
+        )
+    }
 }
 
 /// A trial and its history.
@@ -504,7 +546,7 @@ impl TrialState {
                         self.skipped = Some(row.text.clone().unwrap_or_default());
                         Ok(())
                     }
-                    standing => Err(format!("trial {number} is {standing:?}, not to be skipped")),
+                    standing => Err(standing.refusal(number, row.event)),
                 };
             }
             LedgerEvent::Included => {
@@ -579,11 +621,7 @@ impl TrialState {
                 };
                 self.excluded = Some(reason);
             }
-            (event, standing) => {
-                return Err(format!(
-                    "trial {number} is {standing:?}, not to be {event:?}"
-                ));
-            }
+            (event, standing) => return Err(standing.refusal(number, event)),
         }
         Ok(())
     }
@@ -592,10 +630,7 @@ impl TrialState {
         let number = self.planned.trial;
         let next = self.attempts.len() as u32 + 1;
         if self.standing() != Standing::Open {
-            return Err(format!(
-                "trial {number} is {:?}, not to be begun",
-                self.standing()
-            ));
+            return Err(self.standing().refusal(number, row.event));
         }
         if row.attempt != Some(next) {
             return Err(format!("attempt {next} of trial {number} comes next"));

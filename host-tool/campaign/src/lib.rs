@@ -53,6 +53,9 @@ pub struct CampaignError {
     pub misuse: bool,
 }
 
+/// Remedy for a folder that cannot be written. A campaign has one folder, so there is no other to choose.
+pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run`";
+
 impl CampaignError {
     /// The campaign is damaged.
     pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
@@ -73,7 +76,6 @@ impl CampaignError {
     }
 
     pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
-        let remedy = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run`";
-        Self::new(path, why, remedy)
+        Self::new(path, why, MAKE_ROOM)
     }
 }

@@ -135,7 +135,9 @@ impl Question<'_> {
         match self {
             Self::Prepare { .. } => "Enter when it is done; q leaves",
             Self::Reading { .. } => "the number and Enter; undo takes the last one back; q leaves",
-            Self::Odd { .. } => "yes takes the readings as they are; again measures anew; q leaves",
+            Self::Odd { .. } => {
+                "yes takes the readings as they are; undo takes the last one back; again, or no, measures all anew; q leaves"
+            }
             Self::Ready { .. } => {
                 "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q leaves"
             }

@@ -36,6 +36,7 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
         campaign,
         files: 0,
         records: 0,
+        unended: vec![],
         findings: vec![],
     };
     match read_manifest(folder) {

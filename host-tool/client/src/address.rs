@@ -1,5 +1,6 @@
 //! Addresses of machines as the user writes them: `auto`, a serial port, `tcp:HOST:PORT`, or `virtual`.
 
+use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
@@ -57,6 +58,27 @@ impl FromStr for Address {
                 None => Ok(Self::Serial(text.to_owned())),
             },
         }
+    }
+}
+
+/// What the user gave as an address. One that cannot be read must not keep a stop from the other machine, so it is kept
+/// beside the reason.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Given {
+    /// The text, as given.
+    pub text: String,
+    /// The address, or the reason why it is none.
+    pub address: Result<Address, AddressError>,
+}
+
+impl FromStr for Given {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(Self {
+            text: text.to_owned(),
+            address: text.parse(),
+        })
     }
 }
 

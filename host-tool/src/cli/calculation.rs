@@ -1,14 +1,18 @@
-//! Shared by the commands that calculate: threads with a progress bar, and the files in one folder.
+//! Shared by the commands that calculate: threads with a progress bar, the files in one folder, and single files that
+//! the user names.
 
-use std::fs;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use analysis::science::series::Workers;
 use analysis::science::table;
-use indicatif::{ProgressBar, ProgressStyle};
+use client::plain;
+use indicatif::ProgressBar;
 use locomotion::range::OutOfRange;
 use operations::failure::Failure;
 use serde::Serialize;
+use trials::progress;
 
 use crate::cli::screen::Screen;
 
@@ -50,11 +54,9 @@ impl<'a, 'b> Calculation<'a, 'b> {
         } else {
             ProgressBar::hidden()
         };
-        if let Ok(style) =
-            ProgressStyle::with_template("  {bar:30} {pos} of {len} runs, {eta} left")
-        {
-            bar.set_style(style);
-        }
+        bar.set_style(progress::style(
+            "  {bar:30} {pos} of {len} runs, {eta} left",
+        ));
         let results = self.workers.map(cases, &|| bar.inc(1), work);
         bar.finish_and_clear();
         Ok(results?)
@@ -103,10 +105,105 @@ impl<'a, 'b> Calculation<'a, 'b> {
     }
 }
 
-/// Writes a file, replacing an existing one.
+/// Writes a file of a folder whose own files are replaced.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    fs::write(path, bytes).map_err(|io| Failure::File {
+    fs::write(path, bytes).map_err(|io| not_written(path, io))
+}
+
+/// A single file that the user names. It may be a record by mistake, so an existing one is replaced with `force` only;
+/// a terminal or a device is written to.
+#[derive(Clone, Copy)]
+pub(crate) struct Named<'a> {
+    path: &'a Path,
+    force: bool,
+}
+
+impl<'a> Named<'a> {
+    /// Checks the files of a command before its work.
+    pub(crate) fn all<const N: usize>(
+        paths: [Option<&'a PathBuf>; N],
+        force: bool,
+    ) -> Result<[Option<Self>; N], Failure> {
+        let mut seen: Vec<&Path> = vec![];
+        for path in paths.into_iter().flatten() {
+            if seen.contains(&path.as_path()) && !is_device(path) {
+                return Err(Failure::Input {
+                    why: format!("{} is named for two files", path.display()),
+                    help: "name a file of its own for each".to_owned(),
+                });
+            }
+            if !force && path.exists() && !is_device(path) {
+                return Err(exists(path));
+            }
+            seen.push(path);
+        }
+        Ok(paths.map(|path| path.map(|path| Self { path, force })))
+    }
+
+    pub(crate) fn path(self) -> &'a Path {
+        self.path
+    }
+
+    /// Writes it: a plain file completely or not at all.
+    pub(crate) fn write(
+        self,
+        write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    ) -> Result<(), Failure> {
+        let filled = |file: File| {
+            let mut out = BufWriter::new(file);
+            write(&mut out)?;
+            out.flush()
+        };
+        // A link is followed only if the user says that what is there may go.
+        let is_link = fs::symlink_metadata(self.path).is_ok() && !plain::is_file(self.path);
+        let written = if is_device(self.path) || (self.force && is_link) {
+            File::options()
+                .write(true)
+                .truncate(true)
+                .open(self.path)
+                .and_then(filled)
+        } else {
+            let name = self.path.file_name().unwrap_or_default();
+            let part = match self.force {
+                true => self.path.with_file_name(plain::part_of(Path::new(name))),
+                false => self.path.to_owned(),
+            };
+            File::create_new(&part).and_then(|file| {
+                let moved = || match self.force {
+                    true => fs::rename(&part, self.path),
+                    false => Ok(()),
+                };
+                // Nothing will complete a part.
+                filled(file)
+                    .and_then(|()| moved())
+                    .inspect_err(|_| drop(fs::remove_file(&part)))
+            })
+        };
+        written.map_err(|io| match io.kind() {
+            ErrorKind::AlreadyExists => exists(self.path),
+            _ => not_written(self.path, io),
+        })
+    }
+}
+
+/// Whether the path leads to a terminal, a pipe or a device, such as /dev/stdout: there is nothing to replace.
+fn is_device(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
+}
+
+fn exists(path: &Path) -> Failure {
+    if path.is_dir() {
+        return not_written(path, ErrorKind::IsADirectory.into());
+    }
+    Failure::Refused {
+        why: format!("{} exists already", path.display()),
+        help: "choose another name, or replace it with `--force`".to_owned(),
+    }
+}
+
+fn not_written(path: &Path, io: io::Error) -> Failure {
+    Failure::File {
         path: path.to_owned(),
         io,
-    })
+    }
 }

@@ -4,10 +4,11 @@ mod desk;
 
 use std::path::{Path, PathBuf};
 
-use analysis::report::campaign::report_folder;
+use analysis::report::campaign::{Present, present, report_folder};
 use analysis::report::campaign_band::BandSource;
 use analysis::report::{self, Existing};
 use analysis::science::virtual_displacement::Models;
+use campaign::MAKE_ROOM;
 use campaign::conduct::{Broken, Conduct, Ending, Machines};
 use campaign::contents::Campaign;
 use campaign::folder::Folder;
@@ -27,7 +28,9 @@ use operations::failure::Failure;
 use operations::places::{Need, Places};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
+use trials::experiment::ExperimentError;
 use trials::plan::REFERENCE_LIMITS;
+use trials::trial::RecordError;
 
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
@@ -169,7 +172,8 @@ pub(crate) fn campaign(
 ) -> Result<Value, Failure> {
     match subcommand {
         CampaignSubcommand::New(args) => {
-            let folder = create(&args.plan, args.out.as_deref(), places, screen)?;
+            let plan = PlanFile::read(&args.plan)?;
+            let folder = create(plan, args.out.as_deref(), places, screen)?;
             let campaign = folder.campaign();
             screen.say(&format!(
                 "`retrograde campaign run {}` begins.",
@@ -192,8 +196,9 @@ pub(crate) fn campaign(
             carry_out(folder, &args.session, places, screen)
         }
         CampaignSubcommand::Run(args) => {
+            let plan = PlanFile::read(&args.what)?;
             admit(&args.session, screen)?;
-            let folder = create(&args.what, args.out.as_deref(), places, screen)?;
+            let folder = create(plan, args.out.as_deref(), places, screen)?;
             carry_out(folder, &args.session, places, screen)
         }
         CampaignSubcommand::Status(args) => {
@@ -219,17 +224,40 @@ fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
     })
 }
 
+/// A plan as the user wrote it.
+struct PlanFile<'a> {
+    path: &'a Path,
+    text: String,
+    plan: CampaignPlan,
+}
+
+impl<'a> PlanFile<'a> {
+    fn read(path: &'a Path) -> Result<Self, Failure> {
+        if path.is_dir() {
+            return Err(Failure::Input {
+                why: format!("{} is a folder, and a plan is a TOML file", path.display()),
+                help: format!(
+                    "give a plan, such as `examples/paper.toml`; if this is the folder of a campaign, {}",
+                    again(path, false)
+                ),
+            });
+        }
+        let text = limited::read_text(path, limited::BY_HAND).map_err(|io| Failure::Input {
+            why: format!("{}: {io}", path.display()),
+            help: "give a plan, such as `examples/paper.toml`, or the folder of a campaign"
+                .to_owned(),
+        })?;
+        let plan = CampaignPlan::parse(&text, path).map_err(Own::from)?;
+        Ok(Self { path, text, plan })
+    }
+}
+
 fn create(
-    path: &Path,
+    PlanFile { path, text, plan }: PlanFile<'_>,
     out: Option<&Path>,
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Folder, Failure> {
-    let text = limited::read_text(path, limited::BY_HAND).map_err(|io| Failure::Input {
-        why: format!("{}: {io}", path.display()),
-        help: "give a plan, such as `examples/paper.toml`, or the folder of a campaign".to_owned(),
-    })?;
-    let plan = CampaignPlan::parse(&text, path).map_err(Own::from)?;
     let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let out = out.map_or_else(
         || PathBuf::from(CAMPAIGNS_FOLDER).join(format!("{}-{stamp}", plan.name)),
@@ -305,21 +333,38 @@ fn carry_out(
     Ok(value)
 }
 
-/// Writes the report of a finished campaign, unless there is one already.
-fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<PathBuf, Failure> {
+/// Writes the report of a finished campaign. One of an earlier state is made anew; a page that is no report of this
+/// program is kept, and then there is none.
+fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, Failure> {
+    let present = present(folder);
     let page = report_folder(folder).join("report.html");
-    if page.exists() {
-        screen.say(&format!(
-            "Report: {}, as it was; `retrograde report {} --force` makes it anew.",
-            page.display(),
-            folder.display()
-        ));
-        return Ok(page);
-    }
-    let written = report::campaign::write(folder, Existing::Keep, &BandSource::default())
-        .map_err(Own::from)?;
-    screen.say(&format!("Report: {}", written.page.display()));
-    Ok(written.page)
+    let (page_text, folder_text) = (page.display(), folder.display());
+    let existing = match present {
+        Present::Current => {
+            screen.say(&format!("Report: {page_text}, of this state already."));
+            return Ok(Some(page));
+        }
+        Present::Foreign => {
+            screen.say(&format!(
+                "Report: none, for {page_text} is no report of this program: move it elsewhere, then `retrograde report {folder_text}`."
+            ));
+            return Ok(None);
+        }
+        Present::Nothing => Existing::Keep,
+        Present::Outdated { .. } => Existing::Replace,
+    };
+    let written =
+        report::campaign::write(folder, existing, &BandSource::default()).map_err(Own::from)?;
+    screen.say(&match present {
+        Present::Outdated { fitted: true } => format!(
+            "Report: {page_text}, made anew, for it was of an earlier state. The band of its fit is not in it: `retrograde report {folder_text} --force --model FILE` draws that again."
+        ),
+        Present::Outdated { fitted: false } => {
+            format!("Report: {page_text}, made anew, for it was of an earlier state.")
+        }
+        _ => format!("Report: {page_text}"),
+    });
+    Ok(Some(written.page))
 }
 
 fn sit_down(
@@ -382,19 +427,24 @@ fn sit_down(
         .carry_out(session.trials);
     drop(desk);
     if let Err(Broken::Experiment(_)) = &ended {
-        screen.hint(&again(&path));
+        screen.hint(&again(&path, session.yes));
     }
-    ended.map_err(|broken| failure(broken, &path))
+    ended.map_err(|broken| failure(broken, &again(&path, session.yes)))
 }
 
-fn again(folder: &Path) -> String {
-    format!("`retrograde campaign run {}` goes on", folder.display())
+/// The command that goes on with a campaign, in the way it was begun.
+fn again(folder: &Path, yes: bool) -> String {
+    let yes = if yes { " --yes" } else { "" };
+    format!(
+        "`retrograde campaign run {}{yes}` goes on",
+        folder.display()
+    )
 }
 
-fn failure(broken: Broken, folder: &Path) -> Failure {
+fn failure(broken: Broken, again: &str) -> Failure {
     match broken {
         Broken::Campaign(error) => Own::from(error).into(),
-        Broken::Experiment(error) => error.into(),
+        Broken::Experiment(error) => within_campaign(error).into(),
         Broken::Ended {
             action,
             status,
@@ -404,12 +454,31 @@ fn failure(broken: Broken, folder: &Path) -> Failure {
             status,
             reason,
             help: format!(
-                "`retrograde info` shows the machine; the attempt does not count; {}",
-                again(folder)
+                "`retrograde info` shows the machine; the attempt does not count; {again}"
             ),
         },
         Broken::NotReady { why, help } => Failure::Refused { why, help },
     }
+}
+
+/// An error of a record, with a remedy for a campaign: outside one it is another folder.
+fn within_campaign(error: ExperimentError) -> ExperimentError {
+    let (record, why) = match error {
+        ExperimentError::Record(record) => {
+            let why = record.why.clone();
+            (record, why)
+        }
+        ExperimentError::Unrecorded { ended, record } => {
+            let why = format!("{}; {ended}", record.why);
+            (record, why)
+        }
+        error => return error,
+    };
+    ExperimentError::Record(RecordError {
+        path: record.path,
+        why,
+        remedy: MAKE_ROOM,
+    })
 }
 
 // Status.
@@ -632,4 +701,50 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
             row
         }
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_that_goes_on_is_the_one_that_was_given() {
+        let folder = Path::new("study");
+        assert_eq!(
+            again(folder, false),
+            "`retrograde campaign run study` goes on"
+        );
+        assert_eq!(
+            again(folder, true),
+            "`retrograde campaign run study --yes` goes on"
+        );
+    }
+
+    /// Regression: on a full disk a campaign advised `--out DIR`, which it refuses.
+    #[test]
+    fn a_full_disk_within_a_campaign_has_a_remedy_for_a_campaign() {
+        let record = || RecordError::write(Path::new("run-1.csv"), "no space");
+        for error in [
+            ExperimentError::Record(record()),
+            ExperimentError::Unrecorded {
+                ended: "the run ended as Complete".to_owned(),
+                record: record(),
+            },
+        ] {
+            let is_ended = matches!(error, ExperimentError::Unrecorded { .. });
+            let failure = failure(Broken::Experiment(error), "");
+            let text = failure.text();
+            assert!(
+                !text.contains("--out") && text.contains("free space"),
+                "{text}"
+            );
+            assert!(text.contains("run-1.csv: no space"), "{text}");
+            assert_eq!(
+                text.contains("the run ended as Complete"),
+                is_ended,
+                "{text}"
+            );
+            assert_eq!(failure.exit_code(), 1);
+        }
+    }
 }

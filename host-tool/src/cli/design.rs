@@ -10,7 +10,7 @@ use locomotion::range::{Ends, OutOfRange};
 use operations::failure::Failure;
 use serde_json::{Value, json};
 
-use crate::cli::calculation::write;
+use crate::cli::calculation::Named;
 use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::optimise::{OptimiseArgs, optimise};
@@ -52,6 +52,9 @@ pub struct DesignArgs {
     /// Draw the shortening over alpha and over beta to this SVG file.
     #[arg(long, value_name = "FILE")]
     pub map: Option<PathBuf>,
+    /// Replace existing drawings.
+    #[arg(long)]
+    pub force: bool,
     /// The search.
     #[command(flatten)]
     pub search: OptimiseArgs,
@@ -133,17 +136,18 @@ pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value
             screen,
         );
     }
+    let [drawn, map] = Named::all([args.svg.as_ref(), args.map.as_ref()], args.force)?;
     let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
     screen.say(&design_text(&report));
-    if let Some(path) = &args.svg {
+    if let Some(file) = drawn {
         let svg = drawing::structure(&design, report.indentation_mm)?;
-        write(path, svg.as_bytes())?;
-        screen.say(&format!("drawing:  {}", path.display()));
+        file.write(|out| out.write_all(svg.as_bytes()))?;
+        screen.say(&format!("drawing:  {}", file.path().display()));
     }
-    if let Some(path) = &args.map {
+    if let Some(file) = map {
         let svg = charts::maps(&design::maps(&design, args.indentation_mm)?).map_err(Own::from)?;
-        write(path, svg.as_bytes())?;
-        screen.say(&format!("map:      {}", path.display()));
+        file.write(|out| out.write_all(svg.as_bytes()))?;
+        screen.say(&format!("map:      {}", file.path().display()));
     }
     Ok(json!({ "design": report, "svg": args.svg, "map": args.map }))
 }

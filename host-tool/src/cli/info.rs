@@ -4,6 +4,7 @@ use client::identity::{self, IdentityRecord};
 use client::{decimal, matches, visible};
 use operations::arguments::Which;
 use operations::failure::Failure;
+use operations::panel::{in_run, run_text};
 use operations::places::{Need, Places};
 use protocol::capsule::{CapsuleCalibration, CapsuleState, CapsuleStatus, GetCapsuleTotals};
 use protocol::rig::RigStatus;
@@ -120,7 +121,7 @@ fn chip_text(chip: &Chip) -> String {
 fn rig_text(status: &RigStatus) -> String {
     let open = |open: bool| if open { "open" } else { "closed" };
     let mut text = format!(
-        "  {:?}, {}, at {} mm ({} steps); stroke {} mm, lead {} mm, {} steps per turn\n  home flag {}, far limit {}, E-stop loop {}",
+        "  {:?}, {}, at {} mm ({} steps); stroke {} mm, lead {} mm, {} steps per turn{}\n  home flag {}, far limit {}, E-stop loop {}",
         status.state,
         if status.homed { "homed" } else { "not homed" },
         decimal::write_signed(status.position_um.into(), 3),
@@ -128,6 +129,10 @@ fn rig_text(status: &RigStatus) -> String {
         decimal::write(status.stroke_um.into(), 3),
         decimal::write(status.lead_um.into(), 3),
         status.steps_per_rev,
+        match in_run(status) {
+            true => format!("\n  {}", run_text(status)),
+            false => String::new(),
+        },
         open(status.inputs.home_flag),
         open(status.inputs.far_limit),
         open(status.inputs.estop_loop),
@@ -180,8 +185,46 @@ fn calibration_text(calibration: Option<&CapsuleCalibration>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{addresses, way_out};
+    use super::{addresses, rig_text, way_out};
     use protocol::capsule::CapsuleState;
+    use protocol::rig::{RigInputs, RigState, RigStatus};
+
+    #[test]
+    fn a_rig_in_a_run_tells_which_and_how_far() {
+        let status = |state| RigStatus {
+            time_us: 60_000_000,
+            state,
+            fault: None,
+            homed: true,
+            position_steps: 8_000,
+            position_um: 10_000,
+            stroke_um: 130_000,
+            steps_per_rev: 3_200,
+            lead_um: 4_000,
+            inputs: RigInputs {
+                home_flag: false,
+                far_limit: false,
+                estop_loop: false,
+            },
+            run: 7,
+            stroke: 3,
+            strokes: 10,
+            elapsed_us: 14_600_000,
+            needs_acknowledge: false,
+        };
+        for (state, is_told) in [
+            (RigState::Running, true),
+            (RigState::Held, true),
+            (RigState::Ready, false),
+        ] {
+            let text = rig_text(&status(state));
+            assert_eq!(
+                text.contains("run 7, stroke 4 of 10, 14.6 s\n"),
+                is_told,
+                "{text}"
+            );
+        }
+    }
 
     #[test]
     fn a_capsule_that_cannot_fold_is_told_its_next_command() {

@@ -22,10 +22,10 @@ pub struct ListArgs {
     #[arg(long)]
     pub trials: bool,
     /// From this day on, UTC: 2026-01-31.
-    #[arg(long, value_name = "DATE")]
+    #[arg(long, value_name = "DATE", value_parser = day)]
     pub since: Option<Date>,
     /// Up to this day, UTC.
-    #[arg(long, value_name = "DATE")]
+    #[arg(long, value_name = "DATE", value_parser = day)]
     pub until: Option<Date>,
     /// A part of the specimen's description, or of the note of a trial outside campaigns.
     #[arg(long, value_name = "TEXT")]
@@ -33,6 +33,11 @@ pub struct ListArgs {
     /// Its outcome; a campaign is `complete` or `open`.
     #[arg(long, value_name = "OUTCOME", ignore_case = true, value_parser = PossibleValuesParser::new(catalogue::outcomes()))]
     pub outcome: Option<String>,
+}
+
+fn day(text: &str) -> Result<Date, String> {
+    let day = text.parse();
+    day.map_err(|_| "write the day as 2026-01-31".to_owned())
 }
 
 pub(crate) fn list(args: &ListArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {

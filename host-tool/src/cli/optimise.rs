@@ -39,7 +39,7 @@ pub enum Goal {
 #[command(next_help_heading = "Search for designs (with --optimise)")]
 pub struct OptimiseArgs {
     /// Search the designs that go farthest for their length within the limits below, and compare this design with them.
-    #[arg(long, conflicts_with_all = ["svg", "map"])]
+    #[arg(long, conflicts_with_all = ["svg", "map", "force"])]
     pub optimise: bool,
     /// What the displacement is counted for.
     #[arg(long, value_enum, default_value = "wave", requires = "optimise")]

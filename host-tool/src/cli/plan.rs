@@ -1,8 +1,6 @@
 //! `plan`: calculates a run without a rig.
 
-use std::fs::File;
-use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use analysis::figures;
 use clap::Args;
@@ -13,6 +11,7 @@ use operations::failure::Failure;
 use serde_json::{Value, json};
 use trials::plan::{self, REFERENCE_LIMITS, Summary};
 
+use crate::cli::calculation::Named;
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
@@ -37,9 +36,13 @@ pub struct PlanArgs {
     /// Draw position against time to this SVG file.
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+    /// Replace existing files.
+    #[arg(long)]
+    pub force: bool,
 }
 
 pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let [edges, plot] = Named::all([args.edges.as_ref(), args.plot.as_ref()], args.force)?;
     let run = args.waves.request(OnLinkLoss::Stop);
     let axis = Axis::new(
         args.lead_mm.0,
@@ -50,32 +53,17 @@ pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Fa
     let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
     let summary = plan::summary(&run, &axis, &plan);
     screen.say(&text(&summary));
-    if let Some(path) = &args.edges {
-        write_file(path, |out| plan::write_edges(&plan, out))?;
-        screen.say(&format!("edges:         {}", path.display()));
+    if let Some(file) = edges {
+        file.write(|out| plan::write_edges(&plan, out))?;
+        screen.say(&format!("edges:         {}", file.path().display()));
     }
-    if let Some(path) = &args.plot {
+    if let Some(file) = plot {
         let planned = figures::planned(&summary.screw, &run, &summary.achieved);
         let svg = figures::plan_figure(planned).map_err(Own::from)?;
-        write_file(path, |out| out.write_all(svg.as_bytes()))?;
-        screen.say(&format!("plot:          {}", path.display()));
+        file.write(|out| out.write_all(svg.as_bytes()))?;
+        screen.say(&format!("plot:          {}", file.path().display()));
     }
     Ok(json!({ "plan": summary, "edges": args.edges, "plot": args.plot }))
-}
-
-fn write_file(
-    path: &Path,
-    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
-) -> Result<(), Failure> {
-    let written = || {
-        let mut out = BufWriter::new(File::create(path)?);
-        write(&mut out)?;
-        out.flush()
-    };
-    written().map_err(|io| Failure::File {
-        path: path.to_owned(),
-        io,
-    })
 }
 
 fn text(summary: &Summary) -> String {

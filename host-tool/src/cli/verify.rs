@@ -52,19 +52,19 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         ))
         .into());
     }
+    let whole = verified.records - verified.unended.len();
+    let unended = unended(&verified.unended);
     screen.say(&match &seal {
         Some(seal) => format!(
-            "{}: {} files are as {} says; {} records are whole and in order.\nSeal, to print or to send: {seal}",
+            "{}: {} files are as {} says; {whole} records are whole and in order{unended}.\nSeal, to print or to send: {seal}",
             folder.display(),
             verified.files,
             manifest::NAME,
-            verified.records,
         ),
         None => format!(
-            "{}: there is no {}, so nothing shows whether files were changed; {} records have all their rows in order.",
+            "{}: there is no {}, so nothing shows whether files were changed; {whole} records have all their rows in order{unended}.",
             folder.display(),
             manifest::NAME,
-            verified.records,
         ),
     });
     Ok(json!({
@@ -72,7 +72,21 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         "manifest": has_manifest,
         "files": verified.files,
         "records": verified.records,
+        "unended": verified.unended,
         "seal": seal,
         "findings": [],
     }))
+}
+
+/// Names the records without an end. Whether something still records them is not known here.
+fn unended(records: &[String]) -> String {
+    let have = match records.len() {
+        0 => return String::new(),
+        1 => "1 has no end, because it".to_owned(),
+        count => format!("{count} have no end, because each"),
+    };
+    format!(
+        "; {have} is under way or was cut off: {}",
+        records.join(", ")
+    )
 }

@@ -728,6 +728,7 @@ fn the_catalogue_finds_campaigns_and_trials_by_date_specimen_and_outcome() {
     assert_eq!(code, 2, "{err}");
     let (code, _, err) = memory.run(&["list", &at, "--since", "yesterday"]);
     assert_eq!(code, 2, "{err}");
+    assert!(err.contains("write the day as 2026-01-31"), "{err}");
 }
 
 /// A calibration takes the net displacements that count and lists all others with the reason. It takes nothing from a

@@ -11,3 +11,4 @@ mod gone;
 #[cfg(unix)]
 mod hostile;
 mod pictures;
+mod told;

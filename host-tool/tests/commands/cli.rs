@@ -163,6 +163,15 @@ fn a_motion_of_the_capsule_says_what_it_takes_for_granted_and_what_it_reached() 
             "",
         ),
         (
+            Script {
+                failing_writes: 0..1_000,
+                ..new()
+            },
+            &["capsule", "calibrate"],
+            "NOT KEPT: the flash could not be written",
+            "",
+        ),
+        (
             new(),
             &["capsule", "reference"],
             "complete: it is unfolded",

@@ -188,6 +188,80 @@ fn what_was_not_delivered_is_not_told_to_start_a_server() {
     assert!(err.contains("NOT DELIVERED to any machine"), "{err}");
 }
 
+/// Regression: one address that could not be read kept the stop from every machine.
+#[test]
+fn an_address_that_cannot_be_read_keeps_no_stop_from_the_other_machine() {
+    for (bad, why) in [
+        ("tcp:localhost", "has no host or no port"),
+        ("tcp:host:99999", "port 99999 does not exist"),
+        ("", "empty: use"),
+    ] {
+        let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
+        let at = ["--rig", "0", "--capsule", bad];
+        let (code, out, err) = memory.run(&[&at[..], &["estop"]].concat());
+        assert_eq!(code, 8, "{err}");
+        let told = format!("capsule at {bad}: NOT DELIVERED: ");
+        for says in ["test rig: emergency stop latched", &told, why] {
+            assert!(out.contains(says), "{says}: {out}");
+        }
+        assert!(err.contains("cut the motor supply NOW"), "{err}");
+        let (code, out, _) = memory.run(&[&at[..], &["--json", "stop"]].concat());
+        let json: Value = serde_json::from_str(&out).expect("one object");
+        let outcome = |nth: usize| json["machines"][nth]["outcome"].as_str();
+        assert_eq!(
+            (code, outcome(0), outcome(1)),
+            (8, Some("stopped"), Some("not_delivered"))
+        );
+        // Whoever means the rig alone has been told all.
+        assert_eq!(memory.run(&[&at[..], &["stop", "rig"]].concat()).0, 0);
+        assert_eq!(memory.run(&[&at[..], &["stop", "capsule"]].concat()).0, 8);
+        let logs = memory.logs.lock().expect("logs");
+        let urgent = logs
+            .iter()
+            .flat_map(|log| log.lock().expect("log").urgent.clone());
+        let urgent: Vec<_> = urgent.map(|(urgent, _)| urgent).collect();
+        assert_eq!(urgent, [Urgent::EStop, Urgent::Stop, Urgent::Stop]);
+        // Any other command is refused as before.
+        drop(logs);
+        let (code, _, err) = memory.run(&[&at[..], &["info"]].concat());
+        let says = format!("error: invalid value '{bad}' for '--capsule <WHERE>': ");
+        assert!(code == 2 && err.starts_with(&says), "{err}");
+        assert!(
+            err.ends_with("For more information, try '--help'.\n"),
+            "{err}"
+        );
+    }
+}
+
+/// A variable that a script leaves empty says nothing.
+#[test]
+fn an_empty_variable_counts_as_not_set() {
+    let place = tempfile::tempdir().expect("a folder");
+    let with = |rig: &str, args: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_retrograde"));
+        command.args(args).current_dir(place.path());
+        command
+            .env("RETROGRADE_RIG", rig)
+            .env("RETROGRADE_CAPSULE", "");
+        let output = command.output().expect("starts");
+        let err = String::from_utf8_lossy(&output.stderr).into_owned();
+        (output.status.code(), err)
+    };
+    for args in [&["list", "."][..], &["plan"]] {
+        let (code, err) = with("", args);
+        assert_eq!(code, Some(0), "{err}");
+    }
+    let (code, err) = with("", &["list", ".", "--rig", ""]);
+    assert!(code == Some(2) && err.contains("empty: use"), "{err}");
+    let (code, err) = with("tcp:localhost", &["estop"]);
+    assert_eq!(code, Some(8), "{err}");
+    assert!(
+        err.contains("NOT DELIVERED to rig at tcp:localhost"),
+        "{err}"
+    );
+    assert!(!err.contains("capsule"), "{err}");
+}
+
 #[test]
 fn a_machine_that_is_silent_on_tcp_has_not_confirmed() {
     // The system accepts the connections, but no program reads.

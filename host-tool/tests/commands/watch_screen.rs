@@ -286,6 +286,41 @@ fn every_fault_is_shown_whole_with_its_remedy() {
     }
 }
 
+/// Regression: the advice lay over the words on the position, and their end showed behind it.
+#[test]
+fn a_faulted_machine_has_one_text_beside_its_state() {
+    let now = Instant::now();
+    let mut rig = running(now);
+    let fault = RigStatus {
+        state: RigState::Faulted,
+        fault: Some(RigFault::EStopFrame),
+        homed: false,
+        ..rig_status()
+    };
+    let mut capsule = folding(now);
+    let torn = CapsuleStatus {
+        state: CapsuleState::Faulted,
+        fault: Some(CapsuleFault::ThreadBroken),
+        needs_acknowledge: true,
+        ..capsule_status()
+    };
+    rig.rig_status(&fault, now);
+    capsule.capsule_status(&torn, now);
+    let shown = text(&screen(&[rig, capsule], LOOK, (80, 24), now));
+    let states: Vec<_> = shown
+        .lines()
+        .filter(|line| line.contains("FAULTED"))
+        .collect();
+    let states: Vec<_> = states.iter().map(|line| squeezed(line)).collect();
+    assert_eq!(
+        states,
+        [
+            squeezed("FAULTED not homed; acknowledge with `retrograde ack`"),
+            squeezed("FAULTED acknowledge with `retrograde ack` battery 3.702 V"),
+        ]
+    );
+}
+
 /// The text without line breaks and frames.
 fn squeezed(text: &str) -> String {
     text.chars()

@@ -4,6 +4,7 @@
 mod support;
 
 mod crescent;
+mod files;
 mod fit;
 mod identify;
 mod optimise;

@@ -274,6 +274,9 @@ pub const fn doing(kind: ActuationKind) -> &'static str {
     }
 }
 
+/// Time after a calibration within which the capsule writes it to its flash, or says that it could not, us.
+const KEPT_US: u64 = 1_000_000;
+
 /// Executes one actuation and records it, whatever its outcome.
 ///
 /// # Errors
@@ -306,13 +309,16 @@ pub fn actuate(
                 thread_um: target_um,
             })?,
         };
-        capsule.wait_actuation(
-            &accepted,
-            &mut Recorded {
-                recorder: &mut recorder,
-                observer,
-            },
-        )
+        let mut recorded = Recorded {
+            recorder: &mut recorder,
+            observer,
+        };
+        let record = capsule.wait_actuation(&accepted, &mut recorded)?;
+        if kind == ActuationKind::Calibrate {
+            // The actuation has ended, whatever becomes of the link now.
+            let _ = capsule.idle(KEPT_US, &mut recorded);
+        }
+        Ok(record)
     })();
     let (trial, record) = end(capsule, recorder, observer, outcome, |record| {
         Ending::Actuation(*record)

@@ -13,8 +13,30 @@ use protocol::system::{Event, What};
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
-/// One line of 80 columns, cut off at the width of the terminal: a bar of two lines would erase text above it.
-const BAR: &str = "  {bar:20} {percent:>3} % {wide_msg}";
+/// One line of 80 columns, cut off at the width of the terminal: a bar of two lines would erase text above it. It leaves
+/// 61 columns for the longest message.
+const BAR: &str = "  {bar:10} {percent:>3} % {wide_msg}";
+
+/// The look of a bar, in ASCII where the terminal shows nothing else.
+#[must_use]
+pub fn style(template: &str) -> ProgressStyle {
+    let style = ProgressStyle::with_template(template);
+    let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
+    if is_unicode() {
+        style
+    } else {
+        style.progress_chars("##.")
+    }
+}
+
+/// Whether the user's environment says that the terminal shows characters beyond ASCII.
+#[must_use]
+pub fn is_unicode() -> bool {
+    let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let locale = set("LC_ALL").or(set("LC_CTYPE")).or(set("LANG"));
+    let locale = locale.unwrap_or_default().to_lowercase();
+    locale.contains("utf-8") || locale.contains("utf8") || cfg!(windows)
+}
 
 /// Prints the progress of an action. All times are the machine's, so they mean the same on the virtual bench.
 pub struct Live<'a> {
@@ -51,9 +73,7 @@ impl<'a> Live<'a> {
         if self.terminal {
             let bar = self.bar.get_or_insert_with(|| {
                 let bar = ProgressBar::new(total_us);
-                if let Ok(style) = ProgressStyle::with_template(BAR) {
-                    bar.set_style(style);
-                }
+                bar.set_style(style(BAR));
                 bar
             });
             bar.set_length(total_us);
@@ -88,6 +108,9 @@ impl Observer for Live<'_> {
             What::Rig(RigEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
             What::Capsule(CapsuleEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
             What::Rig(RigEvent::Resumed) => self.line("  resumed"),
+            What::Capsule(CapsuleEvent::NotKept) => self.line(
+                "  NOT KEPT: the flash could not be written; a start forgets what has just been found. Charge the cell, then try again",
+            ),
             What::LinkLost => self.line("  the device has not heard from the host for too long"),
             _ => {}
         }
@@ -135,14 +158,12 @@ impl Observer for Live<'_> {
                     }
                     return;
                 }
-                let message = format!(
-                    "{} s of {} s, stroke {} of {strokes}, {} mm, {} s left",
-                    tenths(elapsed_us),
-                    tenths(total_us),
+                let place = format!(
+                    "stroke {} of {strokes}, {} mm",
                     stroke.saturating_add(1).min(strokes),
                     decimal::fixed(position_um.into(), 3),
-                    tenths(total_us.saturating_sub(elapsed_us)),
                 );
+                let message = run_text(elapsed_us, total_us, &place, self.terminal);
                 self.show(elapsed_us, total_us, &message);
             }
             Progress::Actuation {
@@ -160,6 +181,21 @@ impl Observer for Live<'_> {
                 self.show(elapsed_us, at_most_us, &message);
             }
         }
+    }
+}
+
+/// Times and place of a run. Beside a bar there is no room for the time that has passed, and the bar shows it.
+fn run_text(elapsed_us: u64, total_us: u64, place: &str, beside_bar: bool) -> String {
+    let (total, left) = (
+        tenths(total_us),
+        tenths(total_us.saturating_sub(elapsed_us)),
+    );
+    match beside_bar {
+        true => format!("{left} of {total} s left, {place}"),
+        false => format!(
+            "{} s of {total} s, {place}, {left} s left",
+            tenths(elapsed_us)
+        ),
     }
 }
 
@@ -231,6 +267,25 @@ fn tenths(us: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Regression: the line of the paper's run was cut off at 80 columns: `4.7 s lef`.
+    #[test]
+    fn a_bar_and_its_text_fit_80_columns() {
+        for (total_us, place) in [
+            (40_000_000, "stroke 10 of 10, 130.000 mm"),
+            // The most strokes, in the paper's time.
+            (80_000_000_000, "stroke 20000 of 20000, 130.000 mm"),
+        ] {
+            let text = run_text(1, total_us, place, true);
+            let before = BAR
+                .replace("{bar:10}", "##########")
+                .replace("{percent:>3}", "100")
+                .replace("{wide_msg}", "");
+            let columns = before.chars().count() + text.chars().count();
+            assert!(columns <= 80, "{columns}: {before}{text}");
+            assert!(text.contains(" s left, stroke"), "{text}");
+        }
+    }
 
     #[test]
     fn a_refused_hold_speaks_in_the_units_of_the_options() {

@@ -23,7 +23,7 @@ use serde::Serialize;
 use trials::trial::RecordError;
 
 use crate::figures::Figure;
-use crate::report::campaign_band::{BandSource, ModelBand, band};
+use crate::report::campaign_band::{BandSource, FITTED_BAND, ModelBand, band};
 use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
 use crate::report::section::{reasons, status};
@@ -73,6 +73,51 @@ pub struct Written {
 
 /// File name of the page.
 const PAGE: &str = "report.html";
+
+/// What lies at the place of a campaign's report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Present {
+    /// Nothing.
+    Nothing,
+    /// The report of the folder as it is.
+    Current,
+    /// A report of an earlier state.
+    Outdated {
+        /// Whether its band is that of a calibration, which the user has named.
+        fitted: bool,
+    },
+    /// Something else than a report of this program.
+    Foreign,
+}
+
+/// Looks at the place of a campaign's report.
+#[must_use]
+pub fn present(folder: &Path) -> Present {
+    let path = report_folder(folder).join(PAGE);
+    if fs::symlink_metadata(&path).is_err() {
+        return Present::Nothing;
+    }
+    let html = plain::read_text(&path, plain::TELEMETRY).unwrap_or_default();
+    if !html.contains(&format!("data-is=\"{COUNTED}\"")) {
+        return Present::Foreign;
+    }
+    let is_current = manifest::seal(folder).is_ok_and(|seal| html.contains(&hash_of_list(&seal)));
+    if is_current {
+        Present::Current
+    } else {
+        Present::Outdated {
+            fitted: html.contains(FITTED_BAND),
+        }
+    }
+}
+
+/// The line of a page that says of which state of the folder it is.
+fn hash_of_list(seal: &str) -> String {
+    format!("{}: SHA-256 {seal}", manifest::NAME)
+}
+
+/// The number of trials that count, for `check_report.py`. Every page has it.
+const COUNTED: &str = "totals/counted";
 
 /// Folder of a campaign's reports; `verify` ignores it.
 #[must_use]
@@ -288,7 +333,7 @@ fn summary(evaluation: &Evaluation) -> Markup {
     let metadata = &evaluation.campaign.plan.metadata;
     html! {
         p {
-            (cell("totals/counted", evaluation.trials.iter().filter(|row| row.counts).count()))
+            (cell(COUNTED, evaluation.trials.iter().filter(|row| row.counts).count()))
             " of " (cell("totals/planned", evaluation.trials.len())) " trials count. Operator: " (metadata.operator)
             ". Specimen: " (metadata.specimen) "."
         }
@@ -576,7 +621,7 @@ fn provenance(evaluation: &Evaluation) -> Markup {
             }
         }
         h3 { "Files" }
-        p.hash { (manifest::NAME) ": SHA-256 " (evaluation.manifest_sha256) }
+        p.hash { (hash_of_list(&evaluation.manifest_sha256)) }
         details {
             summary { (evaluation.manifest.0.len()) " files, with their SHA-256" }
             div.wide { table {

@@ -11,6 +11,9 @@ use crate::report::evaluation::Evaluation;
 use crate::science::bands::{self, Bands, Body};
 use crate::science::posterior::Posterior;
 
+/// Label of a band whose bodies are those of a calibration.
+pub(crate) const FITTED_BAND: &str = "model, 5 to 95 % of fitted bodies";
+
 /// Most bodies for a band: more of them move its edges by less than the width of the line.
 const MOST_BODIES: usize = 110;
 /// Number of indentations at which the band is computed.
@@ -112,7 +115,7 @@ pub fn band(evaluation: &Evaluation, source: &BandSource) -> Option<ModelBand> {
     Some(ModelBand {
         outline,
         label: match source.posterior {
-            Some(_) => "model, 5 to 95 % of fitted bodies",
+            Some(_) => FITTED_BAND,
             None => "model, 5 to 95 % of bodies that fit the paper's words",
         },
         meaning: format!(

@@ -334,7 +334,7 @@ pub(crate) fn in_short(trial: &Trial) -> String {
 /// How it ended, and whether its record is reliable.
 pub(crate) fn status(status: Status, defects: &[String]) -> Markup {
     let (text, good) = match status {
-        Status::Running => ("not ended: the host ended first", false),
+        Status::Running => ("no end is recorded: it is under way, or was cut off", false),
         Status::Complete => ("complete", true),
         Status::Refused => ("refused; nothing was done", false),
         Status::Stopped => ("stopped on request", false),

@@ -163,7 +163,7 @@ impl Conduct<'_> {
                         return Ok(Then::Look);
                     }
                     Some(Answer::Undo) => self.reading_row(row(Kind::Withdrawn, None))?,
-                    Some(_) => self.desk.say("  yes or again"),
+                    Some(_) => self.desk.say("  yes, undo or again"),
                 }
                 continue;
             }

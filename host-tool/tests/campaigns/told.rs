@@ -1,0 +1,219 @@
+//! What the commands on campaigns and records tell: no more than is known, and what to do.
+
+use std::fs;
+use std::path::Path;
+
+use analysis::report;
+use campaign::ledger::{LedgerEvent, LedgerRow};
+use campaign::prompts::Question;
+use client::identity::Origin;
+use serde_json::Value;
+use simulated_machines::machine::VIRTUAL_UID;
+
+use crate::campaign::{at, campaign, findings};
+use crate::campaign_run::{machines, path, place, small_plan};
+use crate::support::offline::{retrograde, text};
+use crate::support::tool::Memory;
+
+/// A folder with the record of one complete run, and its sidecar.
+fn record(place: &tempfile::TempDir) -> std::path::PathBuf {
+    drop(campaign(&place.path().join("small")));
+    let records = place.path().join("small/trials/001-1");
+    let files = fs::read_dir(&records).expect("a folder");
+    let mut files = files.map(|entry| entry.expect("an entry").path());
+    files
+        .find(|file| file.extension().is_some_and(|kind| kind == "json"))
+        .expect("a sidecar")
+}
+
+/// Regression: a record that a full disk had cut off was in order for `verify`, and `report` knew who had ended first.
+#[test]
+fn a_record_without_an_end_is_named_and_its_cause_is_not_claimed() {
+    let place = tempfile::tempdir().expect("a folder");
+    let sidecar = record(&place);
+    let folder = sidecar.parent().expect("a folder");
+    let written = fs::read_to_string(&sidecar).expect("text");
+    let mut trial: Value = serde_json::from_str(&written).expect("JSON");
+    trial["status"] = "running".into();
+    trial["action"]["executed"] = Value::Null;
+    fs::write(&sidecar, trial.to_string()).expect("written");
+    let (code, out, err) = retrograde(&["verify", text(folder)]);
+    assert_eq!(code, 0, "{err}");
+    let name = sidecar.file_name().expect("a name").to_string_lossy();
+    let says = format!(
+        "0 records have all their rows in order; 1 has no end, because it is under way or was cut off: {name}."
+    );
+    assert!(out.contains(&says), "{out}");
+    let (_, out, _) = retrograde(&["--json", "verify", text(folder)]);
+    let told: Value = serde_json::from_str(&out).expect("JSON");
+    assert_eq!(told["unended"], serde_json::json!([name]));
+    let page = place.path().join("report.html");
+    let (code, _, err) = retrograde(&["report", text(folder), "--out", text(&page)]);
+    assert_eq!(code, 0, "{err}");
+    let page = fs::read_to_string(&page).expect("a page");
+    assert!(page.contains("no end is recorded: it is under way, or was cut off"));
+    assert!(!page.contains("the host ended first"));
+}
+
+/// Regression: the telemetry of a pass or a calibration without its sidecar was no lost record.
+#[test]
+fn a_lost_record_of_any_action_counts() {
+    let place = tempfile::tempdir().expect("a folder");
+    let folder = record(&place).parent().expect("a folder").to_owned();
+    let lost = [
+        "run",
+        "pass",
+        "fold",
+        "fold-to",
+        "unfold",
+        "reference",
+        "calibrate",
+        "check-folded",
+    ];
+    for stem in lost {
+        let name = format!("{stem}-20260131T120000Z.csv");
+        fs::write(folder.join(name), "").expect("written");
+    }
+    for other in ["runner.csv", "trace-1-20260131T120000Z.csv"] {
+        fs::write(folder.join(other), "").expect("written");
+    }
+    let found = report::find(std::slice::from_ref(&folder)).expect("a folder");
+    let records = found.left_out.iter().filter(|left| left.is_record);
+    assert_eq!((found.left_out.len(), records.count()), (10, 8));
+    let page = place.path().join("report.html");
+    let (code, _, err) = retrograde(&["report", text(&folder), "--out", text(&page)]);
+    assert!(code == 1 && err.contains("8 records are left out"), "{err}");
+}
+
+#[test]
+fn a_file_that_is_gone_has_one_finding() {
+    let place = tempfile::tempdir().expect("a folder");
+    let folder = place.path().join("small");
+    drop(campaign(&folder));
+    for name in ["order.csv", "plan.toml", "trials.csv", "readings.csv"] {
+        let kept = fs::read(folder.join(name)).expect("there");
+        fs::remove_file(folder.join(name)).expect("there");
+        let found = findings(&folder);
+        let count = found.iter().filter(|found| found.starts_with(name)).count();
+        assert_eq!(count, 1, "{found:?}");
+        fs::write(folder.join(name), kept).expect("written");
+    }
+    assert_eq!(findings(&folder), [""; 0]);
+}
+
+#[test]
+fn a_plan_that_is_none_is_told_before_anything_else() {
+    let place = tempfile::tempdir().expect("a folder");
+    let (folder, none) = (place.path().join("study"), place.path().join("none.toml"));
+    fs::create_dir(&folder).expect("a folder");
+    let (code, _, err) = retrograde(&["campaign", "new", text(&folder)]);
+    assert!(
+        code == 2 && err.contains("is a folder, and a plan is a TOML file"),
+        "{err}"
+    );
+    assert!(
+        err.contains(&format!("campaign run {}` goes on", folder.display())),
+        "{err}"
+    );
+    // Without a terminal, too.
+    let (code, _, err) = retrograde(&["campaign", "run", text(&none)]);
+    assert!(code == 2 && err.contains("No such file"), "{err}");
+    assert!(!err.contains("nobody is at a terminal"), "{err}");
+}
+
+#[test]
+fn a_refused_row_is_told_in_words() {
+    let place = tempfile::tempdir().expect("a folder");
+    let mut folder = campaign(&place.path().join("small"));
+    for (event, trial, attempt, says) in [
+        (
+            LedgerEvent::Skipped,
+            1,
+            None,
+            "trial 1 is done, not to be skipped",
+        ),
+        (
+            LedgerEvent::Ended,
+            1,
+            Some(1),
+            "trial 1 is done, not to be ended",
+        ),
+        (
+            LedgerEvent::Began,
+            1,
+            Some(2),
+            "trial 1 is done, not to be begun",
+        ),
+    ] {
+        let row = LedgerRow::of(event, trial, attempt);
+        let error = folder.append(row, at(100), Origin::Board).expect_err(says);
+        assert!(error.why.contains(says), "{error:?}");
+    }
+}
+
+/// Regression: `no` dropped all readings, and only `again` was among the answers; `undo` was not.
+#[test]
+fn a_question_lists_what_it_takes() {
+    let hint = Question::Odd { questions: &[] }.hint();
+    for answer in ["yes", "undo", "again", "no", "q"] {
+        let mut words = hint.split(|c: char| !c.is_alphabetic());
+        assert!(words.any(|word| word == answer), "{answer}: {hint}");
+    }
+}
+
+/// Regression: whoever looked at a report in between was left with it at the end.
+#[test]
+fn the_report_of_a_finished_campaign_is_of_its_last_state() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let run = |what: &str, more: &[&str]| go_on(&memory, what, more);
+    run(&plan, &["--out", &out, "--trials", "3"]);
+    let (code, _, err) = memory.run(&["report", &out]);
+    assert_eq!(code, 0, "{err}");
+    let page = Path::new(&out).join("report/report.html");
+    let read = || fs::read_to_string(&page).expect("a page");
+    let early = read();
+    let said = run(&out, &[]);
+    assert!(
+        said.contains("report.html, made anew, for it was of an earlier state"),
+        "{said}"
+    );
+    let last = read();
+    assert!(last != early && last.contains("Every trial of the plan counts."));
+    // Nothing has changed since: a page with another band would be kept.
+    let said = run(&out, &[]);
+    assert!(
+        said.contains("report.html, of this state already"),
+        "{said}"
+    );
+    assert_eq!(read(), last);
+    let (code, _, err) = memory.run(&["campaign", "edit", &out, "note", "21 degC"]);
+    assert_eq!(code, 0, "{err}");
+    let said = run(&out, &[]);
+    assert!(said.contains("made anew") && read() != last, "{said}");
+    // Somebody else's page.
+    fs::write(&page, "<p>mine</p>").expect("written");
+    let said = run(&out, &[]);
+    assert!(
+        said.contains("is no report of this program: move it elsewhere"),
+        "{said}"
+    );
+    assert_eq!(read(), "<p>mine</p>");
+}
+
+fn go_on(memory: &Memory, what: &str, more: &[&str]) -> String {
+    let line = [
+        "campaign",
+        "run",
+        what,
+        "--yes",
+        "--rig",
+        "0",
+        "--capsule",
+        "1",
+    ];
+    let (code, said, err) = memory.run(&[&line[..], more].concat());
+    assert_eq!(code, 0, "{said}{err}");
+    said
+}
