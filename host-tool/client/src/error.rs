@@ -301,6 +301,27 @@ impl ClientError {
         )
     }
 
+    /// The error in words for a record that is read later: without what was true at that moment only, and without what to
+    /// do then.
+    #[must_use]
+    pub fn in_record(&self) -> String {
+        let seen = match self {
+            Self::Cut { seen, .. }
+            | Self::SessionLost { seen, .. }
+            | Self::NoReply { seen, .. }
+            | Self::Silent { seen, .. }
+            | Self::OutcomeUnknown { seen, .. }
+            | Self::StopUnconfirmed { seen, .. }
+            | Self::Overdue { seen, .. } => seen.as_ref(),
+            _ => None,
+        };
+        let text = self.to_string().replace(last_seen::MAY_MOVE, "");
+        match seen {
+            Some(seen) => text.replace(&seen.to_string(), &seen.place()),
+            None => text,
+        }
+    }
+
     /// The machine may be moving: it has not confirmed a stop, or is no longer heard in a motion.
     #[must_use]
     pub const fn may_move(&self) -> bool {
@@ -345,5 +366,47 @@ fn homing_failure(fault: Option<RigFault>, link_lost: bool) -> String {
         (Some(fault), _) => fault.to_string(),
         (None, true) => "the rig had not heard from this tool for too long; home again".to_owned(),
         (None, false) => "it was stopped; home again".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::last_seen::Since;
+
+    /// Regression: a ledger said for ever that the carriage may still be moving.
+    #[test]
+    fn a_record_keeps_the_place_and_not_the_alarm() {
+        let (at, since) = (Some((43_210, 0)), Since::Brakes { after_ms: 1_000 });
+        let silent = |seen| ClientError::Silent {
+            place: "the rig".to_owned(),
+            action: "the run",
+            seen,
+        };
+        let error = silent(Some(LastSeen { at, since }));
+        assert!(
+            error
+                .to_string()
+                .contains("it MAY BE MOVING; the carriage was at 43.210 mm")
+        );
+        assert_eq!(
+            error.in_record(),
+            "the rig has fallen silent during the run; the carriage was at 43.210 mm when the rig last answered"
+        );
+        let alone = "the rig has fallen silent during the run";
+        assert_eq!(silent(None).in_record(), alone);
+        let error = ClientError::StopUnconfirmed {
+            place: "the rig".to_owned(),
+            seen: Some(LastSeen {
+                at: None,
+                since: Since::Stopped,
+            }),
+        };
+        assert_eq!(
+            error.in_record(),
+            "the rig did not confirm the stop; where the carriage is was not known, because the rig was not homed"
+        );
+        let error = ClientError::Interrupted { request: "Home" };
+        assert_eq!(error.in_record(), error.to_string());
     }
 }

@@ -3,7 +3,6 @@
 use std::fmt;
 
 use crate::decimal;
-use crate::error::ClientError;
 
 /// The rig's last answer, and the possible course of its motion since.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,36 +32,13 @@ pub enum Since {
 
 impl LastSeen {
     /// The last known place, in words.
-    fn place(&self) -> String {
+    pub(crate) fn place(&self) -> String {
         match self.at {
             Some((position_um, _)) => format!(
                 "the carriage was at {} mm when the rig last answered",
                 decimal::fixed(position_um.into(), 3)
             ),
             None => "where the carriage is was not known, because the rig was not homed".to_owned(),
-        }
-    }
-}
-
-impl ClientError {
-    /// The error in words for a record that is read later: without what was true at that moment only, and without what to
-    /// do then.
-    #[must_use]
-    pub fn in_record(&self) -> String {
-        let seen = match self {
-            Self::Cut { seen, .. }
-            | Self::SessionLost { seen, .. }
-            | Self::NoReply { seen, .. }
-            | Self::Silent { seen, .. }
-            | Self::OutcomeUnknown { seen, .. }
-            | Self::StopUnconfirmed { seen, .. }
-            | Self::Overdue { seen, .. } => seen.as_ref(),
-            _ => None,
-        };
-        let text = self.to_string().replace(MAY_MOVE, "");
-        match seen {
-            Some(seen) => text.replace(&seen.to_string(), &seen.place()),
-            None => text,
         }
     }
 }
@@ -97,7 +73,7 @@ impl fmt::Display for LastSeen {
 }
 
 /// Alarm for a machine of which nothing is known.
-const MAY_MOVE: &str = ": it MAY BE MOVING";
+pub(crate) const MAY_MOVE: &str = ": it MAY BE MOVING";
 
 /// The sentence as the end of an error's text; empty if nothing could move.
 pub(crate) fn after(seen: Option<&LastSeen>) -> String {
@@ -147,41 +123,5 @@ mod tests {
                 format!("{text}; `retrograde info rig` says where it is now")
             );
         }
-    }
-
-    /// Regression: a ledger said for ever that the carriage may still be moving.
-    #[test]
-    fn a_record_keeps_the_place_and_not_the_alarm() {
-        let (at, since) = (Some((43_210, 0)), Since::Brakes { after_ms: 1_000 });
-        let silent = |seen| ClientError::Silent {
-            place: "the rig".to_owned(),
-            action: "the run",
-            seen,
-        };
-        let error = silent(Some(LastSeen { at, since }));
-        assert!(
-            error
-                .to_string()
-                .contains("it MAY BE MOVING; the carriage was at 43.210 mm")
-        );
-        assert_eq!(
-            error.in_record(),
-            "the rig has fallen silent during the run; the carriage was at 43.210 mm when the rig last answered"
-        );
-        let alone = "the rig has fallen silent during the run";
-        assert_eq!(silent(None).in_record(), alone);
-        let error = ClientError::StopUnconfirmed {
-            place: "the rig".to_owned(),
-            seen: Some(LastSeen {
-                at: None,
-                since: Since::Stopped,
-            }),
-        };
-        assert_eq!(
-            error.in_record(),
-            "the rig did not confirm the stop; where the carriage is was not known, because the rig was not homed"
-        );
-        let error = ClientError::Interrupted { request: "Home" };
-        assert_eq!(error.in_record(), error.to_string());
     }
 }

@@ -1,5 +1,6 @@
 //! What happens during an action: reports what the machine sends, and takes a hold or a resume.
 
+use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use client::error::ClientError;
@@ -13,8 +14,8 @@ use protocol::table::Telemetry;
 use serde_json::{Value, json};
 use trials::trial::Achieved;
 
+use crate::board::{Board, Machine, Order};
 use crate::orders::Work;
-use crate::worker::Worker;
 
 /// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
 pub(super) type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;
@@ -25,7 +26,9 @@ pub(super) fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>>
 
 /// Handles what the machine sends during an action, and takes orders meanwhile.
 pub(super) struct Busy<'a> {
-    pub(super) worker: &'a Worker<'a>,
+    pub(super) board: &'a Board,
+    pub(super) machine: &'a Machine,
+    pub(super) orders: &'a Receiver<Order>,
     pub(super) action: u64,
     pub(super) kind: &'static str,
     pub(super) pacing: Pacing,
@@ -34,8 +37,7 @@ pub(super) struct Busy<'a> {
 impl Busy<'_> {
     /// Takes orders during an action: a hold or a resume of a run, and nothing else.
     pub(super) fn look(&mut self) {
-        let worker = self.worker;
-        while let Ok(order) = worker.orders.try_recv() {
+        while let Ok(order) = self.orders.try_recv() {
             let pace = match order.work {
                 Work::Hold => Some(Pace::Hold),
                 Work::Resume => Some(Pace::Resume),
@@ -48,17 +50,17 @@ impl Busy<'_> {
                 }
                 _ => {
                     drop(pacing);
-                    let machine = client::identity::kind_name(worker.machine.kind);
+                    let machine = client::identity::kind_name(self.machine.kind);
                     let failure = Failure::Refused {
                         why: format!("the {machine} is busy: `{}` is under way", self.kind),
                         help: "nothing was moved by this request; wait for the end, or stop it"
                             .to_owned(),
                     };
-                    worker.refuse(&order, &failure);
+                    self.board.ended(order.action, Value::Null, Some(&failure));
                 }
             }
         }
-        worker.board.flush(worker.machine, false);
+        self.board.flush(self.machine, false);
     }
 
     /// Reports the end of the hold or resume that is waiting for it.
@@ -66,12 +68,12 @@ impl Busy<'_> {
         let Some((action, pace, _)) = held(&self.pacing).take() else {
             return;
         };
-        let board = self.worker.board;
+        let board = self.board;
         match end(pace) {
             Ok(result) => board.ended(action, result, None),
             Err(failure) => {
                 board.ended(action, Value::Null, Some(failure));
-                board.notice(self.worker.machine, Notice::Bad(failure.in_one_line()));
+                board.notice(self.machine, Notice::Bad(failure.in_one_line()));
             }
         }
     }
@@ -80,10 +82,9 @@ impl Busy<'_> {
 impl Observer for Busy<'_> {
     fn begun(&mut self, begun: &Begun) {
         if let Begun::Run(accepted) = begun {
-            self.worker.machine.runs(accepted.run);
+            self.machine.runs(accepted.run);
         }
-        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.worker.machine.panel().rig)
-        {
+        if let (Begun::Run(accepted), Some(status)) = (begun, &mut self.machine.panel().rig) {
             // The panel is otherwise stale until the next status request.
             status.run = accepted.run;
             status.strokes = u32::from(accepted.requested.cycles) * 2;
@@ -95,19 +96,17 @@ impl Observer for Busy<'_> {
             Begun::Actuation(accepted) => json!(accepted),
             Begun::Move(accepted) => json!(accepted),
         };
-        self.worker.board.accepted(self.action, accepted);
+        self.board.accepted(self.action, accepted);
     }
 
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
-        self.worker
-            .board
-            .sample(self.worker.machine, sample, missed);
+        self.board.sample(self.machine, sample, missed);
     }
 
     fn event(&mut self, event: &Event) {
-        self.worker.board.event(self.worker.machine, event);
+        self.board.event(self.machine, event);
         let at = |steps: i32| {
-            let status = self.worker.machine.panel().rig;
+            let status = self.machine.panel().rig;
             // The panel's own position is as old as the last sample.
             let position_um = status.map(|status| panel::position_um(&status, steps));
             json!({ "position_steps": steps, "position_um": position_um })
@@ -120,7 +119,6 @@ impl Observer for Busy<'_> {
             }
             (What::Rig(RigEvent::Resumed), Some(Pace::Resume)) => {
                 let steps = self
-                    .worker
                     .machine
                     .panel()
                     .rig
@@ -161,14 +159,12 @@ impl Observer for Busy<'_> {
                 "elapsed_us": elapsed_us, "total_us": at_most_us, "thread_um": thread_um, "current_ma": current_ma,
             }),
         };
-        let worker = self.worker;
-        worker
-            .board
+        self.board
             .actions
             .update(self.action, |action| action.progress = shown);
         {
             // The wait has asked for the status; copy to the panel what telemetry does not contain.
-            let mut panel = worker.machine.panel();
+            let mut panel = self.machine.panel();
             if let (
                 Progress::Run {
                     elapsed_us,
@@ -187,14 +183,12 @@ impl Observer for Busy<'_> {
 
     fn unrecorded(&mut self, why: &str) {
         let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
-        self.worker
-            .board
-            .notice(self.worker.machine, Notice::Bad(notice));
+        self.board.notice(self.machine, Notice::Bad(notice));
     }
 
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
         let failure = Failure::Client(ClientError::Refused {
-            place: self.worker.machine.address.to_string(),
+            place: self.machine.address.to_string(),
             request: match pace {
                 Pace::Hold => "Hold",
                 Pace::Resume => "Resume",
