@@ -118,7 +118,7 @@ fn lives(count: u64) {
     );
     for times in [0.7, 0.8, 0.9, 1.1, 1.2, 1.3, 1.4] {
         let found = verdict::all(count, |seed| {
-            cases::lives_on(seed, &[Defect::Friction(times)])
+            cases::lives_on(Parameters::lifelike(seed), seed, &[Defect::Friction(times)])
         });
         let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
         let off = found.iter().map(|f| f.2).fold(0.0, f64::max);
@@ -253,7 +253,9 @@ fn main() {
             .fold(f64::MAX, f64::min);
         println!("a cut each 8 ms of 300 unfoldings: least thread on the spool {lowest:.3} mm");
         for (folded, way) in [(true, "a check"), (false, "a reference run")] {
-            let found = verdict::all(2 * count, |seed| cases::found_again(seed, folded));
+            let found = verdict::all(2 * count, |seed| {
+                cases::found_again(Parameters::lifelike(seed), seed, folded)
+            });
             let complete: Vec<_> = found.iter().flatten().collect();
             let least = |index: usize| {
                 complete

@@ -167,7 +167,7 @@ fn a_thread_that_creeps_is_felt_where_it_ends() {
 /// calibration's. The end force stayed raised, and the fold went on to where it was called a slip.
 #[test]
 fn a_fold_that_is_braked_before_its_end_still_compares_its_pull() {
-    let (name, _, off_mm) = cases::lives_on(70, &[]);
+    let (name, _, off_mm) = cases::lives_on(Parameters::lifelike(70), 70, &[]);
     assert_eq!(name, "Complete");
     assert!(off_mm < 0.3, "{off_mm:.2} mm");
 }
@@ -490,7 +490,7 @@ fn a_check_confirms_a_folded_capsule_and_pays_nothing_out() {
 fn zero_is_not_passed_after_a_reset() {
     for (folded, chosen) in [(true, [207, 909]), (false, [594, 620])] {
         for seed in (0..6).chain(chosen) {
-            let found = cases::found_again_with(Parameters::varied(seed), seed, folded);
+            let found = cases::found_again(Parameters::varied(seed), seed, folded);
             let [least_mm, left_mm] =
                 found.unwrap_or_else(|| panic!("seed {seed} ends in a fault"));
             assert!(least_mm >= 0.0, "seed {seed}: {least_mm} mm");
@@ -769,7 +769,7 @@ fn the_folded_end_stays_where_it_was_while_the_friction_changes() {
         for times in [0.7, 1.4] {
             let parameters = Parameters::varied(seed);
             let changes = [Defect::Friction(times)];
-            let (name, least_mm, off_mm) = cases::lives_on_with(parameters, seed, &changes);
+            let (name, least_mm, off_mm) = cases::lives_on(parameters, seed, &changes);
             assert_eq!(name, "Complete", "seed {seed}, friction x {times}");
             assert!(least_mm >= 0.0 && off_mm <= 0.3, "{least_mm} {off_mm} mm");
         }
@@ -787,8 +787,7 @@ fn more_friction_is_no_jam() {
         };
         for seed in (0..some).chain(jammed.iter().copied()) {
             let changes = [Defect::Friction(times)];
-            let (name, least_mm, _) =
-                cases::lives_on_with(Parameters::lifelike(seed), seed, &changes);
+            let (name, least_mm, _) = cases::lives_on(Parameters::lifelike(seed), seed, &changes);
             assert_eq!(name, "Complete", "seed {seed}, friction x {times}");
             assert!(least_mm >= -0.05, "seed {seed}: {least_mm} mm");
         }

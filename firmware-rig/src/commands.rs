@@ -182,7 +182,7 @@ fn home_accepted(settings: &Settings) -> rig::HomeAccepted {
 /// Where a move ends, and how fast it may go.
 fn destination(requested: &rig::MoveTo, settings: &Settings) -> Result<(Position, Speed), Refusal> {
     let target = (settings.axis).position_um(Micrometres(requested.position_um));
-    let target = target.map_err(|_| Refusal::OutOfRange {
+    let target = target.ok_or(Refusal::OutOfRange {
         field: Field::PositionUm,
         requested: requested.position_um.into(),
         min: 0,

@@ -83,7 +83,7 @@ impl Settings {
         };
         let flag_um = get(values, Key::FlagUm);
         let flag = match axis.position_um(Micrometres(flag_um)) {
-            Ok(flag) if flag_um + pull_off_um <= axis.stroke().0 => flag.signed(),
+            Some(flag) if flag_um + pull_off_um <= axis.stroke().0 => flag.signed(),
             _ => return Err(SettingRule::FlagWithinStroke),
         };
         let overtravel_um = get(values, Key::OvertravelUm);

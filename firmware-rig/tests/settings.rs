@@ -255,7 +255,7 @@ proptest! {
         }
         // No more steps than a test can afford, where the rules allow it.
         let axis = Settings::new(&values).unwrap().axis;
-        let most_um = axis.length_of(Steps(20_000)).to_um() as u32;
+        let most_um = axis.um_from_home(StepPosition(20_000)) as u32;
         let stroke_um = axis.stroke().0.min(most_um);
         let short = change(&values, SettingKey::StrokeUm, stroke_um);
         prop_assume!(short.is_ok());

@@ -4,7 +4,7 @@
 
 use core::fmt;
 
-use crate::units::{Decimal, Micrometres, Nanometres, StepPosition, Steps, TICK_HZ, Window};
+use crate::units::{Decimal, Micrometres, StepPosition, Steps, TICK_HZ, Window};
 use crate::wide::{div_ceil, div_nearest};
 
 /// Longest stroke of any axis: 130 mm, the paper's.
@@ -17,20 +17,14 @@ const MAX_FULL_STEPS: u16 = 400;
 /// Maximum microsteps per full step.
 const MAX_MICROSTEPS: u16 = 256;
 
-/// Steps of the longest stroke on the finest axis: 26.6 M.
-pub const MAX_STROKE_STEPS: Steps = {
+// Every position of every axis fits `i32`: the longest stroke on the finest axis has 26.6 M steps.
+const _: () = {
     let steps_per_rev = MAX_FULL_STEPS as u64 * MAX_MICROSTEPS as u64;
-    let steps = MAX_STROKE.0 as u64 * steps_per_rev / LEADS_UM.0 as u64;
-    assert!(
-        steps <= i32::MAX as u64,
-        "every position of every axis fits i32"
-    );
-    Steps(steps as u32)
+    assert!(MAX_STROKE.0 as u64 * steps_per_rev / LEADS_UM.0 as u64 <= i32::MAX as u64);
 };
 
 /// One linear axis: lead screw, stepper motor, microsteps of its driver and configured stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Axis {
     lead_um: u32,
     full_steps_per_rev: u16,
@@ -41,7 +35,6 @@ pub struct Axis {
 
 /// Steps per micrometre, a reduced fraction: equal ratios compare equal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Ratio {
     steps: u32,
     um: u32,
@@ -102,12 +95,6 @@ impl Axis {
         Micrometres(self.lead_um)
     }
 
-    /// Full steps of the motor per turn.
-    #[must_use]
-    pub const fn full_steps_per_rev(&self) -> u16 {
-        self.full_steps_per_rev
-    }
-
     /// Microsteps per full step.
     #[must_use]
     pub const fn microsteps(&self) -> u16 {
@@ -126,7 +113,7 @@ impl Axis {
         self.full_steps_per_rev as u32 * self.microsteps as u32
     }
 
-    /// The last step inside the configured stroke, at most [`MAX_STROKE_STEPS`].
+    /// The last step inside the configured stroke, at most 26.6 M.
     #[must_use]
     pub const fn stroke_steps(&self) -> Steps {
         Steps(self.whole_steps(Micrometres(self.stroke_um)) as u32)
@@ -141,8 +128,7 @@ impl Axis {
         }
     }
 
-    /// Whole steps that fit into `length`, rounded down; [`Axis::length_of`] gives the length that
-    /// they have. `None` above `u32::MAX` steps.
+    /// Whole steps that fit into `length`, rounded down. `None` above `u32::MAX` steps.
     #[must_use]
     pub const fn steps_within(&self, length: Micrometres) -> Option<Steps> {
         let steps = self.whole_steps(length);
@@ -157,17 +143,16 @@ impl Axis {
     }
 
     /// Length of these steps, to the nearest nanometre.
-    #[must_use]
-    pub const fn length_of(&self, steps: Steps) -> Nanometres {
+    const fn length_nm(&self, steps: u32) -> u64 {
         // 2^32 * 50,000 * 1,000 is below 2^58.
-        let numerator = steps.0 as u64 * self.ratio.um as u64 * 1_000;
-        Nanometres((numerator + self.ratio.steps as u64 / 2) / self.ratio.steps as u64)
+        let numerator = steps as u64 * self.ratio.um as u64 * 1_000;
+        (numerator + self.ratio.steps as u64 / 2) / self.ratio.steps as u64
     }
 
     /// A position from home in um, rounded to the nearest, negative behind home. Wraps beyond 2^31 um, 2 km.
     #[must_use]
     pub const fn um_from_home(&self, position: StepPosition) -> i32 {
-        let um = self.length_of(Steps(position.0.unsigned_abs())).to_um() as i32;
+        let um = ((self.length_nm(position.0.unsigned_abs()) + 500) / 1_000) as i32;
         if position.0 < 0 { -um } else { um }
     }
 
@@ -175,7 +160,7 @@ impl Axis {
     /// Saturates at 2 km/s.
     #[must_use]
     pub fn mean_speed_um_s(&self, steps: i32, time_us: u64) -> i32 {
-        let nm = self.length_of(Steps(steps.unsigned_abs())).0;
+        let nm = self.length_nm(steps.unsigned_abs());
         let speed = nm.saturating_mul(1_000) / time_us.max(1);
         let speed = i32::try_from(speed).unwrap_or(i32::MAX);
         if steps < 0 { -speed } else { speed }
@@ -195,60 +180,24 @@ impl Axis {
         }
     }
 
-    /// The position this many steps from home.
-    ///
-    /// # Errors
-    /// The position is beyond the configured stroke.
-    pub const fn position(&self, from_home: Steps) -> Result<Position, OutsideStroke> {
-        let last = self.stroke_steps();
-        if from_home.0 > last.0 {
-            return Err(OutsideStroke {
-                wanted: from_home.0 as i64,
-                last: last.0,
-            });
+    /// The position this many steps from home; `None` beyond the configured stroke.
+    #[must_use]
+    pub const fn position(&self, from_home: Steps) -> Option<Position> {
+        if from_home.0 > self.stroke_steps().0 {
+            return None;
         }
-        Ok(Position { steps: from_home.0 })
+        Some(Position { steps: from_home.0 })
     }
 
-    /// The last whole step within this distance from home; [`Axis::length_of`] returns the length of its steps.
-    ///
-    /// # Errors
-    /// The distance is beyond the configured stroke, even by less than a step.
-    pub const fn position_um(&self, from_home: Micrometres) -> Result<Position, OutsideStroke> {
-        let last = self.stroke_steps().0;
-        match self.steps_within(from_home) {
-            Some(steps) if from_home.0 <= self.stroke_um => Ok(Position { steps: steps.0 }),
-            Some(steps) => Err(OutsideStroke {
-                wanted: steps.0 as i64,
-                last,
-            }),
-            None => Err(OutsideStroke {
-                wanted: i64::MAX,
-                last,
-            }),
+    /// The last whole step within this distance from home; `None` for a distance beyond the configured stroke, even by
+    /// less than a step.
+    #[must_use]
+    pub const fn position_um(&self, from_home: Micrometres) -> Option<Position> {
+        if from_home.0 > self.stroke_um {
+            return None;
         }
-    }
-
-    /// The position `distance` further in `direction`.
-    ///
-    /// # Errors
-    /// The position is beyond either end of the configured stroke.
-    pub const fn offset(
-        &self,
-        from: Position,
-        direction: Direction,
-        distance: Steps,
-    ) -> Result<Position, OutsideStroke> {
-        let wanted = match direction {
-            Direction::Away => from.steps as i64 + distance.0 as i64,
-            Direction::Home => from.steps as i64 - distance.0 as i64,
-        };
-        let last = self.stroke_steps().0;
-        if wanted < 0 || wanted > last as i64 {
-            return Err(OutsideStroke { wanted, last });
-        }
-        Ok(Position {
-            steps: wanted as u32,
+        Some(Position {
+            steps: self.whole_steps(from_home) as u32,
         })
     }
 
@@ -292,7 +241,6 @@ impl Axis {
 /// A whole step inside the configured stroke. Only an [`Axis`] creates positions, so none is outside. Use it with the
 /// axis that created it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Position {
     steps: u32,
 }
@@ -307,14 +255,8 @@ impl Position {
     /// The same position as a counter holds it.
     #[must_use]
     pub const fn signed(self) -> StepPosition {
-        // At most MAX_STROKE_STEPS, which fits.
+        // At most 26.6 M, which fits.
         StepPosition(self.steps as i32)
-    }
-
-    /// Direction and distance from here to `to`; `None` if they are the same.
-    #[must_use]
-    pub const fn way_to(self, to: Self) -> Option<(Direction, Steps)> {
-        self.signed().way_to(to.signed())
     }
 }
 
@@ -326,7 +268,6 @@ impl From<Position> for StepPosition {
 
 /// Direction of travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Direction {
     /// Away from home: to the left, positions grow. The forward stroke.
     Away,
@@ -390,7 +331,6 @@ impl Window {
 
 /// An exact speed on an axis, above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Speed {
     um_s: u32,
     ratio: Ratio,
@@ -414,7 +354,6 @@ impl Speed {
 
 /// An exact acceleration on an axis, above zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Acceleration {
     um_s2: u32,
     ratio: Ratio,
@@ -463,7 +402,6 @@ impl Acceleration {
 
 /// The reason why an axis, a speed or an acceleration was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum AxisError {
     /// Lead outside 500..=50,000 um.
     Lead {
@@ -531,28 +469,6 @@ impl fmt::Display for AxisError {
 }
 
 impl core::error::Error for AxisError {}
-
-/// The requested position is outside the configured stroke.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct OutsideStroke {
-    /// Requested steps from home; negative is beyond home.
-    pub wanted: i64,
-    /// The last step of the configured stroke.
-    pub last: u32,
-}
-
-impl fmt::Display for OutsideStroke {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "step {} is outside the stroke: stay within 0 to {}",
-            self.wanted, self.last
-        )
-    }
-}
-
-impl core::error::Error for OutsideStroke {}
 
 const fn gcd(mut a: u32, mut b: u32) -> u32 {
     while b != 0 {

@@ -13,7 +13,6 @@ pub const MAX_CYCLES: u16 = 10_000;
 
 /// Limits of the machine for every run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limits {
     /// Highest speed of the carriage, um/s, at least 1.
     pub max_speed_um_s: u32,
@@ -28,7 +27,6 @@ pub struct Limits {
 
 /// A run as the operator requests it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunRequest {
     /// Pairs of strokes, 1..=[`MAX_CYCLES`].
     pub cycles: u16,
@@ -46,7 +44,6 @@ pub struct RunRequest {
 
 /// Timing of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Timing {
     /// All strokes are alike, and the run takes exactly this long, delay and dwells included.
     Total {
@@ -68,7 +65,6 @@ pub enum Timing {
 
 /// A solved run. Times count from its start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunPlan {
     cycles: u16,
     forward: StrokeProfile,
@@ -459,7 +455,6 @@ fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Re
 
 /// The reason why a run was refused, and the values that would make it feasible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunError {
     /// Cycles outside 1..=[`MAX_CYCLES`].
     Cycles {

@@ -35,7 +35,6 @@ const LONGEST_STOP: u64 = 1 << 31;
 /// After any step, [`StepTimes::stop`] replaces the rest by a braking ramp. There are never more
 /// steps than the profile has.
 #[derive(Clone, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StepTimes {
     phase: Phase,
     /// Steps emitted so far.
@@ -56,7 +55,6 @@ pub struct StepTimes {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 enum Phase {
     Accelerate,
     Cruise,
@@ -105,7 +103,6 @@ struct Taken {
 
 /// The rest of a stroke after a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stop {
     /// Steps still to come.
     pub steps: Steps,
@@ -282,22 +279,13 @@ impl Iterator for StepTimes {
     fn next(&mut self) -> Option<u64> {
         self.advance().then_some(self.tick)
     }
-
-    fn size_hint(&self) -> (usize, Option<usize>) {
-        let remaining = self.remaining().0 as usize;
-        (remaining, Some(remaining))
-    }
 }
-
-impl ExactSizeIterator for StepTimes {}
-impl core::iter::FusedIterator for StepTimes {}
 
 /// The nearest tick to t_k = sqrt(k N / n), one step up or down at a time.
 ///
 /// Bounds, from [`StrokeProfile::from_parts`]: N < 2^62, 2 n t < 2^60, t < 2^31, n <= 2^25; so
 /// N + 2 n t and the products below fit `i64`.
 #[derive(Clone, Debug)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Ramp {
     steps: u32,
     k: u32,
@@ -486,7 +474,6 @@ fn product(a: u32, b: u32) -> u64 {
 
 /// The nearest tick to t_k with 2 n t_k = n r + 2 k (T - r): a line in integers.
 #[derive(Clone, Debug, Default)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 struct Cruise {
     tick: u64,
     /// Whole ticks per step.

@@ -28,7 +28,6 @@ pub const MAX_INTERVAL: Ticks = Ticks((1 << 30) - 1);
 
 /// A move of `steps` from rest to rest in `duration`, with ramps of `ramp` at both ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StrokeProfile {
     steps: u32,
     duration_ticks: u64,
@@ -271,7 +270,6 @@ fn least(mut low: u64, mut high: u64, holds: impl Fn(u64) -> bool) -> u64 {
 
 /// The reason why a stroke was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum StrokeError {
     /// A stroke of no steps.
     NoSteps,

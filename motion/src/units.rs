@@ -10,7 +10,6 @@ pub const TICKS_PER_US: u64 = TICK_HZ / 1_000_000;
 
 /// A number of microsteps: a distance, without a direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Steps(pub u32);
 
 /// A carriage position in microsteps as a counter holds it: 0 is home, positive is away from home.
@@ -18,12 +17,10 @@ pub struct Steps(pub u32);
 /// Unlike [`crate::axis::Position`] it may lie outside the stroke, and it means nothing until
 /// homing has set the counter. Its methods with a direction are in [`crate::axis`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StepPosition(pub i32);
 
 /// Positions from `first` to `last`, both included. With `first` above `last` it is empty.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Window {
     /// The position nearest to home.
     pub first: StepPosition,
@@ -33,17 +30,10 @@ pub struct Window {
 
 /// A length in micrometres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Micrometres(pub u32);
-
-/// A length in nanometres, fine enough to tell the microsteps of every axis apart.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Nanometres(pub u64);
 
 /// A time or a duration in ticks of the step timer, [`TICK_HZ`] per second.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Ticks(pub u64);
 
 impl StepPosition {
@@ -81,14 +71,6 @@ impl Window {
     #[must_use]
     pub const fn contains(&self, position: StepPosition) -> bool {
         self.first.0 <= position.0 && position.0 <= self.last.0
-    }
-}
-
-impl Nanometres {
-    /// Rounds to the nearest micrometre, half up.
-    #[must_use]
-    pub const fn to_um(self) -> u64 {
-        self.0.saturating_add(500) / 1_000
     }
 }
 
@@ -165,13 +147,6 @@ impl fmt::Display for StepPosition {
 impl fmt::Display for Micrometres {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}.{:03} mm", self.0 / 1_000, self.0 % 1_000)
-    }
-}
-
-/// In millimetres with six decimals.
-impl fmt::Display for Nanometres {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{:06} mm", self.0 / 1_000_000, self.0 % 1_000_000)
     }
 }
 

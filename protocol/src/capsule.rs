@@ -7,34 +7,28 @@ use serde::{Deserialize, Serialize};
 /// Finds the thread's zero: winds slowly to the end force, then pays out the length of the calibration. Without one
 /// it is a [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Reference;
 
 /// Winds the thread until the force (motor current) at the calibrated end shows that the origami is folded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fold;
 
 /// Pays the thread out to the referenced zero by encoder count, and never past it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Unfold;
 
 /// "This is unfolded": winds slowly to the end force, measures how far that is, pays out again, and keeps it in flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Calibrate;
 
 /// Confirms that the capsule is folded, and leaves it so: winds gently to the end force, or, if it is known to be
 /// folded, feels whether its thread pulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CheckFolded;
 
 /// Winds or pays out to a length of thread between zero and the calibrated end, and stays there. A thread that is
 /// broken is not felt before the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FoldTo {
     /// Thread wound up, from zero.
     pub thread_um: i32,
@@ -42,7 +36,6 @@ pub struct FoldTo {
 
 /// An actuation was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ActuationAccepted {
     /// Number of the actuation, counted from 1 since the device started.
     pub actuation: u32,
@@ -53,7 +46,6 @@ pub struct ActuationAccepted {
 /// State of the capsule (design: "Capsule states").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleState {
     /// The thread's position is unknown.
     Unreferenced,
@@ -131,12 +123,10 @@ pub enum CapsuleFault {
 
 /// Asks for the capsule's status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetCapsuleStatus;
 
 /// Status of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleStatus {
     /// Device time since its start.
     pub time_us: u64,
@@ -198,12 +188,10 @@ pub enum ActuationOutcome {
 
 /// Asks for the record of the last actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetActuationRecord;
 
 /// Record of an actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ActuationRecord {
     /// Number of the actuation.
     pub actuation: u32,
@@ -229,7 +217,6 @@ pub struct ActuationRecord {
 
 /// Asks for a part of the recording of the present or last actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetTrace {
     /// The first reading that is wanted, from 0, the oldest one that is kept.
     pub from: u32,
@@ -244,7 +231,6 @@ pub const KEPT_TRACE_POINTS: usize = 2_800;
 
 /// One reading of a recording; 1 ms apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TracePoint {
     /// Thread wound up, by the encoder.
     pub thread_um: i32,
@@ -258,7 +244,6 @@ pub struct TracePoint {
 
 /// A part of the recording of an actuation: its last [`KEPT_TRACE_POINTS`] readings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Trace {
     /// The actuation; another one than before means that the recording began anew.
     pub actuation: u32,
@@ -270,12 +255,10 @@ pub struct Trace {
 
 /// Asks for what the capsule keeps in flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetCapsuleTotals;
 
 /// The totals that the capsule keeps in flash, and its calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleTotals {
     /// Actuations so far.
     pub actuations: u32,
@@ -287,7 +270,6 @@ pub struct CapsuleTotals {
 
 /// Properties of one capsule, as measured by [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleCalibration {
     /// Thread from the unfolded end to the end force.
     pub folded_um: i32,
@@ -339,7 +321,6 @@ pub enum CapsuleEvent {
 
 /// Telemetry of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct CapsuleTelemetry {
     /// Device time since its start.
     pub time_us: u64,

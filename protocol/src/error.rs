@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 /// The request was understood and refused. Nothing moved, nothing changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Refusal {
     /// Another machine serves this request.
     WrongDevice,
@@ -124,7 +123,6 @@ pub enum Refusal {
 /// The values that a request checks against a range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Field {
     /// Cycles of a run.
     Cycles,
@@ -156,7 +154,6 @@ pub enum Field {
 
 /// A frame with a good CRC whose content could not be used. Nothing moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum WireError {
     /// No session with this number: say Hello (the device may have been reset).
     NoSession,

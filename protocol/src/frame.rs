@@ -23,7 +23,6 @@ pub type Encoded = heapless::Vec<u8, MAX_FRAME>;
 
 /// Kinds of frame; see the table in the crate documentation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[repr(u8)]
 pub enum Kind {
     /// Host to device: [`crate::table::Request`].
@@ -53,7 +52,6 @@ impl Kind {
 
 /// Kind, session and sequence number of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Header {
     /// Kind of the body.
     pub kind: Kind,
@@ -88,7 +86,6 @@ impl Frame<'_> {
 
 /// The body is longer than [`MAX_BODY`]. Cannot happen for the messages of this crate (test `every_message_fits`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TooLong;
 
 /// Encodes one frame.

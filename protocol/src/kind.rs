@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 /// The kinds of machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum DeviceKind {
     /// The roller rig.
     Rig,

@@ -6,12 +6,10 @@ use serde::{Deserialize, Serialize};
 
 /// Finds the position reference in two passes over the home flag, then moves to position 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Home;
 
 /// Homing was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HomeAccepted {
     /// Speed of the first pass.
     pub seek_um_s: u32,
@@ -24,7 +22,6 @@ pub struct HomeAccepted {
 /// The reaction of a run when the host falls silent for longer than the link time-out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum LinkLossPolicy {
     /// Category-1 stop (the default).
     Stop,
@@ -35,7 +32,6 @@ pub enum LinkLossPolicy {
 /// How the timing of a run is specified.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RunTiming {
     /// Total duration from the start to the last step; the speeds follow from it.
     Total {
@@ -57,7 +53,6 @@ pub enum RunTiming {
 
 /// Starts a run: out to `stroke_um` and back to 0, `cycles` times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Run {
     /// Number of cycles, 1..=10,000.
     pub cycles: u16,
@@ -78,7 +73,6 @@ pub struct Run {
 /// One stroke as it will be executed. The three integers define the exact continuous profile: a symmetric
 /// trapezoid from rest to rest over `steps` steps in `duration_ticks` whose ramps last `ramp_ticks` each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stroke {
     /// Steps of the stroke.
     pub steps: u32,
@@ -94,7 +88,6 @@ pub struct Stroke {
 
 /// The run was solved and accepted: what was requested beside what will be executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunAccepted {
     /// Number of the run, counted from 1 since the device started.
     pub run: u32,
@@ -114,18 +107,15 @@ pub struct RunAccepted {
 
 /// Feed hold: decelerates to rest within the run, which can then be resumed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hold;
 
 /// Continues a held run exactly as planned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Resume;
 
 /// Direction of travel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Direction {
     /// Away from home, to the left: positions grow.
     Away,
@@ -135,7 +125,6 @@ pub enum Direction {
 
 /// Moves towards the end of the stroke for as long as this request is renewed within the dead-man time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Jog {
     /// Direction of travel. (The field's name is part of the schema key.)
     pub sense: Direction,
@@ -145,7 +134,6 @@ pub struct Jog {
 
 /// Moves to a position within the stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MoveTo {
     /// Target, 0..= configured stroke: the last whole step within it.
     pub position_um: u32,
@@ -155,7 +143,6 @@ pub struct MoveTo {
 
 /// A move has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MoveAccepted {
     /// Position at the start.
     pub from_steps: i32,
@@ -167,12 +154,10 @@ pub struct MoveAccepted {
 
 /// Asks for the rig's health counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetRigHealth;
 
 /// False pulses on a switch: too short to count.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Glitches {
     /// Number since the start.
     pub count: u32,
@@ -184,7 +169,6 @@ pub struct Glitches {
 
 /// Health counters since the start of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigHealth {
     /// On the home flag.
     pub home_flag: Glitches,
@@ -210,12 +194,10 @@ pub struct RigHealth {
 
 /// Asks what the rig's own hardware has shown since the start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetRigHardware;
 
 /// Counts of step timer, capture timer and pins since the start of the device. They wrap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigHardware {
     /// Intervals between two steps, captured at the pin, that were the planned ones.
     pub intervals_exact: u32,
@@ -238,7 +220,6 @@ pub struct RigHardware {
 
 /// Asks for the record of the last run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetRunRecord;
 
 /// How a run ended.
@@ -262,7 +243,6 @@ pub enum RunOutcome {
 
 /// Record of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunRecord {
     /// Number of the run, as in [`RunAccepted`].
     pub run: u32,
@@ -305,13 +285,11 @@ pub struct RunRecord {
 
 /// Asks for the rig's status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetRigStatus;
 
 /// State of the rig (design: "Rig states").
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RigState {
     /// The position is unknown: home first.
     Unhomed,
@@ -411,7 +389,6 @@ pub enum Switch {
 
 /// State of the rig's inputs; true = open (actuated, or wire cut).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigInputs {
     /// Home flag.
     #[serde(rename(serialize = "home_flag_open", deserialize = "home_flag_open"))]
@@ -426,7 +403,6 @@ pub struct RigInputs {
 
 /// Status of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigStatus {
     /// Device time since its start.
     pub time_us: u64,
@@ -522,7 +498,6 @@ pub enum RigEvent {
 
 /// Telemetry of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RigTelemetry {
     /// Device time since its start.
     pub time_us: u64,

@@ -149,7 +149,6 @@ macro_rules! rules {
         /// Rules between settings; each variant lists the settings that it is about. Index-coded: append only.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
         #[serde(rename_all = "snake_case")]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum SettingRule { $(#[doc = $doc] $rule),* }
 
         impl SettingRule {
@@ -191,7 +190,6 @@ impl SettingRule {
 
 /// Asks for the value of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetSetting {
     /// The setting.
     pub key: SettingKey,
@@ -199,7 +197,6 @@ pub struct GetSetting {
 
 /// A setting and its value. As a request it changes the setting; as the answer to both requests it is what is in force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Setting {
     /// The setting.
     pub key: SettingKey,
@@ -209,12 +206,10 @@ pub struct Setting {
 
 /// Sets all settings back to their defaults and clears the name. A capsule's calibration and totals stay.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FactoryReset;
 
 /// Asks for the machine's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetName;
 
 /// Longest name, bytes.
@@ -223,7 +218,6 @@ pub const MAX_NAME: usize = 24;
 /// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it
 /// is.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Name {
     /// UTF-8 text.
     pub name: heapless::String<MAX_NAME>,

@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 
 /// Version of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Version {
     /// Raised when an existing message changes.
     pub major: u8,
@@ -18,7 +17,6 @@ pub struct Version {
 
 /// Opens a session. The encoding of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Hello {
     /// Version of the host.
     pub protocol: Version,
@@ -48,7 +46,6 @@ pub enum ResetCause {
 /// How the image was built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BuildProfile {
     /// With debug assertions.
     Debug,
@@ -58,7 +55,6 @@ pub enum BuildProfile {
 
 /// Source revision of an image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Revision {
     /// First 32 bits of the commit hash; 0 = built outside a repository.
     pub commit: u32,
@@ -68,7 +64,6 @@ pub struct Revision {
 
 /// Answer to [`Hello`]. The encoding of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Identity {
     /// Kind of machine.
     pub device: DeviceKind,
@@ -92,12 +87,10 @@ pub struct Identity {
 
 /// Asks for the text of the last panic or processor fault, which survives the reset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetLastWords;
 
 /// Text of the last panic or processor fault; empty when there was none.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct LastWords {
     /// UTF-8 text, cut at 120 bytes.
     pub text: heapless::String<120>,
@@ -105,7 +98,6 @@ pub struct LastWords {
 
 /// Sets the interval of telemetry. The answer repeats it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SetTelemetry {
     /// 5..=1000 ms (200..1 Hz), or 0 for none.
     pub period_ms: u16,
@@ -118,27 +110,22 @@ impl SetTelemetry {
 
 /// Tells the device that the host is still there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct KeepAlive;
 
 /// Clears a latched fault whose cause is gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Acknowledge;
 
 /// Answer to a request that returns no data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Done;
 
 /// Asks for what the chip says of its clock, its supply and its option bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetChip;
 
 /// Clock, supply and option bytes of the microcontroller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Chip {
     /// Source of the processor's clock.
     pub clock: Clock,
@@ -153,7 +140,6 @@ pub struct Chip {
 /// Sources of the processor's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Clock {
     /// 8 MHz from outside: of the ST-LINK, or a crystal.
     External,
@@ -164,7 +150,6 @@ pub enum Clock {
 /// Brown-out levels of the option bytes, by falling threshold (DS10314 table 19).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum BrownOut {
     /// 1.7 V: only the power-down reset.
     Off,
@@ -178,7 +163,6 @@ pub enum BrownOut {
 
 /// Asks for events by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct GetEvents {
     /// Index of the first event wanted.
     pub from: u32,
@@ -189,7 +173,6 @@ pub const EVENTS_PER_REPLY: usize = 3;
 
 /// A piece of the device's ring of events.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Events {
     /// Oldest index that the ring still holds.
     pub oldest: u32,
@@ -201,7 +184,6 @@ pub struct Events {
 
 /// Something that happened on the device. It is sent at once and kept in a ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Event {
     /// Counts from 0 at each start of the device.
     pub index: u32,
@@ -214,7 +196,6 @@ pub struct Event {
 /// Kind and content of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum What {
     /// The device started.
     Booted(ResetCause),
@@ -229,9 +210,10 @@ pub enum What {
 }
 
 /// A stop: valid at any time, in any session, in any state. The encoding of this message never changes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema, Hash)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, Schema, Hash,
+)]
 #[serde(rename_all = "snake_case")]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Urgent {
     /// Category-1 stop: decelerate, keep the position (rig); motor off, worm holds (capsule).
     Stop,

@@ -39,12 +39,10 @@ macro_rules! table {
     ($($name:ident: $request:ty => $response:ty, match $matched:literal, impact $impact:ident;)*) => {
         /// All requests. Index-coded: append only.
         #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum Request { $(#[doc = concat!("[`", stringify!($request), "`]")] $name($request)),* }
 
         /// All responses, in the order of [`Request`].
         #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub enum Response { $(#[doc = concat!("Of [`", stringify!($request), "`].")] $name($response)),* }
 
         impl Request {
@@ -119,7 +117,6 @@ table! {
 // One reply exists at a time, on the stack; there is no heap to box it on.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Reply {
     /// Carried out, or begun.
     Accepted(Response),
@@ -133,7 +130,6 @@ pub enum Reply {
 
 /// Body of a telemetry frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Telemetry {
     /// From the rig.
     Rig(rig::RigTelemetry),

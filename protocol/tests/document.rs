@@ -146,6 +146,7 @@ fn plain(doc: &str) -> String {
 fn read(source: &str) -> BTreeMap<String, Written> {
     let mut found = BTreeMap::new();
     let (mut doc, mut of_type, mut of_variant) = (Vec::new(), String::new(), String::new());
+    let mut in_attribute = false;
     for line in source.lines() {
         let text = line.trim_start();
         let depth = (line.len() - text.len()) / 4;
@@ -153,7 +154,10 @@ fn read(source: &str) -> BTreeMap<String, Written> {
             doc.push(comment.trim());
             continue;
         }
-        if text.starts_with("#[") || text.starts_with("//") {
+        // A long list of derives takes several lines.
+        in_attribute |= text.starts_with("#[");
+        if in_attribute || text.starts_with("//") {
+            in_attribute &= !text.ends_with(']');
             continue;
         }
         let written = |kind: &str| Written {

@@ -1,28 +1,4 @@
 //! `cargo xtask`: set-up, images, demo, tests, bench and CI, each from one command on a fresh machine.
-//!
-//! | file | does |
-//! |---|---|
-//! | `main.rs` | reads the command line |
-//! | `steps.rs` | runs named steps, times them, prints the totals |
-//! | `programs.rs` | builds test programs and runs them side by side |
-//! | `checks.rs` | the steps of `test`, `lint` and `ci` |
-//! | `structure.rs` | what crates and files may import, and how large they may be |
-//! | `manual.rs` | where the links in Markdown lead, and how long pages and lines may be |
-//! | `book.rs` | makes a book of the manual, with MkDocs and `xtask/book` |
-//! | `fuzz.rs` | runs cargo-fuzz and counts what it reaches |
-//! | `mutants.rs` | runs cargo-mutants and counts what the tests notice |
-//! | `dependencies.rs` | checks licences and sources of other people's crates |
-//! | `bench.rs` | starts the virtual bench |
-//! | `board.rs` | measures on a board what the bench cannot show |
-//! | `images.rs` | builds the ARM images |
-//! | `layout.rs` | reads an image and checks its addresses and sizes |
-//! | `pictures.rs` | draws the pictures of the manual |
-//! | `places.rs` | finds the places in the source for the addresses in last words |
-//! | `toolchain.rs` | finds a compiler for the STM32 |
-//! | `debian.rs` | one such compiler, from Debian packages |
-//! | `version.rs` | versions of Rust compilers |
-//! | `python.rs` | makes a Python environment, and tests the Python package in it |
-//! | `process.rs` | child processes and their environment |
 #![forbid(unsafe_code)]
 #![allow(
     clippy::print_stdout,
@@ -87,7 +63,7 @@ cargo xtask <command>
   where MACHINE WORD...
                     find the places in the source for the addresses in a machine's last words
                     (just paste them)
-  pictures          draw the manual's pictures: machines, way of a command, wiring from the pins of the images, figures;
+  pictures          draw the manual's pictures: wiring from the pins of the images, a terminal's screen, figures;
                     with --browser CHROMIUM also those of the page and of a report
   bench [OPTIONS]   measure the images on the virtual bench, the step generator beside its peers in one table,
                     and the computing time of the paper's models

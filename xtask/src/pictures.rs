@@ -1,9 +1,7 @@
-//! Draws the pictures of the manual: the machines, the way of a command, the wiring from the pins that the images use,
-//! and a terminal's screen.
+//! Draws pictures of the manual: the wiring from the pins that the images use, and a terminal's screen. The other SVG
+//! files beside them are changed by hand.
 
 mod capsule;
-mod data_path;
-mod machines;
 mod rig;
 mod screens;
 mod svg;
@@ -13,11 +11,9 @@ use std::path::{Path, PathBuf};
 
 use crate::process::{Failure, Result, host_cargo, root, run};
 
-/// The pictures and where they are, from the root.
-fn all() -> [(&'static str, String); 5] {
+/// The pictures that are drawn and where they are, from the root.
+fn all() -> [(&'static str, String); 3] {
     [
-        ("docs/pictures/machines.svg", machines::draw()),
-        ("docs/pictures/data-path.svg", data_path::draw()),
         ("docs/pictures/rig-wiring.svg", rig::draw()),
         ("docs/pictures/capsule-wiring.svg", capsule::draw()),
         ("docs/pictures/watch.svg", watch::draw()),

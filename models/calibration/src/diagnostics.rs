@@ -236,9 +236,13 @@ pub fn tail_ess(chains: &[Vec<f64>], walkers: usize) -> f64 {
 }
 
 /// A quantile of sorted values, between two of them by a straight line.
-fn quantile(sorted: &[f64], part: f64) -> f64 {
-    let place = part * (sorted.len() - 1) as f64;
-    let below = place as usize;
-    let above = (below + 1).min(sorted.len() - 1);
+#[must_use]
+pub fn quantile(sorted: &[f64], part: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else {
+        return f64::NAN;
+    };
+    let place = part * last as f64;
+    let below = (place as usize).min(last);
+    let above = (below + 1).min(last);
     sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
 }

@@ -10,6 +10,7 @@ use locomotion::range::OutOfRange;
 use rayon::prelude::*;
 
 use crate::chance::{stream, unit};
+pub use crate::diagnostics::quantile;
 use crate::observation::{Condition, Observation, Unusable, conditions};
 use crate::plausible::{mistake, mistake_beside};
 use crate::prediction::Predictor;
@@ -268,16 +269,4 @@ impl Fit {
     pub fn quantile(&self, unknown: usize, part: f64) -> f64 {
         quantile(&self.draws.sorted(unknown), part)
     }
-}
-
-/// A quantile of sorted values, between two of them by a straight line.
-#[must_use]
-pub fn quantile(sorted: &[f64], part: f64) -> f64 {
-    let Some(last) = sorted.len().checked_sub(1) else {
-        return f64::NAN;
-    };
-    let place = part * last as f64;
-    let below = (place as usize).min(last);
-    let above = (below + 1).min(last);
-    sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
 }

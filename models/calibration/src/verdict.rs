@@ -92,12 +92,6 @@ impl Verdict {
         self.reasons.iter().all(|reason| !reason.unreliable)
     }
 
-    /// Whether there is any reason, if only a doubt.
-    #[must_use]
-    pub fn is_doubted(&self) -> bool {
-        !self.reasons.is_empty()
-    }
-
     /// Whether this check gives a reason, if only a doubt.
     #[must_use]
     pub fn says(&self, check: Check) -> bool {

@@ -141,7 +141,7 @@ fn the_true_body_is_reliable() {
     for seed in 0..count {
         let fit = fitted(&trials(of, Lubrication::Dry, seed), seed).expect("a posterior");
         reliable += u64::from(fit.verdict.is_reliable());
-        undoubted += u64::from(!fit.verdict.is_doubted());
+        undoubted += u64::from(fit.verdict.reasons.is_empty());
         assert!(fit.quantile(1, 0.01) < 40.0 && fit.quantile(1, 0.99) > 40.0);
     }
     eprintln!("{reliable} of {count} reliable, {undoubted} without a doubt");
@@ -285,7 +285,7 @@ fn wings_that_recover_late_are_doubted() {
         };
         let fit = fitted(&dry(&Model::ONE, late, 6), 6).expect("a posterior");
         assert!(
-            fit.verdict.is_doubted(),
+            !fit.verdict.reasons.is_empty(),
             "{recovery_mm} mm: {:?}",
             fit.verdict
         );
@@ -299,7 +299,7 @@ fn a_contact_that_gives_before_it_slips_is_doubted() {
         ..LIKE
     };
     let fit = fitted(&dry(&Model::ONE, gives, 7), 7).expect("a posterior");
-    assert!(fit.verdict.is_doubted(), "{:?}", fit.verdict);
+    assert!(!fit.verdict.reasons.is_empty(), "{:?}", fit.verdict);
 }
 
 /// A friction ratio of 40 that falls to 10 at the slip speed of the rig's one speed is a body with 10. No check can see

@@ -500,7 +500,7 @@ impl Plant {
         };
         let friction = parameters.worm_friction * worm * sticks;
         let (raising, lowering) =
-            parameters.worm_factors_with(friction, friction * (1.0 + effects.direction));
+            parameters.worm_factors(friction, friction * (1.0 + effects.direction));
         let ratio = parameters.planetary_ratio * parameters.worm_ratio;
         let lever = parameters.spool_mm * 1e-3 / ratio / parameters.planetary_efficiency;
         let ideal = force * lever;
@@ -661,7 +661,9 @@ mod tests {
             run(&mut plant, 500_000);
             assert!(plant.wound_mm() < folded - 5.0);
         }
-        let (raising, lowering) = Parameters::nominal().worm_factors();
+        let nominal = Parameters::nominal();
+        let friction = nominal.worm_friction;
+        let (raising, lowering) = nominal.worm_factors(friction, friction);
         assert!((1.0 / raising - 0.315).abs() < 0.001 && (lowering - 1.133).abs() < 0.002);
     }
 

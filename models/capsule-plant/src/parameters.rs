@@ -152,15 +152,10 @@ impl Parameters {
         }
     }
 
-    /// Motor torque relative to the ideal one when the worm raises the load, and when it lowers it. The worm is
-    /// self-locking, so lowering takes torque, too.
-    #[must_use]
-    pub fn worm_factors(&self) -> (f64, f64) {
-        self.worm_factors_with(self.worm_friction, self.worm_friction)
-    }
-
-    /// The same for these coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart.
-    pub(crate) fn worm_factors_with(&self, raising: f64, lowering: f64) -> (f64, f64) {
+    /// Motor torque relative to the ideal one when the worm raises the load, and when it lowers it, with these
+    /// coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart. The worm is self-locking,
+    /// so lowering takes torque, too.
+    pub(crate) fn worm_factors(&self, raising: f64, lowering: f64) -> (f64, f64) {
         let lead = self.worm_lead_deg.to_radians().tan();
         (
             (lead + raising) / (1.0 - lead * raising) / lead,

@@ -9,8 +9,7 @@
 //! d0  = phi - psi = q (phi + psi) / [(s1 + h tan beta)(s2 + h tan alpha)]
 //! ```
 //!
-//! These forms are accurate in `f32`, too, where the printed form of Eq. (5) loses up to 7e-4 of a small `d0`. That
-//! form is kept for comparison: [`Design::shortening_as_printed_mm`].
+//! These forms are accurate in `f32`, too, where the printed form of Eq. (5) loses up to 7e-4 of a small `d0`.
 
 use core::fmt::Debug;
 use core::ops::{Add, Div, Mul, RangeInclusive, Sub};
@@ -307,17 +306,6 @@ impl<T: Real> Design<T> {
     /// `a` outside `0..=h`, or NaN.
     pub fn shortening_mm(&self, a_mm: T) -> Result<T, OutOfRange> {
         Ok(self.m() * self.shortening_per_crescent_mm(a_mm)?)
-    }
-
-    /// Eq. (5) term by term as printed, mm. For comparison only: its terms cancel at small `a`.
-    ///
-    /// # Errors
-    /// `a` outside `0..=h`, or NaN.
-    pub fn shortening_as_printed_mm(&self, a_mm: T) -> Result<T, OutOfRange> {
-        self.check_indentation(a_mm)?;
-        let u = self.half_gap_mm - a_mm;
-        let reach = |side: T| (side * side - u * u).sqrt();
-        Ok(self.spacing_mm() - reach(self.long_side_mm()) + reach(self.short_side_mm()))
     }
 
     /// Length of the core at indentation `a`, `m psi(a)`, mm (not in the paper).

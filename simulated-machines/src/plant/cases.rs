@@ -209,12 +209,7 @@ pub fn figures(parameters: Parameters, seed: u64, cycles: u32) -> Option<Figures
 /// Resets a folded capsule, then checks and unfolds it; or resets an unfolded one, then references, folds and unfolds
 /// it. Returns the least thread on the spool after the reset and the thread left at the end, mm; none if a motion did
 /// not complete.
-pub fn found_again(seed: u64, folded: bool) -> Option<[f64; 2]> {
-    found_again_with(Parameters::lifelike(seed), seed, folded)
-}
-
-/// As [`found_again`], with these parameters.
-pub fn found_again_with(parameters: Parameters, seed: u64, folded: bool) -> Option<[f64; 2]> {
+pub fn found_again(parameters: Parameters, seed: u64, folded: bool) -> Option<[f64; 2]> {
     let mut sim = Simulation::calibrated(parameters, seed);
     if folded {
         sim.run(Command::Fold);
@@ -288,21 +283,14 @@ pub fn cut_anywhere(seed: u64) -> f64 {
 pub fn through_the_day(seed: u64, parameters: Parameters) -> (String, f64, f64) {
     let mut random = Random::new(seed ^ 0xDA15);
     let mut sim = Simulation::new(parameters, seed);
-    let mut name = run(&mut sim, Command::Calibrate);
-    let mut way = "Calibrate".to_owned();
-    'life: for _ in 0..3 {
-        for command in [Command::Fold, Command::Unfold] {
-            if name != "Complete" {
-                break 'life;
-            }
-            let celsius = random.between(22.0, 40.0);
-            sim.plant.suffer(Defect::Temperature(celsius));
-            name = run(&mut sim, command);
-            way = format!("{command:?}");
+    let mut name = completed(&mut sim, [Command::Calibrate]);
+    for command in [Command::Fold, Command::Unfold].repeat(3) {
+        if name != "Complete" {
+            break;
         }
-    }
-    if name != "Complete" {
-        name = format!("{way} {name}");
+        let celsius = random.between(22.0, 40.0);
+        sim.plant.suffer(Defect::Temperature(celsius));
+        name = completed(&mut sim, [command]);
     }
     (name, sim.plant.extremes_mm().0, sim.plant.peak_force_n())
 }
@@ -319,12 +307,11 @@ pub fn grows_old(seed: u64, rounds: u32) -> (String, f64, f64) {
             if command == Command::CheckFolded && sim.capsule.referenced() {
                 continue;
             }
-            let name = run(&mut sim, command);
+            outcome = completed(&mut sim, [command]);
             if command != Command::Unfold {
                 most_n = most_n.max(sim.plant.force_n());
             }
-            if name != "Complete" {
-                outcome = format!("{command:?} {name}");
+            if outcome != "Complete" {
                 break 'life;
             }
         }
@@ -335,12 +322,7 @@ pub fn grows_old(seed: u64, rounds: u32) -> (String, f64, f64) {
 /// Applies changes to a calibrated capsule, then folds and unfolds it three times. Returns the first outcome that is
 /// not `Complete`, the least thread on the spool, mm, and the largest distance of a folded end from the calibrated
 /// one, mm.
-pub fn lives_on(seed: u64, changes: &[Defect]) -> (String, f64, f64) {
-    lives_on_with(Parameters::lifelike(seed), seed, changes)
-}
-
-/// As [`lives_on`], with these parameters.
-pub fn lives_on_with(parameters: Parameters, seed: u64, changes: &[Defect]) -> (String, f64, f64) {
+pub fn lives_on(parameters: Parameters, seed: u64, changes: &[Defect]) -> (String, f64, f64) {
     let mut sim = Simulation::calibrated(parameters, seed);
     let Some(folded) = sim.capsule.calibration().map(|found| found.folded) else {
         return (
@@ -352,24 +334,18 @@ pub fn lives_on_with(parameters: Parameters, seed: u64, changes: &[Defect]) -> (
     for change in changes {
         sim.plant.suffer(*change);
     }
-    let mut off_mm: f64 = 0.0;
-    for _ in 0..3 {
-        for command in [Command::Fold, Command::Unfold] {
-            let name = run(&mut sim, command);
-            if command == Command::Fold && name == "Complete" {
-                let end_mm = f64::from(folded.0) / 1e3;
-                off_mm = off_mm.max((sim.plant.wound_mm() - end_mm).abs());
-            }
-            if name != "Complete" {
-                return (
-                    format!("{command:?} {name}"),
-                    sim.plant.extremes_mm().0,
-                    off_mm,
-                );
-            }
+    let (mut name, mut off_mm) = ("Complete".to_owned(), 0.0_f64);
+    for command in [Command::Fold, Command::Unfold].repeat(3) {
+        name = completed(&mut sim, [command]);
+        if name != "Complete" {
+            break;
+        }
+        if command == Command::Fold {
+            let end_mm = f64::from(folded.0) / 1e3;
+            off_mm = off_mm.max((sim.plant.wound_mm() - end_mm).abs());
         }
     }
-    ("Complete".to_owned(), sim.plant.extremes_mm().0, off_mm)
+    (name, sim.plant.extremes_mm().0, off_mm)
 }
 
 /// Changes the friction of a calibrated capsule, folds and unfolds it, references it where it is, and folds and unfolds
@@ -384,13 +360,7 @@ pub fn referenced_again(seed: u64, friction: f64) -> (String, f64) {
         Command::Fold,
         Command::Unfold,
     ];
-    for command in way {
-        let name = run(&mut sim, command);
-        if name != "Complete" {
-            return (format!("{command:?} {name}"), sim.plant.extremes_mm().0);
-        }
-    }
-    ("Complete".to_owned(), sim.plant.extremes_mm().0)
+    (completed(&mut sim, way), sim.plant.extremes_mm().0)
 }
 
 /// Folds at 22 degrees, holds for an hour and unfolds at 37: friction and no-load current fall, the origami relaxes.
@@ -410,13 +380,7 @@ pub fn held_and_warmed(seed: u64) -> (String, f64) {
         way.push(Command::CheckFolded);
     }
     way.extend([Command::Unfold, Command::Fold, Command::Unfold]);
-    for command in way {
-        let name = run(&mut sim, command);
-        if name != "Complete" {
-            return (format!("{command:?} {name}"), sim.plant.extremes_mm().0);
-        }
-    }
-    ("Complete".to_owned(), sim.plant.extremes_mm().0)
+    (completed(&mut sim, way), sim.plant.extremes_mm().0)
 }
 
 /// References from a random position, past an obstacle of 0.5 to 300 N/mm at a random place, or past none. Returns
@@ -494,13 +458,8 @@ pub fn checked_short(seed: u64) -> (String, f64) {
         return (name, 0.0);
     }
     sim.reset(true);
-    for command in [Command::CheckFolded, Command::Unfold] {
-        let name = run(&mut sim, command);
-        if name != "Complete" {
-            return (format!("{command:?} {name}"), sim.plant.extremes_mm().0);
-        }
-    }
-    ("Complete".to_owned(), sim.plant.extremes_mm().0)
+    let name = completed(&mut sim, [Command::CheckFolded, Command::Unfold]);
+    (name, sim.plant.extremes_mm().0)
 }
 
 /// Ends a motion, or the second after it, at a random instant by a cut of the power, a watchdog, an emergency stop or a
@@ -596,6 +555,17 @@ pub fn way_out(sim: &mut Simulation) -> String {
         }
         sim.settle();
     }
+}
+
+/// Gives one command after the other. Returns the first that does not complete with its outcome, or `Complete`.
+fn completed(sim: &mut Simulation, commands: impl IntoIterator<Item = Command>) -> String {
+    for command in commands {
+        let name = run(sim, command);
+        if name != "Complete" {
+            return format!("{command:?} {name}");
+        }
+    }
+    "Complete".to_owned()
 }
 
 /// Gives a command and waits for its end. Returns the outcome or the refusal.

@@ -14,7 +14,6 @@ pub(super) struct Picture {
 pub(super) enum Anchor {
     Start,
     Middle,
-    End,
 }
 
 const STYLE: &str = "\
@@ -31,11 +30,6 @@ const STYLE: &str = "\
     .rule { stroke: #d5dae6; stroke-width: 1; }
     .dot { fill: #1d2433; }
     .joint { fill: #b3261e; }
-    .wall { fill: none; stroke: #b56a4b; stroke-width: 5; stroke-linejoin: round; }
-    .body { fill: #dce6f7; stroke: #0b5cad; stroke-width: 1.5; }
-    .wing { fill: none; stroke: #0b5cad; stroke-width: 3; stroke-linecap: round; }
-    .thread { fill: none; stroke: #b3261e; stroke-width: 2; }
-    .spool { fill: #ffffff; stroke: #b3261e; stroke-width: 2; }
     .terminal { fill: #14181f; }
     text.typed { font: 13px 'DejaVu Sans Mono', Menlo, Consolas, monospace; fill: #e6e9ef; }
 ";
@@ -60,7 +54,6 @@ impl Picture {
         let held = match anchor {
             Anchor::Start => "",
             Anchor::Middle => " text-anchor=\"middle\"",
-            Anchor::End => " text-anchor=\"end\"",
         };
         let class = match class {
             "" => String::new(),
@@ -109,27 +102,10 @@ impl Picture {
         ));
     }
 
-    pub(super) fn dot(&mut self, place: (i32, i32), class: &str) {
-        self.circle(place, 4, class);
-    }
-
-    pub(super) fn circle(&mut self, (x, y): (i32, i32), radius: i32, class: &str) {
+    pub(super) fn dot(&mut self, (x, y): (i32, i32), class: &str) {
         self.push(&format!(
-            "<circle cx=\"{x}\" cy=\"{y}\" r=\"{radius}\" class=\"{class}\"/>"
+            "<circle cx=\"{x}\" cy=\"{y}\" r=\"4\" class=\"{class}\"/>"
         ));
-    }
-
-    /// A line along an axis that ends in a head.
-    pub(super) fn arrow(&mut self, from: (i32, i32), to: (i32, i32)) {
-        let (dx, dy) = ((to.0 - from.0).signum(), (to.1 - from.1).signum());
-        let behind = |along: i32, beside: i32| {
-            (
-                to.0 - along * dx - beside * dy,
-                to.1 - along * dy - beside * dx,
-            )
-        };
-        self.line(&[from, to], "wire");
-        self.line(&[behind(9, 5), to, behind(9, -5)], "wire");
     }
 
     /// The sign of ground, hanging from here.
