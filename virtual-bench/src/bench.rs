@@ -105,6 +105,7 @@ pub struct Visit<'a, W: Wiring> {
     serial: &'a Mutex<Serial>,
     stop: Stop,
     epoch_ns: u64,
+    earlier: &'a BusReport,
 }
 
 impl<W: Wiring> Visit<'_, W> {
@@ -139,7 +140,7 @@ impl<W: Wiring> Visit<'_, W> {
     /// Accesses of the firmware to anything that the emulator or the chip lacks.
     #[must_use]
     pub fn bus(&self) -> BusReport {
-        BusReport::of(self.session)
+        BusReport::of(self.session, self.earlier, self.epoch_ns)
     }
 
     /// Number of flash operations, stores and erases, since power-up.
@@ -286,6 +287,8 @@ struct Conductor<W: Wiring> {
     epoch_ns: u64,
     /// Resets since power-up that were handled.
     resets: usize,
+    /// Gaps and resets until the supply was last cut.
+    earlier: BusReport,
     /// After a cut of the supply: the flash to restart from, and when.
     power_cycle: Option<(Vec<u8>, u64)>,
     life: Option<Life<W>>,
@@ -336,6 +339,10 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
         host: &mut dyn Host,
     ) -> Option<VirtualNanos> {
         let now_ns = self.epoch_ns + stop.at.0;
+        if stop.at == VirtualNanos(0) {
+            // Another power-up, another noise.
+            crate::emulator::powered_up(host, now_ns);
+        }
         self.tap.drain(host, now_ns);
         if now_ns < self.until_ns && !(self.eager && self.line().has_sent_frame()) {
             return Some(self.next_instant(now_ns));
@@ -398,6 +405,7 @@ impl<W: Wiring> Conductor<W> {
                     serial: &self.serial,
                     stop,
                     epoch_ns: self.epoch_ns,
+                    earlier: &self.earlier,
                 });
                 session.board_mut().refresh(stop.at);
                 self.reply(Reply::Visited)
@@ -406,6 +414,10 @@ impl<W: Wiring> Conductor<W> {
                 session.board_mut().catch_up(stop.at, host);
                 let flash = crate::emulator::cut_supply(session, host);
                 self.power_cycle = Some((flash, now_ns + off_ns));
+                if self.life.is_some() {
+                    // A machine that is served never pauses, so its next start answers nobody.
+                    let _ = self.replies.send(Reply::Visited);
+                }
                 After::End
             }
             Job::Live(outside) => {
@@ -499,14 +511,12 @@ fn conduct<W: Wiring>(
     if let Some(flash) = &options.flash {
         images = vec![whole_flash(flash.clone())?];
     }
-    let mut gaps = Vec::new();
     loop {
         let epoch_ns = conductor.epoch_ns;
         let serial = Arc::clone(&conductor.serial);
         let program = Program::of(&images, options.chip.core_hz);
-        let mut emulator =
+        let emulator =
             Emulator::new(wiring, options.chip, serial, epoch_ns, program).map_err(text)?;
-        emulator.set_earlier(gaps);
         let session = Session::new(Box::new(emulator), 0, VirtualNanos(0)).map_err(text)?;
         let mut finished = emulator::run(session, &Start::new(&images), conductor).map_err(text)?;
         if let Some(error) = finished.session.take_error() {
@@ -521,7 +531,7 @@ fn conduct<W: Wiring>(
         };
         wiring = kept;
         wiring.powered_off();
-        gaps = BusReport::of(&finished.session).gaps;
+        conductor.earlier = BusReport::of(&finished.session, &conductor.earlier, epoch_ns);
         images = vec![whole_flash(flash)?];
         conductor.epoch_ns = back_ns;
         conductor.until_ns = back_ns;
@@ -640,6 +650,7 @@ impl<W: Wiring> Bench<W> {
             eager: false,
             epoch_ns: 0,
             resets: 0,
+            earlier: BusReport::default(),
             power_cycle: None,
             life: None,
         };

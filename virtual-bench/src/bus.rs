@@ -19,19 +19,27 @@ const ALLOWED: [(u64, u64, &str); 1] = [(
 pub struct BusReport {
     /// One line per gap since the first power-up.
     pub gaps: Vec<String>,
-    /// Resets since power-up, in order: instant in ns since power-up, and cause.
+    /// Resets since the first power-up, in order: instant on the bench's clock, ns, and cause.
     pub resets: Vec<(u64, String)>,
 }
 
 impl BusReport {
-    pub(crate) fn of<W: Wiring>(session: &Session<Emulator<W>>) -> Self {
+    /// The report of a machine that was powered up at `epoch_ns`, after `earlier` of its power-ups before.
+    pub(crate) fn of<W: Wiring>(
+        session: &Session<Emulator<W>>,
+        earlier: &Self,
+        epoch_ns: u64,
+    ) -> Self {
         let allowed = |address: u64| {
             ALLOWED
                 .iter()
                 .any(|&(first, past, _)| (first..past).contains(&address))
         };
         let emulator = session.board();
-        let mut gaps = emulator.earlier().to_vec();
+        let Self {
+            mut gaps,
+            mut resets,
+        } = earlier.clone();
         let unmapped = session.unmapped();
         let unmapped = unmapped.iter().filter(|gap| !allowed(gap.address));
         gaps.extend(unmapped.map(ToString::to_string));
@@ -65,6 +73,7 @@ impl BusReport {
         let absent = emulator.absent().iter();
         gaps.extend(absent.map(|address| format!("the STM32F411 has nothing at {address:#010x}")));
         gaps.extend_from_slice(emulator.too_soon());
+        gaps.extend_from_slice(emulator.line_mistakes());
         let foreign = emulator.flash_foreign().iter();
         gaps.extend(foreign.map(|address| {
             format!("the flash was changed at {address:#010x}, outside the settings' sectors")
@@ -77,13 +86,9 @@ impl BusReport {
         }
         let mut seen = std::collections::HashSet::new();
         gaps.retain(|gap| seen.insert(gap.clone()));
-        let resets = session.resets().iter();
-        Self {
-            gaps,
-            resets: resets
-                .map(|reset| (reset.at.0, format!("{:?}", reset.cause)))
-                .collect(),
-        }
+        let since = session.resets().iter();
+        resets.extend(since.map(|reset| (epoch_ns + reset.at.0, format!("{:?}", reset.cause))));
+        Self { gaps, resets }
     }
 
     /// Fails if the firmware has accessed something that is missing, or if the number of resets is wrong.
@@ -104,11 +109,7 @@ impl fmt::Display for BusReport {
             writeln!(f, "{gap}")?;
         }
         for (at_ns, cause) in &self.resets {
-            writeln!(
-                f,
-                "reset {:.6} s after power-up: {cause}",
-                *at_ns as f64 / 1e9
-            )?;
+            writeln!(f, "reset at {:.6} s: {cause}", *at_ns as f64 / 1e9)?;
         }
         Ok(())
     }

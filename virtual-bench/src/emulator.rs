@@ -14,6 +14,7 @@ mod dma;
 mod enabled;
 mod exti;
 mod forward;
+mod framing;
 mod map;
 mod pads;
 mod quiet;
@@ -215,6 +216,7 @@ impl<W: Wiring> Chip<W> {
     ) -> Result<Self, rigless::soc::Error> {
         let mut part = Stm32f427::new()?;
         part.rcc.attach_crystals(HSE_HZ, 0);
+        part.rcc.calibrate_lsi(options.lsi_hz);
         supply(&mut part, SUPPLY_MV);
         part.usart[USART2].attach(Wire::new(Arc::clone(&serial), epoch_ns));
         let bus = part.bus();
@@ -259,7 +261,7 @@ impl<W: Wiring> Chip<W> {
             tim3: Watched::new(hollow_general(TIM3), &[1, 2], false),
             dma1: Paced::new(map::hollow_controller(), None),
             dma2: Paced::new(map::hollow_controller(), None),
-            rcc: Clocked::new(hollow_clocks(), None),
+            rcc: Clocked::new(hollow_clocks(options.lsi_hz), None),
             options,
             part,
             exti: Exti::default(),
@@ -285,7 +287,7 @@ impl<W: Wiring> Chip<W> {
         let place = |place| (!by_itself).then_some(place);
         self.dma1 = Paced::new(dma1, None).with_ring(place(map::CAPTURES));
         self.dma2 = Paced::new(dma2, self.options.burst).with_ring(place(map::PERIODS));
-        let rcc = std::mem::replace(&mut part.rcc, hollow_clocks());
+        let rcc = std::mem::replace(&mut part.rcc, hollow_clocks(self.options.lsi_hz));
         let from = self.options.hse_after_ns.map(VirtualNanos);
         self.rcc = Clocked::new(rcc, from);
         let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
@@ -415,9 +417,10 @@ fn nowhere(bus: &Bus, slot: usize) -> Result<Bus, rigless::soc::Error> {
 }
 
 /// Placeholder in the part for the clock tree. After a reset the part makes the next clock tree from it.
-fn hollow_clocks() -> Rcc {
+fn hollow_clocks(lsi_hz: u64) -> Rcc {
     let mut rcc = Rcc::new();
     rcc.attach_crystals(HSE_HZ, 0);
+    rcc.calibrate_lsi(lsi_hz);
     rcc
 }
 
@@ -521,6 +524,8 @@ pub struct ChipOptions {
     pub burst: Option<Beats>,
     /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never comes.
     pub hse_after_ns: Option<u64>,
+    /// The oscillator of the watchdog, Hz: 17,000 to 47,000 (DS10314 table 40).
+    pub lsi_hz: u64,
     /// How long an erase takes, ns; not less than the emulator's 250 ms.
     pub erase_ns: u64,
     /// Stop for every event of every timer, even those that nobody can notice. The result is the same, but slower.
@@ -535,6 +540,7 @@ impl Default for ChipOptions {
             uid: *b"virtual rig\0",
             burst: None,
             hse_after_ns: Some(0),
+            lsi_hz: 32_000,
             erase_ns: 0,
             every_event: false,
         }
@@ -557,9 +563,9 @@ pub struct Emulator<W> {
     overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
     enabled: Enabled,
+    /// What was wrong with the serial port.
+    line_mistakes: Vec<String>,
     flash_refused: u64,
-    /// Gaps found before the supply was last cut.
-    earlier: Vec<String>,
 }
 
 /// Nothing is stored: runs start from reset or from a flash, never from a snapshot.
@@ -587,8 +593,8 @@ impl<W: Wiring> Emulator<W> {
             overwritten: Vec::new(),
             absent: Vec::new(),
             enabled: Enabled::default(),
+            line_mistakes: Vec::new(),
             flash_refused: 0,
-            earlier: Vec::new(),
         })
     }
 
@@ -619,15 +625,6 @@ impl<W: Wiring> Emulator<W> {
         self.chip.look_between(at);
     }
 
-    /// Gaps found before the supply was last cut, see [`crate::bus::BusReport`].
-    pub(crate) fn earlier(&self) -> &[String] {
-        &self.earlier
-    }
-
-    pub(crate) fn set_earlier(&mut self, gaps: Vec<String>) {
-        self.earlier = gaps;
-    }
-
     /// Accessed peripheral addresses that an STM32F411 does not have.
     pub(crate) fn absent(&self) -> &[u64] {
         &self.absent
@@ -636,6 +633,11 @@ impl<W: Wiring> Emulator<W> {
     /// Accesses to peripherals that may be lost, because their clocks were enabled just before.
     pub(crate) fn too_soon(&self) -> &[String] {
         &self.enabled.gaps
+    }
+
+    /// What was wrong with the serial port whenever one of its registers was written.
+    pub(crate) fn line_mistakes(&self) -> &[String] {
+        &self.line_mistakes
     }
 
     /// Number of stores into the flash that the chip would have refused.
@@ -787,6 +789,14 @@ impl<W: Wiring> Emulator<W> {
             }
             Touched::Refused => self.flash_refused += 1,
         }
+        if access.kind == AccessKind::Write && USART2_BLOCK.contains(&access.address) {
+            let bus = self.chip.part.bus().slots();
+            let [port, clocks] = [self.chip.slots.usart2, self.chip.slots.rcc];
+            let bus_hz = self.chip.rcc.rcc.pclk1(bus[clocks].registers());
+            let mistake = framing::mistake(bus[port].registers(), bus_hz);
+            let new = mistake.filter(|mistake| !self.line_mistakes.contains(mistake));
+            self.line_mistakes.extend(new);
+        }
         if access.kind == AccessKind::Write && moves_pins(access.address) {
             self.chip.serial_pins();
             self.chip.look_between(access.virtual_time);
@@ -799,6 +809,8 @@ impl<W: Wiring> Emulator<W> {
     }
 }
 
+/// The registers of the serial port.
+const USART2_BLOCK: std::ops::Range<u64> = 0x4000_4400..0x4000_4800;
 /// Selects the channel of the next conversion.
 const ADC1_SQR3: u64 = 0x4001_2034;
 
@@ -828,6 +840,18 @@ pub(crate) fn settled<W: Wiring>(
             }
         }
         _ => {}
+    }
+}
+
+/// Fills the RAM as it may be after power-up, before anything is executed: with noise, which `seed` determines.
+pub(crate) fn powered_up(host: &mut dyn Host, seed: u64) {
+    let mut state = seed;
+    for address in map::RAM.step_by(8) {
+        // SplitMix64: its words look random whatever the seed.
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        let _ = host.write(address, Width::W64, mixed ^ (mixed >> 31));
     }
 }
 

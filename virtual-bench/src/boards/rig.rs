@@ -27,6 +27,10 @@ const READ_BACK: Pin = Pin::new('A', 0);
 const CAPTURE: Pin = Pin::new('A', 1);
 const SYNC: Pin = Pin::new('A', 8);
 const BUTTON: Pin = Pin::new('C', 13);
+#[expect(
+    dead_code,
+    reason = "nothing here looks at it, but the table of pins is compared with the firmware's"
+)]
 const LED: Pin = Pin::new('A', 5);
 /// The alternate function for TIM1 and TIM2 (DS10314 table 9).
 const AF_TIMER: Option<u8> = Some(1);
@@ -52,7 +56,6 @@ pub struct RigBoard {
     pub rig: Rig,
     step_high: bool,
     sync_high: bool,
-    led_high: bool,
     /// Levels that the board drove last; `None` after a reset.
     contacts: [Option<bool>; 3],
     button: Option<bool>,
@@ -74,7 +77,6 @@ impl RigBoard {
             rig,
             step_high: false,
             sync_high: false,
-            led_high: false,
             contacts: [None; 3],
             button: None,
             broken: None,
@@ -99,12 +101,6 @@ impl RigBoard {
     #[must_use]
     pub fn was_safe_before_clock(&self) -> Option<bool> {
         self.safe_before_clock
-    }
-
-    /// Whether the LED is lit.
-    #[must_use]
-    pub fn is_lit(&self) -> bool {
-        self.led_high
     }
 
     fn step(&mut self, high: bool, at_ns: u64, pads: &mut Pads<'_>) {
@@ -221,7 +217,6 @@ impl Wiring for RigBoard {
         } else if self.safe_before_clock.is_none() {
             self.safe_before_clock = Some(self.outputs_safe);
         }
-        self.led_high = pads.output(LED).unwrap_or(false);
         self.rig.advance(now_ns);
         self.drive(pads);
         if let Some(next_ns) = self.rig.next_ns() {

@@ -1,4 +1,7 @@
 //! The clock tree with a clock from outside that may come late, or never. The emulator's own oscillators always come.
+//!
+//! What comes from outside is a square wave (UM1724 section 6.7.1), not a crystal: it clocks the chip only while the
+//! chip's own oscillator is bypassed.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};
@@ -17,6 +20,10 @@ pub(super) struct Clocked {
     from: Option<VirtualNanos>,
     /// The firmware has switched it on, but it is not running yet.
     awaited: bool,
+    /// The firmware has switched it on.
+    on: bool,
+    /// HSEBYP as it was when the firmware switched it on.
+    bypassed: bool,
 }
 
 impl Clocked {
@@ -25,6 +32,8 @@ impl Clocked {
             rcc,
             from,
             awaited: false,
+            on: false,
+            bypassed: false,
         }
     }
 
@@ -39,7 +48,7 @@ impl Clocked {
     }
 
     fn is_there(&self, now: VirtualNanos) -> bool {
-        self.from.is_some_and(|from| from <= now)
+        self.bypassed && self.from.is_some_and(|from| from <= now)
     }
 }
 
@@ -50,7 +59,7 @@ impl Device for Clocked {
 
     fn reset(&mut self) {
         Device::reset(&mut self.rcc);
-        self.awaited = false;
+        (self.awaited, self.on, self.bypassed) = (false, false, false);
     }
 
     fn read(
@@ -80,14 +89,71 @@ impl Device for Clocked {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        let mut value = value;
-        if register == Register::Cr {
-            self.awaited = cr::HSEON.is_set(value) && !self.is_there(context.now());
-            if self.awaited {
-                value = cr::HSEON.set(value, 0);
-                registers.set(Register::Cr, cr::HSEON.set(registers.get(Register::Cr), 0));
-            }
+        if register != Register::Cr {
+            return Device::write(&mut self.rcc, register, value, registers, context);
         }
-        Device::write(&mut self.rcc, register, value, registers, context);
+        // HSEBYP changes only while the clock is off (RM0383 section 6.3.1).
+        if !self.on {
+            self.bypassed = cr::HSEBYP.is_set(value);
+        }
+        self.awaited = cr::HSEON.is_set(value) && !self.is_there(context.now());
+        let seen = |value| {
+            let value = cr::HSEBYP.set(value, self.bypassed.into());
+            if self.awaited {
+                cr::HSEON.set(value, 0)
+            } else {
+                value
+            }
+        };
+        registers.set(Register::Cr, seen(registers.get(Register::Cr)));
+        Device::write(&mut self.rcc, register, seen(value), registers, context);
+        self.on = self.is_switched_on(registers);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rigless::mcu::Mcu;
+    use rigless::soc::stm32f427::Stm32f427;
+
+    /// Writes these values to RCC_CR in turn, a microsecond apart, while a square wave is there from the beginning.
+    /// Returns what the firmware reads a microsecond later, and whether the clock runs.
+    fn after(writes: &[u64]) -> (u64, bool) {
+        let mut part = Stm32f427::new().expect("a part");
+        let slot = part.bus().slot("RCC").expect("a clock tree");
+        let mut clocked = Clocked::new(std::mem::take(&mut part.rcc), Some(VirtualNanos(0)));
+        let mut now_ns = 0;
+        for write in writes {
+            now_ns += 1_000;
+            let (registers, mut context) = part.bus_mut().drive(VirtualNanos(now_ns), slot);
+            // As the bus does before it calls the device. HSION stays set.
+            registers.write_over_bus(Register::Cr, write | 1);
+            clocked.write(Register::Cr, write | 1, registers, &mut context);
+        }
+        let (registers, mut context) = part.bus_mut().drive(VirtualNanos(now_ns + 1_000), slot);
+        let read = clocked.read(Register::Cr, registers, &mut context);
+        let stored = registers.get(Register::Cr);
+        (read.unwrap_or(stored), cr::HSEON.is_set(stored))
+    }
+
+    #[test]
+    fn a_square_wave_needs_the_bypass() {
+        let (on, bypass) = (cr::HSEON.mask(), cr::HSEBYP.mask());
+        for (writes, runs) in [
+            (&[bypass, bypass | on][..], true),
+            (&[bypass | on], true),
+            (&[on], false),
+            // Too late: it is on.
+            (&[on, bypass | on], false),
+            (&[on, 0, bypass | on], true),
+            // It stays bypassed until it is switched off.
+            (&[bypass | on, on], true),
+        ] {
+            let (read, does_run) = after(writes);
+            assert_eq!(does_run, runs, "{writes:#x?}");
+            assert!(cr::HSEON.is_set(read), "{writes:#x?}: switched on");
+            assert_eq!(cr::HSEBYP.is_set(read), runs, "{writes:#x?}");
+        }
     }
 }

@@ -42,6 +42,9 @@ static SECTORS: [EraseBlocks; 3] = [
     blocks(128 << 10, 3),
 ];
 
+/// The RAM.
+pub(super) const RAM: std::ops::Range<u64> = 0x2000_0000..0x2002_0000;
+
 /// The memories of the STM32F411RE (RM0383 section 2.3).
 pub(super) static MEMORY: [Region; 3] = [
     Region::flash("flash", FLASH_BASE, FLASH_BYTES)
@@ -49,7 +52,7 @@ pub(super) static MEMORY: [Region; 3] = [
         .erased_to(0xFF)
         .programmed_by("FLASH"),
     Region::system("system", 0x1FFF_0000, 32 << 10),
-    Region::ram("sram", 0x2000_0000, 128 << 10),
+    Region::ram("sram", RAM.start, RAM.end - RAM.start),
 ];
 
 /// Below the RAM, above the system memory: reserved but for 16 option bytes, which no firmware reads here. An access is a

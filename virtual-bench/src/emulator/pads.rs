@@ -50,12 +50,11 @@ impl Pads<'_> {
         Gpio::function(pin.on_port(), registers)
     }
 
-    /// The level that the firmware drives on `pin` as a plain output, or `None` in any other mode.
+    /// The level that the firmware drives on `pin` as a plain output, or `None` if it drives none.
     #[must_use]
     pub fn output(&mut self, pin: Pin) -> Option<bool> {
         let (_, registers) = self.part.port(pin.nth().0);
-        let mode = (registers.get(gpioa::Register::Moder) >> (2 * pin.index)) & 3;
-        (mode == 1).then(|| (registers.get(gpioa::Register::Odr) >> pin.index) & 1 == 1)
+        driven(registers, pin.index)
     }
 
     /// Whether `pin` is in analog mode.
@@ -199,6 +198,15 @@ impl Pads<'_> {
     }
 }
 
+/// The level that a port's `registers` drive on pin `index` as a plain output. A high open drain drives nothing
+/// (RM0383 section 8.3.10).
+fn driven(registers: &RegisterFile, index: u8) -> Option<bool> {
+    let is_output = (registers.get(gpioa::Register::Moder) >> (2 * index)) & 3 == 1;
+    let is_open_drain = (registers.get(gpioa::Register::Otyper) >> index) & 1 == 1;
+    let high = (registers.get(gpioa::Register::Odr) >> index) & 1 == 1;
+    (is_output && !(is_open_drain && high)).then_some(high)
+}
+
 fn drive_input(
     timer: &mut Quiet,
     channel: u8,
@@ -218,4 +226,26 @@ fn on_bench_clock(edges: &mut Vec<OutputEdge>, epoch_ns: u64) -> Vec<OutputEdge>
         edge.at_ns += epoch_ns;
     }
     taken
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use gpioa::Register::{Moder, Odr, Otyper};
+
+    #[test]
+    fn a_high_open_drain_drives_nothing() {
+        const INDEX: u8 = 9;
+        let mut part = Stm32f427::new().expect("a part");
+        let (_, registers) = part.port(0);
+        let mut set = |output: u64, open_drain: u64, high: u64| {
+            registers.set(Moder, output << (2 * INDEX));
+            registers.set(Otyper, open_drain << INDEX);
+            registers.set(Odr, high << INDEX);
+            driven(registers, INDEX)
+        };
+        assert_eq!((set(1, 0, 0), set(1, 0, 1)), (Some(false), Some(true)));
+        assert_eq!((set(1, 1, 0), set(1, 1, 1)), (Some(false), None));
+        assert_eq!((set(0, 0, 1), set(2, 0, 1)), (None, None));
+    }
 }

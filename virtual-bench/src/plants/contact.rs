@@ -22,7 +22,7 @@ pub struct Contact {
     /// Pending fault: its instant in ns, and whether it sticks open; `None` ends sticking.
     sticking: Option<(u64, Option<bool>)>,
     bounce: Option<Bounce>,
-    /// Pending changes: instant in ns, and whether it opens.
+    /// Pending changes in their order: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
     noise: Option<Noise>,
     /// Its level at the last look, and when it last opened, ns.
@@ -92,8 +92,14 @@ impl Contact {
     /// Injects a pulse on its wire: the opposite level for `width_ns`.
     pub fn disturb(&mut self, at_ns: u64, width_ns: u64) {
         let at_ns = at_ns + TO_PIN_NS;
-        self.coming.push((at_ns, !self.actuated));
-        self.coming.push((at_ns + width_ns, self.actuated));
+        self.change(at_ns, !self.actuated);
+        self.change(at_ns + width_ns, self.actuated);
+    }
+
+    /// Adds a change among those that are pending: it may come between two of a bounce.
+    fn change(&mut self, at_ns: u64, open: bool) {
+        let place = self.coming.partition_point(|&(at, _)| at <= at_ns);
+        self.coming.insert(place, (at_ns, open));
     }
 
     /// Sticks it open (a cut wire) or closed (welded), whatever actuates it, or lets it work again.
@@ -184,6 +190,30 @@ mod tests {
             seen.push(contact.is_open());
         }
         assert_eq!(seen, [false, true, false, true, false, true]);
+    }
+
+    #[test]
+    fn a_disturbance_within_a_bounce_comes_in_its_order() {
+        let mut contact = Contact::new(false);
+        contact.set_bounce(Some(Bounce {
+            times: 1,
+            apart_ns: 1_000,
+        }));
+        contact.actuate(true, 0);
+        contact.disturb(300, 200);
+        let mut seen = Vec::new();
+        while let Some(at) = contact.next_ns() {
+            contact.advance(at);
+            seen.push((at - TO_PIN_NS, contact.is_open()));
+        }
+        let expected = [
+            (0, true),
+            (300, false),
+            (500, true),
+            (1_000, false),
+            (2_000, true),
+        ];
+        assert_eq!(seen, expected);
     }
 
     #[test]

@@ -157,6 +157,8 @@ pub enum Action {
     Supply(bool),
     /// Move the carriage by hand to this position, steps. Works only while the motor has no supply.
     Place(i64),
+    /// Do something so many ns later.
+    Later(u64, Box<Action>),
 }
 
 /// Violations of the requirements of driver and mechanics. All zero in a correct run.
@@ -475,6 +477,7 @@ impl Rig {
                 self.contact(switch).set_noise(half_period_ns, at_ns);
             }
             Action::LoseSteps(steps) => self.lose += steps,
+            Action::Later(after_ns, action) => self.plan(When::At(at_ns + after_ns), *action),
         }
     }
 

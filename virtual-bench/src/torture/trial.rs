@@ -82,14 +82,12 @@ struct Trial<M: Victim> {
     excused_ns: u64,
     /// Numbers of the last bytes with a fault: of the host, of the machine.
     bad_bytes: (u64, u64),
-    /// Resets of this power-up that were seen.
+    /// Resets that were seen.
     resets: usize,
     /// When a task began to misbehave, ns.
     sabotaged_ns: Option<u64>,
     /// Something was called where nothing is.
     called_nowhere: bool,
-    /// When it was powered up, ns.
-    powered_ns: u64,
     /// Until then the clock may restart the machine, ns.
     clock_ns: u64,
     /// The cell may be too weak for the chip.
@@ -125,7 +123,6 @@ pub(super) fn run<M: Victim>(
         resets: 0,
         sabotaged_ns: None,
         called_nowhere: false,
-        powered_ns: 0,
         clock_ns: 0,
         is_weak: false,
         tally: Tally::default(),
@@ -169,7 +166,7 @@ impl<M: Victim> Trial<M> {
         for (at_ns, cause) in bus.resets.iter().skip(self.resets) {
             if self.sabotaged_ns.take().is_some() {
                 self.restarted(Restart::Fault);
-            } else if self.powered_ns + at_ns < self.clock_ns {
+            } else if *at_ns < self.clock_ns {
                 self.restarted(Restart::Clock);
             } else {
                 return Err(format!("a reset that nobody asked for: {cause}").into());
@@ -330,8 +327,7 @@ impl<M: Victim> Trial<M> {
         self.see()?;
         self.bench.power_cycle(off_us)?;
         self.judge.see(&self.bench)??;
-        (self.resets, self.sabotaged_ns, self.clock_ns) = (0, None, 0);
-        self.powered_ns = self.now_ns();
+        (self.sabotaged_ns, self.clock_ns) = (None, 0);
         self.restarted(Restart::Power);
         self.bench.advance_us(START_US)?;
         self.see()

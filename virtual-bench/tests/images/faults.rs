@@ -1,7 +1,12 @@
-//! Faults around the rig: resets, power cuts, lost steps, bad switches, a noisy line.
+//! Faults around the rig: resets, power cuts, lost steps, bad switches.
 
-use client::Unobserved;
+use std::sync::mpsc::channel;
+use std::thread;
+use std::time::Duration;
+
 use client::error::ClientError;
+use client::link::tcp::Tcp;
+use client::{Device, Unobserved};
 
 use crate::common::{
     Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with, trials,
@@ -13,11 +18,14 @@ use protocol::{
     system::{DeviceKind, ResetCause},
     table::Telemetry,
 };
+use virtual_bench::bench::{Bench, BenchOptions};
+use virtual_bench::boards::rig::{self as board, RigBoard};
 use virtual_bench::faults::When;
+use virtual_bench::hands::Plug;
 use virtual_bench::plants::contact::Bounce;
-use virtual_bench::plants::rig::{Action, RigOptions, Switch};
+use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
 use virtual_bench::plants::wire::Fault;
-use virtual_bench::serial::ByteFault;
+use virtual_bench::serve::Server;
 
 /// 10 mm there and back.
 fn short(cycles: u16) -> Run {
@@ -70,6 +78,52 @@ fn a_power_cut_moves_nothing_and_forgets_the_position() {
         rig.bench.power_cycle(2_000_000).expect("the bench runs");
         assert_eq!(rig.bench.now_ns(), before_ns + 2_000_000_000);
     });
+}
+
+/// A machine that is served runs in real time and does not pause for whoever cuts its supply.
+#[test]
+fn a_served_rig_comes_back_after_a_power_cut() {
+    let bench = rig_with(RigOptions::default()).bench;
+    let server = Server::listen(0).expect("a free port");
+    let address = format!("127.0.0.1:{}", server.port());
+    let served = bench.clone();
+    thread::spawn(move || server.serve(&served, "rig", &Plug::default()));
+    let link = Tcp::open_within(&address, Duration::from_secs(5)).expect("it listens");
+    let link = Box::new(link);
+    let mut device = Device::connect(link, DeviceKind::Rig, 1).expect("it is served");
+    let (cut, answered) = channel();
+    thread::spawn(move || cut.send(bench.power_cycle(100_000)));
+    let answer = answered.recv_timeout(Duration::from_secs(60));
+    answer.expect("an answer").expect("the bench runs");
+    // It needs time to boot, on a busy computer more.
+    let back = (2..60).find_map(|nonce| device.hello(nonce).ok());
+    let back = back.expect("it answers again");
+    assert_eq!((back.reset_cause, back.boot_id), (ResetCause::PowerOn, 1));
+}
+
+/// After power-up the RAM holds anything, another thing each time. A reset keeps what it holds.
+#[test]
+fn ram_holds_noise_after_power_up() {
+    // Nothing is executed before time passes.
+    let options = BenchOptions::new(board::image());
+    let board = RigBoard::new(Rig::new(RigOptions::default()));
+    let bench = Bench::start(board, options).expect("the image boots");
+    let look = |bench: &Bench<RigBoard>| {
+        let words = bench.visit(|visit| {
+            let read = |at: u32| visit.word(0x2000_0000 + 4 * at);
+            (0..0x8000).map(read).collect::<Option<Vec<u32>>>()
+        });
+        words.expect("the bench runs").expect("RAM")
+    };
+    let first = look(&bench);
+    let ones = first.iter().map(|word| word.count_ones()).sum::<u32>();
+    assert!(ones.abs_diff(16 * 0x8000) < 5_000, "{ones} ones");
+    bench.power_cycle(1_000_000).expect("the bench runs");
+    let second = look(&bench);
+    let same = first.iter().zip(&second).filter(|(one, two)| one == two);
+    assert!(same.count() < 5);
+    bench.reset().expect("the bench runs");
+    assert_eq!(look(&bench), second);
 }
 
 /// Steps lost away from home and towards it. Up to the limit the run goes on and reports their number; beyond it the
@@ -304,26 +358,6 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
 }
 
 #[test]
-fn a_noisy_line_delays_and_changes_nothing() {
-    let mut rig = homed();
-    let corrupted = rig.bench.visit(|visit| {
-        let mut serial = visit.serial();
-        let (taken, sent) = serial.counts();
-        for n in 0..40 {
-            serial.corrupt_to_machine(taken + 7 + 61 * n, ByteFault::Flipped(1 << (n % 8)));
-            serial.corrupt_from_machine(sent + 11 + 97 * n, ByteFault::Lost);
-        }
-    });
-    corrupted.expect("the bench runs");
-    let edges = rig.edge_count();
-    let (accepted, record) = execute(&mut rig, short(3));
-    assert_eq!(record.commanded_edges, accepted.edges);
-    assert_eq!(rig.edge_count() - edges, 48_000);
-    assert!(rig.device.rejected_frames() > 0, "the faults were not met");
-    rig.check_clean(0);
-}
-
-#[test]
 fn a_wrong_kind_of_machine_is_not_driven() {
     let rig = rig_with(RigOptions::default());
     let link = Box::new(virtual_bench::link::VirtualLink::new(
@@ -331,7 +365,7 @@ fn a_wrong_kind_of_machine_is_not_driven() {
         "virtual rig",
     ));
     let wanted = DeviceKind::Capsule;
-    let refused = client::Device::connect(link, wanted, 7).err();
+    let refused = Device::connect(link, wanted, 7).err();
     assert!(
         matches!(refused, Some(ClientError::WrongDevice { .. })),
         "{refused:?}"

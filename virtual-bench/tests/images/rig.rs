@@ -277,6 +277,8 @@ fn a_stop_decelerates_and_keeps_the_position() {
     let mut rig = quickly_homed();
     for trial in 0..trials(10, 20) {
         let first = rig.edge_count();
+        // Homing passes position 0, a run does not.
+        rig.look(|rig| rig.forget_extremes());
         let accepted = rig.device.run(paper(1)).expect("the run is accepted");
         rig.idle(dice.roll(0..7_900_000));
         let sent_ns = rig.bench.now_ns();
@@ -333,8 +335,8 @@ fn a_stop_decelerates_and_keeps_the_position() {
         }
         let (low, high) = rig.look(|rig| rig.extremes());
         assert!(
-            low >= -2_400 && high <= 104_000,
-            "trial {trial}: left the window"
+            low >= 0 && high <= 104_000,
+            "trial {trial}: left the window, {low} to {high}"
         );
         rig.home();
     }
@@ -459,29 +461,6 @@ fn what_cannot_be_done_is_refused_and_nothing_moves() {
     );
     assert_eq!(record.outcome, RunOutcome::Complete);
     rig.check_clean(0);
-}
-
-#[test]
-fn a_silent_host_stops_the_run_or_lets_it_finish() {
-    for (link_loss, outcome) in [
-        (LinkLossPolicy::Stop, RunOutcome::LinkLost),
-        (LinkLossPolicy::Finish, RunOutcome::Complete),
-    ] {
-        let mut rig = homed();
-        rig.device
-            .run(Run {
-                link_loss,
-                ..paper(1)
-            })
-            .expect("the run is accepted");
-        rig.bench.advance_us(9_000_000).expect("the bench runs");
-        let record = rig.device.run_record().expect("the link is back");
-        assert_eq!(record.outcome, outcome, "{}", rig.log());
-        let status = rig.device.rig_status().expect("a status");
-        assert_eq!((status.state, status.homed), (RigState::Ready, true));
-        assert_eq!(i64::from(status.position_steps), rig.carriage());
-        rig.check_clean(0);
-    }
 }
 
 #[test]

@@ -80,7 +80,7 @@ fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
         assert_eq!(get(&mut rig, key), key.range().default, "{}", key.name());
     }
     assert!(rig.device.call(GetName).expect("a name").name.is_empty());
-    rig.check_clean(0);
+    rig.check_clean_after(1, 0);
 }
 
 #[test]

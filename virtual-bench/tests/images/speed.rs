@@ -143,33 +143,47 @@ fn steps_that_share_no_entry_are_exact_too() {
     rig.check_clean(0);
 }
 
-/// With the ring nearly empty and bursts that take time, a run completes or ends as an underrun. It never hangs on
-/// periods that the timer no longer fetches.
+/// Whether the quick run ends as an underrun on a processor of this speed, with bursts that take time. Else it must
+/// complete. It never hangs on periods that the timer no longer fetches.
+fn runs_dry(instructions_per_second: u64) -> bool {
+    let mut options = BenchOptions::new(board::image());
+    options.chip.instructions_per_second = instructions_per_second;
+    options.chip.burst = Some(Beats {
+        first_ns: 500,
+        apart_ns: 300,
+    });
+    let mut rig = quick_rig_on(RigOptions::REFERENCE, options);
+    let (request, _) = quick_run();
+    rig.device.run(request).expect("accepted");
+    rig.device
+        .idle(2_000_000, &mut Unobserved)
+        .expect("the link stays");
+    let record = rig.device.run_record().expect("a record");
+    let what = format!("{instructions_per_second}: {record:?}");
+    let position = rig.device.rig_status().expect(&what).position_steps;
+    assert_eq!(i64::from(position), rig.carriage(), "{what}");
+    rig.check_clean_after(0, 1);
+    match record.outcome {
+        RunOutcome::Complete => false,
+        RunOutcome::Faulted(RigFault::Underrun) => true,
+        _ => panic!("{what}"),
+    }
+}
+
+/// Halves the range between a processor that is too slow and one that is not: the ring gets nearly empty.
 #[test]
 fn a_ring_that_is_nearly_dry_ends_and_says_how() {
-    let speeds = [53_500_000, 48_750_000, 54_500_000, 56_000_000];
-    for speed in speeds.into_iter().take(trials(2, 4)) {
-        let mut options = BenchOptions::new(board::image());
-        options.chip.instructions_per_second = speed;
-        options.chip.burst = Some(Beats {
-            first_ns: 500,
-            apart_ns: 300,
-        });
-        let mut rig = quick_rig_on(RigOptions::REFERENCE, options);
-        let (request, _) = quick_run();
-        rig.device.run(request).expect("accepted");
-        rig.device
-            .idle(2_000_000, &mut Unobserved)
-            .expect("the link stays");
-        let record = rig.device.run_record().expect("a record");
-        assert!(
-            matches!(
-                record.outcome,
-                RunOutcome::Complete | RunOutcome::Faulted(RigFault::Underrun)
-            ),
-            "{speed}: {record:?}"
-        );
+    let (mut slow, mut quick) = (12_000_000, 26_000_000);
+    assert!(runs_dry(slow) && !runs_dry(quick));
+    for _ in 0..trials(5, 14) {
+        let middle = u64::midpoint(slow, quick);
+        *(if runs_dry(middle) {
+            &mut slow
+        } else {
+            &mut quick
+        }) = middle;
     }
+    eprintln!("{slow} instructions/s are too few, {quick} are not");
 }
 
 /// Holds the processor up until the ring is nearly empty, while the last periods of a stroke are still to be pushed. A

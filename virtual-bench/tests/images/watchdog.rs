@@ -3,14 +3,16 @@
 use client::Unobserved;
 use client::error::ClientError;
 
-use crate::common::{RigRun, homed, is_made, paper};
+use crate::common::{RigRun, homed, is_made, paper, start};
 use protocol::{
     error::Refusal,
     rig::{RigFault, RigState},
     system::ResetCause,
 };
 use virtual_bench::{
+    bench::BenchOptions,
     boards::rig::image,
+    plants::rig::RigOptions,
     sabotage::{Misbehaviour, NOWHERE, Sabotage},
 };
 
@@ -130,6 +132,42 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
             ended_by_the_watchdog(client, name, Misbehaviour::Hang, moving);
         }
     }
+}
+
+/// Item 14 of the chip's differences: the watchdog's oscillator at the slowest that the data sheet allows.
+#[test]
+fn a_slow_watchdog_ends_a_task_that_hangs_too() {
+    const SLOWEST_HZ: u64 = 17_000;
+    const PERIOD_NS: u64 = WATCHDOG_NS * 32_000 / SLOWEST_HZ;
+    let mut options = BenchOptions::new(image());
+    options.chip.lsi_hz = SLOWEST_HZ;
+    let mut rig = start(RigOptions::default(), options);
+    // The second time after a reset, which must not change the oscillator.
+    for nth in 0..2 {
+        rig.device.hello(2 + nth as u32).expect("it answers");
+        rig.home();
+        rig.device.run(paper(1)).expect("the run is accepted");
+        rig.idle(1_000_000);
+        let sabotage =
+            Sabotage::new(&image(), 1, Misbehaviour::Hang).expect("an image with its symbols");
+        rig.bench
+            .visit(move |visit| sabotage.apply(visit))
+            .expect("the bench runs");
+        let armed_ns = rig.bench.now_ns();
+        rig.bench.advance_us(2_500_000).expect("the bench runs");
+        let resets = rig.bench.bus().expect("the bench runs").resets;
+        assert_eq!(resets.len(), nth + 1, "{resets:?}\n{}", rig.log());
+        let reset_ns = resets[nth].0;
+        let took_ns = reset_ns - armed_ns;
+        assert!(
+            (PERIOD_NS - LAST_FEEDING_NS..=PERIOD_NS + LAST_FEEDING_NS).contains(&took_ns),
+            "reset after {took_ns} ns"
+        );
+        assert!(rig.last_edge_ns() <= reset_ns);
+        rig.device.hello(4 + nth as u32).expect("it answers again");
+        rig.device.acknowledge().expect("the cause is gone");
+    }
+    rig.check_clean(2);
 }
 
 /// A hanging task keeps others from running, that of the watchdog too. One that only no longer checks in, because it

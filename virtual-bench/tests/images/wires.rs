@@ -42,7 +42,7 @@ fn homing_ends_with(rig: &mut RigRun, switch: Switch, expected: RigFault) {
     let accepted = rig.device.home().expect("homing is accepted");
     let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
     match ended {
-        Err(ClientError::NotHomed { fault }) => assert_eq!(fault, Some(expected)),
+        Err(ClientError::NotHomed { fault, .. }) => assert_eq!(fault, Some(expected)),
         other => panic!("{other:?}\n{}", rig.log()),
     }
     fixed(rig, switch);
