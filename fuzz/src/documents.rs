@@ -160,15 +160,15 @@ fn model(folder: &Path, bytes: &[u8]) {
         assert_ne!(code, 0, "{said}");
         return;
     };
-    command::check(&client::visible::lines(&model_file::origin_with(
+    command::check(&client::visible::lines(&model_file::origin(
         &model,
         posterior.as_ref(),
     )));
-    let written = model_file::write_with(&model, posterior.as_ref());
+    let written = model_file::write(&model, posterior.as_ref());
     let again = model_file::read(&written).expect("what was written");
     let body = again.body.as_deref().unwrap_or("one");
     let model = model_file::build(body, &again.choices).expect("what was written");
-    let once_more = model_file::write_with(&model, again.posterior.as_ref());
+    let once_more = model_file::write(&model, again.posterior.as_ref());
     assert_eq!(once_more, written);
 }
 
@@ -273,7 +273,7 @@ impl Samples {
         let texts = [
             include_bytes!("../plan.toml").to_vec(),
             exported(),
-            model_file::write_with(&Model::ONE, Some(&posterior())).into_bytes(),
+            model_file::write(&Model::ONE, Some(&posterior())).into_bytes(),
             json(&owner),
             json(&commissioning),
             json(&fetched),

@@ -11,7 +11,7 @@ use client::address::Address;
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use serve::http::ROUTES;
+use serve::http::OPENAPI;
 use serve::orders::RUN;
 use simulated_machines::link::Memory;
 use tempfile::TempDir;
@@ -346,10 +346,26 @@ fn header(header: &Header) -> (&'static str, Vec<u8>) {
     }
 }
 
+/// All routes, in the order of the document: method and path.
+pub fn routes() -> &'static [(String, String)] {
+    static ROUTES: OnceLock<Vec<(String, String)>> = OnceLock::new();
+    ROUTES.get_or_init(|| {
+        let document: Value = serde_json::from_str(OPENAPI).expect("JSON");
+        let paths = document["paths"].as_object().expect("paths");
+        let of = |(path, methods): (&String, &Value)| {
+            let methods = methods.as_object().expect("methods").keys();
+            let routes = methods.map(|method| (method.clone(), path.clone()));
+            routes.collect::<Vec<_>>()
+        };
+        paths.iter().flat_map(of).collect()
+    })
+}
+
 fn line(line: &Line) -> (String, String) {
     match line {
         Line::Route(index, behind) => {
-            let (method, path) = ROUTES[usize::from(*index) % ROUTES.len()];
+            let routes = routes();
+            let (method, path) = &routes[usize::from(*index) % routes.len()];
             let path = path.replace("{id}", &format!("{INSTANCE}-1"));
             let path = path.replace("{name}", "run-19700101T000000Z.json");
             (method.to_uppercase(), path + behind)

@@ -363,9 +363,19 @@ struct At {
     keyboard: Option<Keyboard>,
 }
 
+/// Takes a negative number for a value and not for an option, so that the refusal names the range.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    command
+        .mut_args(|argument| match argument.get_action().takes_values() {
+            true => argument.allow_negative_numbers(true),
+            false => argument,
+        })
+        .mut_subcommands(with_negative_numbers)
+}
+
 /// The command line, with its subcommands in groups.
 fn command() -> clap::Command {
-    let command = Cli::command();
+    let command = with_negative_numbers(Cli::command());
     let mut help = "{about-with-newline}\n{usage-heading} {usage}\n".to_owned();
     for (heading, names) in GROUPS {
         help += &format!("\n{heading}:\n");

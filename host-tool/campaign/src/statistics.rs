@@ -1,7 +1,7 @@
 //! Statistics of repeated measurements: mean and standard deviation, and a straight line with its confidence band.
 //! Pure.
 
-use std::f64::consts::FRAC_2_PI;
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 /// Confidence of the band and of all intervals here.
 pub const CONFIDENCE: f64 = 0.95;
@@ -110,47 +110,9 @@ impl FittedLine {
 
 /// The t for which Student's distribution with `degrees` degrees of freedom has [`CONFIDENCE`] within -t to t;
 /// infinite for 0.
-#[must_use]
 fn student_t(degrees: usize) -> f64 {
-    if degrees == 0 {
-        return f64::INFINITY;
-    }
-    let (mut low, mut high) = (0.0, 16.0);
-    while within(high, degrees) < CONFIDENCE {
-        high *= 2.0;
-    }
-    // Bisect until no number is between the ends.
-    loop {
-        let middle = (low + high) / 2.0;
-        if middle <= low || middle >= high {
-            return middle;
-        }
-        if within(middle, degrees) < CONFIDENCE {
-            low = middle;
-        } else {
-            high = middle;
-        }
-    }
-}
-
-/// Probability of |T| < t with `degrees` degrees of freedom: the finite sums of Abramowitz and Stegun, 26.7.3 and
-/// 26.7.4.
-fn within(t: f64, degrees: usize) -> f64 {
-    let angle = (t / (degrees as f64).sqrt()).atan();
-    let (sine, cosine) = angle.sin_cos();
-    let odd = degrees % 2 == 1;
-    let (mut term, mut factor) = if odd { (cosine, 2.0) } else { (1.0, 1.0) };
-    let mut sum = 0.0;
-    for _ in 0..degrees / 2 {
-        sum += term;
-        term *= cosine * cosine * factor / (factor + 1.0);
-        factor += 2.0;
-    }
-    if odd {
-        FRAC_2_PI * (angle + sine * sum)
-    } else {
-        sine * sum
-    }
+    let t = StudentsT::new(0.0, 1.0, degrees as f64);
+    t.map_or(f64::INFINITY, |t| t.inverse_cdf((1.0 + CONFIDENCE) / 2.0))
 }
 
 #[cfg(test)]

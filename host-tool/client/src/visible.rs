@@ -41,6 +41,24 @@ pub fn line(text: &str) -> Cow<'_, str> {
     replaced(text, is_visible, |code| format!("<U+{code:04X}>"))
 }
 
+/// Breaks a text at its words into lines of at most `width` letters. Every line but the first begins with `indent`.
+#[must_use]
+pub fn wrapped(text: &str, width: usize, indent: &str) -> Vec<String> {
+    let lead = &text[..text.len() - text.trim_start().len()];
+    let mut lines: Vec<String> = vec![];
+    for word in text.split_whitespace() {
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
+                line.push(' ');
+                line.push_str(word);
+            }
+            Some(_) => lines.push(format!("{indent}{word}")),
+            None => lines.push(format!("{lead}{word}")),
+        }
+    }
+    lines
+}
+
 /// An HTML document: what a reader would not see is shown by its number, as in [`lines`].
 #[must_use]
 pub fn html(document: &str) -> Cow<'_, str> {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use client::error::ClientError;
+use client::visible::wrapped;
 use jiff::Timestamp;
 use trials::trial::RecordError;
 
@@ -36,7 +37,7 @@ pub enum Broken {
 }
 
 /// Line width of the output, columns: fits a terminal of 80.
-const COLUMNS: usize = 78;
+pub const COLUMNS: usize = 78;
 
 /// Carries out the steps whose results do not hold. A failed step ends the session: later steps may rely on it.
 ///
@@ -131,28 +132,7 @@ fn tell(work: &mut Work<'_>, finding: &Finding) {
 }
 
 fn say_wrapped(work: &mut Work<'_>, text: &str, indent: &str) {
-    for line in wrapped(text, indent) {
+    for line in wrapped(text, COLUMNS, indent) {
         work.say(&line);
     }
-}
-
-/// Wraps a text for the screen. Lines after the first are indented.
-#[must_use]
-pub fn wrapped(text: &str, indent: &str) -> Vec<String> {
-    let start = text.len() - text.trim_start().len();
-    let mut lines = vec![text[..start].to_owned()];
-    for word in text.split_whitespace() {
-        if let Some(line) = lines.last_mut() {
-            let blank = line.trim().is_empty();
-            if blank || line.chars().count() + 1 + word.chars().count() <= COLUMNS {
-                if !blank {
-                    line.push(' ');
-                }
-                line.push_str(word);
-                continue;
-            }
-        }
-        lines.push(format!("{indent}{word}"));
-    }
-    lines
 }

@@ -69,13 +69,13 @@ pub struct RunArgs {
     #[arg(long, value_name = "POLICY", default_value = "stop")]
     pub on_link_loss: OnLinkLoss,
     /// Fold the capsule when this cycle begins, from 1. It has to be unfolded before the run.
-    #[arg(long, value_name = "K", group = "tied", value_parser = cycles, allow_negative_numbers = true)]
+    #[arg(long, value_name = "K", group = "tied", value_parser = cycles)]
     pub fold_at_cycle: Option<u16>,
     /// Unfold the capsule when this cycle begins. It has to be folded before the run.
-    #[arg(long, value_name = "K", group = "tied", value_parser = cycles, allow_negative_numbers = true)]
+    #[arg(long, value_name = "K", group = "tied", value_parser = cycles)]
     pub unfold_at_cycle: Option<u16>,
     /// Not at the start of that cycle: where the carriage passes there on its way away from home.
-    #[arg(long, value_name = "MM", value_parser = above_zero::<Milli>, allow_negative_numbers = true, requires = "tied")]
+    #[arg(long, value_name = "MM", value_parser = above_zero::<Milli>, requires = "tied")]
     pub at_mm: Option<Milli>,
     /// The record.
     #[command(flatten)]
@@ -95,15 +95,10 @@ pub enum OnLinkLoss {
 #[derive(Debug, Args)]
 pub struct Waves {
     /// Out-and-home cycles, 1 to 10000.
-    #[arg(long, default_value = "5", value_parser = cycles, allow_negative_numbers = true)]
+    #[arg(long, default_value = "5", value_parser = cycles)]
     pub cycles: u16,
     /// Stroke in mm.
-    #[arg(
-        long,
-        value_name = "MM",
-        default_value = "130",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM", default_value = "130")]
     pub stroke_mm: Milli,
     /// A named timing: `paper` is 40 s for 5 cycles, `wave` 10 mm/s both ways, like a slow wave of the intestine.
     #[arg(long, conflicts_with_all = ["duration_s", "speed_mm_s", "waves_per_minute"])]
@@ -112,61 +107,30 @@ pub struct Waves {
     #[arg(
         long,
         value_name = "N",
-        allow_negative_numbers = true,
         value_parser = above_zero::<Milli>,
         conflicts_with_all = ["duration_s", "speed_mm_s"]
     )]
     pub waves_per_minute: Option<Milli>,
     /// Duration of all cycles in s, dwells and start delay included. 40 by default, unless speeds are given.
-    #[arg(
-        long,
-        value_name = "S",
-        allow_negative_numbers = true,
-        conflicts_with = "speed_mm_s"
-    )]
+    #[arg(long, value_name = "S", conflicts_with = "speed_mm_s")]
     pub duration_s: Option<Seconds>,
     /// Speed away from home in mm/s, instead of a duration.
-    #[arg(long, value_name = "MM/S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM/S")]
     pub speed_mm_s: Option<Milli>,
     /// Speed towards home in mm/s; by default the same as away from home.
-    #[arg(
-        long,
-        value_name = "MM/S",
-        allow_negative_numbers = true,
-        requires = "speed_mm_s"
-    )]
+    #[arg(long, value_name = "MM/S", requires = "speed_mm_s")]
     pub return_speed_mm_s: Option<Milli>,
     /// Acceleration of every ramp in mm/s2.
-    #[arg(
-        long,
-        value_name = "MM/S2",
-        default_value = "100",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM/S2", default_value = "100")]
     pub accel_mm_s2: Milli,
     /// Pause at the far end in s.
-    #[arg(
-        long,
-        value_name = "S",
-        default_value = "0",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "S", default_value = "0")]
     pub far_dwell_s: ShortSeconds,
     /// Pause at home between two cycles in s.
-    #[arg(
-        long,
-        value_name = "S",
-        default_value = "0",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "S", default_value = "0")]
     pub home_dwell_s: ShortSeconds,
     /// Pause before the first stroke in s; part of the duration.
-    #[arg(
-        long,
-        value_name = "S",
-        default_value = "0",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "S", default_value = "0")]
     pub start_delay_s: ShortSeconds,
 }
 
@@ -277,19 +241,13 @@ pub struct JogArgs {
     #[arg(value_parser = direction())]
     pub direction: Direction,
     /// Speed in mm/s.
-    #[arg(
-        long,
-        value_name = "MM/S",
-        default_value = "5",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM/S", default_value = "5")]
     pub speed_mm_s: Milli,
     /// Duration in s.
     #[arg(
         long,
         value_name = "S",
         default_value = "1",
-        allow_negative_numbers = true,
         value_parser = above_zero::<ShortSeconds>
     )]
     pub for_s: ShortSeconds,
@@ -299,15 +257,10 @@ pub struct JogArgs {
 #[derive(Debug, Args)]
 pub struct MoveArgs {
     /// Target, in mm from home.
-    #[arg(value_name = "MM", allow_negative_numbers = true)]
+    #[arg(value_name = "MM")]
     pub position_mm: Milli,
     /// Speed in mm/s.
-    #[arg(
-        long,
-        value_name = "MM/S",
-        default_value = "20",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM/S", default_value = "20")]
     pub speed_mm_s: Milli,
 }
 
@@ -318,22 +271,16 @@ pub struct PartialArgs {
     #[command(flatten)]
     pub fold: FoldArgs,
     /// Stop with so much thread on the spool, in mm from the unfolded end, winding or paying out.
-    #[arg(
-        long,
-        value_name = "MM",
-        allow_negative_numbers = true,
-        conflicts_with = "indentation_mm"
-    )]
+    #[arg(long, value_name = "MM", conflicts_with = "indentation_mm")]
     pub thread_mm: Option<Milli>,
     /// Stop where the paper's origami is folded as an indentation of so many mm would fold it (Eq. 7).
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM")]
     pub indentation_mm: Option<Milli>,
     /// With `--indentation-mm`: slack of the unfolded thread.
     #[arg(
         long,
         value_name = "MM",
         default_value = "1",
-        allow_negative_numbers = true,
         requires = "indentation_mm",
         // Beside an argument that excludes the required one, clap does not ask for that.
         conflicts_with = "thread_mm"

@@ -15,18 +15,17 @@ pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
     rig.call(rig::Hold)?;
     let status = rig.wait_rest()?;
     if status.state == RigState::Running {
-        return Err(Failure::Refused {
-            why: "the run was held, and goes on again: somebody has resumed it, the start button does that"
-                .to_owned(),
-            help: "`retrograde hold` holds it again, `retrograde stop` ends it".to_owned(),
-        });
+        return Err(Failure::refused(
+            "the run was held, and goes on again: somebody has resumed it, the start button does that",
+            "`retrograde hold` holds it again, `retrograde stop` ends it",
+        ));
     }
     if status.state != RigState::Held {
         return Err(match Status::from(rig.run_record()?.outcome) {
-            Status::Complete => Failure::Refused {
-                why: "too late, the run is complete".to_owned(),
-                help: format!("nothing is held; the rig is at {} mm", millimetres(&status)),
-            },
+            Status::Complete => Failure::refused(
+                "too late, the run is complete",
+                format!("nothing is held; the rig is at {} mm", millimetres(&status)),
+            ),
             ending => ended("the run", ending, &status, None),
         });
     }

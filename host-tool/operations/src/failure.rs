@@ -1,7 +1,7 @@
 //! Failures as shown to the user: text, code, help, exit code.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use client::decimal;
 use client::error::ClientError;
@@ -335,6 +335,26 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
 }
 
 impl Failure {
+    /// An unusable file or argument, with the remedy.
+    pub fn input(why: impl Into<String>, help: impl Into<String>) -> Self {
+        let (why, help) = (why.into(), help.into());
+        Self::Input { why, help }
+    }
+
+    /// Refused by this program itself, or requested too late; with the remedy.
+    pub fn refused(why: impl Into<String>, help: impl Into<String>) -> Self {
+        let (why, help) = (why.into(), help.into());
+        Self::Refused { why, help }
+    }
+
+    /// Turns an error with this file into a failure.
+    pub fn file<E: Into<io::Error>>(path: &Path) -> impl FnOnce(E) -> Self {
+        move |error| Self::File {
+            path: path.to_owned(),
+            io: error.into(),
+        }
+    }
+
     /// The remedy; empty where there is none.
     #[must_use]
     pub fn remedy(&self) -> String {

@@ -23,9 +23,11 @@ pub fn motion(args: &PartialArgs) -> Result<Actuation, Failure> {
 }
 
 fn target_um(thread_um: u64) -> Result<i32, Failure> {
-    i32::try_from(thread_um).map_err(|_| Failure::Input {
-        why: format!("{} mm of thread is too much", decimal::write(thread_um, 3)),
-        help: "nothing was sent; the calibrated end is at some 22 mm".to_owned(),
+    i32::try_from(thread_um).map_err(|_| {
+        Failure::input(
+            format!("{} mm of thread is too much", decimal::write(thread_um, 3)),
+            "nothing was sent; the calibrated end is at some 22 mm",
+        )
     })
 }
 
@@ -36,10 +38,7 @@ fn thread_um(indentation_um: u64, slack_um: u64) -> Result<i32, Failure> {
     let indentation_mm = indentation_um as f64 / 1e3;
     let shortening_mm = design
         .shortening_mm(indentation_mm)
-        .map_err(|why| Failure::Input {
-            why: why.to_string(),
-            help: "nothing was sent".to_owned(),
-        })?;
+        .map_err(|why| Failure::input(why.to_string(), "nothing was sent"))?;
     target_um(slack_um.saturating_add((shortening_mm * 1e3).round() as u64))
 }
 

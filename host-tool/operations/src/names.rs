@@ -50,10 +50,8 @@ pub fn resolve(rig: &mut Option<Address>, capsule: &mut Option<Address>) -> Resu
 }
 
 fn unusable(error: &NamedError) -> Failure {
-    Failure::Input {
-        why: error.to_string(),
-        help:
-            "mend the file, or give the address itself: `--rig /dev/ttyACM0`, `--rig tcp:HOST:PORT`"
-                .to_owned(),
-    }
+    Failure::input(
+        error.to_string(),
+        "mend the file, or give the address itself: `--rig /dev/ttyACM0`, `--rig tcp:HOST:PORT`",
+    )
 }

@@ -5,7 +5,7 @@
 //! confirmed one was sent: a stop without an answer says nothing about the next. Orders older than a stop must not
 //! move anything any more.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use protocol::system::Urgent;
 
@@ -28,6 +28,14 @@ impl Ask {
 #[derive(Debug, Default)]
 pub struct Stops(Mutex<Book>);
 
+impl Stops {
+    /// Reads or changes the book. The lock lasts no longer than `act`, which must not wait.
+    pub fn with<T>(&self, act: impl FnOnce(&mut Book) -> T) -> T {
+        // No code panics while holding the lock; if it did, a stop must still go out.
+        act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
 /// The data of [`Stops`] without the lock: a value that a model can copy and compare.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Book {
@@ -43,13 +51,6 @@ pub struct Book {
     order: Option<u64>,
 }
 
-fn strength(urgent: Urgent) -> usize {
-    match urgent {
-        Urgent::Stop => 0,
-        Urgent::EStop => 1,
-    }
-}
-
 /// Name of a stop on the screen.
 #[must_use]
 pub fn name(urgent: Urgent) -> &'static str {
@@ -59,138 +60,67 @@ pub fn name(urgent: Urgent) -> &'static str {
     }
 }
 
-/// The stronger of two stops.
-#[must_use]
-pub fn stronger(one: Option<Urgent>, other: Option<Urgent>) -> Option<Urgent> {
-    match (one, other) {
-        (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
-        (one, other) => one.or(other),
-    }
-}
-
 impl Book {
-    /// See [`Stops::ask`].
+    /// Requests a stop and awaits its confirmation until [`Book::withdraw`].
     pub fn ask(&mut self, urgent: Urgent) -> Ask {
         self.asked += 1;
         let number = self.asked;
-        self.last[strength(urgent)] = number;
+        self.last[urgent as usize] = number;
         let ask = Ask { number, urgent };
         self.open.push(ask);
         ask
     }
 
-    /// See [`Stops::withdraw`].
+    /// Ends the wait for this stop. Others may still wait for theirs.
     pub fn withdraw(&mut self, ask: Ask) {
         self.open.retain(|open| *open != ask);
-    }
-
-    /// See [`Stops::asked`].
-    #[must_use]
-    pub fn asked(&self) -> u64 {
-        self.asked
-    }
-
-    /// See [`Stops::confirm`].
-    pub fn confirm(&mut self, urgent: Urgent, number: u64) {
-        // An emergency stop also confirms an ordinary one.
-        for confirmed in &mut self.confirmed[..=strength(urgent)] {
-            *confirmed = number.max(*confirmed);
-        }
-    }
-
-    /// See [`Stops::is_confirmed`].
-    #[must_use]
-    pub fn is_confirmed(&self, ask: Ask) -> bool {
-        self.confirmed[strength(ask.urgent)] >= ask.number
-    }
-
-    /// See [`Stops::unconfirmed`].
-    #[must_use]
-    pub fn unconfirmed(&self) -> Option<Urgent> {
-        let open = self.open.iter().filter(|ask| !self.is_confirmed(**ask));
-        open.fold(None, |all, ask| stronger(all, Some(ask.urgent)))
-    }
-
-    /// See [`Stops::since`].
-    #[must_use]
-    pub fn since(&self, number: u64) -> Option<Urgent> {
-        [Urgent::EStop, Urgent::Stop]
-            .into_iter()
-            .find(|urgent| self.last[strength(*urgent)] > number)
-    }
-
-    /// See [`Stops::begin_order`] and [`Stops::end_order`].
-    pub fn order(&mut self, number: Option<u64>) {
-        self.order = number;
-    }
-
-    /// See [`Stops::wanted`].
-    #[must_use]
-    pub fn wanted(&self) -> Option<Urgent> {
-        let during = self.order.and_then(|number| self.since(number));
-        stronger(self.unconfirmed(), during)
-    }
-}
-
-impl Stops {
-    // No code panics while holding the lock; if it did, a stop must still go out.
-    fn book(&self) -> MutexGuard<'_, Book> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Requests a stop and awaits its confirmation until [`Stops::withdraw`].
-    pub fn ask(&self, urgent: Urgent) -> Ask {
-        self.book().ask(urgent)
-    }
-
-    /// Ends the wait for this stop. Others may still wait for theirs.
-    pub fn withdraw(&self, ask: Ask) {
-        self.book().withdraw(ask);
     }
 
     /// Number of the last stop. An order that arrives now is newer than this stop and older than the next.
     #[must_use]
     pub fn asked(&self) -> u64 {
-        self.book().asked()
+        self.asked
     }
 
     /// Notes that the machine has confirmed this stop, which was sent after stop `number` was requested.
-    pub fn confirm(&self, urgent: Urgent, number: u64) {
-        self.book().confirm(urgent, number);
+    pub fn confirm(&mut self, urgent: Urgent, number: u64) {
+        // An emergency stop also confirms an ordinary one.
+        for confirmed in &mut self.confirmed[..=urgent as usize] {
+            *confirmed = number.max(*confirmed);
+        }
     }
 
     /// Whether the machine has confirmed a stop that was sent after this one was requested.
     #[must_use]
     pub fn is_confirmed(&self, ask: Ask) -> bool {
-        self.book().is_confirmed(ask)
+        self.confirmed[ask.urgent as usize] >= ask.number
     }
 
     /// The strongest stop that is awaited and not confirmed.
     #[must_use]
     pub fn unconfirmed(&self) -> Option<Urgent> {
-        self.book().unconfirmed()
+        let open = self.open.iter().filter(|ask| !self.is_confirmed(**ask));
+        open.map(|ask| ask.urgent).max()
     }
 
     /// The strongest stop requested since stop `number`, confirmed or not.
     #[must_use]
     pub fn since(&self, number: u64) -> Option<Urgent> {
-        self.book().since(number)
+        [Urgent::EStop, Urgent::Stop]
+            .into_iter()
+            .find(|urgent| self.last[*urgent as usize] > number)
     }
 
-    /// Begins an order that came after stop `number`: every later stop ends it.
-    pub fn begin_order(&self, number: u64) {
-        self.book().order(Some(number));
-    }
-
-    /// Ends the order.
-    pub fn end_order(&self) {
-        self.book().order(None);
+    /// Begins an order that came after stop `number`: every later stop ends it. `None` ends the order.
+    pub fn order(&mut self, number: Option<u64>) {
+        self.order = number;
     }
 
     /// The stop that has to be sent to the machine now, if any.
     #[must_use]
     pub fn wanted(&self) -> Option<Urgent> {
-        self.book().wanted()
+        let during = self.order.and_then(|number| self.since(number));
+        self.unconfirmed().max(during)
     }
 }
 
@@ -202,7 +132,7 @@ mod tests {
     /// first had given up.
     #[test]
     fn a_stop_that_nobody_confirmed_confirms_no_other() {
-        let stops = Stops::default();
+        let mut stops = Book::default();
         let asks = [(); 3].map(|()| stops.ask(Urgent::EStop));
         for ask in asks {
             assert!(!stops.is_confirmed(ask));
@@ -214,7 +144,7 @@ mod tests {
 
     #[test]
     fn a_confirmation_counts_for_what_was_asked_for_before_the_stop_was_sent() {
-        let stops = Stops::default();
+        let mut stops = Book::default();
         let early = stops.ask(Urgent::Stop);
         let sent = stops.asked();
         let late = stops.ask(Urgent::Stop);
@@ -229,7 +159,7 @@ mod tests {
 
     #[test]
     fn a_stop_is_no_emergency_stop_but_an_emergency_stop_is_a_stop() {
-        let stops = Stops::default();
+        let mut stops = Book::default();
         let (stop, estop) = (stops.ask(Urgent::Stop), stops.ask(Urgent::EStop));
         stops.confirm(Urgent::Stop, stops.asked());
         assert!(stops.is_confirmed(stop) && !stops.is_confirmed(estop));
@@ -241,7 +171,7 @@ mod tests {
 
     #[test]
     fn whoever_gives_up_takes_nobody_elses_stop_back() {
-        let stops = Stops::default();
+        let mut stops = Book::default();
         let (one, other) = (stops.ask(Urgent::EStop), stops.ask(Urgent::Stop));
         stops.withdraw(one);
         assert_eq!(stops.wanted(), Some(Urgent::Stop));
@@ -251,7 +181,7 @@ mod tests {
 
     #[test]
     fn a_stop_ends_every_older_order_and_no_newer_one() {
-        let stops = Stops::default();
+        let mut stops = Book::default();
         let older = stops.asked();
         let ask = stops.ask(Urgent::EStop);
         stops.confirm(Urgent::EStop, stops.asked());
@@ -260,10 +190,10 @@ mod tests {
         assert_eq!(stops.since(older), Some(Urgent::EStop));
         assert_eq!(stops.since(newer), None);
         assert_eq!(stops.wanted(), None);
-        stops.begin_order(older);
+        stops.order(Some(older));
         assert_eq!(stops.wanted(), Some(Urgent::EStop));
-        stops.end_order();
-        stops.begin_order(newer);
+        stops.order(None);
+        stops.order(Some(newer));
         assert_eq!(stops.wanted(), None);
         let _ = stops.ask(Urgent::Stop);
         assert_eq!(stops.wanted(), Some(Urgent::Stop));

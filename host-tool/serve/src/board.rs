@@ -23,7 +23,7 @@ use crate::orders::Work;
 use crate::stream::Stream;
 use operations::failure::Failure;
 use operations::panel::{Contact, Notice, Panel, event_text, in_run};
-use operations::stops::{Ask, Stops, stronger};
+use operations::stops::{Ask, Stops};
 
 /// Telemetry is sent to readers in batches of this length.
 const PORTION: Duration = Duration::from_millis(50);
@@ -148,13 +148,13 @@ impl Machine {
         if let Some(doorway) = &*lock(&self.doorway) {
             doorway.mark_stop(urgent);
         }
-        self.stops.ask(urgent)
+        self.stops.with(|stops| stops.ask(urgent))
     }
 
     /// The latest stop; orders that arrive from now on are newer.
     pub fn last_stop(&self) -> (u64, StopMark) {
         (
-            self.stops.asked(),
+            self.stops.with(|stops| stops.asked()),
             Doorway::last_stops(lock(&self.doorway).as_ref()),
         )
     }
@@ -168,7 +168,7 @@ impl Machine {
                 // Ctrl-C does not stop motions that other processes started.
                 false => None,
             };
-            stronger(stops.wanted(), pressed)
+            stops.with(|stops| stops.wanted()).max(pressed)
         })
     }
 }

@@ -164,13 +164,13 @@ pub fn stop(
     };
     let stops = &machine.stops;
     // Everybody who waits has already asked.
-    let asked = stops.asked();
+    let asked = stops.with(|stops| stops.asked());
     let told = target.told(places.urgent(&target, urgent));
     if told.delivery == Delivery::Stopped {
-        stops.confirm(urgent, asked);
+        stops.with(|stops| stops.confirm(urgent, asked));
     } else {
         let begin = Instant::now();
-        let is_open = |wait: &Wait| !stops.is_confirmed(wait.ask);
+        let is_open = |wait: &Wait| !stops.with(|stops| stops.is_confirmed(wait.ask));
         while begin.elapsed() < patience && waits.iter().any(is_open) {
             thread::sleep(Duration::from_millis(5));
         }
@@ -182,11 +182,11 @@ pub fn stop(
     }
     for Wait { ask, reply } in waits {
         let mut told = told.clone();
-        if stops.is_confirmed(ask) {
+        if stops.with(|stops| stops.is_confirmed(ask)) {
             told.delivery = Delivery::Stopped;
             told.why = String::new();
         }
-        stops.withdraw(ask);
+        stops.with(|stops| stops.withdraw(ask));
         // The waiting client may have disconnected.
         let _ = reply.send(told);
     }
@@ -195,10 +195,10 @@ pub fn stop(
 pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
     let Some(machine) = board.machine(question.about()) else {
         let name = kind_name(question.about());
-        return Err(Failure::Input {
-            why: format!("this server has no {name}"),
-            help: format!("start it with `--{name} WHERE`"),
-        });
+        return Err(Failure::input(
+            format!("this server has no {name}"),
+            format!("start it with `--{name} WHERE`"),
+        ));
     };
     past_owners(|| {
         let link =

@@ -52,38 +52,6 @@ const PAGE: &str = include_str!("page.html");
 /// Placeholder in the page for the nonce that admits the page's own script and style, and no others.
 const NONCE: &str = "@NONCE@";
 
-/// All routes: method and path, as in [`OPENAPI`].
-pub const ROUTES: [(&str, &str); 28] = [
-    ("get", "/"),
-    ("get", "/openapi.json"),
-    ("get", "/api/v1/state"),
-    ("get", "/api/v1/stream"),
-    ("get", "/api/v1/actions"),
-    ("get", "/api/v1/actions/{id}"),
-    ("get", "/api/v1/records"),
-    ("get", "/api/v1/records/{name}"),
-    ("get", "/api/v1/rig/health"),
-    ("get", "/api/v1/rig/settings"),
-    ("get", "/api/v1/capsule/settings"),
-    ("post", "/api/v1/plan"),
-    ("post", "/api/v1/stop"),
-    ("post", "/api/v1/estop"),
-    ("post", "/api/v1/rig/home"),
-    ("post", "/api/v1/rig/run"),
-    ("post", "/api/v1/rig/move"),
-    ("post", "/api/v1/rig/jog"),
-    ("post", "/api/v1/rig/jog/renew"),
-    ("post", "/api/v1/rig/hold"),
-    ("post", "/api/v1/rig/resume"),
-    ("post", "/api/v1/rig/ack"),
-    ("post", "/api/v1/capsule/ack"),
-    ("post", "/api/v1/capsule/reference"),
-    ("post", "/api/v1/capsule/calibrate"),
-    ("post", "/api/v1/capsule/check"),
-    ("post", "/api/v1/capsule/fold"),
-    ("post", "/api/v1/capsule/unfold"),
-];
-
 /// Nice value of the planning thread: below everything else that the server does.
 #[cfg(target_os = "linux")]
 const LAST: i32 = 15;

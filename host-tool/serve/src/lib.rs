@@ -236,10 +236,10 @@ fn bind(runtime: &Runtime, at: SocketAddr) -> io::Result<TcpListener> {
 }
 
 fn no_place(at: SocketAddr, why: &io::Error) -> Failure {
-    Failure::Input {
-        why: format!("cannot listen at {at}: {why}"),
-        help: "another program has it, or this computer has no such address: choose with `--listen 127.0.0.1:PORT`; port 0 takes a free one".to_owned(),
-    }
+    Failure::input(
+        format!("cannot listen at {at}: {why}"),
+        "another program has it, or this computer has no such address: choose with `--listen 127.0.0.1:PORT`; port 0 takes a free one",
+    )
 }
 
 /// The URL for a browser on this computer.
@@ -281,42 +281,38 @@ fn introduction(
 
 /// Reads the token from a file; creates file and token if there is none.
 fn token_of(file: &Path) -> Result<String, Failure> {
-    let failed = |io: io::Error| Failure::File {
-        path: file.to_owned(),
-        io,
-    };
     match limited::read_text(file, limited::BY_HAND) {
         Ok(text) => {
             let token = text.trim();
-            if is_open_to_others(file).map_err(failed)? {
-                return Err(Failure::Input {
-                    why: format!(
+            if is_open_to_others(file).map_err(Failure::file(file))? {
+                return Err(Failure::input(
+                    format!(
                         "{}: other users can read or change this file",
                         file.display()
                     ),
-                    help: format!(
+                    format!(
                         "`chmod 600 {0}`; if somebody may have read it, remove {0}: a new one is made",
                         file.display()
                     ),
-                });
+                ));
             }
             if token.len() < LEAST_TOKEN || !token.chars().all(|c| c.is_ascii_alphanumeric()) {
-                return Err(Failure::Input {
-                    why: format!(
+                return Err(Failure::input(
+                    format!(
                         "{}: a token has at least {LEAST_TOKEN} letters and digits, and nothing else",
                         file.display()
                     ),
-                    help: "remove the file: a new one is made".to_owned(),
-                });
+                    "remove the file: a new one is made",
+                ));
             }
             Ok(token.to_owned())
         }
         Err(why) if why.kind() == io::ErrorKind::NotFound => {
             let token = new_token();
-            private(file, &format!("{token}\n")).map_err(failed)?;
+            private(file, &format!("{token}\n")).map_err(Failure::file(file))?;
             Ok(token)
         }
-        Err(why) => Err(failed(why)),
+        Err(why) => Err(Failure::file(file)(why)),
     }
 }
 

@@ -174,15 +174,15 @@ fn parse<A: Args>(
         let why = command.get_arguments().fold(why.to_owned(), |why, arg| {
             why.replace(&format!("'{arg}'"), &format!("`{}`", arg.get_id()))
         });
-        Failure::Input {
+        Failure::input(
             why,
-            help: match argument {
+            match argument {
                 Some(field) if !body.contains_key(field) => {
                     format!("nothing was done; the field `{field}` is missing")
                 }
                 _ => "nothing was done; correct the value and send it again".to_owned(),
             },
-        }
+        )
     })
 }
 
@@ -198,13 +198,13 @@ fn words(
         let known = options.contains(&field.as_str());
         if !known && argument != Some(field) {
             let fields: Vec<_> = argument.iter().chain(options).copied().collect();
-            return Err(Failure::Input {
-                why: format!("there is no field `{}` here", shown(field)),
-                help: match fields.is_empty() {
+            return Err(Failure::input(
+                format!("there is no field `{}` here", shown(field)),
+                match fields.is_empty() {
                     true => "this request has no fields: send {}".to_owned(),
                     false => format!("nothing was done; the fields are {}", fields.join(", ")),
                 },
-            });
+            ));
         }
         let Some(text) = text(field, value)? else {
             continue;
@@ -232,13 +232,13 @@ fn text(field: &str, value: &Value) -> Result<Option<String>, Failure> {
             (None, None) => number.to_string(),
         },
         _ => {
-            return Err(Failure::Input {
-                why: format!(
+            return Err(Failure::input(
+                format!(
                     "the field `{}` is neither a number nor a text",
                     shown(field)
                 ),
-                help: "nothing was done; write for example 130, 12.5 or \"12.5\"".to_owned(),
-            });
+                "nothing was done; write for example 130, 12.5 or \"12.5\"",
+            ));
         }
     }))
 }

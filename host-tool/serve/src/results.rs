@@ -36,19 +36,18 @@ pub fn lost(failure: &Failure) -> Failure {
 
 /// Failure of an order that is older than a stop.
 pub fn overtaken() -> Failure {
-    Failure::Refused {
-        why: "a stop came after this order".to_owned(),
-        help: "nothing was moved by this order; look at the machine, then order it again"
-            .to_owned(),
-    }
+    Failure::refused(
+        "a stop came after this order",
+        "nothing was moved by this order; look at the machine, then order it again",
+    )
 }
 
 /// Failure of an order when the server shuts down.
 pub fn server_ends() -> Failure {
-    Failure::Refused {
-        why: "the server ends".to_owned(),
-        help: "nothing was moved by this order; start the server again".to_owned(),
-    }
+    Failure::refused(
+        "the server ends",
+        "nothing was moved by this order; start the server again",
+    )
 }
 
 #[cfg(test)]
@@ -59,10 +58,7 @@ mod tests {
 
     #[test]
     fn an_order_without_a_contact_has_the_remedy_of_the_contact() {
-        let failure = lost(&Failure::Refused {
-            why: "it is away".to_owned(),
-            help: "plug it in".to_owned(),
-        });
+        let failure = lost(&Failure::refused("it is away", "plug it in"));
         assert_eq!(failure.exit_code(), NO_DEVICE);
         assert_eq!(
             failure.in_one_line(),

@@ -286,10 +286,10 @@ impl Worker<'_> {
         }
         device.settle()?;
         // The stop that was sent may be older than the one that somebody waits for.
-        if let Some(urgent) = stops.unconfirmed() {
-            let asked = stops.asked();
+        let (unconfirmed, asked) = stops.with(|stops| (stops.unconfirmed(), stops.asked()));
+        if let Some(urgent) = unconfirmed {
             device.urgent(urgent)?;
-            stops.confirm(urgent, asked);
+            stops.with(|stops| stops.confirm(urgent, asked));
         }
         let Some(urgent) = device.interrupted() else {
             return Ok(());
@@ -318,19 +318,19 @@ impl Worker<'_> {
             after: (stop, mark),
         } = order;
         let stops = &self.machine.stops;
-        if stops.since(stop).is_some() || self.machine.last_stop().1 != mark {
+        if stops.with(|stops| stops.since(stop)).is_some() || self.machine.last_stop().1 != mark {
             let failure = overtaken();
             self.board.ended(action, Value::Null, Some(&failure));
             return Ok(());
         }
         if at.elapsed() > STALE {
-            let failure = Failure::Refused {
-                why: format!(
+            let failure = Failure::refused(
+                format!(
                     "the order came too late: the server was busy with the line for {} s",
                     at.elapsed().as_secs()
                 ),
-                help: "nothing was moved by this order; look at the machine, then again".to_owned(),
-            };
+                "nothing was moved by this order; look at the machine, then again",
+            );
             self.board.ended(action, Value::Null, Some(&failure));
             return Ok(());
         }
@@ -341,13 +341,13 @@ impl Worker<'_> {
         }
         let kind = work.kind();
         // From here on, a stop is noticed between any two frames.
-        stops.begin_order(stop);
+        stops.with(|stops| stops.order(Some(stop)));
         device.ordered_at(mark);
         // Whoever has ordered this waits for its result, unlike the screen for the next status.
         device.ask_once(false);
         let result = self.act(device, action, &work);
         device.ask_once(true);
-        stops.end_order();
+        stops.with(|stops| stops.order(None));
         let (outcome, lost) = match result {
             Ok(outcome) => (outcome, false),
             Err(failure) => {
@@ -406,7 +406,9 @@ impl Worker<'_> {
             }));
         }
         let mut busy = Busy {
-            worker: self,
+            board: self.board,
+            machine: self.machine,
+            orders: &self.orders,
             action,
             kind: work.kind(),
             pacing: Pacing::default(),
@@ -473,10 +475,10 @@ impl Worker<'_> {
         let trial = experiment::run(rig, run, &self.recording("run", record), &mut busy);
         rig.set_pacer(Box::new(|| None));
         // Fail a hold that came too late for this run.
-        let too_late = Failure::Refused {
-            why: "too late, the run has ended".to_owned(),
-            help: "nothing is held; the state says where the rig is".to_owned(),
-        };
+        let too_late = Failure::refused(
+            "too late, the run has ended",
+            "nothing is held; the state says where the rig is",
+        );
         busy.paced(|_| Err(&too_late));
         let trial = trial?;
         let at = trial.sidecar.display();

@@ -31,9 +31,8 @@ impl<'a, 'b> Calculation<'a, 'b> {
         threads: Option<u16>,
         screen: &'a mut Screen<'b>,
     ) -> Result<Self, Failure> {
-        let workers = Workers::new(threads).map_err(|error| Failure::Input {
-            why: format!("no threads: {error}"),
-            help: "use fewer: `--threads 1`".to_owned(),
+        let workers = Workers::new(threads).map_err(|error| {
+            Failure::input(format!("no threads: {error}"), "use fewer: `--threads 1`")
         })?;
         Ok(Self {
             out,
@@ -74,20 +73,14 @@ impl<'a, 'b> Calculation<'a, 'b> {
         rows: &[impl Serialize],
         origin: &str,
     ) -> Result<(), Failure> {
-        let bytes = table::csv_of(rows, origin).map_err(|error| Failure::File {
-            path: self.out.join(name),
-            io: error.into(),
-        })?;
+        let bytes = table::csv_of(rows, origin).map_err(Failure::file(&self.out.join(name)))?;
         self.file(name, &bytes)
     }
 
     /// Writes one file and creates the folder if necessary.
     pub(crate) fn file(&mut self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
         let path = self.out.join(name);
-        fs::create_dir_all(self.out).map_err(|io| Failure::File {
-            path: self.out.to_owned(),
-            io,
-        })?;
+        fs::create_dir_all(self.out).map_err(Failure::file(self.out))?;
         write(&path, bytes)?;
         self.files.push(path);
         Ok(())
@@ -107,7 +100,7 @@ impl<'a, 'b> Calculation<'a, 'b> {
 
 /// Writes a file of a folder whose own files are replaced.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    fs::write(path, bytes).map_err(|io| not_written(path, io))
+    fs::write(path, bytes).map_err(Failure::file(path))
 }
 
 /// A single file that the user names. It may be a record by mistake, so an existing one is replaced with `force` only;
@@ -127,10 +120,10 @@ impl<'a> Named<'a> {
         let mut seen: Vec<&Path> = vec![];
         for path in paths.into_iter().flatten() {
             if seen.contains(&path.as_path()) && !is_device(path) {
-                return Err(Failure::Input {
-                    why: format!("{} is named for two files", path.display()),
-                    help: "name a file of its own for each".to_owned(),
-                });
+                return Err(Failure::input(
+                    format!("{} is named for two files", path.display()),
+                    "name a file of its own for each",
+                ));
             }
             if !force && path.exists() && !is_device(path) {
                 return Err(exists(path));
@@ -181,7 +174,7 @@ impl<'a> Named<'a> {
         };
         written.map_err(|io| match io.kind() {
             ErrorKind::AlreadyExists => exists(self.path),
-            _ => not_written(self.path, io),
+            _ => Failure::file(self.path)(io),
         })
     }
 }
@@ -193,17 +186,10 @@ fn is_device(path: &Path) -> bool {
 
 fn exists(path: &Path) -> Failure {
     if path.is_dir() {
-        return not_written(path, ErrorKind::IsADirectory.into());
+        return Failure::file(path)(ErrorKind::IsADirectory);
     }
-    Failure::Refused {
-        why: format!("{} exists already", path.display()),
-        help: "choose another name, or replace it with `--force`".to_owned(),
-    }
-}
-
-fn not_written(path: &Path, io: io::Error) -> Failure {
-    Failure::File {
-        path: path.to_owned(),
-        io,
-    }
+    Failure::refused(
+        format!("{} exists already", path.display()),
+        "choose another name, or replace it with `--force`",
+    )
 }

@@ -117,7 +117,7 @@ pub enum Edit {
         /// The trial.
         trial: u32,
         /// The displacement of the tail, + headward.
-        #[arg(value_name = "MM", allow_negative_numbers = true)]
+        #[arg(value_name = "MM")]
         displacement_mm: Millimetres,
         /// Why.
         reason: Vec<String>,
@@ -183,13 +183,13 @@ pub(crate) fn campaign(
         }
         CampaignSubcommand::Run(args) if args.what.is_dir() => {
             if args.out.is_some() {
-                return Err(Failure::Input {
-                    why: format!(
+                return Err(Failure::input(
+                    format!(
                         "{} is the folder of a campaign already",
                         args.what.display()
                     ),
-                    help: "leave `--out` out, or give a plan".to_owned(),
-                });
+                    "leave `--out` out, or give a plan",
+                ));
             }
             admit(&args.session, screen)?;
             let folder = open(&args.what, args.session.yes, places, screen)?;
@@ -217,11 +217,10 @@ fn admit(session: &SessionArgs, screen: &Screen<'_>) -> Result<(), Failure> {
     if session.yes || screen.keyboard.is_some() {
         return Ok(());
     }
-    Err(Failure::Refused {
-        why: "a campaign asks for readings and displacements, and nobody is at a terminal"
-            .to_owned(),
-        help: "at a terminal, without `--json`; or `--yes` with virtual machines".to_owned(),
-    })
+    Err(Failure::refused(
+        "a campaign asks for readings and displacements, and nobody is at a terminal",
+        "at a terminal, without `--json`; or `--yes` with virtual machines",
+    ))
 }
 
 /// A plan as the user wrote it.
@@ -234,18 +233,19 @@ struct PlanFile<'a> {
 impl<'a> PlanFile<'a> {
     fn read(path: &'a Path) -> Result<Self, Failure> {
         if path.is_dir() {
-            return Err(Failure::Input {
-                why: format!("{} is a folder, and a plan is a TOML file", path.display()),
-                help: format!(
+            return Err(Failure::input(
+                format!("{} is a folder, and a plan is a TOML file", path.display()),
+                format!(
                     "give a plan, such as `examples/paper.toml`; if this is the folder of a campaign, {}",
                     again(path, false)
                 ),
-            });
+            ));
         }
-        let text = limited::read_text(path, limited::BY_HAND).map_err(|io| Failure::Input {
-            why: format!("{}: {io}", path.display()),
-            help: "give a plan, such as `examples/paper.toml`, or the folder of a campaign"
-                .to_owned(),
+        let text = limited::read_text(path, limited::BY_HAND).map_err(|io| {
+            Failure::input(
+                format!("{}: {io}", path.display()),
+                "give a plan, such as `examples/paper.toml`, or the folder of a campaign",
+            )
         })?;
         let plan = CampaignPlan::parse(&text, path).map_err(Own::from)?;
         Ok(Self { path, text, plan })
@@ -264,10 +264,7 @@ fn create(
         Path::to_owned,
     );
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-        std::fs::create_dir_all(parent).map_err(|io| Failure::File {
-            path: parent.to_owned(),
-            io,
-        })?;
+        std::fs::create_dir_all(parent).map_err(Failure::file(parent))?;
     }
     let folder = Folder::create(&out, &text, path).map_err(Own::from)?;
     let campaign = folder.campaign();
@@ -389,11 +386,10 @@ fn sit_down(
             .map_or(Origin::Board, |capsule| capsule.origin()),
     );
     if session.yes && origin != Origin::Virtual {
-        return Err(Failure::Refused {
-            why: "`--yes` asks nobody, and the displacement on a board has to be measured"
-                .to_owned(),
-            help: "leave `--yes` out; with `--rig virtual` a model answers".to_owned(),
-        });
+        return Err(Failure::refused(
+            "`--yes` asks nobody, and the displacement on a board has to be measured",
+            "leave `--yes` out; with `--rig virtual` a model answers",
+        ));
     }
     let folders = [path.clone(), DATA_FOLDER.into()];
     let commissioning = warning::of_record(&mut rig, &folders)?;
@@ -457,7 +453,7 @@ fn failure(broken: Broken, again: &str) -> Failure {
                 "`retrograde info` shows the machine; the attempt does not count; {again}"
             ),
         },
-        Broken::NotReady { why, help } => Failure::Refused { why, help },
+        Broken::NotReady { why, help } => Failure::refused(why, help),
     }
 }
 
@@ -625,10 +621,10 @@ fn summary(campaign: &Campaign) -> Value {
 fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let mut folder = open(&args.folder, false, places, screen)?;
     let Some(origin) = folder.campaign().origin() else {
-        return Err(Failure::Input {
-            why: "the campaign has not begun, so there is nothing to edit".to_owned(),
-            help: format!("`retrograde campaign run {}`", args.folder.display()),
-        });
+        return Err(Failure::input(
+            "the campaign has not begun, so there is nothing to edit",
+            format!("`retrograde campaign run {}`", args.folder.display()),
+        ));
     };
     let row = edited(&args.edit, folder.campaign(), origin)?;
     folder
@@ -651,11 +647,10 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
     let text = |words: &[String]| Some(words.join(" "));
     Ok(match edit {
         Edit::Displacement { .. } if origin == Origin::Virtual => {
-            return Err(Failure::Refused {
-                why: "nothing can be measured on the virtual bench: its displacements are those of a model"
-                    .to_owned(),
-                help: "`undo` takes the model's value again".to_owned(),
-            });
+            return Err(Failure::refused(
+                "nothing can be measured on the virtual bench: its displacements are those of a model",
+                "`undo` takes the model's value again",
+            ));
         }
         Edit::Displacement {
             trial,
@@ -663,18 +658,15 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
             reason,
         } => {
             if let Some(why) = campaign.plan.displacement.refusal(*displacement_mm) {
-                return Err(Failure::Input {
-                    why,
-                    help: "in millimetres, + headward".to_owned(),
-                });
+                return Err(Failure::input(why, "in millimetres, + headward"));
             }
             if let Some(why) = campaign.disagreement(*trial, *displacement_mm) {
-                return Err(Failure::Input {
+                return Err(Failure::input(
                     why,
-                    help: format!(
+                    format!(
                         "`campaign edit ... undo {trial}` takes the displacement back, once more the one after the last stroke; `campaign run` asks for them again"
                     ),
-                });
+                ));
             }
             let mut row = LedgerRow::of(LedgerEvent::Displacement, *trial, attempt(*trial));
             row.displacement_mm = Some(*displacement_mm);

@@ -176,12 +176,10 @@ fn hands(
     screen: &mut Screen<'_>,
 ) -> Result<Box<dyn Hands>, Failure> {
     if let Some(place) = &args.hands {
-        let bench = Bench::connect(place).map_err(|io| Failure::Input {
-            why: format!("no hands at {place}: {io}"),
-            help:
-                "`virtual-bench serve` says where its hands are; without hands leave the option out"
-                    .to_owned(),
-        })?;
+        let bench = Bench::connect(place).map_err(|io| Failure::input(
+            format!("no hands at {place}: {io}"),
+            "`virtual-bench serve` says where its hands are; without hands leave the option out",
+        ))?;
         return Ok(Box::new(bench));
     }
     if args.yes {
@@ -192,11 +190,10 @@ fn hands(
     }
     match screen.keyboard.take() {
         Some(keyboard) => Ok(Box::new(Terminal::new(keyboard, interrupt::install()))),
-        None => Err(Failure::Refused {
-            why: "commissioning needs somebody at a terminal, and there is none".to_owned(),
-            help: "at a terminal, without `--json`; or `--yes`, which asks nobody and shows what needs no hand"
-                .to_owned(),
-        }),
+        None => Err(Failure::refused(
+            "commissioning needs somebody at a terminal, and there is none",
+            "at a terminal, without `--json`; or `--yes`, which asks nobody and shows what needs no hand",
+        )),
     }
 }
 

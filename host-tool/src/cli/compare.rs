@@ -31,7 +31,7 @@ pub(crate) fn compare(
         let text = poll.table(&sheet, &odds);
         work.screen.print(text.as_bytes());
     }
-    let origin = model_file::origin_with(model, posterior);
+    let origin = model_file::origin(model, posterior);
     let of_bodies = format!(
         "prior: share of the first {} of {} bodies drawn with seed {}, before any sentence is read; words: share of those of all \
          drawn that agree with the paper's words, {} on the rig, {} in the tube; in brackets 95 % of the probability (Wilson)",

@@ -21,15 +21,16 @@ pub(crate) fn crescent(
     draws: u32,
 ) -> Result<Value, Failure> {
     if let Some(option) = model.first() {
-        return Err(Failure::Input {
-            why: format!("{option} would do nothing: the beam has inputs of its own"),
-            help: "leave it out; crescent-parameters.csv and crescent-inputs.csv list the beam's inputs"
-                .to_owned(),
-        });
+        return Err(Failure::input(
+            format!("{option} would do nothing: the beam has inputs of its own"),
+            "leave it out; crescent-parameters.csv and crescent-inputs.csv list the beam's inputs",
+        ));
     }
-    let unsolved = |error: NoAnswer| Failure::Input {
-        why: error.to_string(),
-        help: "the paper's wing has an answer: this is a defect of the tool, report it".to_owned(),
+    let unsolved = |error: NoAnswer| {
+        Failure::input(
+            error.to_string(),
+            "the paper's wing has an answer: this is a defect of the tool, report it",
+        )
     };
     let forces = crescent::forces().map_err(unsolved)?;
     let alphas = crescent::least_alphas().map_err(unsolved)?;
@@ -44,12 +45,12 @@ pub(crate) fn crescent(
     let curves: Vec<Vec<f64>> = outcomes.into_iter().flatten().flatten().collect();
     let kept = curves.len();
     if kept < FEWEST {
-        return Err(Failure::Input {
-            why: format!(
+        return Err(Failure::input(
+            format!(
                 "only {kept} of {draws} draws do as the paper says of the unfolded body: too few for a band"
             ),
-            help: "draw more: of 2000 about 60 are kept".to_owned(),
-        });
+            "draw more: of 2000 about 60 are kept",
+        ));
     }
     let rows = crescent::thread_rows(&curves);
     let origin = Validation::NotAgainstARig.to_string();

@@ -20,16 +20,16 @@ use crate::cli::screen::Screen;
 #[derive(Debug, Args)]
 pub struct DesignArgs {
     /// Overall width W in mm; 24.4 by default.
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM")]
     pub width_mm: Option<f64>,
     /// Width of the core over the overall width, c/W; 0.2 by default.
-    #[arg(long, value_name = "RATIO", allow_negative_numbers = true)]
+    #[arg(long, value_name = "RATIO")]
     pub core_ratio: Option<f64>,
     /// Angle of the short side in degrees; 12.53 by default.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEG")]
     pub alpha_deg: Option<f64>,
     /// Angle of the long side in degrees; 33.69 by default.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEG")]
     pub beta_deg: Option<f64>,
     /// Use tan alpha = 2/9 and tan beta = 2/3; rounded to two decimals these are the paper's angles.
     #[arg(long, conflicts_with_all = ["alpha_deg", "beta_deg"])]
@@ -41,10 +41,10 @@ pub struct DesignArgs {
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM")]
     pub indentation_mm: Option<f64>,
     /// Smallest alpha that the material allows, in degrees; 12.53 worked in the paper.
-    #[arg(long, value_name = "DEG", allow_negative_numbers = true)]
+    #[arg(long, value_name = "DEG")]
     pub least_alpha_deg: Option<f64>,
     /// Draw the structure, unsqueezed and squeezed, to this SVG file.
     #[arg(long, value_name = "FILE")]

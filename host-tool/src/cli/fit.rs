@@ -16,6 +16,7 @@ use calibration::replicated::of_prior;
 use calibration::verdict::Check as Verdict;
 use clap::Args;
 use client::identity::Origin;
+use client::visible::wrapped;
 use indicatif::{ProgressBar, ProgressStyle};
 use locomotion::model::{Model, Setting, Value as Given};
 use operations::failure::Failure;
@@ -72,16 +73,14 @@ fn unusable(error: TrialsError) -> Failure {
     match error {
         TrialsError::Campaign(error) => Own::from(error).into(),
         TrialsError::Changed { folder, findings } => Own::Changed { folder, findings }.into(),
-        TrialsError::Csv { .. } => Failure::Input {
+        TrialsError::Csv { .. } => Failure::input(
             why,
-            help: "docs/model-commands.md lists the columns; rows are counted from the one after the header"
-                .to_owned(),
-        },
-        TrialsError::NoUncertainty(_) => Failure::Input {
+            "docs/model-commands.md lists the columns; rows are counted from the one after the header",
+        ),
+        TrialsError::NoUncertainty(_) => Failure::input(
             why,
-            help: "`uncertainty_mm` in `[displacement]` of the next plan, or `--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together"
-                .to_owned(),
-        },
+            "`uncertainty_mm` in `[displacement]` of the next plan, or `--uncertainty-mm MM`: the standard deviation of one displacement, of reading and repetition together",
+        ),
     }
 }
 
@@ -96,25 +95,24 @@ fn read(args: &FitArgs) -> Result<Read, Failure> {
     let mut all: Vec<Trials> = vec![];
     for path in &args.sources {
         if !path.exists() {
-            return Err(Failure::Input {
-                why: format!("{}: there is no such file or folder", path.display()),
-                help: "`retrograde list` finds the campaigns that are there".to_owned(),
-            });
+            return Err(Failure::input(
+                format!("{}: there is no such file or folder", path.display()),
+                "`retrograde list` finds the campaigns that are there",
+            ));
         }
         all.push(observations::read(path, args.uncertainty_mm).map_err(unusable)?);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
     if let Some(other) = all.iter().find(|one| one.origin != origin) {
-        return Err(Failure::Input {
-            why: format!(
+        return Err(Failure::input(
+            format!(
                 "{} is of origin {}, {} of origin {origin}",
                 other.path.display(),
                 other.origin,
                 all[0].path.display(),
             ),
-            help: "measured and simulated values are never fitted together; a CSV file says its origin in the column origin"
-                .to_owned(),
-        });
+            "measured and simulated values are never fitted together; a CSV file says its origin in the column origin",
+        ));
     }
     let mut base = args.model.model()?;
     let strokes: Vec<(f64, &Path)> = (all.iter())
@@ -122,25 +120,25 @@ fn read(args: &FitArgs) -> Result<Read, Failure> {
         .collect();
     if let Some((stroke_mm, path)) = strokes.first() {
         if let Some((other, of)) = strokes.iter().find(|(mm, _)| mm != stroke_mm) {
-            return Err(Failure::Input {
-                why: format!(
+            return Err(Failure::input(
+                format!(
                     "{} has a stroke of {stroke_mm} mm, {} of {other} mm",
                     path.display(),
                     of.display()
                 ),
-                help: "fit campaigns of different strokes apart".to_owned(),
-            });
+                "fit campaigns of different strokes apart",
+            ));
         }
         if let Some(asked) = args.model.number("rig.stroke_mm")?
             && asked != *stroke_mm
         {
-            return Err(Failure::Input {
-                why: format!(
+            return Err(Failure::input(
+                format!(
                     "the model has a stroke of {asked} mm, {} {stroke_mm} mm",
                     path.display()
                 ),
-                help: "leave rig.stroke_mm out: the campaign says it".to_owned(),
-            });
+                "leave rig.stroke_mm out: the campaign says it",
+            ));
         }
         if let Some(setting) = Setting::named("rig.stroke_mm") {
             let _ = base.set(setting, Given::Number(*stroke_mm));
@@ -177,19 +175,18 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         .flat_map(|one| one.measured.iter().map(|measured| measured.observation))
         .collect();
     say_sources(&trials, args.uncertainty_mm, screen);
-    let workers = Workers::new(args.threads).map_err(|error| Failure::Input {
-        why: format!("no threads: {error}"),
-        help: "use fewer: `--threads 1`".to_owned(),
+    let workers = Workers::new(args.threads).map_err(|error| {
+        Failure::input(format!("no threads: {error}"), "use fewer: `--threads 1`")
     })?;
     let bar = waiting(screen.terminal);
     let watch = |table| bar.set_message(format!("table {table} of 3 or 4, the last take longest"));
     let (found, bodies, checked) = workers.install(|| -> Result<_, Failure> {
         let settings = Settings::full(args.seed);
         let found = fit_watched(&base, &observations, &settings, &watch).map_err(|error| {
-            Failure::Input {
-                why: error.to_string(),
-                help: "`retrograde simulate isolated` shows what the model covers".to_owned(),
-            }
+            Failure::input(
+                error.to_string(),
+                "`retrograde simulate isolated` shows what the model covers",
+            )
         })?;
         let bodies = found.draws.thinned(KEPT);
         let checked = checks(&base, &found.conditions, &bodies, args.seed)?;
@@ -213,16 +210,13 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     })?;
     // Use all digits, as among the samples.
     let fitted = with_sample(&base, &bodies[point]);
-    let model = model_file::write_with(&fitted, Some(&posterior));
+    let model = model_file::write(&fitted, Some(&posterior));
     let mut files = vec![
         ("model.toml", model.into_bytes()),
         ("posterior.svg", figure.into_bytes()),
     ];
     let of_draws = draws::files(&found, &prior, origin.name());
-    files.extend(of_draws.map_err(|error| Failure::File {
-        path: args.out.clone(),
-        io: error.into(),
-    })?);
+    files.extend(of_draws.map_err(Failure::file(&args.out))?);
     let files = written(&args.out, &files)?;
     screen.say(&format!(
         "seed {}, {} draws\n{}\nfiles: {}\norigin of the displacements: {}",
@@ -254,10 +248,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
 
 /// Writes files to a folder, which is created if necessary. Returns their paths.
 fn written(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<Vec<String>, Failure> {
-    fs::create_dir_all(folder).map_err(|io| Failure::File {
-        path: folder.to_owned(),
-        io,
-    })?;
+    fs::create_dir_all(folder).map_err(Failure::file(folder))?;
     let one = |(name, bytes): &(&str, Vec<u8>)| {
         let path = folder.join(name);
         write(&path, bytes).map(|()| path.display().to_string())
@@ -456,7 +447,8 @@ fn say_verdict(found: &Fit, screen: &mut Screen<'_>) {
         } else {
             "DOUBTED"
         };
-        screen.say(&folded(&format!("{word}: {}.", reason.sentence)));
+        let text = format!("{word}: {}.", reason.sentence);
+        screen.say(&wrapped(&text, 80, "  ").join("\n"));
     }
     if verdict.says(Verdict::Mixing) {
         screen.say(
@@ -468,23 +460,6 @@ fn say_verdict(found: &Fit, screen: &mut Screen<'_>) {
             "Is the stated uncertainty smaller than what the model's ripple of some\nhundredths of a millimetre allows?",
         );
     }
-}
-
-/// A sentence in lines of a terminal.
-fn folded(text: &str) -> String {
-    let mut lines = vec![String::new()];
-    for word in text.split(' ') {
-        let last = lines.len() - 1;
-        if lines[last].chars().count() + word.chars().count() >= 80 {
-            lines.push(format!("  {word}"));
-        } else {
-            if !lines[last].is_empty() {
-                lines[last].push(' ');
-            }
-            lines[last].push_str(word);
-        }
-    }
-    lines.join("\n")
 }
 
 fn rows(found: &Fit) -> Vec<Value> {

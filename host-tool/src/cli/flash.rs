@@ -69,12 +69,14 @@ pub(crate) fn flash(
             help: "build the images with `cargo xtask images` in the workspace, or give one with `--image ELF`".to_owned(),
         }.into());
     }
-    let image = flashing::inspect(&path, kind).map_err(|unfit| Failure::Input {
-        why: format!("{} cannot be flashed: {unfit}", path.display()),
-        help: format!(
-            "nothing was flashed; `cargo xtask images` in the workspace makes `{}`",
-            built(kind).display()
-        ),
+    let image = flashing::inspect(&path, kind).map_err(|unfit| {
+        Failure::input(
+            format!("{} cannot be flashed: {unfit}", path.display()),
+            format!(
+                "nothing was flashed; `cargo xtask images` in the workspace makes `{}`",
+                built(kind).display()
+            ),
+        )
     })?;
     if !args.dry_run {
         require_rest(kind, places)?;
@@ -149,12 +151,12 @@ fn require_rest(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
             continue;
         };
         let name = identity::kind_name(kind);
-        return Err(Failure::Refused {
-            why: format!("the {name} at {address} is not at rest: {state}"),
-            help: format!(
+        return Err(Failure::refused(
+            format!("the {name} at {address} is not at rest: {state}"),
+            format!(
                 "nothing was flashed, for that resets the board: wait for the end, or `retrograde stop {name}`"
             ),
-        });
+        ));
     }
     Ok(())
 }
@@ -222,12 +224,12 @@ fn at_work(doorway: &Doorway, is_named: bool, kind: DeviceKind) -> Failure {
             identity::kind_name(kind)
         ),
     };
-    Failure::Refused {
-        why: format!("{} belongs to {owner}", doorway.place()),
-        help: format!(
+    Failure::refused(
+        format!("{} belongs to {owner}", doorway.place()),
+        format!(
             "nothing was flashed: wait until that process ends, or end it with Ctrl-C in its terminal{elsewhere}"
         ),
-    }
+    )
 }
 
 /// Asks the board for its identity.

@@ -36,11 +36,10 @@ pub(crate) fn identify(
     let unfold = motion(ActuationKind::Unfold, &mut capsule, args, places, screen)?;
     let identified =
         identify::identify(&fold.recorded.points, &unfold.recorded.points).map_err(|why| {
-            Failure::Refused {
-                why: format!("{why}; the capsule is well, and unfolded"),
-                help: "look at the two recordings: a weak cell or a wrong origami shows there"
-                    .to_owned(),
-            }
+            Failure::refused(
+                format!("{why}; the capsule is well, and unfolded"),
+                "look at the two recordings: a weak cell or a wrong origami shows there",
+            )
         })?;
     for (name, estimate, unit) in named(&identified) {
         screen.say(&format!(
@@ -85,17 +84,19 @@ fn motion(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<RecordedMotion, Failure> {
-    let (stem, action) = match kind {
-        ActuationKind::Unfold => ("identify-unfold", "unfolding"),
-        _ => ("identify-fold", "folding"),
-    };
-    let recording = recording(args, stem, places);
+    let stem = format!("identify-{}", experiment::stem(kind));
+    let recording = recording(args, &stem, places);
     let trial = experiment::actuate(capsule, kind, &recording, &mut screen.live())?;
     let help = format!(
         "the data is in {}; `retrograde info` shows the capsule's state",
         trial.sidecar.display()
     );
-    completed(action, trial.trial.status, trial.trial.error.as_ref(), help)?;
+    completed(
+        experiment::doing(kind),
+        trial.trial.status,
+        trial.trial.error.as_ref(),
+        help,
+    )?;
     let (recorded, _) = fetch(capsule, &trial.record)?;
     Ok(RecordedMotion {
         csv: write_recorded(

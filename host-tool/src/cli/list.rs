@@ -46,10 +46,10 @@ pub(crate) fn list(args: &ListArgs, screen: &mut Screen<'_>) -> Result<Value, Fa
         let usual = [CAMPAIGNS_FOLDER, DATA_FOLDER].map(PathBuf::from);
         folders = usual.into_iter().filter(|folder| folder.is_dir()).collect();
     } else if let Some(missing) = folders.iter().find(|folder| !folder.is_dir()) {
-        return Err(Failure::Input {
-            why: format!("{} is no folder", missing.display()),
-            help: "name folders of records or campaigns: `retrograde list DIR`".to_owned(),
-        });
+        return Err(Failure::input(
+            format!("{} is no folder", missing.display()),
+            "name folders of records or campaigns: `retrograde list DIR`",
+        ));
     }
     let wanted = Wanted {
         since: args.since,

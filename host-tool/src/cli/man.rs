@@ -1,5 +1,7 @@
 //! `man` and `completions`: describes the command line for other programs.
 
+use std::path::Path;
+
 use operations::failure::Failure;
 use serde_json::{Value, json};
 
@@ -23,21 +25,17 @@ pub(crate) fn man(
     command.build();
     let mut page_of = &command;
     for name in names {
-        page_of = page_of
-            .find_subcommand(name)
-            .ok_or_else(|| Failure::Input {
-                why: format!("there is no subcommand `{name}`"),
-                help: "`retrograde --help` lists them".to_owned(),
-            })?;
+        page_of = page_of.find_subcommand(name).ok_or_else(|| {
+            Failure::input(
+                format!("there is no subcommand `{name}`"),
+                "`retrograde --help` lists them",
+            )
+        })?;
     }
     let mut page = vec![];
-    let failed = |io| Failure::File {
-        path: "man".into(),
-        io,
-    };
     clap_mangen::Man::new(page_of.clone())
         .render(&mut page)
-        .map_err(failed)?;
+        .map_err(Failure::file(Path::new("man")))?;
     print(&page, "man", screen)
 }
 

@@ -161,10 +161,10 @@ impl ModelArgs {
         let file = self.read()?;
         let body = match (&self.body, &file.body) {
             (Some(asked), Some(written)) if asked != written => {
-                return Err(Failure::Input {
-                    why: format!("--body says {asked}, the file of --model says {written}"),
-                    help: "leave one of them out: the file's values belong to its body".to_owned(),
-                });
+                return Err(Failure::input(
+                    format!("--body says {asked}, the file of --model says {written}"),
+                    "leave one of them out: the file's values belong to its body",
+                ));
             }
             (Some(body), _) | (None, Some(body)) => body,
             (None, None) => Model::ONE.name,
@@ -226,10 +226,7 @@ impl ModelArgs {
         let Some(path) = &self.file else {
             return Ok(model_file::ModelFile::default());
         };
-        let text = fs::read_to_string(path).map_err(|io| Failure::File {
-            path: path.clone(),
-            io,
-        })?;
+        let text = fs::read_to_string(path).map_err(Failure::file(path))?;
         model_file::read(&text).map_err(|error| self.failure(&error))
     }
 
@@ -254,9 +251,6 @@ impl ModelArgs {
             ),
             None => "`retrograde simulate pressure --help` lists the parameters".to_owned(),
         };
-        Failure::Input {
-            why: format!("the model: {error}"),
-            help,
-        }
+        Failure::input(format!("the model: {error}"), help)
     }
 }

@@ -45,13 +45,7 @@ pub struct OptimiseArgs {
     #[arg(long, value_enum, default_value = "wave", requires = "optimise")]
     pub per: Goal,
     /// Overall length at rest in mm, at most.
-    #[arg(
-        long,
-        value_name = "MM",
-        default_value_t = 42.0,
-        requires = "optimise",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM", default_value_t = 42.0, requires = "optimise")]
     pub most_length_mm: f64,
     /// Width in mm to which the thread has to fold it. The wave has to push it back then, so a capsule's 13 mm are too
     /// narrow for the rig; the default is what 21 mm of thread make of the paper's design.
@@ -59,54 +53,28 @@ pub struct OptimiseArgs {
         long,
         value_name = "MM",
         default_value_t = 15.77,
-        requires = "optimise",
-        allow_negative_numbers = true
+        requires = "optimise"
     )]
     pub folded_width_mm: f64,
     /// Thread in mm for that, at most.
-    #[arg(
-        long,
-        value_name = "MM",
-        default_value_t = 23.0,
-        requires = "optimise",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM", default_value_t = 23.0, requires = "optimise")]
     pub most_thread_mm: f64,
     /// Distance between crescents in mm when it is folded or under the wave, at least: room for both sides, 0.8 mm each.
-    #[arg(
-        long,
-        value_name = "MM",
-        default_value_t = 1.6,
-        requires = "optimise",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "MM", default_value_t = 1.6, requires = "optimise")]
     pub least_spacing_mm: f64,
     /// Force of the wave on one wing in N, at most; by the beam model, which is not validated against a rig.
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0.55,
-        requires = "optimise",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "N", default_value_t = 0.55, requires = "optimise")]
     pub most_force_n: f64,
     /// Core over width c/W, at least: no model here knows when a core bends, and the paper found 0.2.
     #[arg(
         long,
         value_name = "RATIO",
         default_value_t = 0.2,
-        requires = "optimise",
-        allow_negative_numbers = true
+        requires = "optimise"
     )]
     pub least_core_ratio: f64,
     /// Seed of the search.
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 1,
-        requires = "optimise",
-        allow_negative_numbers = true
-    )]
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "optimise")]
     pub seed: u64,
     /// Designs to try, 100 to 100000.
     #[arg(long, value_name = "N", default_value_t = 3000, requires = "optimise",
@@ -196,7 +164,7 @@ pub(crate) fn optimise(
     };
     let origin = format!(
         "{}, {which}; force: {}",
-        model_file::short_origin_with(model, posterior),
+        model_file::short_origin(model, posterior),
         Validation::NotAgainstARig
     );
     let verdict = verdict(&rows, per, bodies.fitted());
@@ -213,7 +181,7 @@ pub(crate) fn optimise(
         short,
         full: format!(
             "{}; {origin}; seed {}, {} tries; {verdict}",
-            model_file::origin_with(model, posterior),
+            model_file::origin(model, posterior),
             args.seed,
             args.tries
         ),
@@ -334,13 +302,13 @@ fn nothing(tried: u32, broken: &BTreeMap<&'static str, u32>) -> Failure {
         .iter()
         .map(|(limit, count)| format!("--{limit} by {count}"))
         .collect();
-    Failure::Input {
-        why: format!(
+    Failure::input(
+        format!(
             "none of {tried} designs keeps the limits; broken: {}",
             limits.join(", ")
         ),
-        help: "loosen the first of them, or try more designs: `--tries N`".to_owned(),
-    }
+        "loosen the first of them, or try more designs: `--tries N`",
+    )
 }
 
 /// Compares the compared design with the front, in a sentence.

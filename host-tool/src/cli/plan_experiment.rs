@@ -59,7 +59,7 @@ pub enum Wall {
 #[derive(Debug, Args)]
 pub struct PlanExperimentArgs {
     /// Standard deviation of one displacement in mm: reading and repetition.
-    #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+    #[arg(long, value_name = "MM")]
     pub uncertainty_mm: f64,
     /// Trials to choose, 1 to 40.
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..=40))]
@@ -107,10 +107,7 @@ const LEAST_ERROR_MM: f64 = 0.02;
 const MOST_INDENTATIONS: usize = 20;
 
 fn input(why: String, help: &str) -> Failure {
-    Failure::Input {
-        why,
-        help: help.to_owned(),
-    }
+    Failure::input(why, help.to_owned())
 }
 
 impl PlanExperimentArgs {
@@ -282,11 +279,9 @@ pub(crate) fn plan_experiment(
     let rows = plan.rows(asked.uncertainty_mm);
     work.csv("plan-experiment.csv", &rows, &origin)?;
     let empty = trial_plan::empty(&plan.series[0], asked.uncertainty_mm);
-    let bytes = table::csv(&empty).map_err(|error| Failure::File {
-        path: args.out.join("displacements.csv"),
-        io: error.into(),
-    })?;
-    work.file("displacements.csv", &bytes)?;
+    let name = "displacements.csv";
+    let bytes = table::csv(&empty).map_err(Failure::file(&args.out.join(name)))?;
+    work.file(name, &bytes)?;
     let figure = ModelName {
         short: match &posterior {
             None => "model from its prior, not validated against a rig".to_owned(),

@@ -53,10 +53,10 @@ pub(crate) fn records(
                 "{machine}: nothing to fetch, it has done nothing since it was switched on or reset"
             )),
             Err(Nothing::Running) => {
-                return Err(Failure::Refused {
-                    why: format!("the {machine} is still at it, and its record is not complete"),
-                    help: "`retrograde watch` shows when it ends; then again".to_owned(),
-                });
+                return Err(Failure::refused(
+                    format!("the {machine} is still at it, and its record is not complete"),
+                    "`retrograde watch` shows when it ends; then again",
+                ));
             }
         }
     }

@@ -41,11 +41,10 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
         return report_campaign(folder, args, existing, screen);
     }
     if args.model.is_some() {
-        return Err(Failure::Input {
-            why: "--model draws the band of a campaign, and no campaign is named".to_owned(),
-            help: "`retrograde report FOLDER --model FILE` with the folder of a campaign"
-                .to_owned(),
-        });
+        return Err(Failure::input(
+            "--model draws the band of a campaign, and no campaign is named",
+            "`retrograde report FOLDER --model FILE` with the folder of a campaign",
+        ));
     }
     let out = args.out.clone().unwrap_or_else(|| "report.html".into());
     let found = report::find(&args.trials).map_err(Own::from)?;
@@ -99,13 +98,13 @@ fn report_campaign(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     if args.trials.len() > 1 || args.out.is_some() {
-        return Err(Failure::Input {
-            why: format!(
+        return Err(Failure::input(
+            format!(
                 "{} is a campaign: its report is of it alone, and goes to its folder `report`",
                 folder.display()
             ),
-            help: format!("`retrograde report {}`", folder.display()),
-        });
+            format!("`retrograde report {}`", folder.display()),
+        ));
     }
     let file = ModelArgs::of_file(args.model.clone());
     let source = BandSource {

@@ -12,7 +12,7 @@ use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::{Coordination, Cue};
-use trials::experiment::{self, ExperimentError, RunTrial};
+use trials::experiment::{self, ExperimentError, RunTrial, stem};
 use trials::plan;
 use trials::trial::{Status, Trial};
 
@@ -30,10 +30,10 @@ fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
     };
     let at_um = args.at_mm.map(|at_mm| at_mm.0);
     let cue = Cue { cycle, at_um };
-    cue.check(run, args.record.telemetry_ms).map_err(|error| Failure::Input {
-        why: error.to_string(),
-        help: "nothing moved; `retrograde plan` shows the strokes of a run, `--telemetry-ms` sets the interval".to_owned(),
-    })?;
+    cue.check(run, args.record.telemetry_ms).map_err(|error| Failure::input(
+        error.to_string(),
+        "nothing moved; `retrograde plan` shows the strokes of a run, `--telemetry-ms` sets the interval",
+    ))?;
     Ok(Some((shaping, cue)))
 }
 
@@ -53,17 +53,17 @@ fn ready(
     if status.state == begins && status.referenced {
         return Ok(capsule);
     }
-    Err(Failure::Refused {
-        why: format!(
+    Err(Failure::refused(
+        format!(
             "the capsule has to be {begins:?} and referenced before the run; it is {:?}, and the run was not begun",
             status.state
         ),
-        help: match status.state {
+        match status.state {
             CapsuleState::Faulted => "`retrograde info capsule` names the fault".to_owned(),
             _ if status.referenced => format!("`retrograde {command}`, then again"),
             _ => FIND_THREAD.to_owned(),
         },
-    })
+    ))
 }
 
 pub(crate) fn run(
@@ -99,7 +99,7 @@ pub(crate) fn run(
         drop(single);
         return ended(&request, &trial, screen);
     };
-    let of_actuation = recording(&args.record, stem(shaping), places);
+    let of_actuation = recording(&args.record, stem(shaping.into()), places);
     let recordings = Recordings {
         run: &of_run,
         actuation: &of_actuation,
@@ -140,7 +140,7 @@ pub(crate) fn run(
     screen.say(&format!("  {}", actuation.sidecar.display()));
     let mut value = ran?;
     completed(
-        stem(shaping),
+        stem(shaping.into()),
         actuation.trial.status,
         actuation.trial.error.as_ref(),
         format!("the data is in {}", actuation.sidecar.display()),
@@ -149,13 +149,6 @@ pub(crate) fn run(
         object.insert("actuation".to_owned(), json!(actuation.trial));
     }
     Ok(value)
-}
-
-fn stem(shaping: Shaping) -> &'static str {
-    match shaping {
-        Shaping::Fold => "fold",
-        Shaping::Unfold => "unfold",
-    }
 }
 
 /// Reports the record of a run that has ended; a failure if the run is not complete.
@@ -199,7 +192,7 @@ fn latency_text(shaping: Shaping, coordination: &Coordination) -> Option<String>
     let ms = |us: i64| decimal::write_signed(us, 3);
     Some(format!(
         "The {} began {} +- {} ms after {place} cycle {}.",
-        stem(shaping),
+        stem(shaping.into()),
         ms(middle_us),
         ms(half_us),
         coordination.cue.cycle,

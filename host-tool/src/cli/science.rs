@@ -62,26 +62,16 @@ pub enum Simulation {
     /// The folded body beside the unfolded one (Fig. 8).
     Fold {
         /// Indentation of the rollers in mm.
-        #[arg(
-            long,
-            value_name = "MM",
-            default_value_t = 5.05,
-            allow_negative_numbers = true
-        )]
+        #[arg(long, value_name = "MM", default_value_t = 5.05)]
         indentation_mm: f64,
         /// Thread drawn in, in mm; that of the model by default: 21.
-        #[arg(long, value_name = "MM", allow_negative_numbers = true)]
+        #[arg(long, value_name = "MM")]
         thread_mm: Option<f64>,
     },
     /// The crescent as a beam: force, least alpha, displacement over the thread drawn in, with a band.
     Crescent {
         /// Seed of the draws.
-        #[arg(
-            long,
-            value_name = "N",
-            default_value_t = 1,
-            allow_negative_numbers = true
-        )]
+        #[arg(long, value_name = "N", default_value_t = 1)]
         seed: u64,
         /// Draws of the uncertain inputs, 20 to 20000; about one in thirty does as the paper says and is kept.
         #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(20..=20_000))]
@@ -150,11 +140,10 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         Simulation::Friction | Simulation::Roller | Simulation::Sweep { .. }
     );
     if varied && args.model.names("body.friction") {
-        return Err(Failure::Input {
-            why: "--set body.friction would do nothing: this series has frictions of its own"
-                .to_owned(),
-            help: "leave it out, or `retrograde simulate sweep --frictions LIST`".to_owned(),
-        });
+        return Err(Failure::input(
+            "--set body.friction would do nothing: this series has frictions of its own",
+            "leave it out, or `retrograde simulate sweep --frictions LIST`",
+        ));
     }
     let mut session = Session {
         model,
@@ -196,10 +185,10 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         Simulation::Crescent { .. } | Simulation::Compare { .. } => {} // returned above
     }
     session.csv("parameters.csv", &table::parameters(&model))?;
-    let text = model_file::write_with(&model, session.posterior.as_ref());
+    let text = model_file::write(&model, session.posterior.as_ref());
     session.work.file("model.toml", text.as_bytes())?;
     let files = session.work.say_files();
-    let origin = model_file::origin_with(&model, session.posterior.as_ref());
+    let origin = model_file::origin(&model, session.posterior.as_ref());
     session.work.screen.say(&origin);
     Ok(json!({
         "origin": origin,
@@ -371,7 +360,7 @@ impl Session<'_, '_> {
         ];
         let rows: Vec<_> = strips.iter().flat_map(snapshots::Strip::rows).collect();
         self.csv("snapshots.csv", &rows)?;
-        let origin = model_file::origin_with(&self.model, self.posterior.as_ref());
+        let origin = model_file::origin(&self.model, self.posterior.as_ref());
         for strip in &strips {
             let name = format!("snapshots-{}.svg", strip.model);
             self.work.file(&name, strip.svg(&origin).as_bytes())?;
@@ -427,11 +416,11 @@ impl Session<'_, '_> {
     }
 
     fn name(&self) -> ModelName {
-        model_file::name_with(&self.model, self.posterior.as_ref())
+        model_file::name(&self.model, self.posterior.as_ref())
     }
 
     fn short_origin(&self) -> String {
-        model_file::short_origin_with(&self.model, self.posterior.as_ref())
+        model_file::short_origin(&self.model, self.posterior.as_ref())
     }
 
     /// Name of the distribution that the rig's bands show.
@@ -551,8 +540,8 @@ fn few_enough(one: &[f64], other: &[f64]) -> Result<(), Failure> {
     if runs <= MOST_RUNS {
         return Ok(());
     }
-    Err(Failure::Input {
-        why: format!("{runs} runs are too many"),
-        help: format!("at most {MOST_RUNS}: take larger steps"),
-    })
+    Err(Failure::input(
+        format!("{runs} runs are too many"),
+        format!("at most {MOST_RUNS}: take larger steps"),
+    ))
 }

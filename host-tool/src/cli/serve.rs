@@ -46,10 +46,12 @@ pub(crate) fn serve(
     for kind in places.machines(&Which { machine: None })? {
         let address = places.resolve(kind)?;
         if places.connector.is_made_anew(&address) {
-            return Err(Failure::Input {
-                why: format!("there is no machine at `{address}` that lasts: each command makes a new one"),
-                help: "`virtual-bench serve` lends both machines; give their places with `--rig tcp:HOST:PORT --capsule tcp:HOST:PORT`".to_owned(),
-            });
+            return Err(Failure::input(
+                format!(
+                    "there is no machine at `{address}` that lasts: each command makes a new one"
+                ),
+                "`virtual-bench serve` lends both machines; give their places with `--rig tcp:HOST:PORT --capsule tcp:HOST:PORT`",
+            ));
         }
         machines.push((kind, address));
     }

@@ -36,7 +36,6 @@ pub enum SettingsSubcommand {
         /// Its name.
         key: Key,
         /// Its value, a whole number in the unit of its name.
-        #[arg(allow_negative_numbers = true)]
         value: String,
     },
     /// Write all settings to a JSON file.
@@ -117,10 +116,8 @@ pub(crate) fn settings(
             Ok(json!({ "name": name.as_str() }))
         }
         SettingsSubcommand::Name { name: Some(name) } => {
-            let name = checked_name(name).map_err(|why| Failure::Input {
-                why,
-                help: "use letters, digits and spaces".to_owned(),
-            })?;
+            let name = checked_name(name)
+                .map_err(|why| Failure::input(why, "use letters, digits and spaces"))?;
             let name = places
                 .connect(kind, Need::Name(Some("settings name")))?
                 .call(Name { name })?;
@@ -133,14 +130,14 @@ pub(crate) fn settings(
                 identity::kind_name(kind)
             );
             if !yes && !screen.confirms(&question) {
-                return Err(Failure::Refused {
-                    why: "a reset was not confirmed; nothing was changed".to_owned(),
-                    help: match kind {
+                return Err(Failure::refused(
+                    "a reset was not confirmed; nothing was changed",
+                    match kind {
                         DeviceKind::Capsule => "`retrograde settings export --of capsule FILE` keeps what is there; then `retrograde settings reset --of capsule --yes`",
                         _ => "`retrograde settings export FILE` keeps what is there; then `retrograde settings reset --yes`",
                     }
                     .to_owned(),
-                });
+                ));
             }
             let mut machine = places.connect(kind, Need::Own("settings reset"))?;
             let before = Basis::of(&mut machine, kind)?;
@@ -200,9 +197,11 @@ fn export(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let exists = || Failure::Refused {
-        why: format!("{} exists already", file.display()),
-        help: "choose another name, or replace it with `--force`".to_owned(),
+    let exists = || {
+        Failure::refused(
+            format!("{} exists already", file.display()),
+            "choose another name, or replace it with `--force`",
+        )
     };
     if !force && file.exists() {
         return Err(exists());
@@ -217,10 +216,7 @@ fn export(
     };
     written.map_err(|io| match io.kind() {
         ErrorKind::AlreadyExists => exists(),
-        _ => Failure::File {
-            path: file.to_owned(),
-            io,
-        },
+        _ => Failure::file(file)(io),
     })?;
     screen.say(&format!(
         "{} settings in {}",
@@ -269,8 +265,10 @@ fn owner(key: SettingKey, of: Option<MachineKind>) -> Result<DeviceKind, Failure
     let owner = kinds
         .into_iter()
         .find(|kind| key.is_of(*kind) && named.is_none_or(|named| named == *kind));
-    owner.ok_or_else(|| Failure::Input {
-        why: format!("{} is no setting of this machine", key.name()),
-        help: "nothing was sent; leave `--of` away".to_owned(),
+    owner.ok_or_else(|| {
+        Failure::input(
+            format!("{} is no setting of this machine", key.name()),
+            "nothing was sent; leave `--of` away",
+        )
     })
 }

@@ -10,12 +10,12 @@ pub(crate) fn begin_unfolded(what: &str, capsule: &mut Device) -> Result<(), Fai
     if status.state == CapsuleState::Unfolded && status.referenced {
         return Ok(());
     }
-    Err(Failure::Refused {
-        why: format!(
+    Err(Failure::refused(
+        format!(
             "{what} begins unfolded and referenced; the capsule is {:?}, and nothing moved",
             status.state
         ),
-        help: match status.state {
+        match status.state {
             CapsuleState::Folded | CapsuleState::Stopped => "`retrograde unfold`, then again",
             CapsuleState::WasFolded => {
                 "`retrograde capsule check`, `retrograde unfold`, then again"
@@ -24,5 +24,5 @@ pub(crate) fn begin_unfolded(what: &str, capsule: &mut Device) -> Result<(), Fai
             _ => FIND_THREAD,
         }
         .to_owned(),
-    })
+    ))
 }

@@ -70,9 +70,11 @@ impl TraceFile {
         let opened = OpenOptions::new().write(true).create_new(true).open(path);
         Ok(Self {
             path: path.to_owned(),
-            file: opened.map_err(|io| Failure::Input {
-                why: format!("--trace {}: {io}; nothing moved", path.display()),
-                help: "name a new file in a folder that can be written".to_owned(),
+            file: opened.map_err(|io| {
+                Failure::input(
+                    format!("--trace {}: {io}; nothing moved", path.display()),
+                    "name a new file in a folder that can be written",
+                )
             })?,
         })
     }
@@ -112,13 +114,13 @@ pub(crate) fn fetch(
     let calibration = capsule.call(GetCapsuleTotals)?.calibration;
     let recorded = capsule.trace()?;
     if recorded.actuation != record.actuation {
-        return Err(Failure::Refused {
-            why: format!(
+        return Err(Failure::refused(
+            format!(
                 "the recording is that of actuation {}, not of {}: the capsule has moved since",
                 recorded.actuation, record.actuation
             ),
-            help: "the record of the motion itself is kept; only its recording is lost".to_owned(),
-        });
+            "the record of the motion itself is kept; only its recording is lost",
+        ));
     }
     Ok((
         recorded,

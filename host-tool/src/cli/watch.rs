@@ -41,7 +41,7 @@ pub struct WatchArgs {
     #[arg(long)]
     pub plain: bool,
     /// End after this time in s; otherwise with q, or with a signal.
-    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = above_zero::<ShortSeconds>)]
+    #[arg(long, value_name = "S", value_parser = above_zero::<ShortSeconds>)]
     pub for_s: Option<ShortSeconds>,
 }
 

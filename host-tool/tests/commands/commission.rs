@@ -10,13 +10,14 @@ use client::Device;
 use client::identity::Origin;
 use client::link::{Link, LinkError};
 use client::subject::Subject;
+use client::visible::wrapped;
 use commissioning::halt::Halt;
 use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
 use commissioning::image;
 use commissioning::procedure::{Procedure, Standing, open, standing};
 use commissioning::record::{Commissioning, Finding, StepOutcome};
 use commissioning::rig::wrong_travel;
-use commissioning::session::wrapped;
+use commissioning::session::COLUMNS;
 use commissioning::step::Step;
 use commissioning::steps;
 use commissioning::work::{Options, Work};
@@ -195,7 +196,7 @@ fn names_of_steps_are_unique_and_their_lines_fit_the_screen() {
             assert!(!step.shows.is_empty(), "{}", step.name);
         }
     }
-    let line = wrapped(&"word ".repeat(40), "    ");
+    let line = wrapped(&"word ".repeat(40), COLUMNS, "    ");
     assert!(
         line.len() > 2 && line.iter().all(|line| line.len() <= 80),
         "{line:?}"

@@ -358,10 +358,7 @@ impl Partner<'_> {
                 }),
             ) if error.may_move() => Err(error.into()),
             (Ok(trial), Err(_)) => Err(ExperimentError::Incomplete {
-                step: match self.shaping {
-                    Shaping::Fold => "folding",
-                    Shaping::Unfold => "unfolding",
-                },
+                step: experiment::doing(self.shaping.into()),
                 status: trial.status,
                 reason: trial.error,
                 sidecar,

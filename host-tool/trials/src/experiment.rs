@@ -13,9 +13,7 @@ use protocol::capsule::{
     ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
 };
 use protocol::error::Refusal;
-use protocol::rig::{
-    LinkLossPolicy, MoveAccepted, MoveTo, Run, RunAccepted, RunOutcome, RunRecord, RunTiming,
-};
+use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunOutcome, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
 
@@ -84,13 +82,11 @@ pub enum ExperimentError {
     },
 }
 
-/// A recorded run.
+/// A recorded action, with the device's account of it.
 #[derive(Clone, Debug)]
-pub struct RunTrial {
-    /// As planned by the rig.
-    pub accepted: RunAccepted,
+pub struct RecordedTrial<R> {
     /// As executed.
-    pub record: RunRecord,
+    pub record: R,
     /// Contents of the sidecar.
     pub trial: Trial,
     /// Path of the telemetry.
@@ -99,33 +95,14 @@ pub struct RunTrial {
     pub sidecar: PathBuf,
 }
 
-/// A recorded move.
-#[derive(Clone, Debug)]
-pub struct MoveTrial {
-    /// As planned by the rig.
-    pub accepted: MoveAccepted,
-    /// As it ended.
-    pub moved: Moved,
-    /// Contents of the sidecar.
-    pub trial: Trial,
-    /// Path of the telemetry.
-    pub csv: PathBuf,
-    /// Path of the sidecar.
-    pub sidecar: PathBuf,
-}
+/// A recorded run.
+pub type RunTrial = RecordedTrial<RunRecord>;
+
+/// A recorded move: as planned by the rig, and as it ended.
+pub type MoveTrial = RecordedTrial<(MoveAccepted, Moved)>;
 
 /// A recorded actuation.
-#[derive(Clone, Debug)]
-pub struct ActuationTrial {
-    /// As executed.
-    pub record: ActuationRecord,
-    /// Contents of the sidecar.
-    pub trial: Trial,
-    /// Path of the telemetry.
-    pub csv: PathBuf,
-    /// Path of the sidecar.
-    pub sidecar: PathBuf,
-}
+pub type ActuationTrial = RecordedTrial<ActuationRecord>;
 
 /// Executes one run and records it, whatever its outcome.
 ///
@@ -137,38 +114,25 @@ pub fn run(
     recording: &Recording,
     observer: &mut dyn Observer,
 ) -> Result<RunTrial, ExperimentError> {
-    let device = IdentityRecord::new(&identity(rig, DeviceKind::Rig)?, &rig.place());
+    let identity = identity(rig, DeviceKind::Rig)?;
     let action = Action::Run {
         screw: Screw::from(&rig.rig_status()?),
         requested: run,
         achieved: None,
         executed: None,
     };
-    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
-    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
-    rig.records(Some(&sidecar));
-    let outcome = (|| {
-        listen(rig, recording.telemetry_ms)?;
-        let accepted = rig.run(run)?;
-        let record = rig.wait_run(
-            &accepted,
-            &mut Recorded {
-                recorder: &mut recorder,
-                observer,
-            },
-        )?;
-        Ok((accepted, record))
-    })();
-    let (trial, (accepted, record)) = end(rig, recorder, observer, outcome, |(_, record)| {
-        Ending::Run(*record)
-    })?;
-    Ok(RunTrial {
-        accepted,
-        record,
-        trial,
-        csv,
-        sidecar,
-    })
+    record(
+        rig,
+        &identity,
+        action,
+        recording,
+        observer,
+        |rig, observer| {
+            let accepted = rig.run(run)?;
+            let record = rig.wait_run(&accepted, observer)?;
+            Ok((record, Ending::Run(record)))
+        },
+    )
 }
 
 /// Moves the carriage once and records it, whatever the outcome.
@@ -181,45 +145,29 @@ pub fn move_to(
     recording: &Recording,
     observer: &mut dyn Observer,
 ) -> Result<MoveTrial, ExperimentError> {
-    let device = IdentityRecord::new(&identity(rig, DeviceKind::Rig)?, &rig.place());
+    let identity = identity(rig, DeviceKind::Rig)?;
     let action = Action::Move {
         screw: Screw::from(&rig.rig_status()?),
         requested,
         accepted: None,
         moved: None,
     };
-    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
-    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
-    rig.records(Some(&sidecar));
-    let outcome = (|| {
-        listen(rig, recording.telemetry_ms)?;
-        let accepted = rig.call(requested)?;
-        let (outcome, status) = rig.wait_move(
-            &accepted,
-            &mut Recorded {
-                recorder: &mut recorder,
-                observer,
-            },
-        )?;
-        let position_steps = status.position_steps;
-        Ok((
-            accepted,
-            Moved {
+    record(
+        rig,
+        &identity,
+        action,
+        recording,
+        observer,
+        |rig, observer| {
+            let accepted = rig.call(requested)?;
+            let (outcome, status) = rig.wait_move(&accepted, observer)?;
+            let moved = Moved {
                 outcome,
-                position_steps,
-            },
-        ))
-    })();
-    let (trial, (accepted, moved)) = end(rig, recorder, observer, outcome, |(_, moved)| {
-        Ending::Move(*moved)
-    })?;
-    Ok(MoveTrial {
-        accepted,
-        moved,
-        trial,
-        csv,
-        sidecar,
-    })
+                position_steps: status.position_steps,
+            };
+            Ok(((accepted, moved), Ending::Move(moved)))
+        },
+    )
 }
 
 /// An order to the capsule.
@@ -288,17 +236,13 @@ pub fn actuate(
     observer: &mut dyn Observer,
 ) -> Result<ActuationTrial, ExperimentError> {
     let Actuation { kind, target_um } = motion.into();
-    let device = IdentityRecord::new(&identity(capsule, DeviceKind::Capsule)?, &capsule.place());
+    let identity = identity(capsule, DeviceKind::Capsule)?;
     let action = Action::Actuation {
         actuation: kind,
         accepted: None,
         record: None,
     };
-    let mut recorder = Recorder::create(Trial::new(action, device, recording), recording)?;
-    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
-    capsule.records(Some(&sidecar));
-    let outcome = (|| {
-        listen(capsule, recording.telemetry_ms)?;
+    let act = |capsule: &mut Device, observer: &mut dyn Observer| {
         let accepted = match kind {
             ActuationKind::Reference => capsule.reference()?,
             ActuationKind::Calibrate => capsule.call(Calibrate)?,
@@ -309,26 +253,63 @@ pub fn actuate(
                 thread_um: target_um,
             })?,
         };
-        let mut recorded = Recorded {
-            recorder: &mut recorder,
-            observer,
-        };
-        let record = capsule.wait_actuation(&accepted, &mut recorded)?;
+        let record = capsule.wait_actuation(&accepted, observer)?;
         if kind == ActuationKind::Calibrate {
             // The actuation has ended, whatever becomes of the link now.
-            let _ = capsule.idle(KEPT_US, &mut recorded);
+            let _ = capsule.idle(KEPT_US, observer);
         }
-        Ok(record)
-    })();
-    let (trial, record) = end(capsule, recorder, observer, outcome, |record| {
-        Ending::Actuation(*record)
-    })?;
-    Ok(ActuationTrial {
-        record,
-        trial,
-        csv,
-        sidecar,
-    })
+        Ok((record, Ending::Actuation(record)))
+    };
+    record(capsule, &identity, action, recording, observer, act)
+}
+
+/// Records what `act` orders and waits for. Both files exist before it begins. A failed record hides neither what the
+/// device did nor how it was lost.
+fn record<R>(
+    device: &mut Device,
+    identity: &Identity,
+    action: Action,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+    act: impl FnOnce(&mut Device, &mut dyn Observer) -> Result<(R, Ending), ClientError>,
+) -> Result<RecordedTrial<R>, ExperimentError> {
+    let identity = IdentityRecord::new(identity, &device.place());
+    let mut recorder = Recorder::create(Trial::new(action, identity, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    device.records(Some(&sidecar));
+    let mut recorded = Recorded {
+        recorder: &mut recorder,
+        observer,
+    };
+    let outcome = listen(device, recording.telemetry_ms).and_then(|()| act(device, &mut recorded));
+    let lost_events = device.take_lost_events();
+    let ended = match outcome {
+        Ok((record, ending)) => {
+            let ended = verdict(&ending);
+            // Ignore the error: the action has ended. The next request will notice a device that does not answer.
+            let _ = device.set_telemetry(0);
+            // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
+            recorder.latched(after_stops(device, &ending));
+            match recorder.finish(ending, lost_events) {
+                Ok(trial) => Ok(RecordedTrial {
+                    record,
+                    trial,
+                    csv,
+                    sidecar,
+                }),
+                Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
+            }
+        }
+        Err(error) => {
+            let ending = without_record(&recorder, &error);
+            if let Err(record) = recorder.finish(ending, lost_events) {
+                observer.unrecorded(&record.to_string());
+            }
+            Err(error.into())
+        }
+    };
+    device.records(None);
+    ended
 }
 
 /// Turns the telemetry on and discards what came before: telemetry, events and losses of an earlier action.
@@ -415,52 +396,6 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
         return None;
     }
     device.latched_fault().ok().flatten()
-}
-
-/// Stops the telemetry, then writes the end of a trial. A failed record hides neither what the device did nor how it
-/// was lost.
-fn end<T>(
-    device: &mut Device,
-    recorder: Recorder,
-    observer: &mut dyn Observer,
-    outcome: Result<T, ClientError>,
-    ending: impl FnOnce(&T) -> Ending,
-) -> Result<(Trial, T), ExperimentError> {
-    let lost_events = device.take_lost_events();
-    let ended = finish(device, recorder, observer, outcome, ending, lost_events);
-    device.records(None);
-    ended
-}
-
-fn finish<T>(
-    device: &mut Device,
-    mut recorder: Recorder,
-    observer: &mut dyn Observer,
-    outcome: Result<T, ClientError>,
-    ending: impl FnOnce(&T) -> Ending,
-    lost_events: u32,
-) -> Result<(Trial, T), ExperimentError> {
-    match outcome {
-        Ok(value) => {
-            let ending = ending(&value);
-            let ended = verdict(&ending);
-            // Ignore the error: the action has ended. The next request will notice a device that does not answer.
-            let _ = device.set_telemetry(0);
-            // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
-            recorder.latched(after_stops(device, &ending));
-            match recorder.finish(ending, lost_events) {
-                Ok(trial) => Ok((trial, value)),
-                Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
-            }
-        }
-        Err(error) => {
-            let ending = without_record(&recorder, &error);
-            if let Err(record) = recorder.finish(ending, lost_events) {
-                observer.unrecorded(&record.to_string());
-            }
-            Err(error.into())
-        }
-    }
 }
 
 /// The end of an action of which the machine has given no record.

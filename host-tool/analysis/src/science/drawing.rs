@@ -6,6 +6,8 @@ use locomotion::body::Chain;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
 
+use crate::figures::escaped::escaped;
+
 /// Height of letters, mm.
 const LETTER_MM: f64 = 2.4;
 /// Length of a dimension's arrow heads, mm.
@@ -57,8 +59,8 @@ impl Drawing {
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}mm\" height=\"{h}mm\" viewBox=\"0 0 {w} {h}\">\n\
              <title>{}</title>\n<desc>Origin: {}</desc>\n<style>{STYLE}</style>\n\
              <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n",
-            Escaped(title),
-            Escaped(origin)
+            escaped(title),
+            escaped(origin)
         )
     }
 
@@ -116,7 +118,7 @@ impl Drawing {
             "<text text-anchor=\"{anchor}\" x=\"{}\" y=\"{}\">{}</text>",
             Mm(x),
             Mm(y),
-            Escaped(text)
+            escaped(text)
         ));
     }
 
@@ -213,19 +215,6 @@ impl Display for Points<'_> {
             write!(f, "{gap}{},{}", Mm(*x), Mm(*y))?;
         }
         Ok(())
-    }
-}
-
-struct Escaped<'a>(&'a str);
-
-impl Display for Escaped<'_> {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.0.chars().try_for_each(|letter| match letter {
-            '&' => f.write_str("&amp;"),
-            '<' => f.write_str("&lt;"),
-            '>' => f.write_str("&gt;"),
-            other => f.write_char(other),
-        })
     }
 }
 

@@ -171,19 +171,13 @@ pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// Writes a model as a file; [`read`] restores it bit for bit.
+/// Writes a model, and the posterior that it is a sample of; [`read`] restores both bit for bit.
 #[must_use]
-pub fn write(model: &Model) -> String {
-    write_with(model, None)
-}
-
-/// As [`write()`], with the posterior that the model is a sample of.
-#[must_use]
-pub fn write_with(model: &Model, posterior: Option<&Posterior>) -> String {
+pub fn write(model: &Model, posterior: Option<&Posterior>) -> String {
     let mut text = format!(
         "# Origin: {}\n# `retrograde simulate --model` reads this file. What is left out is that of the body.\n\
          {FROM_BODY} = \"{}\"\n",
-        origin_with(model, posterior),
+        origin(model, posterior),
         model.name
     );
     let mut last = "";
@@ -214,40 +208,6 @@ pub fn write_with(model: &Model, posterior: Option<&Posterior>) -> String {
     text
 }
 
-/// As [`origin`], for a model that may be a sample of a posterior.
-#[must_use]
-pub fn origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
-    let Some(posterior) = posterior else {
-        return origin(model);
-    };
-    let changed: Vec<_> = model
-        .changes()
-        .filter(|row| !posterior.of_body().iter().any(|key| key == row.name))
-        .map(|row| {
-            format!(
-                "{} = {}",
-                row.name,
-                row.word.map_or(row.value.to_string(), str::to_owned)
-            )
-        })
-        .collect();
-    let changed = if changed.is_empty() {
-        String::new()
-    } else {
-        format!("; not the default: {}", changed.join(", "))
-    };
-    format!(
-        "model: body {} with {} fitted to trials, sample {} of {} of their posterior, the nearest to its medians; origin of the \
-         trials: {}{}{changed}; calculated, not a measurement",
-        model.name,
-        posterior.of_body().join(", "),
-        posterior.point,
-        posterior.samples.len(),
-        posterior.origin.meaning(),
-        posterior.verdict()
-    )
-}
-
 /// Name of a posterior in a figure.
 #[must_use]
 pub fn fitted_name(posterior: &Posterior) -> ModelName {
@@ -264,78 +224,74 @@ pub fn fitted_name(posterior: &Posterior) -> ModelName {
     }
 }
 
-/// As [`name`], for a model that may be a sample of a posterior.
-#[must_use]
-pub fn name_with(model: &Model, posterior: Option<&Posterior>) -> ModelName {
-    match posterior {
-        None => name(model),
-        Some(posterior) => ModelName {
-            full: origin_with(model, Some(posterior)),
-            ..fitted_name(posterior)
-        },
-    }
-}
-
-/// As [`short_origin`], for a model that may be a sample of a posterior.
-#[must_use]
-pub fn short_origin_with(model: &Model, posterior: Option<&Posterior>) -> String {
-    match posterior {
-        None => short_origin(model),
-        Some(posterior) => format!(
-            "model {}, sample {} of a posterior of origin {}{}",
-            model.name,
-            posterior.point,
-            posterior.origin,
-            posterior.word()
-        ),
-    }
-}
-
 /// Origin of a model's values, in full.
 #[must_use]
-pub fn origin(model: &Model) -> String {
+pub fn origin(model: &Model, posterior: Option<&Posterior>) -> String {
+    let fitted = posterior.map_or(&[][..], Posterior::of_body);
     let changes: Vec<_> = model
         .changes()
+        .filter(|row| !fitted.iter().any(|key| key == row.name))
         .map(|row| match row.word {
             Some(word) => format!("{} = {word}", row.name),
             None => format!("{} = {}", row.name, row.value),
         })
         .collect();
-    let changed = if changes.is_empty() {
-        String::new()
-    } else {
-        format!(
-            "; changed since, so no longer calibrated: {}",
-            changes.join(", ")
-        )
+    let changed = |how: &str| match changes.is_empty() {
+        true => String::new(),
+        false => format!("; {how}: {}", changes.join(", ")),
+    };
+    let from = match posterior {
+        None => format!(
+            ", calibrated to {}{}",
+            model.calibrated_to,
+            changed("changed since, so no longer calibrated")
+        ),
+        Some(posterior) => format!(
+            " with {} fitted to trials, sample {} of {} of their posterior, the nearest to its medians; origin of the \
+             trials: {}{}{}",
+            fitted.join(", "),
+            posterior.point,
+            posterior.samples.len(),
+            posterior.origin.meaning(),
+            posterior.verdict(),
+            changed("not the default")
+        ),
     };
     format!(
-        "model: body {}, calibrated to {}{changed}; calculated, not a measurement",
-        model.name, model.calibrated_to
+        "model: body {}{from}; calculated, not a measurement",
+        model.name
     )
 }
 
 /// Origin of a model's values, in a few letters for each row of a table.
 #[must_use]
-pub fn short_origin(model: &Model) -> String {
-    match model.changes().count() {
-        0 => format!("model {}", model.name),
-        1 => format!("model {}, 1 value changed", model.name),
-        count => format!("model {}, {count} values changed", model.name),
+pub fn short_origin(model: &Model, posterior: Option<&Posterior>) -> String {
+    let name = model.name;
+    match (posterior, model.changes().count()) {
+        (Some(posterior), _) => format!(
+            "model {name}, sample {} of a posterior of origin {}{}",
+            posterior.point,
+            posterior.origin,
+            posterior.word()
+        ),
+        (None, 0) => format!("model {name}"),
+        (None, 1) => format!("model {name}, 1 value changed"),
+        (None, count) => format!("model {name}, {count} values changed"),
     }
 }
 
 /// Name of the model in a figure.
 #[must_use]
-pub fn name(model: &Model) -> ModelName {
-    let changed = match model.changes().count() {
-        0 => "a fit to words".to_owned(),
-        1 => "1 value changed".to_owned(),
-        count => format!("{count} values changed"),
-    };
+pub fn name(model: &Model, posterior: Option<&Posterior>) -> ModelName {
+    let words = |changed: &str| format!("model: body {}, {changed}, no measurement", model.name);
     ModelName {
-        short: format!("model: body {}, {changed}, no measurement", model.name),
-        full: origin(model),
+        short: match (posterior, model.changes().count()) {
+            (Some(posterior), _) => fitted_name(posterior).short,
+            (None, 0) => words("a fit to words"),
+            (None, 1) => words("1 value changed"),
+            (None, count) => words(&format!("{count} values changed")),
+        },
+        full: origin(model, posterior),
     }
 }
 
@@ -346,7 +302,7 @@ mod tests {
     #[test]
     fn a_written_model_is_read_back_to_the_bit() {
         for model in Model::ALL {
-            let file = read(&write(&model)).expect("readable");
+            let file = read(&write(&model, None)).expect("readable");
             let body = file.body.expect("named");
             assert_eq!(build(&body, &file.choices), Ok(model));
         }
@@ -354,10 +310,10 @@ mod tests {
         let file = read(odd).expect("readable");
         let model = build("rig", &file.choices).expect("a model");
         assert_eq!(model.changes().count(), 3);
-        let again = read(&write(&model)).expect("readable");
+        let again = read(&write(&model, None)).expect("readable");
         assert_eq!(build("rig", &again.choices), Ok(model));
-        assert!(origin(&model).contains("body.friction_ratio = facets"));
-        assert_eq!(short_origin(&model), "model rig, 3 values changed");
+        assert!(origin(&model, None).contains("body.friction_ratio = facets"));
+        assert_eq!(short_origin(&model, None), "model rig, 3 values changed");
     }
 
     #[test]

@@ -256,7 +256,8 @@ impl Conduct<'_> {
                 reason: passed.trial.error,
             });
         }
-        let (from, to) = (passed.accepted.from_steps, passed.accepted.to_steps);
+        let (accepted, _) = passed.record;
+        let (from, to) = (accepted.from_steps, accepted.to_steps);
         let far = from.max(to);
         let begins = if direction == Direction::Away { 0 } else { far };
         if from != begins || from.min(to) != 0 {
@@ -328,15 +329,14 @@ impl Conduct<'_> {
     }
 
     pub(super) fn actuate(&mut self, kind: ActuationKind, folder: &Path) -> Result<(), Broken> {
-        let (stem, action, what) = match kind {
-            ActuationKind::Reference => ("reference", "referencing", "Reference the capsule."),
-            ActuationKind::Fold => ("fold", "folding", "Fold the capsule."),
-            _ => ("unfold", "unfolding", "Unfold the capsule."),
-        };
-        self.desk.say(what);
+        self.desk.say(match kind {
+            ActuationKind::Reference => "Reference the capsule.",
+            ActuationKind::Fold => "Fold the capsule.",
+            _ => "Unfold the capsule.",
+        });
         let recording = Recording {
             folder: folder.to_owned(),
-            stem: stem.to_owned(),
+            stem: experiment::stem(kind).to_owned(),
             now: self.desk.now(),
             note: None,
             telemetry_ms: self.folder.campaign().plan.telemetry_ms,
@@ -348,7 +348,7 @@ impl Conduct<'_> {
         let trial = experiment::actuate(capsule, kind, &recording, &mut *observer)?;
         if trial.trial.status != Status::Complete {
             return Err(Broken::Ended {
-                action,
+                action: experiment::doing(kind),
                 status: trial.trial.status,
                 reason: trial.trial.error,
             });

@@ -3,7 +3,7 @@
 use protocol::client::{Client, Output, Poll};
 use protocol::error::WireError;
 use protocol::rig::{LinkLossPolicy, RigState, RunOutcome};
-use protocol::system::{DeviceKind, Urgent};
+use protocol::system::DeviceKind;
 use protocol::table::{Endpoint, Impact, Reply, Request, Response};
 
 use crate::device::observer::{Clock, Observer};
@@ -429,17 +429,11 @@ impl Device {
     fn ask_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
         // A stop sent by another process counts as the operator's. Sending it again does no harm.
-        let wanted = match (wanted, self.link.stopped()) {
-            (Some(Urgent::EStop), _) | (_, Some(Urgent::EStop)) => Some(Urgent::EStop),
-            (here, elsewhere) => here.or(elsewhere),
-        };
-        let stronger = match (self.interrupted, wanted) {
-            (None, Some(urgent)) => Some(urgent),
-            (Some(Urgent::Stop), Some(Urgent::EStop)) => Some(Urgent::EStop),
-            _ => None,
-        };
-        if let Some(urgent) = stronger {
-            self.interrupted = Some(urgent);
+        let wanted = wanted.max(self.link.stopped());
+        if let Some(urgent) = wanted
+            && wanted > self.interrupted
+        {
+            self.interrupted = wanted;
             if std::mem::take(&mut self.commanding) {
                 // If repeated after the stop, the command would start again what the operator has just stopped. The
                 // session goes on: whoever stopped wants to know what became of the motion.

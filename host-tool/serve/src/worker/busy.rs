@@ -51,11 +51,10 @@ impl Busy<'_> {
                 _ => {
                     drop(pacing);
                     let machine = client::identity::kind_name(self.machine.kind);
-                    let failure = Failure::Refused {
-                        why: format!("the {machine} is busy: `{}` is under way", self.kind),
-                        help: "nothing was moved by this request; wait for the end, or stop it"
-                            .to_owned(),
-                    };
+                    let failure = Failure::refused(
+                        format!("the {machine} is busy: `{}` is under way", self.kind),
+                        "nothing was moved by this request; wait for the end, or stop it",
+                    );
                     self.board.ended(order.action, Value::Null, Some(&failure));
                 }
             }

@@ -53,9 +53,11 @@ impl Who {
 /// # Errors
 /// Some `about_mm` is missing.
 pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), Failure> {
-    let missing = |what: &str| Failure::Input {
-        why: format!("`--yes` takes the readings from the plan, and it has no {what}"),
-        help: "complete the plan, as in `examples/paper.toml`".to_owned(),
+    let missing = |what: &str| {
+        Failure::input(
+            format!("`--yes` takes the readings from the plan, and it has no {what}"),
+            "complete the plan, as in `examples/paper.toml`",
+        )
     };
     if plan.readings.width_about_mm.is_none() {
         return Err(missing("readings.width_about_mm"));

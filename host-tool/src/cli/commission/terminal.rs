@@ -5,10 +5,11 @@ use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
 use std::time::Duration;
 
+use client::visible::wrapped;
 use client::{Interrupt, decimal};
 use commissioning::halt::Halt;
 use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
-use commissioning::session::wrapped;
+use commissioning::session::COLUMNS;
 
 use crate::cli::screen::Keyboard;
 
@@ -116,7 +117,7 @@ impl Hands for Terminal {
 }
 
 fn prompt(text: &str, say: &mut Say<'_>) {
-    for line in wrapped(&format!("  > {text}"), "    ") {
+    for line in wrapped(&format!("  > {text}"), COLUMNS, "    ") {
         say(&line);
     }
 }

@@ -60,9 +60,11 @@ pub(super) struct Wanted {
 /// # Errors
 /// [`Failure::Input`] with every mistake in the file.
 pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
-    let unusable = |why: String, help: &str| Failure::Input {
-        why: format!("{}: {why}", file.display()),
-        help: format!("nothing was sent; {help}"),
+    let unusable = |why: String, help: &str| {
+        Failure::input(
+            format!("{}: {why}", file.display()),
+            format!("nothing was sent; {help}"),
+        )
     };
     let written = "give a file that `retrograde settings export` wrote";
     let text = limited::read_text(file, BY_HAND).map_err(|io| unusable(io.to_string(), written))?;

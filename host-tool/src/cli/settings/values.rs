@@ -32,20 +32,21 @@ pub(crate) fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
             "1" => String::new(),
             unit => format!(" {unit}"),
         };
-        return Err(Failure::Input {
-            why: format!(
+        return Err(Failure::input(
+            format!(
                 "{name} cannot be {text}: settings are whole numbers in the unit of their name, {min} to {max}{unit} here"
             ),
-            help: "nothing was sent; `retrograde settings list` shows all with unit and range"
-                .to_owned(),
-        });
+            "nothing was sent; `retrograde settings list` shows all with unit and range",
+        ));
     }
     text.parse()
         .ok()
         .filter(|value| (min..=max).contains(value))
-        .ok_or_else(|| Failure::Refused {
-            why: format!("{name} is {text}, allowed is {min} to {max}"),
-            help: "nothing was sent".to_owned(),
+        .ok_or_else(|| {
+            Failure::refused(
+                format!("{name} is {text}, allowed is {min} to {max}"),
+                "nothing was sent",
+            )
         })
 }
 

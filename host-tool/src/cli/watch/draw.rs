@@ -128,7 +128,7 @@ impl Sheet<'_> {
 
     /// Writes a text over several rows, broken at words. Returns the number of rows.
     fn wrap(&mut self, y: u16, rows: u16, text: &str, tone: Tone) -> u16 {
-        let lines = wrapped(text, self.area.width.into());
+        let lines = visible::wrapped(text, self.area.width.into(), "");
         let mut shown: Vec<_> = lines.into_iter().take(rows.into()).collect();
         let cut: usize = shown.iter().map(|line| line.chars().count() + 1).sum();
         if cut < text.chars().count()
@@ -209,20 +209,6 @@ fn cut(text: &str, room: usize) -> String {
         .take(room.saturating_sub(3))
         .collect::<String>()
         + "..."
-}
-
-fn wrapped(text: &str, width: usize) -> Vec<String> {
-    let mut lines: Vec<String> = vec![];
-    for word in text.split_whitespace() {
-        match lines.last_mut() {
-            Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
-                line.push(' ');
-                line.push_str(word);
-            }
-            _ => lines.push(word.to_owned()),
-        }
-    }
-    lines
 }
 
 /// Rows of each panel, including its frame.
@@ -308,7 +294,8 @@ fn notices(panels: &[Panel], width: u16) -> Vec<(String, Tone)> {
             Some(Notice::Bad(text)) => (text, Tone::Bad),
         };
         let text = format!("{}: {text}", identity::kind_name(panel.kind));
-        rows.extend(wrapped(&text, width).into_iter().map(|line| (line, tone)));
+        let lines = visible::wrapped(&text, width, "").into_iter();
+        rows.extend(lines.map(|line| (line, tone)));
     }
     rows
 }

@@ -68,7 +68,7 @@ impl Shared {
         if let Some(doorway) = places.connector.doorway(&self.address) {
             doorway.mark_stop(urgent);
         }
-        self.asks().push(self.stops.ask(urgent));
+        self.asks().push(self.stops.with(|stops| stops.ask(urgent)));
         self.tell(Notice::Done(format!("{} ...", stops::name(urgent))));
     }
 
@@ -82,7 +82,7 @@ impl Shared {
 
     /// The result of a stop that the machine has not confirmed, neither itself nor by a later one.
     pub(crate) fn unconfirmed(&self) -> Option<Told> {
-        let is_open = |ask: &Ask| !self.stops.is_confirmed(*ask);
+        let is_open = |ask: &Ask| !self.stops.with(|stops| stops.is_confirmed(*ask));
         let given_up = self.given_up();
         let last = given_up.iter().rev().find(|(ask, _)| is_open(ask));
         last.map(|(_, told)| told.clone()).or_else(|| {
@@ -103,13 +103,15 @@ impl Shared {
 
     /// Notes that the machine has confirmed this stop. `asked` is the last order that the stop covers.
     fn confirmed(&self, urgent: Urgent, asked: u64) {
-        self.stops.confirm(urgent, asked);
+        self.stops.with(|stops| stops.confirm(urgent, asked));
         self.asks().retain(|ask| {
-            let is_open = !self.stops.is_confirmed(*ask);
-            if !is_open {
-                self.stops.withdraw(*ask);
-            }
-            is_open
+            self.stops.with(|stops| {
+                let is_open = !stops.is_confirmed(*ask);
+                if !is_open {
+                    stops.withdraw(*ask);
+                }
+                is_open
+            })
         });
     }
 
@@ -119,10 +121,13 @@ impl Shared {
 
     /// Sends an ordered stop over a line of its own, because there is no connection or it has not confirmed the stop.
     pub(crate) fn stop_directly(&self, places: &Places<'_>) {
-        let Some(urgent) = self.stops.unconfirmed() else {
+        let (unconfirmed, asked) = self
+            .stops
+            .with(|stops| (stops.unconfirmed(), stops.asked()));
+        let Some(urgent) = unconfirmed else {
             return;
         };
-        let (asked, asks) = (self.stops.asked(), self.asks().clone());
+        let asks = self.asks().clone();
         let target = self.target();
         let told = target.told(places.urgent(&target, urgent));
         if told.delivery == Delivery::Stopped {
@@ -135,7 +140,7 @@ impl Shared {
         // Forget these orders: a stop that goes out by itself an hour later would surprise.
         self.asks().retain(|ask| !asks.contains(ask));
         for ask in asks {
-            self.stops.withdraw(ask);
+            self.stops.with(|stops| stops.withdraw(ask));
             self.given_up().push((ask, told.clone()));
         }
         self.tell(Notice::Bad(notice));
@@ -143,7 +148,7 @@ impl Shared {
 
     fn interrupt(&self) -> Interrupt {
         let stops = Arc::clone(&self.stops);
-        Arc::new(move || stops.wanted())
+        Arc::new(move || stops.with(|stops| stops.wanted()))
     }
 }
 
@@ -294,8 +299,8 @@ impl Feed<'_> {
         while self.paces.try_recv().is_ok() {}
         // The stop that was sent may be older or weaker than the last one ordered.
         let stops = &self.shared.stops;
-        if let Some(urgent) = stops.unconfirmed() {
-            let asked = stops.asked();
+        let (unconfirmed, asked) = stops.with(|stops| (stops.unconfirmed(), stops.asked()));
+        if let Some(urgent) = unconfirmed {
             device.urgent(urgent)?;
             self.shared.confirmed(urgent, asked);
             self.shared.tell(confirmed(urgent));
