@@ -203,17 +203,13 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
 
     // Write flash first: the values in force are always those that the next start will find.
 
-    /// Changes a value, which is within its range. After a conflict it writes the defaults first: else the next start
-    /// would find the conflict again, or this value would end it and the old values of the others would come back.
+    /// Changes a value, which is within its range.
     ///
     /// # Errors
     /// Nothing has changed that is in force.
     pub fn set(&mut self, key: SettingKey, value: u32) -> Result<(), StorageFailed> {
         let values = self.values.with(key, value).map_err(|_| StorageFailed)?;
-        if self.found == Found::Conflict {
-            self.save_defaults()?;
-            self.found = Found::Settings;
-        }
+        self.end_conflict()?;
         self.save(key as u8, &Values::record(value))?;
         self.values = values;
         Ok(())
@@ -224,6 +220,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// # Errors
     /// Nothing has changed.
     pub fn set_name(&mut self, name: String<MAX_NAME>) -> Result<(), StorageFailed> {
+        self.end_old_conflict()?;
         self.save(NAME_RECORD, name.as_bytes())?;
         self.name = name;
         Ok(())
@@ -239,6 +236,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         if self.found == Found::Noise {
             self.begin_anew()?;
         }
+        self.end_old_conflict()?;
         self.save(number, &record)?;
         self.records = records;
         Ok(())
@@ -270,6 +268,24 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
             }
         }
         Ok(())
+    }
+
+    /// After a conflict writes all defaults, which are in force: else the next start would find the conflict again, or
+    /// a single new value would end it and the old values of the others would come back.
+    fn end_conflict(&mut self) -> Result<(), StorageFailed> {
+        if self.found == Found::Conflict {
+            self.save_defaults()?;
+            self.found = Found::Settings;
+        }
+        Ok(())
+    }
+
+    /// Ends a conflict before one of its records is so old that [`Self::save`] replaces it, which alone might end it.
+    fn end_old_conflict(&mut self) -> Result<(), StorageFailed> {
+        match self.store.overdue() {
+            Some(_) => self.end_conflict(),
+            None => Ok(()),
+        }
     }
 
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {

@@ -18,7 +18,7 @@
 //! | Referencing, Checking | Stop, link silent | Unreferenced; Stopped if the zero is known |
 //! | any | EStop | Faulted |
 //! | moving | trip, jam, broken thread, time-out | Faulted |
-//! | Faulted | Acknowledge \[cause gone\] | Stopped, or Unreferenced if the fault costs the position |
+//! | Faulted | Acknowledge \[cause gone\] | Stopped; Unreferenced if it costs the position; WasFolded after an EStop at rest |
 //!
 //! A reference of a capsule without a calibration is a calibration: both have to begin unfolded then. A calibration that
 //! begins where a reference run may have left thread on the spool, and finds the end as much earlier, is NotUnfolded.
@@ -212,7 +212,7 @@ pub struct Capsule {
     calibration: Option<Calibration>,
     /// Internal resistance of the cell, as measured in the last motion under load.
     cell_milliohm: u32,
-    /// The last motion before the reset ended folded, and nothing has moved since.
+    /// The last motion before a reset or an emergency stop ended folded, and nothing has moved since.
     was_folded: bool,
     drift: Drift,
     settings: Settings,
@@ -730,8 +730,8 @@ impl Capsule {
             CapsuleFault::Jam { .. } | CapsuleFault::LowBattery { .. }
         );
         self.referenced &= keeps_position;
-        // Nothing moves at rest: what was folded still is.
-        self.was_folded |= matches!(self.mode, Mode::Folded);
+        // Nothing has moved, and nothing that judged the fold was wrong.
+        self.was_folded |= matches!(self.mode, Mode::Folded) && fault == CapsuleFault::EStopFrame;
         if self.is_moving() {
             let outcome = ActuationOutcome::Faulted(fault);
             self.end(now_us, Mode::Faulted(fault), outcome, actions);

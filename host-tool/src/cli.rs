@@ -556,6 +556,10 @@ fn stop(
     if unread.is_empty() {
         return stops::stop(urgent, which, places, screen);
     }
+    // Nobody has to wait for the other machine's answer to hear of it.
+    for (_, unread) in &unread {
+        screen.say(&unread.line(urgent));
+    }
     let is_another = machine.is_none() && (places.rig.is_some() || places.capsule.is_some());
     let mut told = match is_another.then(|| stops::stop(urgent, which, places, screen)) {
         None => vec![],
@@ -571,10 +575,7 @@ fn stop(
             stopped.collect()
         }
     };
-    for (_, unread) in unread {
-        screen.say(&unread.line(urgent));
-        told.push(unread);
-    }
+    told.extend(unread.into_iter().map(|(_, unread)| unread));
     Err(Failure::Stops { told })
 }
 

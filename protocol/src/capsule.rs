@@ -63,7 +63,7 @@ pub enum CapsuleState {
     Stopped,
     /// A fault is latched.
     Faulted,
-    /// At rest after a reset. The last motion before it ended folded; nothing has confirmed that since.
+    /// At rest after a reset or an emergency stop. The last motion before it ended folded; nothing has confirmed that since.
     WasFolded,
     /// Winding gently to confirm that it is folded.
     Checking,

@@ -314,6 +314,20 @@ fn a_value_that_is_set_in_a_conflict_stays_and_none_from_before_it_revives() {
     }
 }
 
+/// Names, and with them a capsule's totals, are written for as long as nobody sets a value. Old records are replaced
+/// meanwhile, one by one.
+#[test]
+fn a_conflict_that_grows_old_revives_no_value() {
+    let flash = Flash::holding(young());
+    let (mut store, usable) = Store::load(flash.clone(), keeps_the_rule);
+    assert!(!usable);
+    for nth in 0..600 {
+        store.set_name(name(["a", "b"][nth % 2])).unwrap();
+        let (later, _) = Store::load(Flash::holding(flash.bytes()), keeps_the_rule);
+        assert_eq!(*later.values(), Values::DEFAULT, "after {nth}");
+    }
+}
+
 /// Nothing is in force that flash did not take.
 #[test]
 fn a_value_that_a_worn_flash_does_not_take_in_a_conflict_is_not_in_force() {

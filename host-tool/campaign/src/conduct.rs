@@ -128,7 +128,8 @@ impl Broken {
                 error if error.is_refusal() => AttemptOutcome::Refused,
                 ClientError::Interrupted { .. } => AttemptOutcome::Stopped,
                 ClientError::NotHomed {
-                    link_lost: true, ..
+                    fault: None,
+                    link_lost: true,
                 } => AttemptOutcome::LinkLost,
                 ClientError::NotHomed { fault: None, .. } => AttemptOutcome::Stopped,
                 ClientError::NotHomed { .. } | ClientError::Overdue { .. } => {
@@ -140,9 +141,11 @@ impl Broken {
                 AttemptOutcome::from(*status)
             }
             // The attempt counts as lost: without its record it cannot be checked.
-            Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. }) => {
-                AttemptOutcome::Lost
-            }
+            Self::Experiment(
+                ExperimentError::Record(_)
+                | ExperimentError::Unrecorded { .. }
+                | ExperimentError::Both { .. },
+            ) => AttemptOutcome::Lost,
         }
     }
 }

@@ -381,6 +381,7 @@ impl Failure {
             | Self::NothingFound { .. }
             | Self::Unreached { .. } => NO_DEVICE,
             Self::Experiment(ExperimentError::Client(error)) => client_code(error),
+            Self::Experiment(ExperimentError::Both { .. }) => UNKNOWN,
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
             Self::Command(failure) => failure.0.exit_code(),

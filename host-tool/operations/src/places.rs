@@ -2,7 +2,7 @@
 
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -341,6 +341,9 @@ impl Places<'_> {
             address: Some(address.clone()),
         };
         let waits = AtomicBool::new(true);
+        // The line, until a stop needs it.
+        let opened = Mutex::new(None);
+        let line = || opened.lock().unwrap_or_else(PoisonError::into_inner);
         thread::scope(|scope| {
             let stopper = scope.spawn(|| {
                 let (mut sent, mut result) = (None, Ok(()));
@@ -348,6 +351,7 @@ impl Places<'_> {
                     match pressed().filter(|urgent| sent != Some(*urgent)) {
                         Some(urgent) => {
                             sent = Some(urgent);
+                            drop(line().take());
                             result = Err(self.stopped(&target, urgent, need));
                         }
                         None if waits.load(Ordering::Relaxed) => thread::park_timeout(PRESSED),
@@ -355,15 +359,12 @@ impl Places<'_> {
                     }
                 }
             });
-            let mut opened = Some(self.open_for_command(kind, address, need, &pressed));
-            if pressed().is_some() {
-                // The stop goes out over this line: give it back.
-                opened = None;
-            }
+            let device = self.open_for_command(kind, address, need, &pressed);
+            *line() = pressed().is_none().then_some(device);
             waits.store(false, Ordering::Relaxed);
             stopper.thread().unpark();
             stopper.join().unwrap_or_else(|why| resume_unwind(why))?;
-            opened.unwrap_or_else(|| Err(interrupted(need)))
+            line().take().unwrap_or_else(|| Err(interrupted(need)))
         })
     }
 

@@ -335,6 +335,8 @@ impl Worker<'_> {
             return Ok(());
         }
         let acting = work.is_for_owner();
+        // What this server began before may go on, whatever becomes of this order.
+        let goes_on = self.machine.acting.load(Ordering::SeqCst);
         if acting {
             device.offer_line(false);
             self.machine.begin();
@@ -370,7 +372,7 @@ impl Worker<'_> {
             // It may go on.
             true => Ok(()),
             false => self.settle(device).and_then(|()| {
-                self.machine.acting.store(false, Ordering::SeqCst);
+                self.machine.acting.store(goes_on, Ordering::SeqCst);
                 self.ask(device)
             }),
         };

@@ -15,10 +15,17 @@ pub(crate) fn home(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value
     let mut rig = places.connect(DeviceKind::Rig, Need::Own("home"))?;
     // Homing is the first motion after a start, which nobody has heard of.
     let (kept, _) = rig.kept_events()?;
-    let unusable = What::Rig(RigEvent::SettingsUnusable);
-    if kept.iter().any(|event| event.what == unusable) {
+    let last = kept.iter().rev().find_map(|event| match event.what {
+        What::Rig(event) => matches!(
+            event,
+            RigEvent::SettingsUnusable | RigEvent::SettingChanged(_) | RigEvent::SettingsReset
+        )
+        .then_some(event),
+        _ => None,
+    });
+    if last == Some(RigEvent::SettingsUnusable) {
         screen.hint(&format!(
-            "{SETTINGS_UNUSABLE}; `retrograde settings list` shows them, `retrograde settings import FILE` sets them"
+            "{SETTINGS_UNUSABLE}; `retrograde settings list` shows what counts; `retrograde settings reset`, then `retrograde settings import FILE`, replaces them"
         ));
     }
     let homed = experiment::home(&mut rig, &mut screen.live())?;

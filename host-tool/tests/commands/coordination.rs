@@ -334,6 +334,42 @@ fn a_capsule_that_confirms_no_stop_is_told() {
     );
 }
 
+/// Both were lost with their hub: each is told, not the rig alone.
+#[test]
+fn a_capsule_that_is_lost_with_its_rig_is_told_too() {
+    let deaf = |kind| Script {
+        deaf_to: vec![("Urgent", 1_000)],
+        ..ready(kind)
+    };
+    let (mut rig, _) = connected(deaf(DeviceKind::Rig));
+    let (mut capsule, _) = connected(deaf(DeviceKind::Capsule));
+    let wants = Arc::new(AtomicU64::new(0));
+    for device in [&mut rig, &mut capsule] {
+        let wants = Arc::clone(&wants);
+        device.set_interrupt(Arc::new(move || {
+            (wants.load(Ordering::Relaxed) > 0).then_some(Urgent::Stop)
+        }));
+    }
+    let mut operator = Operator {
+        began_us: None,
+        after_us: 2_600_000,
+        wants,
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let recordings = Recordings {
+        run: &recording(folder.path(), "run"),
+        actuation: &recording(folder.path(), "fold"),
+    };
+    let both = (&mut rig, &mut capsule);
+    let ended = coordination::run(both, RUN, at(2, None), &recordings, &mut operator);
+    let told = ended.map(|_| ()).expect_err("both are lost").to_string();
+    assert_eq!(
+        told.matches("did not confirm the stop").count(),
+        2,
+        "{told}"
+    );
+}
+
 #[test]
 fn a_capsule_with_the_shortest_link_timeout_hears_the_host_often_enough() {
     let (mut rig, _) = connected(ready(DeviceKind::Rig));

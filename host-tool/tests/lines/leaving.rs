@@ -108,13 +108,19 @@ fn a_server_that_leaves_names_a_machine_that_it_does_not_reach() {
 fn a_server_stops_its_run_that_has_outlived_a_connection() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let served = server(&bench);
-    let body = "{\"cycles\": 1, \"duration_s\": 60, \"on_link_loss\": \"finish\"}";
-    let (status, text) = served.send(&format!(
-        "POST /api/v1/rig/run HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-1\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
-        served.token,
-        served.instance,
-        body.len(),
-    ));
+    let post = |nth: u32, order: &str, body: &str| {
+        served.send(&format!(
+            "POST /api/v1/rig/{order} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{nth}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
+            served.token,
+            served.instance,
+            body.len(),
+        ))
+    };
+    let (status, text) = post(
+        1,
+        "run",
+        "{\"cycles\": 1, \"duration_s\": 60, \"on_link_loss\": \"finish\"}",
+    );
     assert_eq!(status, 202, "{text}");
     // The machine serves only the latest connection.
     let other = TcpStream::connect(bench.address.trim_start_matches("tcp:")).expect("a machine");
@@ -125,6 +131,12 @@ fn a_server_stops_its_run_that_has_outlived_a_connection() {
     };
     served.until("the run again", goes_on);
     drop(other);
+    // Neither a later order nor its refusal makes the server forget its run.
+    for (nth, order) in [(2, "ack"), (3, "hold"), (4, "resume")] {
+        let (_, text) = post(nth, order, "{}");
+        served.until(order, |rig| rig["state"] != "held" || order == "hold");
+        assert!(text.contains("action"), "{order}: {text}");
+    }
     let (code, said) = left(served, &bench);
     assert_eq!(code, Some(0), "{said}");
     assert_eq!(bench.urgent().first(), Some(&Urgent::Stop), "{said}");

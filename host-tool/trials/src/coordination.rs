@@ -112,11 +112,17 @@ pub fn run(
     };
     let ran = experiment::run(rig, run, recordings.run, &mut Both(&mut partner, observer));
     let (actuation, coordination) = partner.end(ran.as_ref().ok());
-    Ok(Coordinated {
-        run: ran?,
-        actuation,
-        coordination,
-    })
+    match (ran, actuation) {
+        (Err(rig), Err(ExperimentError::Client(capsule))) if capsule.may_move() => {
+            let rig = Box::new(rig);
+            Err(ExperimentError::Both { rig, capsule })
+        }
+        (ran, actuation) => Ok(Coordinated {
+            run: ran?,
+            actuation,
+            coordination,
+        }),
+    }
 }
 
 /// Longest single wait for an answer, us.
@@ -367,11 +373,15 @@ impl Partner<'_> {
         (trial, coordination)
     }
 
-    /// Stops the actuation if its run has ended early: whatever stopped the rig stops both.
+    /// Stops the actuation if its run has ended early, or the rig was lost: whatever stopped the rig stops both.
     fn stop_with(&mut self, run: Option<&RunTrial>) {
-        let ended_early = run.is_some_and(|run| run.record.outcome != RunOutcome::Complete);
-        if ended_early
-            && matches!(self.phase, Phase::Accepted { .. })
+        let is_complete = run.is_some_and(|run| run.record.outcome == RunOutcome::Complete);
+        let may_move = matches!(
+            self.phase,
+            Phase::Accepted { .. } | Phase::Failed(ClientError::OutcomeUnknown { .. })
+        );
+        if !is_complete
+            && may_move
             && self.capsule.interrupted().is_none()
             && let Err(error) = self.capsule.urgent(Urgent::Stop)
         {

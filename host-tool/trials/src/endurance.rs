@@ -206,7 +206,11 @@ impl Run {
         if let Err(error) = &result {
             self.endurance.status = match error {
                 ExperimentError::Client(ClientError::Interrupted { .. }) => Status::Stopped,
-                ExperimentError::Client(ClientError::Refused { .. }) => Status::Refused,
+                // Before anything moved: a later refusal ends a series that was carried out so far.
+                ExperimentError::Client(ClientError::Refused {
+                    request: "Fold", ..
+                }) if self.endurance.done == 0 => Status::Refused,
+                ExperimentError::Client(ClientError::Refused { .. }) => Status::Stopped,
                 _ => Status::Unknown,
             };
             self.endurance.error = Some(error.to_string());

@@ -64,6 +64,20 @@ pub enum ExperimentError {
         /// Why the record is incomplete.
         record: RecordError,
     },
+    /// Both machines of a run were lost, and the capsule may be moving.
+    #[error("{rig}; and the capsule: {capsule}")]
+    #[diagnostic(
+        code(retrograde::outcome_unknown),
+        help(
+            "look at both machines; press the emergency stop button and switch the capsule off NOW if anything moves"
+        )
+    )]
+    Both {
+        /// How the rig was lost.
+        rig: Box<ExperimentError>,
+        /// How the capsule was lost.
+        capsule: ClientError,
+    },
     /// A step of the experiment did not end as planned, so the remaining steps were skipped.
     #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(

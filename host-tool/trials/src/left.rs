@@ -21,7 +21,7 @@ impl Trial {
     /// `kept` are those that the device still has since its start, and the number of those that it has dropped.
     ///
     /// # Errors
-    /// The telemetry cannot be read, or the sidecar not written.
+    /// The sidecar cannot be written.
     pub fn end_left(
         &mut self,
         sidecar: &Path,
@@ -29,10 +29,17 @@ impl Trial {
         kept: (Vec<Event>, u32),
     ) -> Result<(), RecordError> {
         let csv_path = sidecar.with_file_name(&self.telemetry);
-        keep_whole_rows(&csv_path).map_err(|io| RecordError::write(&csv_path, io))?;
-        let rows: Vec<Missed> = self.samples(sidecar)?;
-        self.samples = rows.len() as u64;
-        self.missed_samples = rows.iter().map(|row| u64::from(row.missed)).sum();
+        let whole = keep_whole_rows(&csv_path).map_err(|io| RecordError::write(&csv_path, io));
+        let rows: Result<Vec<Missed>, _> = whole.and_then(|_| self.samples(sidecar));
+        let unread = match rows {
+            Ok(rows) => {
+                self.samples = rows.len() as u64;
+                self.missed_samples = rows.iter().map(|row| u64::from(row.missed)).sum();
+                None
+            }
+            // The device's own record is true all the same.
+            Err(error) => Some(format!("the telemetry cannot be read: {error}")),
+        };
         let (mut events, mut lost_events) = kept;
         if let Some(start) = events
             .iter()
@@ -43,6 +50,7 @@ impl Trial {
         }
         (self.events, self.lost_events) = (events, lost_events);
         self.end(ending);
+        self.error = self.error.take().or(unread);
         json(&self)
             .and_then(|bytes| replace(sidecar, &bytes))
             .map_err(|io| RecordError::write(sidecar, io))

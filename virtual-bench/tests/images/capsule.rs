@@ -331,9 +331,10 @@ fn a_fold_with_more_friction_than_at_its_calibration_is_no_jam() {
 }
 
 /// The bench does not stop for the bridge's pulses. A bench that stops for each of them looks at the motor a hundred
-/// thousand times a second more, and must find the same capsule.
+/// thousand times a second more, and must find a capsule that moves alike. That the pulses are the same is shown in
+/// `emulator/timer.rs`.
 #[test]
-fn a_capsule_is_the_same_if_the_bench_stops_for_each_pulse() {
+fn a_capsule_moves_alike_if_the_bench_stops_for_each_pulse() {
     let [made_up, stopped] = [false, true].map(|every_event| {
         let mut options = capsule::options();
         options.chip.every_event = every_event;
@@ -354,10 +355,12 @@ fn a_capsule_is_the_same_if_the_bench_stops_for_each_pulse() {
             capsule.look(|capsule| (capsule.peak_force_n(), capsule.energy_j()));
         [reference_ms, fold_ms, unfold_ms, force_n, energy_j]
     });
-    // Noise is drawn per step of the mechanics, and one unfolding takes up to 3 % more than the next.
-    for (made_up_for, stopped_for) in made_up.into_iter().zip(stopped) {
+    // Noise is drawn per step of the mechanics: one unfolding takes up to 3 % more than the next, and the largest force
+    // is that of a single reading.
+    let within = [0.03, 0.03, 0.03, 0.06, 0.03];
+    for ((made_up_for, stopped_for), within) in made_up.into_iter().zip(stopped).zip(within) {
         assert!(
-            (made_up_for / stopped_for - 1.0).abs() < 0.03,
+            (made_up_for / stopped_for - 1.0).abs() < within,
             "{made_up:?} {stopped:?}"
         );
     }

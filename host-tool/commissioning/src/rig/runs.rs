@@ -183,8 +183,8 @@ pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
 pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     work.at_home()?;
     let timeout_ms = work.setting(Key::LinkTimeoutMs);
-    // A cycle takes 4 s: the run outlasts the time-out.
-    let cycles = u16::try_from(10 + timeout_ms / 4_000).unwrap_or(u16::MAX);
+    // A cycle takes more than 1 s: the run outlasts the time-out, which ends it.
+    let cycles = u16::try_from(10 + timeout_ms / 1_000).unwrap_or(u16::MAX);
     work.start_short_run(cycles)?;
     work.under_way()?;
     let boot = work.boot_id();
