@@ -291,7 +291,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
         for key in SettingKey::of(R::KIND) {
             let default = key.range().default;
-            // What was left out of force is in flash all the same, and another firmware may find it there.
+            // A value out of force is in flash all the same, and another firmware may find it there.
             if self.found != Found::Settings || self.values.get(key) != default {
                 self.save(key as u8, &Values::record(default))?;
             }

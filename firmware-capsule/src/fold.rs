@@ -745,7 +745,7 @@ impl Capsule {
         if self.drive != Drive::Off {
             self.brake_until_us = now_us.saturating_add(BRAKE_US);
         }
-        // Whatever has ended it: the next start must find the calibration that is in force.
+        // The next start must find the calibration that is in force, whatever has ended the motion.
         if matches!(&self.mode, Mode::Moving(actuation) if actuation.calibrated) {
             actions.calibrated = self.calibration;
         }

@@ -556,7 +556,7 @@ fn stop(
     if unread.is_empty() {
         return stops::stop(urgent, which, places, screen);
     }
-    // Nobody has to wait for the other machine's answer to hear of it.
+    // At once: the other machine's answer may take seconds.
     for (_, unread) in &unread {
         screen.say(&unread.line(urgent));
     }

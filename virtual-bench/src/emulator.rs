@@ -563,7 +563,7 @@ pub struct Emulator<W> {
     overwritten: Vec<(u64, u64)>,
     absent: Vec<u64>,
     enabled: Enabled,
-    /// What was wrong with the serial port.
+    /// Mistakes in the serial port's settings.
     line_mistakes: Vec<String>,
     flash_refused: u64,
 }
@@ -635,7 +635,7 @@ impl<W: Wiring> Emulator<W> {
         &self.enabled.gaps
     }
 
-    /// What was wrong with the serial port whenever one of its registers was written.
+    /// Mistakes in the serial port's settings, as found whenever one of its registers was written.
     pub(crate) fn line_mistakes(&self) -> &[String] {
         &self.line_mistakes
     }

@@ -45,7 +45,7 @@ pub enum LedgerEvent {
 }
 
 impl LedgerEvent {
-    /// What a trial of the wrong state is not to be, in words.
+    /// The change that a trial of the wrong state cannot have, in words.
     const fn words(self) -> &'static str {
         match self {
             Self::Began => "begun",

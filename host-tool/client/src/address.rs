@@ -61,7 +61,7 @@ impl FromStr for Address {
     }
 }
 
-/// What the user gave as an address. One that cannot be read must not keep a stop from the other machine, so it is kept
+/// An address as the user gave it. One that cannot be read must not keep a stop from the other machine, so it is kept
 /// beside the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Given {

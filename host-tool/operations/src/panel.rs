@@ -350,7 +350,7 @@ pub fn event_text(event: &Event) -> String {
 }
 
 const SETTINGS_RESET: &str = "all settings are at their defaults";
-/// What to say of a machine that has found its stored settings unusable.
+/// The sentence for a machine that has found its stored settings unusable.
 pub const SETTINGS_UNUSABLE: &str = "stored settings cannot be used: defaults are in force instead";
 
 fn setting_changed(key: SettingKey) -> String {

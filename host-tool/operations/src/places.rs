@@ -333,7 +333,7 @@ impl Places<'_> {
         need: Need,
         interrupt: &Interrupt,
     ) -> Result<Device, Failure> {
-        // What was pressed before is sent by the session.
+        // The session sends a stop that was pressed before.
         let before = interrupt();
         let pressed = || interrupt().filter(|urgent| Some(*urgent) != before);
         let target = Target {

@@ -108,7 +108,7 @@ impl Machine {
         *lock(&self.identity) = identity.map(|identity| (*identity, place));
     }
 
-    // What this server has begun.
+    // Motions that this server has begun.
 
     /// This server is about to move the machine.
     pub fn begin(&self) {

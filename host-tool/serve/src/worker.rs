@@ -335,7 +335,7 @@ impl Worker<'_> {
             return Ok(());
         }
         let acting = work.is_for_owner();
-        // What this server began before may go on, whatever becomes of this order.
+        // A motion that this server began before may go on, whatever becomes of this order.
         let goes_on = self.machine.acting.load(Ordering::SeqCst);
         if acting {
             device.offer_line(false);

@@ -149,7 +149,7 @@ pub(crate) fn settings(
     }
 }
 
-/// What a position rests on: a rig's reference, and the force to which a capsule was calibrated.
+/// The basis of a position: a rig's reference, or the force to which a capsule was calibrated.
 enum Basis {
     Rig { homed: bool },
     Capsule { end_force_ma: u32 },

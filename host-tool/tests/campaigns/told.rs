@@ -1,4 +1,4 @@
-//! What the commands on campaigns and records tell: no more than is known, and what to do.
+//! The words of the commands on campaigns and records: no more than is known, and what to do.
 
 use std::fs;
 use std::path::Path;

@@ -276,7 +276,7 @@ fn an_emergency_stop_behind_a_complete_run_is_no_contradiction() {
     assert_eq!(found.contradictions, [""; 0]);
 }
 
-/// What a killed process leaves: a sidecar that says `running`, without events, and rows of which the last is cut short.
+/// A killed process leaves a sidecar that says `running`, without events, and rows of which the last is cut short.
 #[test]
 fn a_record_that_a_killed_process_left_is_ended_without_a_contradiction() {
     let folder = tempfile::tempdir().expect("folder");
@@ -320,7 +320,7 @@ fn a_record_that_a_killed_process_left_is_ended_without_a_contradiction() {
     assert_eq!(found.contradictions, [""; 0]);
 }
 
-/// What an earlier action has lost is not lost in the next record.
+/// Events lost in an earlier action are not lost in the next record.
 #[test]
 fn events_that_were_lost_before_a_run_are_not_lost_in_it() {
     let folder = tempfile::tempdir().expect("folder");

@@ -132,7 +132,7 @@ fn a_stop_that_is_not_confirmed_is_told_after_leaving() {
     }
 }
 
-/// What a later stop has made good is no failure.
+/// A failure that a later stop has made good is none.
 #[test]
 fn a_stop_that_is_confirmed_when_it_is_repeated_is_one() {
     let mut script = ready(DeviceKind::Rig);

@@ -1,6 +1,6 @@
 //! The clock tree with a clock from outside that may come late, or never. The emulator's own oscillators always come.
 //!
-//! What comes from outside is a square wave (UM1724 section 6.7.1), not a crystal: it clocks the chip only while the
+//! The clock from outside is a square wave (UM1724 section 6.7.1), not a crystal: it clocks the chip only while the
 //! chip's own oscillator is bypassed.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};

@@ -1,4 +1,4 @@
-//! What the serial port is set to. The emulator passes bytes at any rate and in any frame, so the bench compares the
+//! Rate and format of the serial port. The emulator passes bytes at any rate and in any frame, so the bench compares the
 //! registers with what the host's port is set to, and reports a port that it would not understand.
 
 use rigless::device::RegisterFile;
@@ -10,7 +10,7 @@ const BAUD: u64 = 115_200;
 /// both ends.
 const MOST_PERCENT: u64 = 2;
 
-/// What is wrong with an enabled port of these registers, whose bus runs at `bus_hz`.
+/// Mistakes in the settings of an enabled port with these registers, whose bus runs at `bus_hz`.
 pub(super) fn mistake(registers: &RegisterFile, bus_hz: u64) -> Option<String> {
     let [control, stops] = [Register::Cr1, Register::Cr2].map(|register| registers.get(register));
     if !cr1::UE.is_set(control) {

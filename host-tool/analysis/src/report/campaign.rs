@@ -74,7 +74,7 @@ pub struct Written {
 /// File name of the page.
 const PAGE: &str = "report.html";
 
-/// What lies at the place of a campaign's report.
+/// The file at the place of a campaign's report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Present {
     /// Nothing.

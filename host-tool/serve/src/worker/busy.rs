@@ -1,4 +1,4 @@
-//! What happens during an action: reports what the machine sends, and takes a hold or a resume.
+//! Watches an action: reports what the machine sends, and takes a hold or a resume.
 
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

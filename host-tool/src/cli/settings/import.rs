@@ -158,7 +158,7 @@ struct Change {
     to: Entry,
 }
 
-/// What an import has changed.
+/// Changes made by an import.
 pub(super) struct Imported {
     /// Number of settings.
     pub(super) changed: usize,
