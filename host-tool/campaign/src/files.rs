@@ -1,7 +1,6 @@
 //! Names of the files in the folder of a campaign, and of those of any record.
 
-use protocol::capsule::ActuationKind;
-use trials::experiment::stem;
+use trials::experiment::{ACTUATIONS, stem};
 
 /// The plan as the user wrote it.
 pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
@@ -22,15 +21,7 @@ pub const MOTIONS: [&str; 2] = ["run", "pass"];
 /// Whether a file's name is one that the record of an action gets, of either machine.
 #[must_use]
 pub fn is_record(name: &str) -> bool {
-    let actuations = [
-        ActuationKind::Reference,
-        ActuationKind::Calibrate,
-        ActuationKind::CheckFolded,
-        ActuationKind::Fold,
-        ActuationKind::Unfold,
-        ActuationKind::FoldTo,
-    ];
-    let mut stems = MOTIONS.into_iter().chain(actuations.map(stem));
+    let mut stems = MOTIONS.into_iter().chain(ACTUATIONS.map(stem));
     stems.any(|stem| is_of(name, stem))
 }
 

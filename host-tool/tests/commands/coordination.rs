@@ -343,18 +343,7 @@ fn a_capsule_that_is_lost_with_its_rig_is_told_too() {
     };
     let (mut rig, _) = connected(deaf(DeviceKind::Rig));
     let (mut capsule, _) = connected(deaf(DeviceKind::Capsule));
-    let wants = Arc::new(AtomicU64::new(0));
-    for device in [&mut rig, &mut capsule] {
-        let wants = Arc::clone(&wants);
-        device.set_interrupt(Arc::new(move || {
-            (wants.load(Ordering::Relaxed) > 0).then_some(Urgent::Stop)
-        }));
-    }
-    let mut operator = Operator {
-        began_us: None,
-        after_us: 2_600_000,
-        wants,
-    };
+    let mut operator = Operator::of([&mut rig, &mut capsule], Urgent::Stop, 2_600_000);
     let folder = tempfile::tempdir().expect("a folder");
     let recordings = Recordings {
         run: &recording(folder.path(), "run"),
@@ -391,6 +380,23 @@ struct Operator {
     wants: Arc<AtomicU64>,
 }
 
+impl Operator {
+    fn of(devices: [&mut Device; 2], wanted: Urgent, after_us: u64) -> Self {
+        let wants = Arc::new(AtomicU64::new(0));
+        for device in devices {
+            let wants = Arc::clone(&wants);
+            device.set_interrupt(Arc::new(move || {
+                (wants.load(Ordering::Relaxed) > 0).then_some(wanted)
+            }));
+        }
+        Self {
+            began_us: None,
+            after_us,
+            wants,
+        }
+    }
+}
+
 impl Observer for Operator {
     fn turn(&mut self, now_us: u64, _: Option<Clock>) {
         let began_us = *self.began_us.get_or_insert(now_us);
@@ -406,18 +412,7 @@ fn the_operators_stop_goes_to_both() {
     for after_us in [1_000_000, 1_995_000, 2_003_000, 2_008_000, 2_600_000] {
         let (mut rig, _) = connected(ready(DeviceKind::Rig));
         let (mut capsule, log) = connected(ready(DeviceKind::Capsule));
-        let wants = Arc::new(AtomicU64::new(0));
-        for device in [&mut rig, &mut capsule] {
-            let wants = Arc::clone(&wants);
-            device.set_interrupt(Arc::new(move || {
-                (wants.load(Ordering::Relaxed) > 0).then_some(Urgent::Stop)
-            }));
-        }
-        let mut operator = Operator {
-            began_us: None,
-            after_us,
-            wants,
-        };
+        let mut operator = Operator::of([&mut rig, &mut capsule], Urgent::Stop, after_us);
         let both = (&mut rig, &mut capsule);
         let done = tied(both, RUN, at(2, None), &mut operator);
         assert_eq!(done.run.trial.status, Status::Stopped, "{after_us}");
@@ -443,18 +438,7 @@ fn a_stop_that_meets_an_unanswered_fold_is_repeated_until_it_is_confirmed() {
         deaf_to: vec![("Fold", 1_000), ("Urgent", 1)],
         ..ready(DeviceKind::Capsule)
     });
-    let wants = Arc::new(AtomicU64::new(0));
-    for device in [&mut rig, &mut capsule] {
-        let wants = Arc::clone(&wants);
-        device.set_interrupt(Arc::new(move || {
-            (wants.load(Ordering::Relaxed) > 0).then_some(Urgent::EStop)
-        }));
-    }
-    let mut operator = Operator {
-        began_us: None,
-        after_us: 2_010_000,
-        wants,
-    };
+    let mut operator = Operator::of([&mut rig, &mut capsule], Urgent::EStop, 2_010_000);
     let done = tied((&mut rig, &mut capsule), RUN, at(2, None), &mut operator);
     assert!(done.actuation.is_err());
     let urgent = log.lock().expect("a log").urgent.clone();

@@ -61,19 +61,12 @@ fn left(mut server: Server, bench: &Bench) -> (Option<i32>, String) {
     (status.code(), said)
 }
 
-/// Lets the server move the carriage.
-fn move_away(server: &Server) {
-    let order = server.order("{\"position_mm\": 125, \"speed_mm_s\": 10}", 1);
-    order.finish().expect("an answer");
-    server.until("motion", |rig| rig["position_um"].as_i64() > Some(2_000));
-}
-
 /// Once it ended with exit code 0 and without a word.
 #[test]
 fn a_server_that_leaves_names_a_machine_that_has_not_confirmed() {
     let bench = Bench::on_tcp_as(&deaf(), 1);
     let served = server(&bench);
-    move_away(&served);
+    served.move_away();
     let (code, said) = left(served, &bench);
     assert_eq!(code, Some(7), "{said}");
     for part in [
@@ -92,7 +85,7 @@ fn a_server_that_leaves_names_a_machine_that_it_does_not_reach() {
     let mut bench = Bench::on_tcp(DeviceKind::Rig);
     let line = breakable(&mut bench);
     let served = server(&bench);
-    move_away(&served);
+    served.move_away();
     line.store(DEAD, Ordering::SeqCst);
     served.until("a loss", |rig| rig["contact"] == "lost");
     let (code, said) = left(served, &bench);
@@ -108,19 +101,8 @@ fn a_server_that_leaves_names_a_machine_that_it_does_not_reach() {
 fn a_server_stops_its_run_that_has_outlived_a_connection() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let served = server(&bench);
-    let post = |nth: u32, order: &str, body: &str| {
-        served.send(&format!(
-            "POST /api/v1/rig/{order} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{nth}\r\nContent-Type: application/json\r\nContent-Length: {}\r\n\r\n{body}",
-            served.token,
-            served.instance,
-            body.len(),
-        ))
-    };
-    let (status, text) = post(
-        1,
-        "run",
-        "{\"cycles\": 1, \"duration_s\": 60, \"on_link_loss\": \"finish\"}",
-    );
+    let run = "{\"cycles\": 1, \"duration_s\": 60, \"on_link_loss\": \"finish\"}";
+    let (status, text) = served.post("run", run, 1);
     assert_eq!(status, 202, "{text}");
     // The machine serves only the latest connection.
     let other = TcpStream::connect(bench.address.trim_start_matches("tcp:")).expect("a machine");
@@ -133,7 +115,7 @@ fn a_server_stops_its_run_that_has_outlived_a_connection() {
     drop(other);
     // Neither a later order nor its refusal makes the server forget its run.
     for (nth, order) in [(2, "ack"), (3, "hold"), (4, "resume")] {
-        let (_, text) = post(nth, order, "{}");
+        let (_, text) = served.post(order, "{}", nth);
         served.until(order, |rig| rig["state"] != "held" || order == "hold");
         assert!(text.contains("action"), "{order}: {text}");
     }

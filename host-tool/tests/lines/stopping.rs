@@ -197,12 +197,7 @@ impl Server {
     /// the stops before it. So any stop sent afterwards is later than the order.
     pub(super) fn order(&self, body: &str, key: u32) -> Order {
         let mut stream = self.connect();
-        let head = format!(
-            "POST /api/v1/rig/move HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{key}\r\nContent-Type: application/json\r\nExpect: 100-continue\r\nContent-Length: {}\r\n\r\n",
-            self.token,
-            self.instance,
-            body.len(),
-        );
+        let head = self.head("move", body, key, "Expect: 100-continue\r\n");
         stream.write_all(head.as_bytes()).expect("sent");
         let mut known = [0; "HTTP/1.1 100 Continue\r\n\r\n".len()];
         stream.read_exact(&mut known).expect("asked for the body");
@@ -212,6 +207,27 @@ impl Server {
             stream,
             body: body.to_owned(),
         }
+    }
+
+    fn head(&self, order: &str, body: &str, key: u32, more: &str) -> String {
+        format!(
+            "POST /api/v1/rig/{order} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nAuthorization: Bearer {}\r\nIdempotency-Key: {}-{key}\r\nContent-Type: application/json\r\n{more}Content-Length: {}\r\n\r\n",
+            self.token,
+            self.instance,
+            body.len(),
+        )
+    }
+
+    /// Sends an order to the rig; returns the status and the text of the answer.
+    pub(super) fn post(&self, order: &str, body: &str, key: u32) -> (u16, String) {
+        self.send(&(self.head(order, body, key, "") + body))
+    }
+
+    /// Orders a slow move and waits until the rig is on its way.
+    pub(super) fn move_away(&self) {
+        let order = self.order("{\"position_mm\": 125, \"speed_mm_s\": 10}", 1);
+        order.finish().expect("an answer");
+        self.until("motion", |rig| rig["position_um"].as_i64() > Some(2_000));
     }
 
     fn state(&self) -> Value {
@@ -273,9 +289,7 @@ fn a_motion_that_the_server_has_lost_says_where_the_carriage_was() {
         let mut bench = Bench::on_tcp(DeviceKind::Rig);
         let line = breakable(&mut bench);
         let server = Server::start(&bench);
-        let order = server.order("{\"position_mm\": 125, \"speed_mm_s\": 10}", 1);
-        order.finish().expect("an answer");
-        server.until("motion", |rig| rig["position_um"].as_i64() > Some(2_000));
+        server.move_away();
         line.store(broken, Ordering::SeqCst);
         let over = |rig: &Value| !rig["action"]["error"].is_null();
         let state = server.until("the end of the action", over);

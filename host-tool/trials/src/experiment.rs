@@ -210,6 +210,16 @@ impl Actuation {
     }
 }
 
+/// All kinds of actuations.
+pub const ACTUATIONS: [ActuationKind; 6] = [
+    ActuationKind::Reference,
+    ActuationKind::Calibrate,
+    ActuationKind::CheckFolded,
+    ActuationKind::Fold,
+    ActuationKind::Unfold,
+    ActuationKind::FoldTo,
+];
+
 /// Prefix of the actuation's files.
 #[must_use]
 pub const fn stem(kind: ActuationKind) -> &'static str {
@@ -638,14 +648,7 @@ mod tests {
     /// Two kinds with one prefix would be taken for each other in a folder.
     #[test]
     fn each_actuation_has_a_name_of_its_own() {
-        let kinds = [
-            ActuationKind::Reference,
-            ActuationKind::Calibrate,
-            ActuationKind::CheckFolded,
-            ActuationKind::Fold,
-            ActuationKind::Unfold,
-            ActuationKind::FoldTo,
-        ];
+        let kinds = ACTUATIONS;
         for name in [stem, doing] {
             let names: std::collections::BTreeSet<_> = kinds.map(name).into();
             assert!(
