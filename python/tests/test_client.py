@@ -223,20 +223,23 @@ class ClientTest(ServerTest):
         self.assertEqual((self.posts()[-1].path, self.posts()[-1].body), ("/api/v1/stop", {"machine": "rig"}))
 
     def test_ctrl_c_before_the_answer_stops_the_machine(self) -> None:
-        home, pressed = threading.Event(), threading.Event()
+        # A shell starts what runs in its background with this signal ignored.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        self.addCleanup(signal.signal, signal.SIGINT, before)
+        home, stopped = threading.Event(), threading.Event()
 
         def answer(call: Call) -> Answer:
             if call.path == "/api/v1/rig/home":
                 home.set()
-                # The client waits meanwhile. The key wakes it, as at a terminal.
-                pressed.wait()
+                stopped.wait()
                 return (202, action("under_way"))
+            if call.path == "/api/v1/stop":
+                stopped.set()
             return STATE if call.method == "GET" else (200, {"ok": True, "machines": []})
 
         def press() -> None:
             home.wait()
             signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-            pressed.set()
 
         self.server.answer = answer
         threading.Thread(target=press).start()
