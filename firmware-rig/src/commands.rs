@@ -231,7 +231,8 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
             machine.record().strokes
         },
         strokes: machine.strokes(),
-        elapsed_us: if running {
+        // A hold does not end the run.
+        elapsed_us: if machine.record().outcome == rig::RunOutcome::Running {
             context.now.time_us.saturating_sub(machine.started_us())
         } else {
             0

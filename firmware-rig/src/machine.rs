@@ -27,10 +27,14 @@ use motion::{
 };
 use moving::Jog;
 use protocol::{
+    client::{ATTEMPTS, RETRY_AFTER_US},
     error::Refusal,
     rig::{LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome, RunRecord, Switch},
 };
 use running::ActiveRun;
+
+/// How long a host repeats a request that is not answered.
+const REPEATED_US: u64 = ATTEMPTS as u64 * RETRY_AFTER_US;
 
 /// How a path ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -531,6 +535,8 @@ impl Machine {
                 self.latch(RigFault::HomingTimeout(homing.phase), actions);
             }
             State::Moving(Some(jog)) if now_us > jog.until_us => {
+                // For this long the host repeats a renewal that was lost. It would start the carriage again.
+                self.jog_stopped_until_us = now_us.saturating_add(REPEATED_US);
                 self.stop_then(Then::Moved, actions);
             }
             _ => {}

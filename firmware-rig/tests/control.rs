@@ -1057,7 +1057,9 @@ mod requests {
         assert_eq!(status.time_us - status.elapsed_us, started_us);
         bench.accepted(Request::Hold(rig::Hold));
         bench.finish();
-        assert_eq!(bench.state(), RigState::Held);
+        let status = bench.status();
+        assert_eq!((status.state, status.stroke), (RigState::Held, 1));
+        assert_eq!(status.time_us - status.elapsed_us, started_us);
         bench.accepted(Request::Resume(rig::Resume));
         bench.finish();
         let told = bench.told();

@@ -128,6 +128,24 @@ mod jogging {
         }
     }
 
+    /// The line was cut for a moment, and then the host repeats its renewal, though nobody may hold the button any more.
+    #[test]
+    fn a_jog_that_its_dead_man_has_ended_is_not_started_again_by_a_repetition() {
+        let mut rig = rig_at(40_000);
+        rig.command(jog(Direction::Away, 10_000)).unwrap();
+        let renewed = rig.now;
+        rig.finish();
+        let place = rig.place;
+        assert!(rig.now < renewed + 400 * MS);
+        // The last of eight repetitions.
+        rig.now = renewed + 1_000 * MS;
+        let busy = Err(Refusal::RigBusy(RigState::Stopping));
+        assert_eq!(rig.command(jog(Direction::Away, 10_000)), busy);
+        assert_eq!((rig.place, rig.machine.state()), (place, RigState::Ready));
+        rig.now = renewed + 1_150 * MS;
+        rig.command(jog(Direction::Away, 10_000)).unwrap();
+    }
+
     /// A change of direction or speed needs a rest first: release, then jog again.
     #[test]
     fn another_jog_is_refused_while_it_moves() {
@@ -148,6 +166,7 @@ mod jogging {
         assert_eq!(rig.command(jog(Direction::Home, 10_000)), busy);
         rig.finish();
         assert!(rig.place < 40_000 + 10 * 800 * 330 / 1_000);
+        rig.now += 800 * MS;
         rig.command(jog(Direction::Home, 10_000)).unwrap();
         run_for(&mut rig, 100 * MS);
         assert_eq!(rig.machine.state(), RigState::Moving);

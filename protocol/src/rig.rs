@@ -430,7 +430,7 @@ pub struct RigStatus {
     pub stroke: u32,
     /// Strokes of the run.
     pub strokes: u32,
-    /// Time since the run was accepted.
+    /// Time since the run was accepted, holds included; 0 when none is under way.
     pub elapsed_us: u64,
     /// After a watchdog reset or a panic: motion is refused until [`crate::system::Acknowledge`].
     pub needs_acknowledge: bool,

@@ -183,6 +183,11 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().set_supply_mv(millivolts);
     }
 
+    /// Lets this share of the bytes that the chip receives arrive with a framing error, until it is set anew.
+    pub fn set_framing_errors(&mut self, per_million: u32) {
+        self.session.board_mut().set_framing_errors(per_million);
+    }
+
     /// Stops the 8 MHz clock of the ST-LINK; it returns after `back_after_ns`, or never.
     pub fn fail_hse(&mut self, back_after_ns: Option<u64>) {
         let at = self.stop.at;

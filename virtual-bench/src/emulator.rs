@@ -26,6 +26,7 @@ use std::fmt;
 use std::num::{NonZeroU32, NonZeroU64};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use rigless::chip::uart::Rate;
 use rigless::cpu::armv7m;
 use rigless::device::{ErasedDevice, ResetCause};
 use rigless::emulator::{Access, AccessKind, CoreSpec, Host, Settled, StopReason};
@@ -678,6 +679,15 @@ impl<W: Wiring> Emulator<W> {
             .set_from(chip.options.hse_after_ns.map(VirtualNanos));
         let (registers, mut context) = chip.part.bus_mut().drive(at, chip.slots.rcc);
         chip.rcc.rcc.fail_hse(registers, &mut context);
+    }
+
+    /// Lets this share of the received bytes arrive with a framing error.
+    pub(crate) fn set_framing_errors(&mut self, per_million: u32) {
+        let rate = Rate {
+            name: "framing",
+            per_million,
+        };
+        self.chip.part.usart[USART2].errors_mut().framing = rate;
     }
 
     /// Sets the duration of the step timer's bursts. Call it between two of them.

@@ -17,6 +17,7 @@ pub struct Place {
 pub const PLACES: [Place; 18] = [
     place('A', 0, "A0", "CN7-28"),
     place('A', 1, "A1", "CN7-30"),
+    // Not connected as delivered: SB62 and SB63 are open, and both pins lead to the ST-LINK alone (UM1724 section 6.8).
     place('A', 2, "D1", "CN10-35"),
     place('A', 3, "D0", "CN10-37"),
     place('A', 4, "A2", "CN7-32"),

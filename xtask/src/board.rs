@@ -41,8 +41,8 @@ pub(crate) fn run(options: &[String]) -> Result<()> {
 
 /// Steps before and after, and where the rest is measured.
 const PREPARATION: &str = "
-Before: motor supply off, the driver out of its socket, `retrograde settings export` kept: one settings sector is
-erased and written back. Wires as in docs/rig.md; a row whose wire is missing is NOT AS EXPECTED or not measured.
+Before: motor supply off, the driver out of its socket. Wires as in docs/rig.md; a row whose wire is missing is NOT AS
+EXPECTED or not measured. The flash is measured only where no settings are stored, as on a new board.
 Afterwards: `cargo rig`, for the board keeps the image of the measurements.
 Not here, because it takes a hand, a meter or an oscilloscope: docs/first-board.md, \"The first hour with a board\".
 ";

@@ -9,6 +9,7 @@ use crate::{
     supervision::Client,
 };
 use core::sync::atomic::Ordering;
+use embassy_futures::poll_once;
 use embassy_stm32::{
     mode::Async,
     usart::{RingBufferedUartRx, UartTx},
@@ -39,8 +40,10 @@ pub async fn receive(
         let count = match with_timeout(CHECK_IN, uart.read(&mut buffer)).await {
             Ok(Ok(count)) => count,
             Ok(Err(_)) => {
-                // Noise, framing, overrun: the CRC finds the damaged frame, the host repeats it.
+                // Noise, framing, overrun: the host repeats the damaged frame. The HAL starts its ring of bytes anew and
+                // hands out what the last round left in it: old frames, an emergency stop among them. Drop all of it.
                 UART_ERRORS.fetch_add(1, Ordering::Relaxed);
+                while poll_once(uart.read(&mut buffer)).is_ready() {}
                 0
             }
             Err(_) => 0,

@@ -89,8 +89,8 @@ pub fn init() -> Board {
 /// chip's own 16 MHz, which are good enough for the link and not for a step.
 fn clocks(source: Clock) -> Config {
     use rcc::{
-        AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllSource,
-        Sysclk,
+        AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv,
+        PllSource, Sysclk,
     };
     let mut config = Config::default();
     let prediv = match source {
@@ -112,7 +112,8 @@ fn clocks(source: Clock) -> Config {
         prediv,
         mul: PllMul::MUL100,
         divp: Some(PllPDiv::DIV2),
-        divq: None,
+        // Nothing uses it, but the HAL would write 0, which RM0383 section 6.3.2 forbids. 40 MHz.
+        divq: Some(PllQDiv::DIV5),
         divr: None,
     });
     config.rcc.sys = Sysclk::PLL1_P;

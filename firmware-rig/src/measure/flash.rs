@@ -1,4 +1,4 @@
-//! How long flash operations take. The settings in the sector are kept in RAM meanwhile, and written back.
+//! How long flash operations take, in a sector in which no settings are stored.
 
 use super::tell;
 use device::{
@@ -9,7 +9,6 @@ use embassy_futures::block_on;
 use embassy_stm32::pac::TIM5;
 use embedded_storage_async::nor_flash::{NorFlash, ReadNorFlash};
 use measurements::Measurement as M;
-use static_cell::ConstStaticCell;
 
 /// The last sector of the settings.
 const OFFSET: u32 = SECTORS.end - SECTOR;
@@ -18,14 +17,17 @@ const WORDS: u32 = 64;
 /// Ticks of TIM5 in a microsecond.
 const US: u32 = 100;
 
-static KEPT: ConstStaticCell<[u8; SECTOR as usize]> = ConstStaticCell::new([0; SECTOR as usize]);
-
-/// Reports all of it, unless the supply is too low.
+/// Reports all of it, unless the supply is too low or settings are stored there.
 pub fn report(mut sectors: Sectors) {
-    let kept = KEPT.take();
     // An error leaves the rest out: it shows as "not measured".
     let _ = block_on(async {
-        sectors.read(OFFSET, kept).await?;
+        let mut stored = [0; 4];
+        for offset in (OFFSET..OFFSET + SECTOR).step_by(stored.len()) {
+            sectors.read(offset, &mut stored).await?;
+            if stored != [0xFF; 4] {
+                return Ok(());
+            }
+        }
         let first = erase_us(&mut sectors).await?;
         let began = TIM5.cnt().read();
         for word in 0..WORDS {
@@ -33,11 +35,6 @@ pub fn report(mut sectors: Sectors) {
         }
         let words = ticks_since(began);
         let second = erase_us(&mut sectors).await?;
-        for (offset, word) in (OFFSET..).step_by(4).zip(kept.chunks_exact(4)) {
-            if word != [0xFF; 4] {
-                sectors.write(offset, word).await?;
-            }
-        }
         tell(M::EraseTime, first.max(second));
         tell(M::WordTime, words / WORDS / US);
         Ok::<_, <Sectors as embedded_storage_async::nor_flash::ErrorType>::Error>(())

@@ -10,13 +10,38 @@ use crate::common::{
 use protocol::{
     frame::{Header, Kind, encode},
     rig::{
-        Direction, Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState, Run, RunOutcome,
-        RunRecord,
+        Direction, GetRigHealth, Hold, Jog, LinkLossPolicy, MoveTo, Resume, RigFault, RigState,
+        Run, RunOutcome, RunRecord,
     },
-    system::{DeviceKind, KeepAlive, Urgent},
+    system::{Acknowledge, DeviceKind, KeepAlive, Urgent},
     table::Request,
 };
 use virtual_bench::{link::VirtualLink, serial::ByteFault, verdicts::Verdict};
+
+/// An error stops the port's DMA, which then begins anew at the start of its ring: what the last round left there must
+/// not be read again. An emergency stop needs no session, and would latch a second time.
+#[test]
+fn a_framing_error_brings_no_old_frame_back() {
+    let mut rig = rig();
+    for round in 0..20 {
+        rig.device.urgent(Urgent::EStop).expect("confirmed");
+        rig.device.forget_stop();
+        rig.device.call(Acknowledge).expect("acknowledged");
+        let garble = |rig: &RigRun, per_million| {
+            rig.bench
+                .visit(move |visit| visit.set_framing_errors(per_million))
+                .expect("the bench runs");
+        };
+        garble(&rig, 200_000);
+        // May be answered or not.
+        let _ = rig.device.rig_status();
+        garble(&rig, 0);
+        let status = rig.device.rig_status().expect("a status");
+        assert_eq!(status.fault, None, "round {round}");
+    }
+    let health = rig.device.call(GetRigHealth).expect("an answer");
+    assert!(health.uart_errors > 20, "{}", health.uart_errors);
+}
 
 /// Changes one byte in a thousand and drops half of those, in both directions, for a whole run with telemetry.
 #[test]

@@ -53,10 +53,19 @@ fn measured(
     chip: impl FnOnce(&mut ChipOptions),
     prepare: impl FnOnce(&mut Rig),
 ) -> Told {
-    let mut options = BenchOptions::new(images().join("firmware-board"));
+    let mut options = image();
     chip(&mut options.chip);
     let mut rig = Rig::new(rig);
     prepare(&mut rig);
+    ended(rig, options).0
+}
+
+fn image() -> BenchOptions {
+    BenchOptions::new(images().join("firmware-board"))
+}
+
+/// All that the image has told, and the flash as it leaves it.
+fn ended(rig: Rig, options: BenchOptions) -> (Told, Vec<u8>) {
     let bench = Bench::start(RigBoard::new(rig), options).expect("the image starts");
     for _ in 0..60 {
         bench.advance_us(100_000).expect("it runs");
@@ -67,7 +76,8 @@ fn measured(
             assert!(resets.is_empty(), "{resets:?}");
             let enabled = bench.visit(|visit| visit.board().rig.is_enabled());
             assert!(!enabled.expect("it runs"), "the driver is on");
-            return Told(lines.iter().filter_map(|line| parse(&line.text)).collect());
+            let told = Told(lines.iter().filter_map(|line| parse(&line.text)).collect());
+            return (told, bench.visit(|visit| visit.flash()).expect("it runs"));
         }
     }
     panic!("no end:\n{}", bench.log().expect("a log"));
@@ -90,6 +100,23 @@ fn every_measurement_comes_and_no_assumption_passes_for_shown() {
     }
     assert_eq!(told.unexpected(), [], "{told}");
     assert_eq!(told.of(M::CutBursts), Some(0));
+}
+
+/// The supply may fail between an erase and what would put the settings back.
+#[test]
+fn a_sector_with_settings_is_not_measured() {
+    let rig = || Rig::new(RigOptions::WITH_BOTH_JUMPERS);
+    let (told, mut flash) = ended(rig(), image());
+    assert!(told.of(M::EraseTime).is_some());
+    // The last word of sectors 1 to 3.
+    flash[0xFFFC..0x1_0000].copy_from_slice(&[0x00, 0xFF, 0xFF, 0xFF]);
+    let options = BenchOptions {
+        flash: Some(flash.clone()),
+        ..image()
+    };
+    let (told, left) = ended(rig(), options);
+    assert_eq!((told.of(M::EraseTime), told.of(M::WordTime)), (None, None));
+    assert!(left == flash, "the flash has changed");
 }
 
 #[test]

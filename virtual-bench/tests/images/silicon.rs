@@ -37,8 +37,11 @@ const FLASH_SR: u32 = 0x4002_3C0C;
 /// Status, and break and dead time of TIM1 (sections 12.4.5, 12.4.18).
 const TIM1_SR: u32 = 0x4001_0010;
 const TIM1_BDTR: u32 = 0x4001_0044;
-/// Speed of the pins (section 8.4.3).
+/// Factors of the PLL (section 6.3.2).
+const RCC_PLLCFGR: u32 = 0x4002_3804;
+/// Speed and pull of the pins (sections 8.4.3, 8.4.4).
 const GPIOA_OSPEEDR: u32 = 0x4002_0008;
+const GPIOA_PUPDR: u32 = 0x4002_000C;
 const GPIOB_OSPEEDR: u32 = 0x4002_0408;
 const DBGMCU_CR: u32 = 0xE004_2004;
 const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
@@ -503,6 +506,31 @@ fn the_flash_is_accelerated_where_it_is_slow() {
     rig.check_clean(0);
     let capsule = started_capsule();
     assert_eq!(register(&capsule, FLASH_ACR), 0);
+}
+
+/// The manual forbids some factors, also of an output that nothing uses.
+#[test]
+fn the_factors_of_the_pll_are_allowed() {
+    for hse_after_ns in [Some(0), None] {
+        let rig = with_chip(|chip| chip.hse_after_ns = hse_after_ns);
+        let factors = register(&rig.bench, RCC_PLLCFGR);
+        let (m, n, q) = (factors & 0x3F, factors >> 6 & 0x1FF, factors >> 24 & 0xF);
+        assert!((2..=63).contains(&m), "M = {m}");
+        assert!((50..=432).contains(&n), "N = {n}");
+        assert!((2..=15).contains(&q), "Q = {q}");
+    }
+}
+
+/// PA3 is driven by the ST-LINK alone, which may be without power.
+#[test]
+fn the_serial_input_does_not_float() {
+    let (rig, capsule) = (rig(), started_capsule());
+    for pulls in [
+        register(&rig.bench, GPIOA_PUPDR),
+        register(&capsule, GPIOA_PUPDR),
+    ] {
+        assert_eq!(pulls >> 6 & 3, 1, "pulled up");
+    }
 }
 
 /// Item 11: a halted core makes no pulse, the watchdog keeps running in both machines, and the capsule really sleeps.

@@ -3,6 +3,7 @@
 use super::{super::start::BAUD, TIME_DRIVER_INTERRUPT};
 use embassy_stm32::{
     Peri, bind_interrupts, dma,
+    gpio::Pull,
     interrupt::{self, InterruptExt, Priority},
     mode::Async,
     peripherals,
@@ -31,6 +32,8 @@ pub fn open(
     interrupt::DMA1_STREAM6.set_priority(Priority::P7);
     let mut config = usart::Config::default();
     config.baudrate = BAUD;
+    // The ST-LINK drives the line, but not while it is without power or starts.
+    config.rx_pull = Pull::Up;
     let uart = Uart::new(usart, rx, tx, tx_dma, rx_dma, Interrupts, config);
     let Ok(uart) = uart else {
         defmt::panic!("USART2: the clock does not divide to the baud rate")
