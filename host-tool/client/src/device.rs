@@ -25,7 +25,7 @@ use crate::device::observer::{Clock, Interrupt, Pacer};
 use crate::diagnosis::{self, Sign};
 use crate::error::ClientError;
 use crate::identity::Origin;
-use crate::link::owner::{Owner, StopMark};
+use crate::link::owner::{Owner, Question, StopMark};
 use crate::link::{Link, LinkError};
 
 /// Longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
@@ -85,6 +85,8 @@ pub struct Device {
     commanding: bool,
     /// A request sent by [`Device::post`], whose answer is still to come.
     posted: Option<Posted>,
+    /// The guest's question that was posted.
+    asked_by: Option<Question>,
     /// The relation of the two clocks, from the last exchange that contained the device's time.
     clock: Option<Clock>,
     /// Whether something moves, according to the device's last answer.
@@ -125,6 +127,7 @@ impl Device {
             urgent_pending: false,
             commanding: false,
             posted: None,
+            asked_by: None,
             clock: None,
             moves: false,
             ordered: false,
@@ -275,6 +278,11 @@ impl Device {
     /// line's next owner finds the unfinished record there.
     pub fn records(&mut self, sidecar: Option<&Path>) {
         self.link.records(sidecar);
+    }
+
+    /// The record of [`Device::left_record`] has its end now.
+    pub fn left_has_ended(&mut self) {
+        self.link.left_has_ended();
     }
 
     /// The record of the line's previous owner, if that was killed.

@@ -155,6 +155,9 @@ pub trait Link: Send {
         let _ = sidecar;
     }
 
+    /// The record of the previous owner has its end now.
+    fn left_has_ended(&mut self) {}
+
     /// The record of the line's previous owner, if that was killed.
     fn left_record(&self) -> Option<PathBuf> {
         None

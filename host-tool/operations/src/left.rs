@@ -6,9 +6,14 @@ use std::path::Path;
 use client::Device;
 use client::error::ClientError;
 use client::identity::IdentityRecord;
+use jiff::{SignedDuration, Timestamp};
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
+use protocol::system::DeviceKind;
 use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, Status, Trial};
+
+/// A machine's clock may fall behind by this much: a virtual one loses time on a busy computer.
+const SLOW: SignedDuration = SignedDuration::from_secs(60);
 
 /// Completes the record that was left on the line of `device`, if there is one and nothing moves any more. Returns a
 /// message for the user.
@@ -25,16 +30,17 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
     let trial = trial.filter(|trial| trial.status == Status::Running);
     let Some(mut trial) = trial.filter(|_| !sidecar.ancestors().skip(1).take(3).any(is_campaign))
     else {
-        device.records(None);
+        device.left_has_ended();
         return Ok(None);
     };
     let name = sidecar.display();
-    let Some(ending) = ending(device, &trial)? else {
+    let is_same = is_same(device, &trial)?;
+    let Some(ending) = ending(device, &trial, is_same)? else {
         return Ok(Some(format!(
             "what the process began whose record is {name} still moves, though that process has ended; `retrograde stop` stops it"
         )));
     };
-    let kept = match is_same(device, &trial) {
+    let kept = match is_same {
         true => device.kept_events()?,
         false => (vec![], 0),
     };
@@ -46,27 +52,46 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
             format!("the record {name} of a process that has ended could not be ended: {why}")
         }
     };
-    device.records(None);
+    device.left_has_ended();
     Ok(Some(said))
 }
 
-/// The machine is that of the record, and has not been started again since.
-fn is_same(device: &Device, trial: &Trial) -> bool {
+/// The machine is that of the record, and has not been started again since. Each switching-on counts its starts from 1
+/// anew, so the time since its start decides as well.
+fn is_same(device: &mut Device, trial: &Trial) -> Result<bool, ClientError> {
     let place = device.place();
-    let now = device
-        .identity()
-        .map(|identity| IdentityRecord::new(identity, &place));
-    now.is_some_and(|now| (&now.uid, now.boot_id) == (&trial.device.uid, trial.device.boot_id))
+    let Some(identity) = device.identity() else {
+        return Ok(false);
+    };
+    let now = IdentityRecord::new(identity, &place);
+    if (&now.uid, now.boot_id) != (&trial.device.uid, trial.device.boot_id) {
+        return Ok(false);
+    }
+    let time_us = match identity.device {
+        DeviceKind::Rig => device.rig_status()?.time_us,
+        DeviceKind::Capsule => device.capsule_status()?.time_us,
+    };
+    Ok(was_on(time_us, trial.started_utc, Timestamp::now()))
+}
+
+/// Whether a machine that began `time_us` ago was on when a record began.
+fn was_on(time_us: u64, started: Timestamp, now: Timestamp) -> bool {
+    let since = now.duration_since(started);
+    SLOW + SignedDuration::from_micros(time_us.cast_signed()) >= since
 }
 
 /// The end of the action according to the machine; `None` while it moves.
-fn ending(device: &mut Device, trial: &Trial) -> Result<Option<Ending>, ClientError> {
+fn ending(
+    device: &mut Device,
+    trial: &Trial,
+    is_same: bool,
+) -> Result<Option<Ending>, ClientError> {
     let lost = |why: &str| {
         Ok(Some(Ending::Lost(format!(
             "the process that recorded it has ended; {why}"
         ))))
     };
-    if !is_same(device, trial) {
+    if !is_same {
         return lost("the machine was started again since, or is another one");
     }
     match &trial.action {
@@ -104,6 +129,30 @@ fn ending(device: &mut Device, trial: &Trial) -> Result<Option<Ending>, ClientEr
                 Some(_) => lost("the capsule has moved again since"),
                 None => lost("it is not known whether the capsule began to move"),
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_machine_that_was_switched_on_since_is_not_the_one_of_the_record() {
+        let at = |second| Timestamp::from_second(second).expect("a time");
+        let s = 1_000_000;
+        for (time_us, started, now, is) in [
+            // On for 100 s before the record, and 30 s since.
+            (130 * s, 1_000, 1_030, true),
+            // Switched off and on 200 s after its beginning, and asked 60 s later.
+            (60 * s, 1_000, 1_260, false),
+            // A virtual machine that has lost 50 s of 100.
+            (50 * s, 1_000, 1_100, true),
+            // The computer's clock was set back.
+            (30 * s, 1_000, 400, true),
+        ] {
+            let found = was_on(time_us, at(started), at(now));
+            assert_eq!(found, is, "{time_us} us, {started} to {now} s");
         }
     }
 }

@@ -4,13 +4,14 @@ use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
 use client::address::Address;
 use client::door::lock::Doorway;
 use client::error::ClientError;
 use client::identity;
 use client::link::LinkError;
+use client::link::owner::Began;
 use client::{Device, Interrupt, matches, visible};
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Identity, Urgent};
@@ -24,7 +25,7 @@ use crate::left;
 use crate::names::Names;
 
 /// Start of this process. A stop after it is newer than the command, however long the search for the machine took.
-pub static BEGAN: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
+pub static BEGAN: LazyLock<Began> = LazyLock::new(Began::now);
 
 /// Whether this process has already connected to rig and capsule.
 static CONNECTED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
@@ -219,7 +220,7 @@ impl Places<'_> {
         // reported.
         let again =
             CONNECTED[usize::from(kind == DeviceKind::Capsule)].swap(true, Ordering::Relaxed);
-        let mark = if again { now } else { now.at(*BEGAN) };
+        let mark = if again { now } else { now.before(*BEGAN) };
         let pressed = interrupt::install();
         let interrupt = told(doorway, Arc::clone(&pressed));
         let mut device = self.open_stoppable(kind, &address, need, &pressed)?;

@@ -31,6 +31,7 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Map, Value, json};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, oneshot};
+use tokio::task::JoinHandle;
 use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 use trials::plan::{self, REFERENCE_LIMITS};
@@ -132,12 +133,23 @@ pub async fn listen(listener: TcpListener, router: Router) {
                 let mut request = request.map(Body::new);
                 request.extensions_mut().insert(peer);
                 let mut router = router.clone();
+                let is_stop = is_stop(&request);
+                let answer = async move { router.call(request).await };
+                // The answer is dropped as soon as its reader has closed the connection, even before it was begun. A
+                // stop counts nevertheless: it begins here.
+                let answer = match is_stop {
+                    true => Answer::Begun(tokio::spawn(answer)),
+                    false => Answer::Due(answer),
+                };
                 async move {
-                    if place.is_for_stops && !is_stop(&request) {
+                    if place.is_for_stops && !is_stop {
                         return Ok(full());
                     }
                     place.does(Doing::Answering);
-                    let response = router.call(request).await?;
+                    let response = match answer {
+                        Answer::Begun(answer) => answer.await.unwrap_or_else(|_| Ok(unknown()))?,
+                        Answer::Due(answer) => answer.await?,
+                    };
                     place.does(match is_stream(&response) {
                         true => Doing::Following,
                         false => Doing::Nothing,
@@ -157,6 +169,14 @@ pub async fn listen(listener: TcpListener, router: Router) {
     }
 }
 
+/// The answer to a request.
+enum Answer<A> {
+    /// It is being made, whether or not its reader stays.
+    Begun(JoinHandle<Result<Response, Infallible>>),
+    /// It is made for its reader.
+    Due(A),
+}
+
 fn is_stop(request: &Request) -> bool {
     demand(request.method(), request.uri().path()) == Demand::Stop
 }
@@ -174,6 +194,16 @@ fn full() -> Response {
         StatusCode::SERVICE_UNAVAILABLE,
         "too many connections at once; nothing was done",
         "close pages and programs that nobody needs; a stop is taken all the same",
+    );
+    closing(response)
+}
+
+/// The answer to a stop that failed on its way.
+fn unknown() -> Response {
+    let response = bad(
+        StatusCode::INTERNAL_SERVER_ERROR,
+        "the stop failed in the server; it is not known whether the machines have stopped",
+        "press the E-stop at the machine",
     );
     closing(response)
 }

@@ -318,7 +318,8 @@ impl Worker<'_> {
             after: (stop, mark),
         } = order;
         let stops = &self.machine.stops;
-        if stops.with(|stops| stops.since(stop)).is_some() || self.machine.last_stop().1 != mark {
+        let (_, last) = self.machine.last_stop();
+        if stops.with(|stops| stops.since(stop)).is_some() || last.since(mark).is_some() {
             let failure = overtaken();
             self.board.ended(action, Value::Null, Some(&failure));
             return Ok(());

@@ -6,12 +6,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::support::tool::{Memory, ready};
 use client::error::ClientError;
+use client::link::owner::Question;
+use client::link::{Link, LinkError};
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
-use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState};
+use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState, GetActuationRecord};
 use protocol::rig::{RigEvent, RigState, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, Urgent, What};
+use protocol::table::Endpoint as _;
 use simulated_machines::machine::{Script, World, estop, link};
 use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::Cue;
@@ -249,6 +252,57 @@ fn the_run_goes_on_whatever_becomes_of_the_capsule() {
         assert!(reason.contains(says), "{name}: {reason}");
         assert!(!sidecar.as_os_str().is_empty());
         assert_eq!(done.coordination.began_time_us, None, "{name}");
+    }
+}
+
+/// A link at whose door a guest has asked something.
+struct Asked(Box<dyn Link>, Option<Question>);
+
+impl Link for Asked {
+    fn place(&self) -> String {
+        self.0.place()
+    }
+    fn now_us(&self) -> u64 {
+        self.0.now_us()
+    }
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.0.send(bytes)
+    }
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.0.receive(buffer, deadline_us)
+    }
+    fn question(&mut self) -> Option<Question> {
+        match self.0.now_us() {
+            0..1_000_000 => None,
+            _ => self.1.take(),
+        }
+    }
+}
+
+/// Meanwhile the rig would hear nothing, not even a stop.
+#[test]
+fn the_host_does_not_wait_for_the_answer_to_a_guest() {
+    for dead in [true, false] {
+        let (link, _) = link(Script {
+            deaf_to: vec![("GetActuationRecord", if dead { 1_000 } else { 0 })],
+            ..ready(DeviceKind::Capsule)
+        });
+        let (answers, answered) = std::sync::mpsc::channel();
+        let question = Question::new(GetActuationRecord.into_request(), move |reply| {
+            answers.send(reply).expect("heard");
+        });
+        let link = Box::new(Asked(link, Some(question)));
+        let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
+        let mut longest_us = 0;
+        while capsule.now_us() < 3_000_000 {
+            let began_us = capsule.now_us();
+            let answer = capsule.attend(began_us + 5_000, &mut Unobserved);
+            assert_eq!(answer.expect("there"), None, "it is the guest's");
+            longest_us = longest_us.max(capsule.now_us() - began_us);
+        }
+        assert!(longest_us <= 5_000, "{longest_us} us");
+        let reply = answered.try_recv().expect("the guest is told");
+        assert_eq!(reply.is_none(), dead, "{reply:?}");
     }
 }
 

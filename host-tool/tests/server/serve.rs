@@ -638,6 +638,32 @@ fn a_hold_says_where_its_step_is() {
     assert_eq!(resumed["state"], "complete", "{resumed}");
 }
 
+/// As `nc -N` or a button on a microcontroller does.
+#[test]
+fn a_stop_counts_whose_sender_closes_the_connection_at_once() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let server = Server::start(&bench);
+    let ways = [
+        ("stop", "", Shutdown::Write, Urgent::Stop),
+        (
+            "stop",
+            r#"{"machine":"rig"}"#,
+            Shutdown::Write,
+            Urgent::Stop,
+        ),
+        ("stop", "", Shutdown::Both, Urgent::Stop),
+        ("estop", "", Shutdown::Write, Urgent::EStop),
+    ];
+    for (path, body, how, urgent) in ways.into_iter().cycle().take(80) {
+        let before = bench.urgent().len();
+        let mut sender = TcpStream::connect(&server.at).expect("a server");
+        let request = request("POST", &format!("/api/v1/{path}"), &[], body);
+        sender.write_all(request.as_bytes()).expect("sent");
+        sender.shutdown(how).expect("closed");
+        server.until("the stop", |_| bench.urgent()[before..].contains(&urgent));
+    }
+}
+
 #[test]
 fn a_browser_that_goes_away_stops_nothing_and_a_stop_ends_a_run() {
     let bench = Bench::on_tcp(DeviceKind::Rig);

@@ -13,6 +13,26 @@ use crate::door;
 use crate::error::ClientError;
 use crate::last_seen::{LastSeen, Since};
 use crate::link::LinkError;
+use crate::link::owner::Question;
+
+/// Answers the question of another process. Returns the errors that concern this one, too.
+fn reply(question: Question, answer: Result<Response, ClientError>) -> Result<(), ClientError> {
+    let (reply, result) = match answer {
+        Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
+        Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
+        Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
+        // The other process gets no answer. If the silence lasts, this one will notice as well.
+        Err(
+            ClientError::NoReply { .. }
+            | ClientError::Silent { .. }
+            | ClientError::OutcomeUnknown { .. }
+            | ClientError::Interrupted { .. },
+        ) => (None, Ok(())),
+        Err(error) => (None, Err(error)),
+    };
+    question.answer(reply);
+    result
+}
 
 /// Longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
@@ -33,16 +53,19 @@ impl Device {
     /// # Errors
     /// [`ClientError::Owned`], [`ClientError::Interrupted`] or [`ClientError::SessionLost`]; the request was not sent.
     pub fn post<E: Endpoint>(&mut self, request: E) -> Result<(), ClientError> {
-        let request = request.into_request();
+        self.post_request(&request.into_request())
+    }
+
+    fn post_request(&mut self, request: &Request) -> Result<(), ClientError> {
         self.ask_interrupt();
-        self.admit(&request)?;
+        self.admit(request)?;
         let (name, impact) = (request.name(), request.impact());
         if impact != Impact::None && self.interrupted.is_some() {
             return Err(ClientError::Interrupted { request: name });
         }
         self.commanding = is_abandonable(impact);
-        self.note_order(&request);
-        if self.client.request(&request).is_err() {
+        self.note_order(request);
+        if self.client.request(request).is_err() {
             return Err(self.session_lost());
         }
         self.posted = Some(Posted {
@@ -53,7 +76,7 @@ impl Device {
         Ok(())
     }
 
-    /// Whether a posted request has no answer yet.
+    /// Whether a posted request has no answer yet: this process's, or that of a guest.
     #[must_use]
     pub fn is_posted(&self) -> bool {
         self.posted.is_some()
@@ -69,8 +92,14 @@ impl Device {
         until_us: u64,
         observer: &mut dyn Observer,
     ) -> Result<Option<Response>, ClientError> {
-        if self.posted.is_none() {
-            self.serve()?;
+        // Post a guest's question as well: a machine that does not answer it must not hold up whoever attends to two.
+        if self.posted.is_none()
+            && let Some(question) = self.question()
+        {
+            match self.post_request(&question.request) {
+                Ok(()) => self.asked_by = Some(question),
+                Err(error) => reply(question, Err(error))?,
+            }
         }
         let mut answer = None;
         // Take one more turn after the deadline: a turn either sends or receives.
@@ -98,7 +127,11 @@ impl Device {
             return Ok(None);
         };
         self.posted = None;
-        self.answered(posted, answer).map(Some)
+        let answer = self.answered(posted, answer);
+        match self.asked_by.take() {
+            Some(question) => reply(question, answer).map(|()| None),
+            None => answer.map(Some),
+        }
     }
 
     pub(crate) fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
@@ -177,6 +210,12 @@ impl Device {
                 })
             }
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
+            // The owner has not sent it: a stop came after it.
+            Some(Output::Rejected(WireError::Stale)) if command && self.link.is_overtaken() => {
+                Err(ClientError::Interrupted {
+                    request: request_name,
+                })
+            }
             Some(Output::Rejected(WireError::Stale)) if self.link.owner().is_some() => {
                 Err(self.owner_busy(request_name))
             }
@@ -344,29 +383,21 @@ impl Device {
         }
     }
 
+    /// The question of another process, if it can be sent now.
+    fn question(&mut self) -> Option<Question> {
+        if self.urgent_pending || !self.client.is_open() {
+            return None;
+        }
+        self.link.question()
+    }
+
     /// Sends the question of another process, while no request is pending.
     pub(crate) fn serve(&mut self) -> Result<(), ClientError> {
-        if self.urgent_pending || !self.client.is_open() {
-            return Ok(());
-        }
-        let Some(question) = self.link.question() else {
+        let Some(question) = self.question() else {
             return Ok(());
         };
-        let (reply, result) = match self.exchange(&question.request) {
-            Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
-            Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
-            Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
-            // The other process gets no answer. If the silence lasts, this one will notice as well.
-            Err(
-                ClientError::NoReply { .. }
-                | ClientError::Silent { .. }
-                | ClientError::OutcomeUnknown { .. }
-                | ClientError::Interrupted { .. },
-            ) => (None, Ok(())),
-            Err(error) => (None, Err(error)),
-        };
-        question.answer(reply);
-        result
+        let answer = self.exchange(&question.request);
+        reply(question, answer)
     }
 
     /// Like [`Device::turn`], while no request is pending.

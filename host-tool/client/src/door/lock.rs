@@ -267,13 +267,19 @@ impl Lock {
             .map_err(|why| doorway.error(why))
     }
 
-    /// Publishes the record that the owner now writes; `None` when it is complete. Errors are ignored: on a full disk
-    /// the record itself reports one.
+    /// Publishes the record that the owner now writes; `None` when it is complete, and then again the one that was left
+    /// here, until that has ended. Errors are ignored: on a full disk the record itself reports one.
     pub fn records(&self, sidecar: Option<&Path>) {
+        let written = sidecar.and_then(|path| std::path::absolute(path).ok());
         let mut owner_file = self.owner_file();
-        owner_file.recording = sidecar.and_then(|path| std::path::absolute(path).ok());
+        owner_file.recording = written.or_else(|| self.left_record());
         let _ = self.publish(&owner_file);
+    }
+
+    /// The record that was left here has its end now.
+    pub fn left_has_ended(&self) {
         *self.left() = None;
+        self.records(None);
     }
 
     /// The unfinished record of the previous owner.
@@ -401,6 +407,7 @@ fn make(folder: &Path) -> Result<(), String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::link::owner::Began;
 
     fn doorway(folder: &Path, line: &str) -> Doorway {
         Doorway::new(folder.to_owned(), line, line.to_owned())
@@ -448,6 +455,7 @@ mod tests {
             doorway(folder.path(), "one"),
             doorway(folder.path(), "other"),
         );
+        let began = Began::now();
         let mut marks = vec![one.stop_mark()];
         for n in 0..100 {
             let urgent = if n % 3 == 0 {
@@ -465,12 +473,45 @@ mod tests {
         assert_eq!(marks[100].since(marks[0]), Some(Urgent::EStop));
         assert_eq!(one.stop_mark().since(marks[100]), None);
         let now = one.stop_mark();
-        assert_eq!(
-            now.since(now.at(SystemTime::UNIX_EPOCH)),
-            Some(Urgent::EStop)
-        );
-        assert_eq!(now.since(now.at(SystemTime::now())), None);
+        assert_eq!(now.since(now.before(began)), Some(Urgent::EStop));
+        assert_eq!(now.since(now.before(Began::now())), None);
         assert_eq!(other.stop_mark(), StopMark::default());
+    }
+
+    #[test]
+    fn a_record_that_was_left_is_named_until_it_has_its_end() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = doorway(folder.path(), "one");
+        let claim = || doorway.claim().expect("possible").expect("free");
+        let (left, own) = (Path::new("/left.json"), Path::new("/own.json"));
+        // Its owner was killed.
+        claim().records(Some(left));
+        let next = claim();
+        next.records(Some(own));
+        assert_eq!(next.left_record().as_deref(), Some(left));
+        // The machine was still moving and has refused the order.
+        next.records(None);
+        drop(next);
+        let last = claim();
+        assert_eq!(last.left_record().as_deref(), Some(left));
+        last.left_has_ended();
+        assert_eq!(last.left_record(), None);
+        drop(last);
+        assert_eq!(claim().left_record(), None);
+    }
+
+    #[test]
+    fn a_mark_that_is_cleaned_away_is_no_stop() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = doorway(folder.path(), "one");
+        for urgent in [Urgent::Stop, Urgent::EStop] {
+            doorway.mark_stop(urgent);
+            let before = doorway.stop_mark();
+            fs::remove_file(doorway.file(stop_file(urgent))).expect("as a cleaner does");
+            assert_eq!(doorway.stop_mark().since(before), None);
+            doorway.mark_stop(urgent);
+            assert_eq!(doorway.stop_mark().since(before), Some(urgent));
+        }
     }
 
     #[cfg(unix)]

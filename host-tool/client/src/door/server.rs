@@ -394,7 +394,8 @@ impl Core {
         drop(out);
         self.woken.notify_all();
         for question in older {
-            question.answer(None);
+            // It was not sent, and its guest sees why: the mark of the stop.
+            question.answer(Some(Reply::Wire(WireError::Stale)));
         }
         written
     }

@@ -130,6 +130,10 @@ impl Link for Shared {
         self.lock.records(sidecar);
     }
 
+    fn left_has_ended(&mut self) {
+        self.lock.left_has_ended();
+    }
+
     fn left_record(&self) -> Option<PathBuf> {
         self.lock.left_record()
     }

@@ -111,7 +111,7 @@ impl Link for Window {
     }
 
     fn is_overtaken(&self) -> bool {
-        Doorway::last_stops(Some(&self.doorway)) != self.ordered_at
+        (Doorway::last_stops(Some(&self.doorway)).since(self.ordered_at)).is_some()
     }
 
     fn want_line(&mut self) -> bool {

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::fmt;
-use std::time::{Instant, SystemTime};
+use std::time::{Duration, Instant, SystemTime};
 
 use jiff::Timestamp;
 use protocol::system::Urgent;
@@ -71,24 +71,57 @@ pub struct StopMark {
 }
 
 impl StopMark {
-    /// The mark as of an earlier time of this computer, without later stops. A mark from the future, after the clock
-    /// was set back, counts as old.
+    /// The mark as of the beginning of a process, without later stops.
     #[must_use]
-    pub fn at(self, time: SystemTime) -> Self {
-        let until_now = |stop: &SystemTime| *stop <= time || *stop > SystemTime::now();
+    pub fn before(self, began: Began) -> Self {
+        let (elapsed, now) = (began.at.elapsed(), SystemTime::now());
+        let before = |stop: &SystemTime| began.is_after(*stop, elapsed, now);
         Self {
-            stop: self.stop.filter(until_now),
-            estop: self.estop.filter(until_now),
+            stop: self.stop.filter(before),
+            estop: self.estop.filter(before),
         }
     }
 
-    /// The strongest stop between an earlier mark and this one.
+    /// The strongest stop between an earlier mark and this one. A mark that is gone was removed as an old temporary
+    /// file: that is no stop.
     #[must_use]
     pub fn since(self, earlier: Self) -> Option<Urgent> {
-        if self.estop != earlier.estop {
+        let new = |mark: Option<SystemTime>, before| mark.is_some() && mark != before;
+        if new(self.estop, earlier.estop) {
             return Some(Urgent::EStop);
         }
-        (self.stop != earlier.stop).then_some(Urgent::Stop)
+        new(self.stop, earlier.stop).then_some(Urgent::Stop)
+    }
+}
+
+/// The beginning of a process, by two clocks: that of the computer may be set meanwhile.
+#[derive(Clone, Copy, Debug)]
+pub struct Began {
+    time: SystemTime,
+    at: Instant,
+}
+
+/// Two clocks of a computer that are not set drift apart by less than this while a command waits.
+const DRIFT: Duration = Duration::from_secs(1);
+
+impl Began {
+    /// A process that begins now.
+    #[must_use]
+    pub fn now() -> Self {
+        Self {
+            time: SystemTime::now(),
+            at: Instant::now(),
+        }
+    }
+
+    /// Whether the process began after a stop, as seen `elapsed` later, when the clock shows `now`. In doubt it did
+    /// not, and the stop counts for it.
+    fn is_after(&self, stop: SystemTime, elapsed: Duration, now: SystemTime) -> bool {
+        // Its beginning by the clock as it goes now.
+        let began = now.checked_sub(elapsed).unwrap_or(self.time);
+        let set_back = began + DRIFT < self.time;
+        // A stop from the future is older than a clock that was set back, unless it was set back since.
+        stop <= began.min(self.time) || (stop > now && !set_back)
     }
 }
 
@@ -101,6 +134,15 @@ pub struct Question {
 }
 
 impl Question {
+    /// A question that is asked now. `answer` gets the reply, or none if there was none.
+    pub fn new(request: Request, answer: impl FnOnce(Option<Reply>) + Send + 'static) -> Self {
+        Self {
+            request,
+            asked: Instant::now(),
+            answer: Box::new(answer),
+        }
+    }
+
     /// Merges the same questions of several guests.
     pub(crate) fn shared_with(self, others: VecDeque<Self>) -> Self {
         let Self {
@@ -123,5 +165,33 @@ impl Question {
     /// Sends the answer to the guest; `None` if there was none.
     pub fn answer(self, reply: Option<Reply>) {
         (self.answer)(reply);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_was_set_hides_no_stop() {
+        let second = |count: f64| SystemTime::UNIX_EPOCH + Duration::from_secs_f64(count);
+        let began = Began {
+            time: second(100.0),
+            at: Instant::now(),
+        };
+        for (stop, elapsed_s, now, is_after, why) in [
+            (99.9, 5, 105.0, true, "a stop before"),
+            (100.1, 5, 105.0, false, "a stop since"),
+            (99.5, 5, 103.0, false, "set back by 2 s before the stop"),
+            (104.0, 5, 103.0, false, "set back by 2 s after the stop"),
+            (200.0, 5, 105.0, true, "set back long before both"),
+            (104.0, 5, 905.0, false, "set forward after the stop"),
+            (904.0, 5, 905.0, false, "set forward before the stop"),
+            (99.9, 5, 905.0, true, "a stop before, and set forward"),
+        ] {
+            let elapsed = Duration::from_secs(elapsed_s);
+            let found = began.is_after(second(stop), elapsed, second(now));
+            assert_eq!(found, is_after, "{why}");
+        }
     }
 }

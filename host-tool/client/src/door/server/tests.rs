@@ -73,6 +73,19 @@ fn a_command_that_comes_after_a_stop_nobody_has_noticed_is_not_sent() {
 }
 
 #[test]
+fn an_order_that_a_stop_has_removed_was_certainly_not_sent() {
+    let (core, written) = core();
+    let (answers, answered) = channel();
+    core.ask(Question::new(rig::Resume.into_request(), move |reply| {
+        answers.send(reply).expect("heard");
+    }));
+    core.stop(0, STOP, Urgent::Stop).expect("sent");
+    assert_eq!(written.try_iter().count(), 1);
+    let not_sent = Some(Reply::Wire(WireError::Stale));
+    assert_eq!(answered.try_iter().collect::<Vec<_>>(), [not_sent]);
+}
+
+#[test]
 fn a_repeated_stop_keeps_its_number_and_another_gets_the_next() {
     let (core, written) = core();
     let other = Header { seq: 8, ..STOP };
@@ -117,11 +130,9 @@ fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_
     let (answers, answered) = channel();
     let ask = |guest: u32, request: Request| {
         let answers = answers.clone();
-        core.ask(Question {
-            request,
-            asked: Instant::now(),
-            answer: Box::new(move |reply| answers.send((guest, reply)).expect("heard")),
-        });
+        core.ask(Question::new(request, move |reply| {
+            answers.send((guest, reply)).expect("heard");
+        }));
     };
     let status = || rig::GetRigStatus.into_request();
     for guest in 0..5 {
