@@ -246,8 +246,8 @@ impl Machines {
     fn keep_alive(&mut self) -> Result<(), ClientError> {
         self.rig.idle(COMPANY_US, &mut Unobserved)?;
         if let Some(capsule) = &mut self.capsule {
-            capsule.idle(0, &mut Unobserved)?;
-            capsule.keep_alive()?;
+            // For no time at all it would send no question of another process.
+            capsule.idle(1, &mut Unobserved)?;
         }
         Ok(())
     }

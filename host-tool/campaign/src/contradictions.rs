@@ -1,5 +1,6 @@
 //! Contradictions between the files of a campaign: ledger, readings, plan, and the records of the attempts.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
@@ -19,7 +20,7 @@ use crate::form::Form;
 use crate::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::order::Planned;
 use crate::plan::Millimetres;
-use crate::readings::Readings;
+use crate::readings::{Readings, Set};
 
 /// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,12 +37,9 @@ pub struct Verified {
     pub findings: Vec<Finding>,
 }
 
-/// Greatest step of the computer's clock backwards between two rows: a clock that was set from local time to UTC steps
-/// by up to 14 hours.
+/// Greatest step of the computer's clock backwards between two rows, or a row and a record: a clock that was set from
+/// local time to UTC steps by up to 14 hours.
 pub(crate) const CLOCK_STEP: SignedDuration = SignedDuration::from_hours(24);
-
-/// Greatest correction of the clock within an attempt.
-const CLOCK_DRIFT: SignedDuration = SignedDuration::from_secs(1);
 
 /// File of the conditions in the folder of an attempt.
 const CONDITIONS: &str = "conditions.json";
@@ -69,10 +67,10 @@ pub(crate) fn contradictions(folder: &Path, verified: &mut Verified) {
     times(TRIALS, rows, verified);
     let rows = campaign.reading_rows.iter().map(|row| row.time_utc);
     times(READINGS, rows, verified);
-    let mut known = vec![];
+    let mut known = BTreeSet::new();
     for trial in &campaign.state.trials {
         for attempt in &trial.attempts {
-            known.push(Attempt::folder(trial.planned.trial, attempt.number));
+            known.insert(Attempt::folder(trial.planned.trial, attempt.number));
             check_attempt(&campaign, trial, attempt, verified);
         }
     }
@@ -130,7 +128,7 @@ fn check_attempt(
         let Some(record) = check_record(&campaign.folder, &file, verified) else {
             continue;
         };
-        if let Some(what) = not_within(&record, attempt) {
+        if let Some(what) = not_within(campaign, attempt, &name, &record) {
             say(format!("{name} {what}"));
         }
         records.push((name, record));
@@ -204,26 +202,52 @@ pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Opti
     counts.filter_map(other).next()
 }
 
-/// A start of a record that does not lie within its attempt. The capsule is unfolded once the body has been measured,
-/// which may be long after the attempt has ended.
-fn not_within(record: &Trial, attempt: &Attempt) -> Option<String> {
+/// A start of a record that is not of its attempt. One outside of it is explained by a clock that was set back
+/// meanwhile, unless it is that of another attempt.
+fn not_within(
+    campaign: &Campaign,
+    attempt: &Attempt,
+    name: &str,
+    record: &Trial,
+) -> Option<String> {
     let start = record.started_utc;
-    if attempt.ended.is_some_and(|ended| ended < attempt.began) {
-        // The clock was set back during the attempt: it says nothing about the start.
-        return None;
-    }
-    let early = attempt.began.duration_since(start) > CLOCK_DRIFT;
-    let late = attempt
-        .ended
-        .is_some_and(|ended| !unfolds(record) && start.duration_since(ended) > CLOCK_DRIFT);
-    (early || late).then(|| {
+    let began = attempt.began;
+    // An attempt whose clock was set back may end before it begins.
+    let first = attempt.ended.map_or(began, |ended| ended.min(began));
+    // The capsule is unfolded once the body has been measured, which may be long after the attempt has ended.
+    let last = attempt.ended.filter(|_| !unfolds(record));
+    let last = last.map_or(start, |ended| ended.max(began));
+    let outside = first.duration_since(start).max(start.duration_since(last));
+    let is_outside = outside.is_positive() && !unfolds(record);
+    (outside > CLOCK_STEP || is_outside && is_of_another(campaign, name, start)).then(|| {
         format!(
-            "began at {start}, and by {TRIALS} the attempt lasted from {} to {}",
-            attempt.began,
+            "began at {start}, and by {TRIALS} the attempt lasted from {began} to {}",
             attempt
                 .ended
                 .map_or_else(|| "now".to_owned(), |ended| ended.to_string())
         )
+    })
+}
+
+/// Whether the start of a record with this name lies within an attempt that has no other such record there.
+fn is_of_another(campaign: &Campaign, name: &str, start: Timestamp) -> bool {
+    fn stem(name: &str) -> Option<&str> {
+        name.split_once('-').map(|(stem, _)| stem)
+    }
+    let includes = |attempt: &Attempt, time: Timestamp| {
+        attempt.began <= time && attempt.ended.is_none_or(|ended| time <= ended)
+    };
+    let has_its_own = |trial: u32, attempt: &Attempt| {
+        let mut records = campaign.records(trial, attempt.number).into_iter();
+        records.any(|(other, record)| {
+            let time = record.started_utc;
+            // The same start is that of a copy.
+            stem(&other) == stem(name) && time != start && includes(attempt, time)
+        })
+    };
+    campaign.state.trials.iter().any(|of| {
+        let mut meanwhile = of.attempts.iter().filter(|one| includes(one, start));
+        meanwhile.any(|attempt| !has_its_own(of.planned.trial, attempt))
     })
 }
 
@@ -292,30 +316,37 @@ fn indentation_differs(
     let Some(number) = attempt.readings_set else {
         return Some(format!("a_n is {has} mm, and no readings give it"));
     };
-    // Only the readings before the attempt: D may have been measured again since.
-    let earlier = campaign.reading_rows.iter();
-    let earlier: Vec<_> = earlier
-        .take_while(|row| row.time_utc <= attempt.began)
-        .cloned()
-        .collect();
-    let readings = Readings::replay(&earlier).ok()?;
-    let set = (readings.sets.iter()).find(|set| set.number == number && set.accepted);
-    if set.is_none() {
-        let all = Readings::replay(&campaign.reading_rows).ok()?;
-        if all
-            .sets
-            .iter()
-            .any(|set| set.number == number && set.accepted)
-        {
-            // They are there, by a clock that was set back since: which D belongs to them is not known.
-            return None;
-        }
+    // Only the readings before the attempt: D may have been measured again since. Where the clock was set back, the
+    // attempt may belong to any of the stretches between these steps.
+    let rows = &campaign.reading_rows;
+    let stretches = rows.chunk_by(|row, next| row.time_utc <= next.time_utc);
+    let mut passed = 0;
+    let contradicting = stretches.filter_map(|stretch| {
+        let end = passed + stretch.partition_point(|row| row.time_utc <= attempt.began);
+        passed += stretch.len();
+        let readings = Readings::replay(&rows[..end]).ok()?;
+        let set = (readings.sets.iter()).find(|set| set.number == number && set.accepted)?;
+        Some(gives_another(&readings, set, planned, has))
+    });
+    if let Some(contradiction) = contradicting.reduce(Option::and) {
+        return contradiction;
     }
-    let Some(set) = set else {
-        return Some(format!(
-            "a_n is of the readings {number}, and {READINGS} has none accepted before it"
-        ));
-    };
+    // Readings that are there all the same are of a clock that was set back since.
+    let mut sets = campaign.readings.sets.iter();
+    let is_there = sets.any(|set| set.number == number && set.accepted);
+    (!is_there).then(|| {
+        format!("a_n is of the readings {number}, and {READINGS} has none accepted before it")
+    })
+}
+
+/// Why an a_n is not the one of this set.
+fn gives_another(
+    readings: &Readings,
+    set: &Set,
+    planned: &Planned,
+    has: Millimetres,
+) -> Option<String> {
+    let number = set.number;
     if set.indentation.as_deref() != Some(&*planned.indentation) {
         return Some(format!(
             "a_n is of the readings {number}, which are not of {}",

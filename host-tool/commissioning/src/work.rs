@@ -104,7 +104,7 @@ impl<'a> Work<'a> {
         self.subject.setting(key)
     }
 
-    /// Number of the board's starts: a new one tells that it was reset.
+    /// Number of the board's starts since its supply came: a new one tells that it was reset.
     #[must_use]
     pub fn boot_id(&self) -> Option<u32> {
         self.device.identity().map(|identity| identity.boot_id)

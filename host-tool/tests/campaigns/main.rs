@@ -6,8 +6,10 @@ mod support;
 mod campaign;
 mod campaign_report;
 mod campaign_run;
+mod clock;
 mod counting;
 mod gone;
+mod guests;
 #[cfg(unix)]
 mod hostile;
 mod pictures;

@@ -187,9 +187,9 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     let cycles = u16::try_from(10 + timeout_ms / 1_000).unwrap_or(u16::MAX);
     work.start_short_run(cycles)?;
     work.under_way()?;
-    let boot = work.boot_id();
+    let start = work.last_start()?;
     work.pull_the_cable()?;
-    if work.boot_id() != boot {
+    if start.is_over(&work.last_start()?) {
         return Err(Halt::Defect(
             "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/rig.md".to_owned(),
         ));

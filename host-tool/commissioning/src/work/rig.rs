@@ -32,7 +32,35 @@ pub enum HomeEnd {
     Fault(RigFault, bool),
 }
 
+/// A start of the board, and how long ago it was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Start {
+    boot_id: Option<u32>,
+    /// Time since this start, us.
+    time_us: u64,
+}
+
+impl Start {
+    /// Whether the board, as it is `now`, has started again since. A board that was without supply counts its starts
+    /// from 1 again: then only its time tells.
+    #[must_use]
+    pub fn is_over(&self, now: &Self) -> bool {
+        now.boot_id != self.boot_id || now.time_us < self.time_us
+    }
+}
+
 impl Work<'_> {
+    /// The board's last start.
+    ///
+    /// # Errors
+    /// [`Halt`]
+    pub fn last_start(&mut self) -> Result<Start, Halt> {
+        Ok(Start {
+            boot_id: self.boot_id(),
+            time_us: self.status()?.time_us,
+        })
+    }
+
     /// Has an act done whose effect `seen` detects. Returns the rig's status at that moment, or half a second after
     /// the act.
     ///
@@ -415,5 +443,22 @@ impl Observer for Tenths<'_> {
                 (self.say)(&format!("  stroke {stroke} of {strokes}"));
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_board_that_was_switched_on_twice_has_started_again() {
+        let start = |boot_id, time_us| Start {
+            boot_id: Some(boot_id),
+            time_us,
+        };
+        let before = start(1, 90_000_000);
+        assert!(!before.is_over(&start(1, 97_000_000)), "it goes on");
+        assert!(before.is_over(&start(2, 97_000_000)), "it was reset");
+        assert!(before.is_over(&start(1, 2_000_000)), "it lost its supply");
     }
 }

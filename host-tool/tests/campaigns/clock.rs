@@ -1,0 +1,208 @@
+//! Campaigns on a computer whose clock was set back meanwhile: nothing honest is condemned, and what was forged is
+//! found even so.
+
+use std::fs;
+use std::path::Path;
+
+use crate::campaign::{SMALL, accepted, at, findings, mm, reading};
+use crate::support::tool::ready;
+use campaign::contents::Campaign;
+use campaign::folder::Folder;
+use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
+use campaign::manifest;
+use client::identity::Origin;
+use client::{Device, Unobserved};
+use protocol::system::DeviceKind;
+use simulated_machines::machine::link;
+use trials::experiment;
+use trials::trial::Recording;
+
+fn append(folder: &mut Folder, row: LedgerRow, time_s: i64) {
+    let written = folder.append(row, at(time_s), Origin::Board);
+    written.expect("written");
+}
+
+/// A campaign with one attempt at each of its first trials. By the computer's clock it began, its record started and
+/// it ended at these times, s.
+fn attempted(path: &Path, attempts: &[[i64; 3]]) {
+    let mut folder = Folder::create(path, SMALL, Path::new("small.toml")).expect("made");
+    let link = link(ready(DeviceKind::Rig)).0;
+    let mut rig = Device::connect(link, DeviceKind::Rig, 5).expect("there");
+    for (trial, [began_s, started_s, ended_s]) in (1..).zip(attempts) {
+        let row = |event| LedgerRow::of(event, trial, Some(1));
+        append(&mut folder, row(LedgerEvent::Began), *began_s);
+        let recording = Recording {
+            folder: folder.campaign().attempt_folder(trial, 1),
+            stem: "run".to_owned(),
+            now: at(*started_s),
+            note: None,
+            telemetry_ms: 100,
+        };
+        let run = folder.campaign().plan.run;
+        experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
+        let mut ended = row(LedgerEvent::Ended);
+        ended.outcome = Some(AttemptOutcome::Complete);
+        append(&mut folder, ended, *ended_s);
+        folder.seal_attempt(trial, 1).expect("written");
+        let mut measured = row(LedgerEvent::Displacement);
+        measured.displacement_mm = Some(mm("4.2"));
+        measured.source = Some(Source::Measured);
+        append(&mut folder, measured, *ended_s);
+    }
+}
+
+#[test]
+fn a_clock_that_is_set_back_within_an_attempt_condemns_no_record() {
+    let cases: [(&str, &[[i64; 3]]); 5] = [
+        ("by 10 s before the record", &[[100, 93, 133]]),
+        ("by 40 s after its start", &[[100, 130, 120]]),
+        ("by 2 h before it", &[[9_000, 1_805, 1_840]]),
+        ("by 2 h after its start", &[[9_000, 9_005, 1_840]]),
+        (
+            "into the attempt before, which has a record of its own",
+            &[[100, 105, 140], [150, 135, 170]],
+        ),
+    ];
+    for (set_back, attempts) in cases {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("small");
+        attempted(&path, attempts);
+        assert_eq!(findings(&path), Vec::<String>::new(), "{set_back}");
+    }
+}
+
+/// Exchanged attempts are among the forged folders; here one record takes the place of another.
+#[test]
+fn a_record_of_another_attempt_is_found() {
+    for keeps in [true, false] {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("small");
+        attempted(&path, &[[100, 105, 140], [200, 205, 240]]);
+        assert_eq!(findings(&path), Vec::<String>::new());
+        let campaign = Campaign::read(&path).expect("read");
+        let [one, other] = [1, 2].map(|trial| campaign.attempt_folder(trial, 1));
+        for entry in fs::read_dir(&one).expect("there").flatten() {
+            fs::remove_file(entry.path()).expect("removed");
+        }
+        for entry in fs::read_dir(&other).expect("there").flatten() {
+            let copy = one.join(entry.file_name());
+            fs::copy(entry.path(), copy).expect("copied");
+            if !keeps {
+                fs::remove_file(entry.path()).expect("removed");
+            }
+        }
+        let forged = manifest::of_folder(&path).expect("read").text();
+        fs::write(path.join(manifest::NAME), forged).expect("written");
+        let found = findings(&path);
+        assert!(
+            found
+                .iter()
+                .any(|one| one.starts_with("trials/001-1: run-")),
+            "{found:?}"
+        );
+    }
+}
+
+/// A row of this kind, and its value, mm.
+#[derive(Clone, Copy)]
+enum Row {
+    Width(&'static str),
+    BetweenCrests(&'static str),
+    /// An attempt with this a_n, from the last readings between the crests.
+    Attempt(&'static str),
+}
+
+/// Findings in a campaign with these rows at these times, s.
+fn with_rows(rows: &[(i64, Row)]) -> Vec<String> {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = Folder::create(&path, SMALL, Path::new("small.toml")).expect("made");
+    let name = folder.campaign().order[0].indentation.clone();
+    for (time_s, row) in rows {
+        let set = folder.campaign().readings.sets.len() as u32 + 1;
+        let first = match row {
+            Row::Width(value) => reading(set, None, 1, value),
+            Row::BetweenCrests(value) => reading(set, Some(&name), 1, value),
+            Row::Attempt(a_mm) => {
+                let mut began = LedgerRow::of(LedgerEvent::Began, 1, Some(1));
+                let clamped = folder.campaign().readings.clamped();
+                began.readings_set = clamped.map(|set| set.number);
+                began.indentation_mm = Some(mm(a_mm));
+                append(&mut folder, began, *time_s);
+                let mut ended = LedgerRow::of(LedgerEvent::Ended, 1, Some(1));
+                ended.outcome = Some(AttemptOutcome::Stopped);
+                append(&mut folder, ended, time_s + 30);
+                continue;
+            }
+        };
+        for row in [first.clone(), accepted(&first)] {
+            let written = folder.append_reading(row, at(*time_s), Origin::Board);
+            written.expect("written");
+        }
+    }
+    drop(folder);
+    findings(&path)
+}
+
+#[test]
+fn a_clock_that_is_set_back_among_the_readings_condemns_no_indentation() {
+    use Row::{Attempt, BetweenCrests, Width};
+    let (first, i, again) = (Width("24.4"), BetweenCrests("22.4"), Width("24.402"));
+    let cases: [(&str, &[(i64, Row)]); 4] = [
+        (
+            "by 2 h after the attempt",
+            &[(0, first), (300, i), (600, Attempt("1")), (-4_800, again)],
+        ),
+        (
+            "by 5 min before D was measured again, and that before the attempt",
+            &[
+                (0, first),
+                (300, i),
+                (120, again),
+                (1_200, Attempt("1.001")),
+            ],
+        ),
+        (
+            "by 2 h between D and i",
+            &[
+                (0, first),
+                (-6_900, i),
+                (-6_600, Attempt("1")),
+                (-6_000, again),
+            ],
+        ),
+        (
+            "not at all",
+            &[(0, first), (300, i), (600, Attempt("1")), (900, again)],
+        ),
+    ];
+    for (set_back, rows) in cases {
+        assert_eq!(with_rows(rows), Vec::<String>::new(), "{set_back}");
+    }
+    let forged: [(&str, &[(i64, Row)]); 3] = [
+        (
+            "an a_n by a later D",
+            &[(0, first), (300, i), (600, Attempt("1.001")), (900, again)],
+        ),
+        (
+            "an a_n by no D",
+            &[(0, first), (300, i), (600, Attempt("1.5")), (-4_800, again)],
+        ),
+        (
+            "an a_n by another D, after the clock was set back",
+            &[
+                (0, first),
+                (-6_900, again),
+                (-6_600, i),
+                (-6_000, Attempt("1")),
+            ],
+        ),
+    ];
+    for (forgery, rows) in forged {
+        let found = with_rows(rows);
+        assert!(
+            found.iter().any(|one| one.contains(": a_n is ")),
+            "{forgery}: {found:?}"
+        );
+    }
+}

@@ -1,0 +1,98 @@
+//! Other processes that look at a machine while a campaign waits for an answer.
+
+use std::sync::Mutex;
+use std::sync::mpsc::channel;
+
+use crate::campaign_run::{converse, path, place, small_plan};
+use crate::support::tool::Memory;
+use client::address::Address;
+use client::link::owner::Question;
+use client::link::{Link, LinkError, OpenError};
+use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
+use protocol::capsule::GetCapsuleStatus;
+use protocol::system::DeviceKind;
+use protocol::table::{Endpoint as _, Reply, Response};
+use simulated_machines::machine::{Script, World};
+
+/// A link at whose door another process has asked something.
+struct Asked(Box<dyn Link>, Option<Question>);
+
+impl Link for Asked {
+    fn place(&self) -> String {
+        self.0.place()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.0.now_us()
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.0.send(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.0.receive(buffer, deadline_us)
+    }
+
+    fn question(&mut self) -> Option<Question> {
+        self.1.take()
+    }
+}
+
+/// A bench at whose capsule's door another process has asked something.
+struct Bench(Memory, Mutex<Option<Question>>);
+
+impl Connector for Bench {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        purpose: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let link = self.0.open(kind, address, baud, purpose)?;
+        Ok(match kind {
+            DeviceKind::Rig => link,
+            DeviceKind::Capsule => Box::new(Asked(link, self.1.lock().expect("free").take())),
+        })
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+#[test]
+fn a_capsule_answers_other_processes_while_a_campaign_waits() {
+    let mut rig = Script::new(DeviceKind::Rig);
+    // The person answers once the rig is gone: until then the campaign waits.
+    rig.world = vec![(3_000_000, World::Reset)];
+    let (answers, answered) = channel();
+    let question = Question::new(GetCapsuleStatus.into_request(), move |reply| {
+        answers.send(reply).expect("heard");
+    });
+    let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
+    let bench = Bench(memory, Mutex::new(Some(question)));
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let lines = vec![("waited for even so", "q")];
+    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines);
+    assert_eq!(code, 130, "{shown}");
+    let reply = answered
+        .try_recv()
+        .expect("it was taken")
+        .expect("an answer");
+    assert!(
+        matches!(reply, Reply::Accepted(Response::GetCapsuleStatus(_))),
+        "{reply:?}"
+    );
+}
