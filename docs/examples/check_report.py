@@ -36,6 +36,21 @@ def student_t(degrees, confidence=0.95):
     return (low + high) / 2
 
 
+def half_slope(points):
+    """Half the 95 % interval of the slope, from the means of the clampings: trials of one clamping share its error."""
+    by_a = {}
+    for x, y in points:
+        by_a.setdefault(x, []).append(y)
+    means = {x: statistics.fmean(ys) for x, ys in by_a.items()}
+    degrees = len(means) - 2
+    if degrees < 1:
+        return None
+    slope, intercept = statistics.linear_regression(list(means), list(means.values()))
+    left = math.fsum((y - intercept - slope * x) ** 2 for x, y in means.items())
+    middle = statistics.fmean(means)
+    return student_t(degrees) * math.sqrt(left / degrees / math.fsum((x - middle) ** 2 for x in means))
+
+
 def line(points):
     """Slope, its interval, intercept, R^2 and residual deviation of the line of least squares."""
     xs, ys = [x for x, _ in points], [y for _, y in points]
@@ -51,7 +66,7 @@ def line(points):
     return {
         "n": n,
         "slope": slope,
-        "slope_half_95": student_t(n - 2) * sd / math.sqrt(squares_x) if n > 2 else None,
+        "slope_half_95": half_slope(points),
         "intercept_mm": intercept,
         "r_squared": 1 - left / squares_y if squares_y else None,
         "residual_sd_mm": sd,

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::chance::{stream, unit};
 pub use crate::diagnostics::quantile;
-use crate::observation::{Condition, Observation, Unusable, conditions};
+use crate::observation::{Case, Condition, Observation, Unusable, conditions};
 use crate::plausible::{mistake, mistake_beside};
 use crate::prediction::Predictor;
 use crate::prior::{OF_BODY, Parts, Point, UNKNOWNS, discrepancy_mm, parts};
@@ -221,7 +221,9 @@ pub fn fit_watched(
             if table_error <= WANTED_TABLE_ERROR || level + 1 == LEVELS.len() {
                 let mixing = draws.mixing();
                 let has_mixed = mixing.iter().all(Mixing::is_enough);
-                let exact = |body: &Parts| converged.displacements_mm(body);
+                let exact = |body: &Parts, cases: &[Case]| {
+                    Predictor::new(base, cases, CONVERGED_STEP_MM)?.displacements_mm(body)
+                };
                 let mut verdict = judge(&target, &draws, &exact)?;
                 if let (Some(one), Some(whole)) = (verdict.chi_square, &whole)
                     && let Some(mistake) =

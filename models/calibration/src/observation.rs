@@ -62,6 +62,16 @@ impl Kind {
         libm::hypot(antegrade, returning)
     }
 
+    /// Standard deviation of its measurement error, mm, if that of a reading is `reading_mm`. The body begins at its
+    /// mark, so one reading gives a displacement; a stroke after the first is the difference of two.
+    #[must_use]
+    pub fn uncertainty_mm(self, reading_mm: f64) -> f64 {
+        match self {
+            Self::Stroke { number } if number > 1 => reading_mm * core::f64::consts::SQRT_2,
+            _ => reading_mm,
+        }
+    }
+
     /// Whether the body is relaxed before and after it. Such a pass does not share the errors of a run: in a run the
     /// body lies under the rollers at the ends of the strokes.
     #[must_use]
@@ -107,6 +117,36 @@ pub struct Observation {
     pub uncertainty_mm: f64,
 }
 
+/// Greatest difference of two indentations of one notch, mm [assumed]. Rollers that are clamped anew in their notch are
+/// measured 0.02 to 0.1 mm apart, and the notches of the paper's series are 1 mm apart.
+pub const SAME_NOTCH_MM: f64 = 0.2;
+
+/// The notches in which the rollers were clamped.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Notches {
+    /// The least indentation of each, mm, in order.
+    least_mm: Vec<f64>,
+}
+
+impl Notches {
+    /// Of all indentations, mm, of some trials. A notch holds its least indentation, and others up to
+    /// [`SAME_NOTCH_MM`] beyond it.
+    #[must_use]
+    pub fn of(indentations_mm: impl Iterator<Item = f64>) -> Self {
+        let mut least_mm: Vec<f64> = indentations_mm.collect();
+        least_mm.sort_by(f64::total_cmp);
+        least_mm.dedup_by(|next_mm, least_mm| *next_mm - *least_mm <= SAME_NOTCH_MM);
+        Self { least_mm }
+    }
+
+    /// Number of an indentation's notch, from 0, that of the least indentation.
+    #[must_use]
+    pub fn number(&self, indentation_mm: f64) -> usize {
+        let begun = (self.least_mm).partition_point(|least_mm| *least_mm <= indentation_mm);
+        begun.saturating_sub(1)
+    }
+}
+
 /// The repeats of one condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
@@ -114,8 +154,10 @@ pub struct Condition {
     pub case: Case,
     /// State of the wall.
     pub lubrication: Lubrication,
-    /// Number, from 0, of the conditions with which it shares the model's errors: nets and strokes at one indentation
-    /// and wall are displacements by the same passes, and so are isolated passes.
+    /// Number of its notch among those of all conditions: [`Notches`].
+    pub notch: usize,
+    /// Number, from 0, of the conditions with which it shares the model's errors: nets and strokes in one notch and at
+    /// one wall are displacements by the same passes, and so are isolated passes.
     pub family: usize,
     /// Number of repeats.
     pub repeats: usize,
@@ -215,9 +257,12 @@ pub fn conditions(observations: &[Observation]) -> Result<Vec<Condition>, Unusab
     if groups.is_empty() {
         return Err(Unusable::Nothing);
     }
+    let notches = Notches::of(observations.iter().map(|one| one.indentation_mm));
     let mut families = vec![];
     let condition = |((kind, lubrication, bits), repeats): ((Kind, Lubrication, u64), Vec<_>)| {
-        let key = (kind.is_isolated(), lubrication, bits);
+        let indentation_mm = f64::from_bits(bits);
+        let notch = notches.number(indentation_mm);
+        let key = (kind.is_isolated(), lubrication, notch);
         let known = families.iter().position(|other| *other == key);
         let family = known.unwrap_or_else(|| {
             families.push(key);
@@ -234,9 +279,10 @@ pub fn conditions(observations: &[Observation]) -> Result<Vec<Condition>, Unusab
         Condition {
             case: Case {
                 kind,
-                indentation_mm: f64::from_bits(bits),
+                indentation_mm,
             },
             lubrication,
+            notch,
             family,
             repeats: repeats.len(),
             mean_mm,

@@ -8,7 +8,7 @@ use rand::Rng;
 
 use crate::chance;
 use crate::fit::CONVERGED_STEP_MM;
-use crate::observation::{Case, Kind, Lubrication, Observation};
+use crate::observation::{Case, Kind, Lubrication, Notches, Observation};
 use crate::prediction::Predictor;
 use crate::prior::{Point, discrepancy_mm, parts};
 
@@ -42,7 +42,7 @@ impl Planned {
 }
 
 /// Simulated results of these trials with this body: the model's displacement, plus the model's errors, plus a
-/// measurement error per trial. Strokes and nets at one indentation and wall share the model's errors.
+/// measurement error per trial. Strokes and nets in one notch and at one wall share the model's errors.
 ///
 /// # Errors
 /// A case or a body that the model does not cover.
@@ -65,6 +65,7 @@ pub fn observed(
     random: &mut impl Rng,
 ) -> Vec<Observation> {
     let tau_mm = discrepancy_mm(truth);
+    let notches = Notches::of(planned.iter().map(|one| one.case.indentation_mm));
     let mut errors = BTreeMap::new();
     let mut all = vec![];
     for (one, mm) in planned.iter().zip(exact_mm) {
@@ -75,7 +76,7 @@ pub fn observed(
         let family = (
             kind.is_isolated(),
             one.lubrication,
-            indentation_mm.to_bits(),
+            notches.number(indentation_mm),
         );
         let own = *errors
             .entry(family)

@@ -4,6 +4,8 @@
 //! good. These checks leave tau out, or ask what it had to absorb. They see that data and model disagree; they cannot
 //! see a body that moves as another body of the model would at every indentation and speed of the trials.
 
+use std::collections::BTreeMap;
+
 use locomotion::range::OutOfRange;
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
@@ -116,8 +118,8 @@ impl Verdict {
     }
 }
 
-/// The model's displacements of the target's cases with a body, mm.
-pub type Exact<'a> = dyn Fn(&Parts) -> Result<Vec<f64>, OutOfRange> + 'a;
+/// The model's displacements of cases with a body, mm.
+pub type Exact<'a> = dyn Fn(&Parts, &[Case]) -> Result<Vec<f64>, OutOfRange> + 'a;
 
 /// Judges the draws of a posterior. `exact` is the model itself.
 ///
@@ -125,12 +127,15 @@ pub type Exact<'a> = dyn Fn(&Parts) -> Result<Vec<f64>, OutOfRange> + 'a;
 /// A case or a body that the model does not cover.
 pub fn judge(target: &Target<'_>, draws: &Draws, exact: &Exact<'_>) -> Result<Verdict, OutOfRange> {
     let mut verdict = Verdict::default();
-    let found_mm = exact(&nearest(target, draws))?;
-    let residual = |(condition, place): (&Condition, &usize)| {
-        (condition.mean_mm - found_mm[*place]) / condition.uncertainty_mm
+    let body = nearest(target, draws);
+    let cases: Vec<Case> = (target.conditions.iter())
+        .map(|condition| condition.case)
+        .collect();
+    let residual = |(condition, found_mm): (&Condition, f64)| {
+        (condition.mean_mm - found_mm) / condition.uncertainty_mm
     };
     let residuals: Vec<f64> = (target.conditions.iter())
-        .zip(target.places)
+        .zip(exact(&body, &cases)?)
         .map(residual)
         .collect();
     chi_square(&mut verdict, &residuals);
@@ -138,8 +143,8 @@ pub fn judge(target: &Target<'_>, draws: &Draws, exact: &Exact<'_>) -> Result<Ve
     bounds(&mut verdict, draws);
     trends(&mut verdict, target.conditions, &residuals);
     left_out(&mut verdict, target, draws);
-    walls(&mut verdict, target.conditions);
-    net_and_passes(&mut verdict, target.conditions);
+    walls(&mut verdict, target.conditions, &residuals);
+    net_and_passes(&mut verdict, target.conditions, &body, exact)?;
     Ok(verdict)
 }
 
@@ -267,28 +272,33 @@ fn bounds(verdict: &mut Verdict, draws: &Draws) {
     }
 }
 
-/// Residuals of a kind on a wall: indentation, mm, and residual in standard deviations.
-type Series = (Kind, Lubrication, Vec<(f64, f64)>);
+/// The conditions of a kind on a wall, each with its residual in standard deviations.
+type Series<'a> = (Kind, Lubrication, Vec<(&'a Condition, f64)>);
 
-/// Fewest indentations over which a trend is asked.
-const LEAST_DEPTHS: usize = 3;
+/// Fewest notches over which a trend is asked.
+const LEAST_NOTCHES: usize = 3;
 
 fn trends(verdict: &mut Verdict, conditions: &[Condition], residuals: &[f64]) {
-    let mut series: Vec<Series> = vec![];
+    let mut series: Vec<Series<'_>> = vec![];
     for (condition, residual) in conditions.iter().zip(residuals) {
         let key = (condition.case.kind, condition.lubrication);
-        let point = (condition.case.indentation_mm, *residual);
+        let point = (condition, *residual);
         match series.iter_mut().find(|one| (one.0, one.1) == key) {
             Some(known) => known.2.push(point),
             None => series.push((key.0, key.1, vec![point])),
         }
     }
-    series.retain(|one| one.2.len() >= LEAST_DEPTHS);
+    // The conditions of a series are sorted by their indentation.
+    series.retain(|(_, _, all)| {
+        let notches = all.chunk_by(|(left, _), (right, _)| left.notch == right.notch);
+        notches.count() >= LEAST_NOTCHES
+    });
     let count = series.len() as f64;
-    let slope = |points: &[(f64, f64)]| {
-        let middle = points.iter().map(|point| point.0).sum::<f64>() / points.len() as f64;
-        let along: f64 = points.iter().map(|(a, off)| (a - middle) * off).sum();
-        let square: f64 = points.iter().map(|(a, _)| (a - middle).powi(2)).sum();
+    let slope = |conditions: &[(&Condition, f64)]| {
+        let points = || (conditions.iter()).map(|(one, off)| (one.case.indentation_mm, off));
+        let middle = points().map(|(a, _)| a).sum::<f64>() / conditions.len() as f64;
+        let along: f64 = points().map(|(a, off)| (a - middle) * off).sum();
+        let square: f64 = points().map(|(a, _)| (a - middle).powi(2)).sum();
         along / libm::sqrt(square)
     };
     let steepest = series
@@ -353,20 +363,25 @@ fn left_out(verdict: &mut Verdict, target: &Target<'_>, draws: &Draws) {
     }
 }
 
-/// Compares the conditions that were measured on both walls. The model predicts the same for both.
-fn walls(verdict: &mut Verdict, conditions: &[Condition]) {
-    let on = |lubrication: Lubrication| {
-        let all = conditions.iter();
-        all.filter(move |condition| condition.lubrication == lubrication)
-    };
-    let (mut value, mut degrees) = (0.0, 0);
-    for dry in on(Lubrication::Dry) {
-        if let Some(wet) = on(Lubrication::Lubricated).find(|wet| wet.case == dry.case) {
-            let deviation_mm = libm::hypot(dry.uncertainty_mm, wet.uncertainty_mm);
-            value += ((dry.mean_mm - wet.mean_mm) / deviation_mm).powi(2);
-            degrees += 1;
-        }
+/// Compares the conditions of a kind and notch that were measured on both walls. The model predicts the same for both
+/// but for the clamping, whose effect the residuals, each at its own indentation, leave out.
+fn walls(verdict: &mut Verdict, conditions: &[Condition], residuals: &[f64]) {
+    // Of the dry and of the lubricated trials: 1 over the variance of their mean, 1/mm^2, and it times their mean off
+    // the model, 1/mm.
+    let mut sides: BTreeMap<(Kind, usize), [[f64; 2]; 2]> = BTreeMap::new();
+    for (condition, residual) in conditions.iter().zip(residuals) {
+        let both = sides
+            .entry((condition.case.kind, condition.notch))
+            .or_default();
+        let side = &mut both[usize::from(condition.lubrication == Lubrication::Lubricated)];
+        side[0] += condition.uncertainty_mm.powi(-2);
+        side[1] += residual / condition.uncertainty_mm;
     }
+    sides.retain(|_, both| both.iter().all(|[precision, _]| *precision > 0.0));
+    let square = |[dry, wet]: &[[f64; 2]; 2]| {
+        (dry[1] / dry[0] - wet[1] / wet[0]).powi(2) / (1.0 / dry[0] + 1.0 / wet[0])
+    };
+    let (value, degrees): (f64, usize) = (sides.values().map(square).sum(), sides.len());
     if degrees == 0 {
         return;
     }
@@ -380,26 +395,42 @@ fn walls(verdict: &mut Verdict, conditions: &[Condition]) {
     });
 }
 
-/// Compares each net displacement with the isolated passes at its indentation and wall.
-fn net_and_passes(verdict: &mut Verdict, conditions: &[Condition]) {
+/// Compares each net displacement with the isolated passes in its notch and at its wall.
+fn net_and_passes(
+    verdict: &mut Verdict,
+    conditions: &[Condition],
+    body: &Parts,
+    exact: &Exact<'_>,
+) -> Result<(), OutOfRange> {
     for net in conditions {
         let Kind::Net { cycles } = net.case.kind else {
             continue;
         };
+        let off_mm =
+            |other: &Condition| libm::fabs(other.case.indentation_mm - net.case.indentation_mm);
+        // Mean and uncertainty of the pass that was clamped nearest, the mean moved by the model to the indentation of
+        // the net.
         let pass = |kind: Kind| {
-            conditions.iter().find(|other| {
-                let case = Case { kind, ..net.case };
-                other.case == case && other.lubrication == net.lubrication
-            })
+            let here = conditions.iter().filter(|other| {
+                let place = (other.case.kind, other.notch, other.lubrication);
+                place == (kind, net.notch, net.lubrication)
+            });
+            let nearest = here.min_by(|one, other| off_mm(one).total_cmp(&off_mm(other)));
+            let moved = |pass: &Condition| {
+                let found_mm = exact(body, &[Case { kind, ..net.case }, pass.case])?;
+                let mean_mm = pass.mean_mm + found_mm[0] - found_mm[1];
+                Ok((mean_mm, pass.uncertainty_mm))
+            };
+            nearest.map(moved).transpose()
         };
         let (Some(antegrade), Some(returning)) =
-            (pass(Kind::AntegradePass), pass(Kind::ReturningPass))
+            (pass(Kind::AntegradePass)?, pass(Kind::ReturningPass)?)
         else {
             continue;
         };
         let cycles = f64::from(cycles);
-        let sum_mm = cycles * (antegrade.mean_mm + returning.mean_mm);
-        let passes_mm = cycles * libm::hypot(antegrade.uncertainty_mm, returning.uncertainty_mm);
+        let sum_mm = cycles * (antegrade.0 + returning.0);
+        let passes_mm = cycles * libm::hypot(antegrade.1, returning.1);
         // A discrepancy that is not surprising contradicts nothing.
         let usual_mm = net.case.kind.discrepancies() * unknowns()[OF_BODY].shape.quantile(0.95);
         let contradicts = |less: f64, of_less: f64, more: f64, of_more: f64| {
@@ -419,9 +450,10 @@ fn net_and_passes(verdict: &mut Verdict, conditions: &[Condition]) {
                 net.mean_mm
             );
             verdict.add(Check::NetAndPasses, true, sentence);
-            return;
+            break;
         }
     }
+    Ok(())
 }
 
 /// The reasons of the sampling itself.

@@ -4,7 +4,7 @@
 mod population;
 
 use calibration::chance::stream;
-use calibration::observation::{Case, Kind, Lubrication, conditions};
+use calibration::observation::{Case, Kind, Lubrication, Observation, conditions};
 use calibration::prediction::Predictor;
 use calibration::prior::{Values, discrepancy_mm, draw, parts};
 use calibration::sampler::Effort;
@@ -109,6 +109,44 @@ fn the_likelihood_is_that_of_the_dense_covariance() {
             );
         }
     }
+}
+
+/// The family of each dry net at these indentations.
+fn families(indentations_mm: &[f64]) -> Vec<usize> {
+    let net = |indentation_mm: &f64| Observation {
+        kind: Kind::Net { cycles: 5 },
+        lubrication: Lubrication::Dry,
+        indentation_mm: *indentation_mm,
+        displacement_mm: 40.0,
+        uncertainty_mm: 0.2,
+    };
+    let nets: Vec<Observation> = indentations_mm.iter().map(net).collect();
+    let conditions = conditions(&nets).expect("usable");
+    conditions.iter().map(|one| one.family).collect()
+}
+
+/// Rollers that were clamped anew in their notch show the model's error there again.
+#[test]
+fn clampings_of_one_notch_are_one_family() {
+    assert_eq!(families(&[5.05, 5.047]), [0, 0]);
+    assert_eq!(families(&[4.0, 5.05]), [0, 1]);
+    assert_eq!(families(&[5.1, 3.96, 5.0, 4.05]), [0, 0, 1, 1]);
+    // Not from one to the next: these reach from one notch of a fine rack to another.
+    assert_eq!(families(&[1.0, 1.15, 1.3, 1.45]), [0, 0, 1, 1]);
+}
+
+/// The errors of a simulated body follow the same families: nets of clampings apart differ by more than their reading.
+#[test]
+fn simulated_clampings_of_one_notch_share_the_models_errors() {
+    let net = |indentation_mm| Planned::dry(Kind::Net { cycles: 5 }, indentation_mm, 1, 1e-9);
+    let planned = [net(4.0), net(5.05), net(5.047)];
+    let truth = Values([0.15, 40.0, 0.0007, 0.3]).point();
+    let trials = observed(&[0.0; 3], &truth, &planned, &mut stream(6, 6));
+    let off_mm = |one: usize, other: usize| {
+        (trials[one].displacement_mm - trials[other].displacement_mm).abs()
+    };
+    assert!(off_mm(1, 2) < 1e-7, "{trials:?}");
+    assert!(off_mm(0, 1) > 1e-3, "{trials:?}");
 }
 
 /// 200 data sets of the default body with `RETROGRADE_CAMPAIGN=full`, otherwise 24: with one error per direction and

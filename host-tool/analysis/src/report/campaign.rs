@@ -260,7 +260,8 @@ fn html(
     }
     let of_series = format!(
         "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least \
-         squares through all dots, the pale area of its colour its band of 95 % confidence. {BESIDE} {}",
+         squares through all dots, the pale area of its colour its band of 95 % confidence, by the scatter of the clampings' \
+         means about a line: all trials of a clamping share its error. {BESIDE} {}",
         band.map_or("", |band| &band.meaning)
     );
     let body = html! {

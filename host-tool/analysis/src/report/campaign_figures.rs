@@ -4,6 +4,7 @@
 use campaign::form::Form;
 use campaign::order::doing;
 use campaign::plan::{Lubrication, Purpose};
+use campaign::statistics::FittedLine;
 use plotters::style::RGBColor;
 use trials::check;
 use trials::trial::{Action, RigSample, Screw};
@@ -13,7 +14,7 @@ use crate::figures::{
     Chart, Curve, Figure, FigureError, Heading, Mark, Source, figure, planned, sampled, thinned,
 };
 use crate::report::campaign_band::ModelBand;
-use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
+use crate::report::evaluation::{ConditionRow, Evaluation, Part, clampings, deviations, run_of};
 
 /// Points of a band's edge.
 const EDGE: u32 = 48;
@@ -102,18 +103,20 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
             .iter()
             .find(|(row, _)| row.lubrication == lubrication)
             .map(|(_, line)| line);
-        if let Some(line) = line {
+        let between = FittedLine::through(&clampings(&points));
+        if let Some((line, between)) = line.zip(between) {
             let at = |index: u32| ends.0 + (ends.1 - ends.0) * f64::from(index) / f64::from(EDGE);
             let edge = |sign: f64| {
                 (0..=EDGE)
                     .map(at)
-                    .filter_map(move |x| Some((x, line.at(x) + sign * line.half_band(x)?)))
+                    .filter_map(move |x| Some((x, line.at(x) + sign * between.half_band(x)?)))
                     .collect::<Vec<_>>()
             };
             let (upper, lower) = (edge(1.0), edge(-1.0));
             if !upper.is_empty() {
                 let round = upper.into_iter().chain(lower.into_iter().rev()).collect();
-                curves.push(curve("", colour, Mark::Area, round));
+                // Three clampings give a band many times as high as the data.
+                curves.push(curve("", colour, Mark::Backdrop, round));
             }
             let through = vec![(ends.0, line.at(ends.0)), (ends.1, line.at(ends.1))];
             curves.push(curve("", colour, Mark::Line(3), through));

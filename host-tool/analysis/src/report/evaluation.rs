@@ -161,7 +161,7 @@ pub struct LineRow {
     pub n: usize,
     /// Rise, mm of displacement per mm of indentation.
     pub slope: Rounded<4>,
-    /// Half the width of its 95 % interval.
+    /// Half the width of its 95 % interval, from the means of the clampings; none for two of them.
     pub slope_half_95: Option<Rounded<4>>,
     /// Value at zero indentation.
     pub intercept_mm: Rounded<4>,
@@ -303,7 +303,10 @@ pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     evaluation.conditions = evaluation.condition_rows();
     evaluation.lines = [Lubrication::Dry, Lubrication::Lubricated]
         .into_iter()
-        .filter_map(|lubrication| evaluation.line(lubrication))
+        .filter_map(|lubrication| {
+            let points = evaluation.points(Purpose::Series, lubrication);
+            line(lubrication, &points, origin)
+        })
         .collect();
     evaluation.readings = evaluation.reading_rows();
     Ok(evaluation)
@@ -377,6 +380,42 @@ pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)
         (time_s, screw.mm(sample.position_steps.into()) - planned_mm)
     };
     Some(samples.iter().map(at).collect())
+}
+
+/// (a_n, mean displacement) of each clamping, mm. All trials of one clamping have its a_n, and share what is wrong with
+/// it, so these means, not the trials, are independent of each other.
+#[must_use]
+pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut all: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
+    for (a_mm, displacement_mm) in points {
+        all.entry(a_mm.to_bits())
+            .or_default()
+            .push(*displacement_mm);
+    }
+    all.into_iter()
+        .filter_map(|(bits, values)| Some((f64::from_bits(bits), Spread::of(&values)?.mean)))
+        .collect()
+}
+
+/// The line through the points of a series.
+fn line(
+    lubrication: Lubrication,
+    points: &[(f64, f64)],
+    origin: Origin,
+) -> Option<(LineRow, FittedLine)> {
+    let line = FittedLine::through(points)?;
+    let between = FittedLine::through(&clampings(points))?;
+    let row = LineRow {
+        lubrication,
+        n: line.n,
+        slope: Rounded(line.slope),
+        slope_half_95: between.half_slope().map(Rounded),
+        intercept_mm: Rounded(line.intercept),
+        r_squared: line.r_squared.map(Rounded),
+        residual_sd_mm: line.residual_sd.map(Rounded),
+        origin,
+    };
+    Some((row, line))
 }
 
 impl Evaluation {
@@ -572,21 +611,6 @@ impl Evaluation {
             .collect()
     }
 
-    fn line(&self, lubrication: Lubrication) -> Option<(LineRow, FittedLine)> {
-        let line = FittedLine::through(&self.points(Purpose::Series, lubrication))?;
-        let row = LineRow {
-            lubrication,
-            n: line.n,
-            slope: Rounded(line.slope),
-            slope_half_95: line.half_slope().map(Rounded),
-            intercept_mm: Rounded(line.intercept),
-            r_squared: line.r_squared.map(Rounded),
-            residual_sd_mm: line.residual_sd.map(Rounded),
-            origin: self.origin,
-        };
-        Some((row, line))
-    }
-
     fn condition_rows(&self) -> Vec<ConditionRow> {
         let plan = &self.campaign.plan;
         let mut groups: BTreeMap<_, (Condition, Vec<&TrialRow>)> = BTreeMap::new();
@@ -683,5 +707,28 @@ fn attempt_row(state: &TrialState, attempt: &Attempt, origin: Origin) -> Attempt
             .or_else(|| attempt.reason.clone()),
         camera_file: attempt.camera_file.clone(),
         origin,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Five clampings are off by 1 mm, ten equal trials each: the interval is that of five means, with 3 degrees of
+    /// freedom. Their residuals are 0.8 and -1.2 mm, the sum of squares 4.8, and the squares of a_n sum up to 10.
+    #[test]
+    fn trials_of_one_clamping_do_not_narrow_the_slopes_interval() {
+        let mut points = vec![];
+        for (a_mm, off_mm) in [(1.0, 1.0), (2.0, -1.0), (3.0, 1.0), (4.0, -1.0), (5.0, 1.0)] {
+            points.extend([(a_mm, 8.0 * a_mm + off_mm); 10]);
+        }
+        let (row, _) = line(Lubrication::Dry, &points, Origin::Board).expect("a line");
+        assert_eq!(row.n, 50);
+        assert!((row.slope.0 - 8.0).abs() < 1e-9, "{row:?}");
+        let half = row.slope_half_95.expect("five clampings").0;
+        assert!((half - 3.182_446 * 0.16_f64.sqrt()).abs() < 1e-6, "{half}");
+        // Two clampings leave no degrees of freedom, whatever the number of trials.
+        let (row, _) = line(Lubrication::Dry, &points[..20], Origin::Board).expect("a line");
+        assert_eq!((row.n, row.slope_half_95), (20, None));
     }
 }

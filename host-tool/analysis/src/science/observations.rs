@@ -129,14 +129,12 @@ impl Trials {
         });
         let mut before_mm = 0.0;
         for (number, after) in (1..).zip(after.flatten().unwrap_or_default()) {
-            // The body begins at its mark, so the first stroke takes one reading; later strokes are the difference of
-            // two readings.
-            let readings: f64 = if number == 1 { 1.0 } else { 2.0 };
+            let kind = Kind::Stroke { number };
             self.measured.push(Measured {
                 observation: Observation {
-                    kind: Kind::Stroke { number },
+                    kind,
                     displacement_mm: after.mm() - before_mm,
-                    uncertainty_mm: uncertainty_mm * readings.sqrt(),
+                    uncertainty_mm: kind.uncertainty_mm(uncertainty_mm),
                     ..observation
                 },
                 place: format!("{place}, stroke {number}"),

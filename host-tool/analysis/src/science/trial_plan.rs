@@ -36,6 +36,19 @@ pub struct Planned {
     pub repeats: usize,
 }
 
+impl Planned {
+    /// Standard deviation of each displacement, mm, with readings of `reading_mm`.
+    #[must_use]
+    pub fn uncertainty_mm(&self, reading_mm: f64) -> f64 {
+        self.condition.case.kind.uncertainty_mm(reading_mm)
+    }
+
+    /// Standard deviation of the measurement error of their mean, mm.
+    fn error_mm(&self, reading_mm: f64) -> f64 {
+        self.uncertainty_mm(reading_mm) / (self.repeats as f64).sqrt()
+    }
+}
+
 /// Options of a plan.
 #[derive(Clone, Debug)]
 pub struct Asked {
@@ -49,7 +62,7 @@ pub struct Asked {
     pub trials: usize,
     /// Displacements per trial.
     pub repeats: usize,
-    /// Standard deviation of one displacement, mm.
+    /// Standard deviation of a displacement from one reading, mm: [`Kind::uncertainty_mm`].
     pub uncertainty_mm: f64,
     /// Accuracy of the estimates.
     pub effort: Effort,
@@ -169,7 +182,7 @@ pub fn plan(base: &Model, belief: &Belief, asked: &Asked) -> Result<Option<Trial
             .position(|case| *case == planned.condition.case)
             .unwrap_or_default(),
         discrepancies: planned.condition.case.kind.discrepancies(),
-        error_mm: asked.uncertainty_mm / (planned.repeats as f64).sqrt(),
+        error_mm: planned.error_mm(asked.uncertainty_mm),
     };
     let of = |condition: &Condition| Planned {
         condition: *condition,
@@ -271,9 +284,9 @@ impl TrialPlan {
         step.map_or(vec![], |step| step.ties.iter().map(name).collect())
     }
 
-    /// All series as rows.
+    /// All series as rows, with readings of `reading_mm`.
     #[must_use]
-    pub fn rows(&self, uncertainty_mm: f64) -> Vec<TrialRow> {
+    pub fn rows(&self, reading_mm: f64) -> Vec<TrialRow> {
         let mut rows = vec![];
         for (number, series) in self.series.iter().enumerate() {
             for (place, planned) in series.trials.iter().enumerate() {
@@ -288,7 +301,7 @@ impl TrialPlan {
                     indentation_mm: planned.condition.case.indentation_mm,
                     lubrication: planned.condition.lubrication.to_string(),
                     repeats: planned.repeats,
-                    uncertainty_mm,
+                    uncertainty_mm: planned.uncertainty_mm(reading_mm),
                     gain_nats: gain.mean,
                     gain_error_nats: gain.error,
                     sum_nats: sum.mean,
@@ -327,9 +340,9 @@ pub struct Empty {
     excluded: Option<String>,
 }
 
-/// Rows for the displacements of a series, to be filled in.
+/// Rows for the displacements of a series, to be filled in, with readings of `reading_mm`.
 #[must_use]
-pub fn empty(series: &Series, uncertainty_mm: f64) -> Vec<Empty> {
+pub fn empty(series: &Series, reading_mm: f64) -> Vec<Empty> {
     let of = |planned: &Planned| {
         let (kind, cycles, stroke) = columns(planned.condition.case.kind);
         let row = Empty {
@@ -339,7 +352,7 @@ pub fn empty(series: &Series, uncertainty_mm: f64) -> Vec<Empty> {
             indentation_mm: planned.condition.case.indentation_mm,
             lubrication: planned.condition.lubrication.to_string(),
             displacement_mm: None,
-            uncertainty_mm,
+            uncertainty_mm: planned.uncertainty_mm(reading_mm),
             origin: None,
             excluded: None,
         };
@@ -350,7 +363,62 @@ pub fn empty(series: &Series, uncertainty_mm: f64) -> Vec<Empty> {
 
 #[cfg(test)]
 mod tests {
+    use calibration::prior::UNKNOWNS;
+
     use super::*;
+    use crate::science::observations;
+
+    /// The first way back is the difference of two readings: to the plan, and to a fit of the rows that were filled in.
+    #[test]
+    fn a_fit_takes_the_errors_that_the_plan_reckoned_with() {
+        let kinds = [
+            Kind::Net { cycles: 5 },
+            Kind::AntegradePass,
+            Kind::ReturningPass,
+            Kind::Stroke { number: 1 },
+            Kind::Stroke { number: 2 },
+        ];
+        let planned = |kind| Planned {
+            condition: Condition {
+                case: Case {
+                    kind,
+                    indentation_mm: 5.05,
+                },
+                lubrication: Lubrication::Dry,
+            },
+            repeats: 1,
+        };
+        let none = Estimate {
+            mean: 0.0,
+            error: 0.0,
+        };
+        let series = Series {
+            name: "recommended",
+            trials: kinds.map(planned).to_vec(),
+            judged: Judged {
+                gains: vec![none; kinds.len()],
+                sums: vec![none; kinds.len()],
+                correction: 0.0,
+                before: [none; UNKNOWNS],
+                after: [none; UNKNOWNS],
+            },
+        };
+        let mut csv = csv::Writer::from_writer(vec![]);
+        for mut row in empty(&series, 0.5) {
+            row.displacement_mm = Some(1.0);
+            csv.serialize(row).expect("a row");
+        }
+        let text = csv.into_inner().expect("a table");
+        let trials = observations::parse(&text, None).expect("readable");
+        let read = trials
+            .measured
+            .iter()
+            .map(|one| one.observation.uncertainty_mm);
+        let reckoned = series.trials.iter().map(|one| one.error_mm(0.5));
+        let reckoned: Vec<f64> = reckoned.collect();
+        assert_eq!(read.collect::<Vec<_>>(), reckoned);
+        assert_eq!(reckoned, [0.5, 0.5, 0.5, 0.5, 0.5 * 2f64.sqrt()]);
+    }
 
     #[test]
     fn the_papers_procedure_is_dealt_out_evenly() {
