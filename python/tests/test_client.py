@@ -248,6 +248,21 @@ class ClientTest(ServerTest):
         last = self.server.calls[-1]
         self.assertEqual((last.path, last.body), ("/api/v1/stop", {"machine": "rig"}))
 
+    def test_a_command_is_not_sent_again_after_a_stop(self) -> None:
+        def answer(call: Call) -> Optional[Answer]:
+            if call.path != "/api/v1/rig/home":
+                return STATE if call.method == "GET" else (200, {"ok": True, "machines": []})
+            # The connection ends without an answer. Meanwhile another thread stops the machine.
+            stop = threading.Thread(target=self.lab.stop)
+            stop.start()
+            stop.join()
+            return None
+
+        self.server.answer = answer
+        with self.assertRaises(retrograde.OutcomeUnknown):
+            self.lab.rig.home()
+        self.assertEqual([call.path for call in self.posts()], ["/api/v1/rig/home", "/api/v1/stop"])
+
     def test_a_busy_server_leaves_a_command_that_was_sent_unsure(self) -> None:
         answers: List[Optional[Answer]] = [None, (503, failure(4, "too many connections")), (202, action("complete"))]
         self.server.answer = lambda call: STATE if call.method == "GET" else answers.pop(0)

@@ -96,6 +96,8 @@ pub struct Action {
     pub files: Value,
     started: Timestamp,
     ended: Option<Timestamp>,
+    /// Its place among those that have ended. The computer's clock may be set back meanwhile.
+    ended_nth: u64,
 }
 
 /// Classifies an incoming request.
@@ -169,6 +171,7 @@ impl Actions {
             files: Value::Null,
             started: now,
             ended: None,
+            ended_nth: 0,
         });
         Arrival::New(number)
     }
@@ -203,6 +206,12 @@ impl Actions {
         failure: Option<&Failure>,
         now: Timestamp,
     ) -> Option<Action> {
+        let nth = 1 + self
+            .list()
+            .iter()
+            .map(|one| one.ended_nth)
+            .max()
+            .unwrap_or(0);
         self.update(number, |action| {
             action.standing = failure.map_or(Standing::Complete, Standing::of);
             // The machine accepted the action and was lost afterwards, or with the order under way.
@@ -215,6 +224,7 @@ impl Actions {
             action.failure =
                 failure.map(|failure| (failure.exit_code(), failure.json()["error"].clone()));
             action.ended = Some(now);
+            action.ended_nth = nth;
         })
     }
 
@@ -258,7 +268,7 @@ impl Actions {
         let ours = || list.iter().rev().filter(|action| action.machine == machine);
         let under_way = ours().find(|action| action.standing == Standing::UnderWay);
         // A hold or a resume ends before its run, so it does not hide the run.
-        let ended = ours().max_by_key(|action| action.ended);
+        let ended = ours().max_by_key(|action| action.ended_nth);
         let shown = under_way.or(ended).cloned();
         drop(list);
         shown.map_or(Value::Null, |action| self.json(&action))
@@ -291,6 +301,19 @@ mod tests {
         assert_eq!(arrive("a", 1), Arrival::Again(1));
         assert_eq!(actions.number("i-2"), Some(2));
         assert_eq!(actions.number("j-2"), None);
+    }
+
+    #[test]
+    fn the_latest_is_the_last_to_end_whatever_the_clock_says() {
+        let actions = Actions::new("i".to_owned());
+        for (key, ended_s) in [("a", 100), ("b", 50)] {
+            let now = Timestamp::from_second(ended_s).expect("a time");
+            let Arrival::New(number) = actions.arrive(command(key, 0), now) else {
+                panic!("it is new");
+            };
+            actions.end(number, Value::Null, None, now);
+        }
+        assert_eq!(actions.latest(DeviceKind::Rig)["id"], "i-2");
     }
 
     #[test]

@@ -614,20 +614,22 @@ impl Worker<'_> {
                     }
                 }
             };
+            // Look before each renewal, too: this computer may have slept since it came, which no clock here shows. Then
+            // the jog has ended, and a renewal would begin another one.
+            if renewal || rig.now_us() >= asked_us + POLL_US {
+                asked_us = rig.now_us();
+                let status = rig.rig_status().map_err(silent)?;
+                self.machine.panel().rig_status(&status, Instant::now());
+                if status.state != RigState::Moving {
+                    break;
+                }
+            }
             if renewal {
                 match rig.call(jog) {
                     Ok(_) => {}
                     // The jog has just ended; the status says how.
                     Err(ClientError::Refused { .. } | ClientError::Interrupted { .. }) => break,
                     Err(error) => return Err(error.into()),
-                }
-            }
-            if rig.now_us() >= asked_us + POLL_US {
-                asked_us = rig.now_us();
-                let status = rig.rig_status().map_err(silent)?;
-                self.machine.panel().rig_status(&status, Instant::now());
-                if status.state != RigState::Moving {
-                    break;
                 }
             }
         }

@@ -13,19 +13,31 @@ pub(crate) fn health(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Val
     let mut rig = places.connect(DeviceKind::Rig, Need::Look)?;
     let health = rig.call(rig::GetRigHealth)?;
     let hardware = rig.call(rig::GetRigHardware)?;
-    screen.say(&health_text(&health, &hardware));
+    let now_us = rig.rig_status()?.time_us;
+    screen.say(&health_text(&health, &hardware, now_us));
     Ok(json!({ "health": health, "hardware": hardware }))
 }
 
-fn health_text(health: &RigHealth, hardware: &RigHardware) -> String {
-    let glitches = |glitches: rig::Glitches| match glitches.count {
-        0 => "none".to_owned(),
-        count => format!(
-            "{count}, the last one {} s after the start, masked {} times",
-            decimal::write(glitches.last_us.into(), 6),
-            glitches.masked,
-        ),
+/// False pulses of a switch. The rig gives the low 32 bits of the time of the last one, which come again every 71.6
+/// minutes.
+fn pulses(glitches: rig::Glitches, now_us: u64) -> String {
+    if glitches.count == 0 {
+        return "none".to_owned();
+    }
+    let age_us = (now_us as u32).wrapping_sub(glitches.last_us);
+    let again = match now_us > u32::MAX.into() {
+        true => ", or a multiple of 71.6 min longer",
+        false => "",
     };
+    format!(
+        "{}, the last one {} s ago{again}, masked {} times",
+        glitches.count,
+        decimal::write(age_us.into(), 6),
+        glitches.masked,
+    )
+}
+
+fn health_text(health: &RigHealth, hardware: &RigHardware, now_us: u64) -> String {
     format!(
         "\
 since the start of the device
@@ -37,8 +49,8 @@ DMA:               {} errors
 stack:             {} of {} bytes
 control round:     {} us late at most
 image:             {:08x}",
-        glitches(health.home_flag),
-        glitches(health.far_limit),
+        pulses(health.home_flag, now_us),
+        pulses(health.far_limit, now_us),
         health.uart_errors,
         health.bad_frames,
         health.unsent_frames,
@@ -55,4 +67,27 @@ image:             {:08x}",
         health.control_late_us,
         health.image_hash,
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_age_of_a_false_pulse_survives_the_turn_of_its_counter() {
+        let glitches = |last_us| rig::Glitches {
+            count: 3,
+            last_us,
+            masked: 1,
+        };
+        assert_eq!(
+            pulses(glitches(20_000_000), 30_500_000),
+            "3, the last one 10.5 s ago, masked 1 times"
+        );
+        // At 4,420 s, of which the low 32 bits are left.
+        assert_eq!(
+            pulses(glitches(125_032_704), 4_430_000_000),
+            "3, the last one 10 s ago, or a multiple of 71.6 min longer, masked 1 times"
+        );
+    }
 }

@@ -205,3 +205,22 @@ fn no_late_answer_wipes_a_word_about_a_stop() {
     let body = tell.split_once("\n}").expect("its end").0;
     assert!(body.contains("if (!unconfirmed && !confirmed)"), "{body}");
 }
+
+/// A command that was not answered is sent again, and a stop may have come meanwhile.
+#[test]
+fn no_command_is_sent_again_after_a_stop() {
+    let after = PAGE.split_once("async function command(").expect("there").1;
+    let body = after.split_once("\n}").expect("its end").0;
+    let (sent, failed) = body.split_once("} catch (error) {").expect("a failure");
+    assert!(sent.contains("const before = stops;"), "{sent}");
+    let first = failed
+        .lines()
+        .map(str::trim)
+        .find(|line| line.starts_with("if"));
+    assert_eq!(first, Some("if (stops !== before) return null;"));
+    let stop = PAGE
+        .split_once("async function stop(name) {")
+        .expect("there")
+        .1;
+    assert!(stop.trim_start().starts_with("stops += 1;"));
+}

@@ -809,6 +809,13 @@ fn a_jog_lives_on_renewals_alone() {
         passed_on > 5 && passed_on <= n as usize + 1,
         "{passed_on} of {n}"
     );
+    // The rig is looked at before each: one that comes after the end of the jog would begin another.
+    let executed = bench.executed();
+    let jog = |name: &&str| *name == "Jog";
+    let first = executed.iter().position(jog).expect("the order");
+    for pair in executed[first..].windows(2).filter(|pair| jog(&&pair[1])) {
+        assert_eq!(pair[0], "GetRigStatus");
+    }
     // A repeated renewal renews nothing.
     let last = Instant::now();
     while server.state()["machines"]["rig"]["action"]["state"] == "under_way" {

@@ -208,9 +208,13 @@ impl Bench {
         child
     }
 
+    pub fn executed(&self) -> Vec<&'static str> {
+        self.log.lock().expect("log").executed.clone()
+    }
+
     pub fn count(&self, request: &str) -> usize {
-        let log = self.log.lock().expect("log");
-        log.executed.iter().filter(|name| **name == request).count()
+        let executed = self.executed();
+        executed.iter().filter(|name| **name == request).count()
     }
 
     pub fn wait_for(&self, request: &str) {

@@ -127,6 +127,7 @@ class Lab:
         self._host = parts.hostname
         self._port = parts.port or 80
         self._token = token or in_address
+        self._stops = 0
         self.rig = Rig(self)
         self.capsule = Capsule(self)
 
@@ -206,6 +207,7 @@ class Lab:
         self._stop("/api/v1/estop", machine)
 
     def _stop(self, path: str, machine: Optional[str]) -> None:
+        self._stops += 1
         body: Dict[str, object] = {} if machine is None else {"machine": machine}
         told = threading.Timer(WARN_S, _warn)
         told.daemon = True
@@ -319,7 +321,11 @@ class Lab:
     def _sent(self, machine: str, name: str, body: Dict[str, object], key: str) -> ActionData:
         until = time.monotonic() + PATIENCE_S
         unsure: Optional[str] = None
+        stops = self._stops
         while True:
+            if unsure is not None and self._stops != stops:
+                # Another thread has stopped a machine. A command that is sent again must not undo that.
+                raise OutcomeUnknown(f"{machine}: {name} was sent and not answered, and then stopped: {unsure}", "look at the machine")
             try:
                 status, answer = self._post(f"/api/v1/{machine}/{name}", body, key, ANSWER_S)
             except ConnectionRefusedError as why:
