@@ -48,7 +48,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{channel, sync_channel};
 use std::sync::{Arc, mpsc};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use client::Interrupt;
 use client::address::Address;
@@ -81,6 +81,8 @@ const BACKLOG: u32 = 1_024;
 const STATE: Duration = Duration::from_millis(250);
 /// Interval between checks of the campaign, and of which campaign is the newest.
 const CAMPAIGN: Duration = Duration::from_secs(5);
+/// Interval at which the file with the server's address is renewed.
+const RENEWED: Duration = Duration::from_secs(3_600);
 /// Interval between checks whether the server should shut down.
 const LOOK: Duration = Duration::from_millis(20);
 
@@ -148,7 +150,8 @@ pub fn serve(
 
     let server_file = ServerFile::publish(&json!({
         "url": url, "token": token, "instance": instance, "pid": std::process::id(),
-    }));
+    }))
+    .map(Arc::new);
     for text in introduction(&options.machines, at, &url, &token) {
         say(&text);
     }
@@ -180,6 +183,9 @@ pub fn serve(
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
+        if let Ok(server_file) = &server_file {
+            runtime.spawn(keep(Arc::clone(server_file)));
+        }
         runtime.block_on(until_rest(board, pressed, &leaving));
         board.stream.close();
         drop(leave);
@@ -344,7 +350,7 @@ struct ServerFile {
     file: PathBuf,
     text: String,
     /// Held for its lock: there is one server file, and it stays that of the server that was first.
-    _lock: File,
+    lock: File,
 }
 
 impl ServerFile {
@@ -362,17 +368,27 @@ impl ServerFile {
             }
             Err(TryLockError::Error(why)) => return Err(why.to_string()),
         }
-        let (new, file) = (folder.join("serve.new"), folder.join("serve.json"));
-        let text = content.to_string();
+        let server_file = Self {
+            file: folder.join("serve.json"),
+            text: content.to_string(),
+            lock,
+        };
+        server_file.write()?;
+        Ok(server_file)
+    }
+
+    fn write(&self) -> Result<(), String> {
+        let new = self.file.with_extension("new");
         let _ = fs::remove_file(&new);
-        private(&new, &text)
-            .and_then(|()| fs::rename(&new, &file))
-            .map_err(|why| format!("{}: {why}", file.display()))?;
-        Ok(Self {
-            file,
-            text,
-            _lock: lock,
-        })
+        private(&new, &self.text)
+            .and_then(|()| fs::rename(&new, &self.file))
+            .map_err(|why| format!("{}: {why}", self.file.display()))
+    }
+
+    /// Makes file and lock new: a folder of temporary files is cleaned of what nobody has touched for days.
+    fn renew(&self) {
+        let _ = self.lock.set_modified(SystemTime::now());
+        let _ = self.write();
     }
 }
 
@@ -382,6 +398,14 @@ impl Drop for ServerFile {
         if fs::read_to_string(&self.file).is_ok_and(|text| text == self.text) {
             let _ = fs::remove_file(&self.file);
         }
+    }
+}
+
+async fn keep(server_file: Arc<ServerFile>) {
+    let mut renewals = interval(RENEWED);
+    loop {
+        renewals.tick().await;
+        server_file.renew();
     }
 }
 
@@ -407,6 +431,8 @@ async fn look_at_campaign(app: Arc<App>, read: Arc<ReadCampaign>) {
 
 #[cfg(test)]
 mod tests {
+    use std::time::UNIX_EPOCH;
+
     use super::*;
 
     #[test]
@@ -446,6 +472,13 @@ mod tests {
         drop(second);
         let text = fs::read_to_string(&file).expect("still there");
         assert_eq!(text, first.text);
+        // A cleaner of temporary files was there, and looks at the lock next.
+        fs::remove_file(&file).expect("removed");
+        first.lock.set_modified(UNIX_EPOCH).expect("set");
+        first.renew();
+        assert_eq!(fs::read_to_string(&file).expect("again"), first.text);
+        let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
+        assert!(lock.modified().expect("a time") > UNIX_EPOCH);
         drop(first);
         assert!(!file.exists());
         drop(ServerFile::within(folder.path(), &json!({"url": "third"})).expect("free again"));
