@@ -8,7 +8,7 @@ use protocol::settings::{SettingKey as Key, SettingRule};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
     /// Current above the no-load current at the end force, mA: 5.6 N with the assumed friction of the worm, 4.6 to
-    /// 7.2 N over the range of friction. The last 1.6 mm before it take 37 % of the nominal fold's energy.
+    /// 7.3 N over the range of friction. The last 1.6 mm before it take 37 % of the nominal fold's energy.
     pub force_ma: u16,
     /// The same at half of the end force, where the rise begins that tells an origami from an obstacle.
     pub rise_start_ma: u16,
