@@ -29,6 +29,11 @@ pub enum Kind {
         /// Its cycles.
         cycles: u16,
     },
+    /// From the beginning of a run to the end of one of its strokes. [`Kind::after`] says which are no other kind.
+    After {
+        /// Strokes until then, those both ways.
+        strokes: u16,
+    },
     /// Of one stroke of a run: 1 is the first antegrade stroke, 2 the first way back.
     Stroke {
         /// Its number in the run, from 1.
@@ -41,6 +46,19 @@ pub enum Kind {
 }
 
 impl Kind {
+    /// From the beginning of a run to the end of its stroke `strokes`: what one reading gives. An even number of
+    /// strokes is a net displacement, one stroke the first: each has one name, so that repeats of it meet.
+    #[must_use]
+    pub const fn after(strokes: u16) -> Self {
+        match strokes {
+            1 => Self::Stroke { number: 1 },
+            _ if strokes.is_multiple_of(2) => Self::Net {
+                cycles: strokes / 2,
+            },
+            _ => Self::After { strokes },
+        }
+    }
+
     /// How often the model's error in an antegrade and in a returning pass enters this displacement.
     ///
     /// The model makes the same error in each pass of one direction, so the errors of n cycles add up.
@@ -48,6 +66,7 @@ impl Kind {
     pub fn errors(self) -> [f64; 2] {
         match self {
             Self::Net { cycles } => [f64::from(cycles); 2],
+            Self::After { strokes } => [strokes.div_ceil(2), strokes / 2].map(f64::from),
             Self::Stroke { number } if number % 2 == 0 => [0.0, 1.0],
             Self::Stroke { .. } | Self::AntegradePass => [1.0, 0.0],
             Self::ReturningPass => [0.0, 1.0],
@@ -85,6 +104,7 @@ impl fmt::Display for Kind {
         match self {
             Self::Net { cycles: 1 } => f.pad("net of 1 cycle"),
             Self::Net { cycles } => f.pad(&format!("net of {cycles} cycles")),
+            Self::After { strokes } => f.pad(&format!("net of {strokes} strokes")),
             Self::Stroke { number } => f.pad(&format!("stroke {number}")),
             Self::AntegradePass => f.pad("antegrade pass"),
             Self::ReturningPass => f.pad("returning pass"),
@@ -115,6 +135,20 @@ pub struct Observation {
     pub displacement_mm: f64,
     /// Standard deviation of its measurement error, mm: from reading and repetition.
     pub uncertainty_mm: f64,
+}
+
+impl Observation {
+    /// Displacements beside this net displacement of a run, from the readings of the tail after each of its strokes, mm
+    /// from its mark. Each has an error of its own; the difference of two readings, a single stroke, would share its
+    /// errors with its neighbours. The last reading is the net displacement again, and does not count twice.
+    pub fn with_readings(&self, after_mm: &[f64]) -> impl Iterator<Item = Self> {
+        let others = after_mm.len().saturating_sub(1);
+        (1..).zip(&after_mm[..others]).map(|(strokes, mm)| Self {
+            kind: Kind::after(strokes),
+            displacement_mm: *mm,
+            ..*self
+        })
+    }
 }
 
 /// Greatest difference of two indentations of one notch, mm [assumed]. Rollers that are clamped anew in their notch are
@@ -230,7 +264,9 @@ fn check(number: usize, observation: &Observation) -> Result<(), Unusable> {
         Kind::Net { cycles } if !(1..=MOST_CYCLES).contains(&cycles) => {
             "a run has 1 to 1000 cycles"
         }
-        Kind::Stroke { number } if !(1..=2 * MOST_CYCLES).contains(&number) => {
+        Kind::Stroke { number: strokes } | Kind::After { strokes }
+            if !(1..=2 * MOST_CYCLES).contains(&strokes) =>
+        {
             "the strokes of a run are numbered from 1 to at most 2000"
         }
         _ => return Ok(()),

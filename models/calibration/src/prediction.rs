@@ -17,12 +17,12 @@ pub struct Predictor {
     passes: Vec<Passes>,
 }
 
-/// A run at one indentation, and the displacements that it has to give.
+/// A run at one indentation, and the displacements that it has to give: the index of the case, and the strokes after
+/// which it begins and ends.
 #[derive(Clone, Debug)]
 struct Run {
     indentation_mm: f64,
-    strokes: usize,
-    asked: Vec<(usize, Kind)>,
+    asked: Vec<(usize, [usize; 2])>,
 }
 
 /// Isolated passes at one indentation, and the indices of the cases that they give.
@@ -33,11 +33,12 @@ struct Passes {
     returning: Vec<usize>,
 }
 
-/// Strokes to simulate for this kind; none for an isolated pass.
-fn strokes(kind: Kind) -> Option<usize> {
+/// Strokes of a run after which a displacement of this kind begins and ends; none for an isolated pass.
+fn strokes(kind: Kind) -> Option<[usize; 2]> {
     match kind {
-        Kind::Net { cycles } => Some(2 * usize::from(cycles)),
-        Kind::Stroke { number } => Some(number.into()),
+        Kind::Net { cycles } => Some([0, 2 * usize::from(cycles)]),
+        Kind::After { strokes } => Some([0, strokes.into()]),
+        Kind::Stroke { number } => Some([usize::from(number) - 1, number.into()]),
         Kind::AntegradePass | Kind::ReturningPass => None,
     }
 }
@@ -89,14 +90,11 @@ impl Predictor {
         let at = known.unwrap_or_else(|| {
             self.runs.push(Run {
                 indentation_mm,
-                strokes: 0,
                 asked: vec![],
             });
             self.runs.len() - 1
         });
-        let run = &mut self.runs[at];
-        run.strokes = run.strokes.max(strokes);
-        run.asked.push((place, case.kind));
+        self.runs[at].asked.push((place, strokes));
     }
 
     /// The same cases with another step.
@@ -125,20 +123,14 @@ impl Predictor {
         for run in &self.runs {
             let mut unfolded = UnfoldedBody::new(params, run.indentation_mm)?;
             let mut after = vec![0.0];
-            for stroke in 0..run.strokes {
+            let last = run.asked.iter().map(|(_, [_, end])| *end).max();
+            for stroke in 0..last.unwrap_or_default() {
                 let far = stroke % 2 == 0;
                 unfolded.carriage_to(if far { params.stroke_mm } else { 0.0 })?;
                 after.push(unfolded.displacement_mm());
             }
-            for (place, kind) in &run.asked {
-                found[*place] = match *kind {
-                    Kind::Stroke { number } => {
-                        let number = usize::from(number);
-                        after[number] - after[number - 1]
-                    }
-                    Kind::Net { cycles } => after[2 * usize::from(cycles)],
-                    Kind::AntegradePass | Kind::ReturningPass => continue,
-                };
+            for (place, [begin, end]) in &run.asked {
+                found[*place] = after[*end] - after[*begin];
             }
         }
         for passes in &self.passes {

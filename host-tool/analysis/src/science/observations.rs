@@ -123,24 +123,15 @@ impl Trials {
         if after == Some(None) {
             leave("its displacements per stroke: they were not entered".to_owned());
         }
-        self.measured.push(Measured {
-            observation,
-            place: place.clone(),
-        });
-        let mut before_mm = 0.0;
-        for (number, after) in (1..).zip(after.flatten().unwrap_or_default()) {
-            let kind = Kind::Stroke { number };
+        let after = after.flatten().unwrap_or_default();
+        let after_mm: Vec<f64> = after.iter().map(|after| after.mm()).collect();
+        for (stroke, observation) in (1..).zip(observation.with_readings(&after_mm)) {
             self.measured.push(Measured {
-                observation: Observation {
-                    kind,
-                    displacement_mm: after.mm() - before_mm,
-                    uncertainty_mm: kind.uncertainty_mm(uncertainty_mm),
-                    ..observation
-                },
-                place: format!("{place}, stroke {number}"),
+                observation,
+                place: format!("{place}, after stroke {stroke}"),
             });
-            before_mm = after.mm();
         }
+        self.measured.push(Measured { observation, place });
     }
 }
 

@@ -257,11 +257,13 @@ pub struct TrialRow {
     pub ties: String,
 }
 
-/// Kind in the words of `fit`, cycles, stroke.
+/// Kind in the words of `fit`, cycles, stroke. For an odd number of strokes `fit` has no word, and no trial is planned:
+/// they come from campaigns.
 #[must_use]
 pub fn columns(kind: Kind) -> (&'static str, Option<u16>, Option<u16>) {
     match kind {
         Kind::Net { cycles } => ("net", Some(cycles), None),
+        Kind::After { strokes } => ("after", None, Some(strokes)),
         Kind::Stroke { number } => ("stroke", None, Some(number)),
         Kind::AntegradePass => ("antegrade_pass", None, None),
         Kind::ReturningPass => ("returning_pass", None, None),
