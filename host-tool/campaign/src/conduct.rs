@@ -244,12 +244,12 @@ impl Machines {
     }
 
     fn keep_alive(&mut self) -> Result<(), ClientError> {
-        self.rig.idle(COMPANY_US, &mut Unobserved)?;
+        let kept = self.rig.idle(COMPANY_US, &mut Unobserved);
         if let Some(capsule) = &mut self.capsule {
-            // For no time at all it would send no question of another process.
-            capsule.idle(1, &mut Unobserved)?;
+            // Long enough to send the question of another process.
+            capsule.idle(1_000, &mut Unobserved)?;
         }
-        Ok(())
+        kept
     }
 }
 

@@ -41,6 +41,9 @@ pub struct Verified {
 /// local time to UTC steps by up to 14 hours.
 pub(crate) const CLOCK_STEP: SignedDuration = SignedDuration::from_hours(24);
 
+/// Longest time from the beginning of an attempt to its record, or from there to its end.
+const LONGEST: SignedDuration = SignedDuration::from_hours(1);
+
 /// File of the conditions in the folder of an attempt.
 const CONDITIONS: &str = "conditions.json";
 
@@ -128,7 +131,7 @@ fn check_attempt(
         let Some(record) = check_record(&campaign.folder, &file, verified) else {
             continue;
         };
-        if let Some(what) = not_within(campaign, attempt, &name, &record) {
+        if let Some(what) = not_within(campaign, (planned, attempt), &name, &record) {
             say(format!("{name} {what}"));
         }
         records.push((name, record));
@@ -206,7 +209,7 @@ pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Opti
 /// meanwhile, unless it is that of another attempt.
 fn not_within(
     campaign: &Campaign,
-    attempt: &Attempt,
+    (planned, attempt): (&Planned, &Attempt),
     name: &str,
     record: &Trial,
 ) -> Option<String> {
@@ -217,9 +220,18 @@ fn not_within(
     // The capsule is unfolded once the body has been measured, which may be long after the attempt has ended.
     let last = attempt.ended.filter(|_| !unfolds(record));
     let last = last.map_or(start, |ended| ended.max(began));
-    let outside = first.duration_since(start).max(start.duration_since(last));
+    let (early, late) = (first.duration_since(start), start.duration_since(last));
+    // Behind the step an early record has the same clock as the end of its attempt; before it, a late one has that of
+    // its beginning. There it is minutes away.
+    let away = match (attempt.ended, early > late) {
+        (Some(ended), true) => ended.duration_since(start),
+        _ => start.duration_since(began),
+    };
+    let outside = early.max(late);
     let is_outside = outside.is_positive() && !unfolds(record);
-    (outside > CLOCK_STEP || is_outside && is_of_another(campaign, name, start)).then(|| {
+    let is_forged = outside > CLOCK_STEP
+        || is_outside && (away > LONGEST || is_of_another(campaign, planned, name, start));
+    is_forged.then(|| {
         format!(
             "began at {start}, and by {TRIALS} the attempt lasted from {began} to {}",
             attempt
@@ -229,8 +241,8 @@ fn not_within(
     })
 }
 
-/// Whether the start of a record with this name lies within an attempt that has no other such record there.
-fn is_of_another(campaign: &Campaign, name: &str, start: Timestamp) -> bool {
+/// Whether the start of a record with this name lies within an attempt at the same thing that is complete without it.
+fn is_of_another(campaign: &Campaign, planned: &Planned, name: &str, start: Timestamp) -> bool {
     fn stem(name: &str) -> Option<&str> {
         name.split_once('-').map(|(stem, _)| stem)
     }
@@ -245,8 +257,16 @@ fn is_of_another(campaign: &Campaign, name: &str, start: Timestamp) -> bool {
             stem(&other) == stem(name) && time != start && includes(attempt, time)
         })
     };
-    campaign.state.trials.iter().any(|of| {
-        let mut meanwhile = of.attempts.iter().filter(|one| includes(one, start));
+    let same = |of: &&TrialState| {
+        (of.planned.purpose, of.planned.shape) == (planned.purpose, planned.shape)
+    };
+    campaign.state.trials.iter().filter(same).any(|of| {
+        let complete = |one: &&Attempt| one.outcome == Some(AttemptOutcome::Complete);
+        let mut meanwhile = of
+            .attempts
+            .iter()
+            .filter(complete)
+            .filter(|one| includes(one, start));
         meanwhile.any(|attempt| !has_its_own(of.planned.trial, attempt))
     })
 }

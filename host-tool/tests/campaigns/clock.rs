@@ -71,6 +71,23 @@ fn a_clock_that_is_set_back_within_an_attempt_condemns_no_record() {
     }
 }
 
+/// A run of some hours later takes the place of one that went badly.
+#[test]
+fn a_record_of_hours_later_is_found() {
+    for attempt in [[100, 3 * 3_600, 140], [100, 140 + 3_700, 140]] {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("small");
+        attempted(&path, &[attempt]);
+        let found = findings(&path);
+        assert!(
+            found
+                .iter()
+                .any(|one| one.starts_with("trials/001-1: run-")),
+            "{found:?}"
+        );
+    }
+}
+
 /// Exchanged attempts are among the forged folders; here one record takes the place of another.
 #[test]
 fn a_record_of_another_attempt_is_found() {
