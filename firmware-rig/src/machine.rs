@@ -372,7 +372,7 @@ impl Machine {
                 counted,
             } => self.stroke_done(stroke, commanded, counted, actions),
             Event::PathEnded(end, report) => self.path_ended(now, end, report, actions),
-            Event::LinkSilent => self.link_silent(actions),
+            Event::LinkSilent => self.link_silent(now, actions),
             Event::Tick => self.tick(now.time_us, actions),
         }
     }
@@ -442,6 +442,7 @@ impl Machine {
         let policy = LinkLossPolicy::Finish;
         match self.state {
             State::Homing(_) | State::Running | State::Moving(_) => {
+                self.refuse_repeated_jogs(now.time_us);
                 self.stop(RunOutcome::Stopped, actions);
                 Ok(())
             }
@@ -459,7 +460,8 @@ impl Machine {
             State::Homing(_) => self.stop_then(Then::Unhomed, actions),
             State::Running => self.stop_then(Then::Ready(outcome), actions),
             State::Moving(jog) => {
-                self.jog_stopped_until_us = jog.map_or(0, |jog| jog.until_us);
+                let until_us = jog.map_or(0, |jog| jog.until_us);
+                self.jog_stopped_until_us = self.jog_stopped_until_us.max(until_us);
                 self.stop_then(Then::Moved, actions);
             }
             // Already at rest: just end the run.
@@ -517,7 +519,7 @@ impl Machine {
         actions.emit(RigEvent::Faulted(fault));
     }
 
-    fn link_silent(&mut self, actions: &mut Actions) {
+    fn link_silent(&mut self, now: &Now, actions: &mut Actions) {
         let policy = match &self.state {
             State::Running => self.run.map(|run| run.link_loss),
             State::Homing(homing) => Some(homing.link_loss),
@@ -525,7 +527,15 @@ impl Machine {
             _ => None,
         };
         if policy == Some(LinkLossPolicy::Stop) {
+            self.refuse_repeated_jogs(now.time_us);
             self.stop(RunOutcome::LinkLost, actions);
+        }
+    }
+
+    /// The rig ends a jog by itself. The host, which does not know it, may repeat a renewal that was lost.
+    fn refuse_repeated_jogs(&mut self, now_us: u64) {
+        if let State::Moving(Some(_)) = self.state {
+            self.jog_stopped_until_us = now_us.saturating_add(REPEATED_US);
         }
     }
 
@@ -535,8 +545,7 @@ impl Machine {
                 self.latch(RigFault::HomingTimeout(homing.phase), actions);
             }
             State::Moving(Some(jog)) if now_us > jog.until_us => {
-                // For this long the host repeats a renewal that was lost. It would start the carriage again.
-                self.jog_stopped_until_us = now_us.saturating_add(REPEATED_US);
+                self.refuse_repeated_jogs(now_us);
                 self.stop_then(Then::Moved, actions);
             }
             _ => {}

@@ -104,7 +104,7 @@ mod jogging {
     /// deadline does.
     #[test]
     fn a_stopped_jog_is_not_started_again_by_its_renewal() {
-        for stop in [Command::Stop, Command::Button(None)] {
+        for (stop, until_ms) in [(Command::Stop, 300), (Command::Button(None), 800)] {
             let mut rig = rig_at(40_000);
             rig.command(jog(Direction::Away, 10_000)).unwrap();
             run_for(&mut rig, 100 * MS);
@@ -118,10 +118,10 @@ mod jogging {
             for direction in [Direction::Away, Direction::Home] {
                 assert_eq!(rig.command(jog(direction, 10_000)), busy);
             }
-            rig.now = renewed + 299 * MS;
+            rig.now = renewed + (until_ms - 1) * MS;
             assert_eq!(rig.command(jog(Direction::Away, 10_000)), busy);
             assert_eq!(rig.place, place);
-            rig.now = renewed + 300 * MS;
+            rig.now = renewed + until_ms * MS;
             rig.command(jog(Direction::Away, 10_000)).unwrap();
             run_for(&mut rig, 100 * MS);
             assert!(rig.place > place);

@@ -9,7 +9,7 @@ use crate::{
     supervision::Client,
 };
 use core::sync::atomic::Ordering;
-use embassy_futures::poll_once;
+use embassy_futures::{poll_once, yield_now};
 use embassy_stm32::{
     mode::Async,
     usart::{RingBufferedUartRx, UartTx},
@@ -40,10 +40,14 @@ pub async fn receive(
         let count = match with_timeout(CHECK_IN, uart.read(&mut buffer)).await {
             Ok(Ok(count)) => count,
             Ok(Err(_)) => {
-                // Noise, framing, overrun: the host repeats the damaged frame. The HAL starts its ring of bytes anew and
-                // hands out what the last round left in it: old frames, an emergency stop among them. Drop all of it.
+                // Noise, framing, overrun: the host repeats the damaged frame. The HAL starts its ring anew and hands
+                // out what the last round left in it: old frames, an emergency stop among them. Drop all of it.
                 UART_ERRORS.fetch_add(1, Ordering::Relaxed);
-                while poll_once(uart.read(&mut buffer)).is_ready() {}
+                while poll_once(uart.read(&mut buffer)).is_ready() {
+                    // A line that errs all the time holds nobody up.
+                    check_in(Client::Link);
+                    yield_now().await;
+                }
                 0
             }
             Err(_) => 0,

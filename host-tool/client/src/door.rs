@@ -17,8 +17,8 @@
 //! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a
 //! [`Greeting`], the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
 //! and the door acts as the device's end of a separate session. It rejects requests that are not allowed with
-//! [`protocol::error::WireError::Malformed`]. It answers a question that its owner could not send in time with
-//! [`protocol::error::WireError::Stale`]: the machine has not seen it. A guest need not wait for the welcome before it
+//! [`protocol::error::WireError::Malformed`]. It answers a question that its owner could not send in time, or that a stop
+//! has overtaken, with [`protocol::error::WireError::Stale`]: the machine has not seen it. A guest need not wait for the welcome before it
 //! sends a stop.
 //!
 //! Once the limit of guests is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says

@@ -20,7 +20,7 @@ const SLOW: SignedDuration = SignedDuration::from_secs(60);
 ///
 /// # Errors
 /// As [`Device::call`].
-pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
+pub fn end_record(device: &mut Device, now: Timestamp) -> Result<Option<String>, ClientError> {
     let Some(sidecar) = device.left_record() else {
         return Ok(None);
     };
@@ -34,7 +34,7 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
         return Ok(None);
     };
     let name = sidecar.display();
-    let is_same = is_same(device, &trial)?;
+    let is_same = is_same(device, &trial, now)?;
     let Some(ending) = ending(device, &trial, is_same)? else {
         return Ok(Some(format!(
             "what the process began whose record is {name} still moves, though that process has ended; `retrograde stop` stops it"
@@ -58,20 +58,20 @@ pub fn end_record(device: &mut Device) -> Result<Option<String>, ClientError> {
 
 /// The machine is that of the record, and has not been started again since. Each switching-on counts its starts from 1
 /// anew, so the time since its start decides as well.
-fn is_same(device: &mut Device, trial: &Trial) -> Result<bool, ClientError> {
+fn is_same(device: &mut Device, trial: &Trial, now: Timestamp) -> Result<bool, ClientError> {
     let place = device.place();
     let Some(identity) = device.identity() else {
         return Ok(false);
     };
-    let now = IdentityRecord::new(identity, &place);
-    if (&now.uid, now.boot_id) != (&trial.device.uid, trial.device.boot_id) {
+    let found = IdentityRecord::new(identity, &place);
+    if (&found.uid, found.boot_id) != (&trial.device.uid, trial.device.boot_id) {
         return Ok(false);
     }
     let time_us = match identity.device {
         DeviceKind::Rig => device.rig_status()?.time_us,
         DeviceKind::Capsule => device.capsule_status()?.time_us,
     };
-    Ok(was_on(time_us, trial.started_utc, Timestamp::now()))
+    Ok(was_on(time_us, trial.started_utc, now))
 }
 
 /// Whether a machine that began `time_us` ago was on when a record began.
@@ -92,7 +92,9 @@ fn ending(
         ))))
     };
     if !is_same {
-        return lost("the machine was started again since, or is another one");
+        return lost(
+            "the machine was started again since or is another one, or the computer's clock was set",
+        );
     }
     match &trial.action {
         Action::Run { achieved, .. } => {

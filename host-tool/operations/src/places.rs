@@ -242,7 +242,7 @@ impl Places<'_> {
         }
         if device.left_record().is_some()
             && device.require(kind).is_ok()
-            && let Some(said) = left::end_record(&mut device)?
+            && let Some(said) = left::end_record(&mut device, self.connector.now())?
         {
             eprintln!("{}", visible::lines(&said));
         }

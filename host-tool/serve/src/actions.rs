@@ -1,6 +1,7 @@
 //! Actions: commands and their results. Each command is executed once, however often it is requested.
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use client::identity::kind_name;
@@ -125,6 +126,8 @@ pub struct RequestedAction {
 pub struct Actions {
     instance: String,
     list: Mutex<VecDeque<Action>>,
+    /// Number of actions that have ended.
+    ends: AtomicU64,
     changes: watch::Sender<u64>,
 }
 
@@ -133,6 +136,7 @@ impl Actions {
         Self {
             instance,
             list: Mutex::default(),
+            ends: AtomicU64::new(0),
             changes: watch::Sender::new(0),
         }
     }
@@ -206,12 +210,7 @@ impl Actions {
         failure: Option<&Failure>,
         now: Timestamp,
     ) -> Option<Action> {
-        let nth = 1 + self
-            .list()
-            .iter()
-            .map(|one| one.ended_nth)
-            .max()
-            .unwrap_or(0);
+        let nth = 1 + self.ends.fetch_add(1, Ordering::Relaxed);
         self.update(number, |action| {
             action.standing = failure.map_or(Standing::Complete, Standing::of);
             // The machine accepted the action and was lost afterwards, or with the order under way.

@@ -387,6 +387,10 @@ impl ServerFile {
 
     /// Makes file and lock new: a folder of temporary files is cleaned of what nobody has touched for days.
     fn renew(&self) {
+        // Another server may have replaced the file.
+        if fs::read_to_string(&self.file).is_ok_and(|text| text != self.text) {
+            return;
+        }
         let _ = self.lock.set_modified(SystemTime::now());
         let _ = self.write();
     }
@@ -405,7 +409,8 @@ async fn keep(server_file: Arc<ServerFile>) {
     let mut renewals = interval(RENEWED);
     loop {
         renewals.tick().await;
-        server_file.renew();
+        let server_file = Arc::clone(&server_file);
+        let _ = tokio::task::spawn_blocking(move || server_file.renew()).await;
     }
 }
 

@@ -242,7 +242,7 @@ impl Worker<'_> {
             self.settle(device)?;
             if asked_us == Some(now_us)
                 && !self.machine.panel().moves()
-                && let Some(said) = left::end_record(device)?
+                && let Some(said) = left::end_record(device, self.places.connector.now())?
             {
                 self.board.notice(self.machine, Notice::Bad(said));
             }

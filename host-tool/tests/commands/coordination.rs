@@ -255,8 +255,8 @@ fn the_run_goes_on_whatever_becomes_of_the_capsule() {
     }
 }
 
-/// A link at whose door a guest has asked something.
-struct Asked(Box<dyn Link>, Option<Question>);
+/// A link at whose door a guest asks something at this time.
+struct Asked(Box<dyn Link>, u64, Option<Question>);
 
 impl Link for Asked {
     fn place(&self) -> String {
@@ -272,10 +272,7 @@ impl Link for Asked {
         self.0.receive(buffer, deadline_us)
     }
     fn question(&mut self) -> Option<Question> {
-        match self.0.now_us() {
-            0..1_000_000 => None,
-            _ => self.1.take(),
-        }
+        self.2.take_if(|_| self.0.now_us() >= self.1)
     }
 }
 
@@ -291,7 +288,7 @@ fn the_host_does_not_wait_for_the_answer_to_a_guest() {
         let question = Question::new(GetActuationRecord.into_request(), move |reply| {
             answers.send(reply).expect("heard");
         });
-        let link = Box::new(Asked(link, Some(question)));
+        let link = Box::new(Asked(link, 1_000_000, Some(question)));
         let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
         let mut longest_us = 0;
         while capsule.now_us() < 3_000_000 {
@@ -304,6 +301,32 @@ fn the_host_does_not_wait_for_the_answer_to_a_guest() {
         let reply = answered.try_recv().expect("the guest is told");
         assert_eq!(reply.is_none(), dead, "{reply:?}");
     }
+}
+
+/// The run ends in the dwell before the fold, and a guest's question keeps the capsule's line busy beyond that.
+#[test]
+fn nothing_is_folded_after_the_run() {
+    let (link, log) = link(Script {
+        deaf_to: vec![("GetActuationRecord", 1_000)],
+        ..ready(DeviceKind::Capsule)
+    });
+    let question = Question::new(GetActuationRecord.into_request(), |_| {});
+    let link = Box::new(Asked(link, 1_400_000, Some(question)));
+    let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
+    let (mut rig, _) = connected(Script {
+        world: vec![(1_500_000, World::StopFrame)],
+        ..ready(DeviceKind::Rig)
+    });
+    let delayed = Run {
+        start_delay_us: 2_000_000,
+        ..RUN
+    };
+    let both = (&mut rig, &mut capsule);
+    let done = tied(both, delayed, at(1, None), &mut Unobserved);
+    assert_eq!(done.run.trial.status, Status::Stopped);
+    let why = done.actuation.expect_err("not begun").to_string();
+    assert!(why.contains("in the dwell"), "{why}");
+    assert!(!log.lock().expect("a log").executed.contains(&"Fold"));
 }
 
 /// A capsule that is lost before the run begins: nothing moves, and its record does not run for ever.

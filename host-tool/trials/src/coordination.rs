@@ -280,6 +280,15 @@ impl Partner<'_> {
         mut self,
         run: Option<&RunTrial>,
     ) -> (Result<ActuationTrial, ExperimentError>, Coordination) {
+        // Nothing begins after the run.
+        if let Phase::Cued {
+            due_us,
+            asked: false,
+            ..
+        } = &mut self.phase
+        {
+            *due_us = Some(u64::MAX);
+        }
         // If the run ended between the command and its answer, the capsule moves nevertheless: wait for the answer.
         while self.capsule.is_posted() && !matches!(self.phase, Phase::Failed(_)) {
             let (rig_us, capsule_us) = self.together_us;

@@ -28,7 +28,7 @@ pub(crate) struct CapsuleRun {
     pub(crate) device: Device,
 }
 
-fn start() -> CapsuleRun {
+pub(crate) fn start() -> CapsuleRun {
     start_with(Parameters::nominal())
 }
 

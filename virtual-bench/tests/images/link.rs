@@ -4,6 +4,7 @@ use client::error::ClientError;
 use client::link::Link;
 use client::{Device, Unobserved};
 
+use crate::capsule::CapsuleRun;
 use crate::common::{
     Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, quickly_homed, rig, trials,
 };
@@ -16,31 +17,48 @@ use protocol::{
     system::{Acknowledge, DeviceKind, KeepAlive, Urgent},
     table::Request,
 };
-use virtual_bench::{link::VirtualLink, serial::ByteFault, verdicts::Verdict};
+use virtual_bench::{
+    bench::Bench, emulator::Wiring, link::VirtualLink, serial::ByteFault, verdicts::Verdict,
+};
 
 /// An error stops the port's DMA, which then begins anew at the start of its ring: what the last round left there must
 /// not be read again. An emergency stop needs no session, and would latch a second time.
 #[test]
 fn a_framing_error_brings_no_old_frame_back() {
     let mut rig = rig();
-    for round in 0..20 {
-        rig.device.urgent(Urgent::EStop).expect("confirmed");
-        rig.device.forget_stop();
-        rig.device.call(Acknowledge).expect("acknowledged");
-        let garble = |rig: &RigRun, per_million| {
-            rig.bench
-                .visit(move |visit| visit.set_framing_errors(per_million))
-                .expect("the bench runs");
-        };
-        garble(&rig, 200_000);
-        // May be answered or not.
-        let _ = rig.device.rig_status();
-        garble(&rig, 0);
-        let status = rig.device.rig_status().expect("a status");
-        assert_eq!(status.fault, None, "round {round}");
-    }
+    err(&rig.bench, &mut rig.device, |device| {
+        device.rig_status().map(|status| status.fault.is_some())
+    });
     let health = rig.device.call(GetRigHealth).expect("an answer");
     assert!(health.uart_errors > 20, "{}", health.uart_errors);
+    let CapsuleRun { bench, mut device } = crate::capsule::start();
+    err(&bench, &mut device, |device| {
+        device.capsule_status().map(|status| status.fault.is_some())
+    });
+}
+
+/// Errors behind an emergency stop that was acknowledged, from a few to nothing but errors.
+fn err<W: Wiring + 'static>(
+    bench: &Bench<W>,
+    device: &mut Device,
+    is_faulted: fn(&mut Device) -> Result<bool, ClientError>,
+) {
+    let garble = |per_million| {
+        bench
+            .visit(move |visit| visit.set_framing_errors(per_million))
+            .expect("the bench runs");
+    };
+    for round in 0..20 {
+        device.urgent(Urgent::EStop).expect("confirmed");
+        device.forget_stop();
+        device.call(Acknowledge).expect("acknowledged");
+        garble(if round % 4 == 3 { 1_000_000 } else { 200_000 });
+        // May be answered or not.
+        let _ = is_faulted(device);
+        garble(0);
+        let is_faulted = is_faulted(device).expect("a status");
+        assert!(!is_faulted, "round {round}");
+    }
 }
 
 /// Changes one byte in a thousand and drops half of those, in both directions, for a whole run with telemetry.

@@ -101,27 +101,16 @@ impl Device {
                 Err(error) => reply(question, Err(error))?,
             }
         }
-        let mut answer = None;
-        // Take one more turn after the deadline: a turn either sends or receives.
-        let mut last = false;
-        while !last && answer.is_none() {
-            last = self.now_us() >= until_us;
-            let pending = self.posted;
-            answer = match (self.turn(until_us)?, pending) {
-                (Turn::UrgentUnanswered, _) => return Err(self.stop_unconfirmed()),
-                (Turn::Answered(output), Some(posted)) => Some((posted, Some(output))),
-                (Turn::Unanswered, Some(posted)) => Some((posted, None)),
-                // First the stop that has made it pointless.
-                (Turn::Nothing, Some(posted))
-                    if is_abandonable(posted.impact)
-                        && !self.commanding
-                        && !self.urgent_pending =>
-                {
-                    Some((posted, None))
+        let answer = match self.posted_answer(until_us) {
+            Ok(answer) => answer,
+            Err(error) => {
+                self.posted = None;
+                if let Some(question) = self.asked_by.take() {
+                    question.answer(None);
                 }
-                _ => None,
-            };
-        }
+                return Err(error);
+            }
+        };
         self.hand_out(observer);
         let Some((posted, answer)) = answer else {
             return Ok(None);
@@ -132,6 +121,36 @@ impl Device {
             Some(question) => reply(question, answer).map(|()| None),
             None => answer.map(Some),
         }
+    }
+
+    /// Sends and receives until `until_us`, or until the posted request has its answer, or certainly none.
+    fn posted_answer(
+        &mut self,
+        until_us: u64,
+    ) -> Result<Option<(Posted, Option<Output>)>, ClientError> {
+        // Take one more turn after the deadline: a turn either sends or receives.
+        let mut last = false;
+        while !last {
+            last = self.now_us() >= until_us;
+            let pending = self.posted;
+            match (self.turn(until_us)?, pending) {
+                (Turn::UrgentUnanswered, _) => return Err(self.stop_unconfirmed()),
+                (Turn::Answered(output), Some(posted)) => {
+                    return Ok(Some((posted, Some(output))));
+                }
+                (Turn::Unanswered, Some(posted)) => return Ok(Some((posted, None))),
+                // First the stop that has made it pointless.
+                (Turn::Nothing, Some(posted))
+                    if is_abandonable(posted.impact)
+                        && !self.commanding
+                        && !self.urgent_pending =>
+                {
+                    return Ok(Some((posted, None)));
+                }
+                _ => {}
+            }
+        }
+        Ok(None)
     }
 
     pub(crate) fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {

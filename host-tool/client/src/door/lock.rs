@@ -268,7 +268,7 @@ impl Lock {
     }
 
     /// Publishes the record that the owner now writes; `None` when it is complete, and then again the one that was left
-    /// here, until that has ended. Errors are ignored: on a full disk the record itself reports one.
+    /// here, until that has ended (or for ever, if this owner is killed as well while it records). Errors are ignored: on a full disk the record itself reports one.
     pub fn records(&self, sidecar: Option<&Path>) {
         let written = sidecar.and_then(|path| std::path::absolute(path).ok());
         let mut owner_file = self.owner_file();

@@ -391,11 +391,12 @@ impl Core {
         };
         let frame = encode(header, &urgent).map_err(|_| io::ErrorKind::InvalidData)?;
         let written = out.line.write_all(&frame);
+        let is_marked = Doorway::last_stops(self.doorway.as_ref()).since(out.mark);
         drop(out);
         self.woken.notify_all();
         for question in older {
-            // It was not sent, and its guest sees why: the mark of the stop.
-            question.answer(Some(Reply::Wire(WireError::Stale)));
+            // It was not sent. A guest that cannot see why, by the mark of the stop, would send it again.
+            question.answer(is_marked.map(|_| Reply::Wire(WireError::Stale)));
         }
         written
     }

@@ -101,9 +101,6 @@ pub struct Began {
     at: Instant,
 }
 
-/// Two clocks of a computer that are not set drift apart by less than this while a command waits.
-const DRIFT: Duration = Duration::from_secs(1);
-
 impl Began {
     /// A process that begins now.
     #[must_use]
@@ -119,9 +116,8 @@ impl Began {
     fn is_after(&self, stop: SystemTime, elapsed: Duration, now: SystemTime) -> bool {
         // Its beginning by the clock as it goes now.
         let began = now.checked_sub(elapsed).unwrap_or(self.time);
-        let set_back = began + DRIFT < self.time;
-        // A stop from the future is older than a clock that was set back, unless it was set back since.
-        stop <= began.min(self.time) || (stop > now && !set_back)
+        // A stop from the future is older than a clock that was set back, but not if that was since the beginning.
+        stop <= began.min(self.time) || stop > now.max(self.time + elapsed)
     }
 }
 
@@ -180,6 +176,7 @@ mod tests {
             at: Instant::now(),
         };
         for (stop, elapsed_s, now, is_after, why) in [
+            (100.6, 1, 99.85, false, "set back by 1 s after the stop"),
             (99.9, 5, 105.0, true, "a stop before"),
             (100.1, 5, 105.0, false, "a stop since"),
             (99.5, 5, 103.0, false, "set back by 2 s before the stop"),

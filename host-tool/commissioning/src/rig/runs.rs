@@ -264,8 +264,6 @@ pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
             status.state
         )));
     }
-    // The rig takes no new motion while a repetition of the jog might be under way.
-    work.pause(dead_man_us + 50_000)?;
     let target = work.setting(Key::StrokeUm) / 2;
     let there = work.go_to(target)?;
     work.note("moved_to_um", there.position_um);

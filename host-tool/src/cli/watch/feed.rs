@@ -271,7 +271,7 @@ impl Feed<'_> {
             }
             if asked_us == Some(now_us)
                 && !self.shared.panel().moves()
-                && let Some(said) = left::end_record(device)?
+                && let Some(said) = left::end_record(device, self.places.connector.now())?
             {
                 self.shared.tell(Notice::Bad(said));
             }

@@ -21,8 +21,12 @@ impl Write for Tap {
 }
 
 fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
+    core_at(None)
+}
+
+fn core_at(doorway: Option<Doorway>) -> (Arc<Core>, Receiver<Vec<u8>>) {
     let (tap, written) = channel();
-    (Core::new(Box::new(Tap(tap)), false, None), written)
+    (Core::new(Box::new(Tap(tap)), false, doorway), written)
 }
 
 #[test]
@@ -74,15 +78,23 @@ fn a_command_that_comes_after_a_stop_nobody_has_noticed_is_not_sent() {
 
 #[test]
 fn an_order_that_a_stop_has_removed_was_certainly_not_sent() {
-    let (core, written) = core();
-    let (answers, answered) = channel();
-    core.ask(Question::new(rig::Resume.into_request(), move |reply| {
-        answers.send(reply).expect("heard");
-    }));
-    core.stop(0, STOP, Urgent::Stop).expect("sent");
-    assert_eq!(written.try_iter().count(), 1);
-    let not_sent = Some(Reply::Wire(WireError::Stale));
-    assert_eq!(answered.try_iter().collect::<Vec<_>>(), [not_sent]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let doorway = Doorway::new(folder.path().to_owned(), "one", "one".to_owned());
+    let (core, written) = core_at(Some(doorway.clone()));
+    // A guest that does not see the mark of the stop would send the order again.
+    for is_marked in [false, true] {
+        let (answers, answered) = channel();
+        core.ask(Question::new(rig::Resume.into_request(), move |reply| {
+            answers.send(reply).expect("heard");
+        }));
+        if is_marked {
+            doorway.mark_stop(Urgent::Stop);
+        }
+        core.stop(0, STOP, Urgent::Stop).expect("sent");
+        assert_eq!(written.try_iter().count(), 1);
+        let not_sent = is_marked.then_some(Reply::Wire(WireError::Stale));
+        assert_eq!(answered.try_iter().collect::<Vec<_>>(), [not_sent]);
+    }
 }
 
 #[test]
