@@ -77,7 +77,7 @@ pub struct Identity {
     pub revision: Revision,
     /// How the image was built.
     pub profile: BuildProfile,
-    /// Counts starts: a new value means that the device was reset.
+    /// Counts starts since it was switched on, from 1: a new value means a reset.
     pub boot_id: u32,
     /// Why it last started.
     pub reset_cause: ResetCause,
