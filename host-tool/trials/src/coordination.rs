@@ -275,12 +275,8 @@ impl Partner<'_> {
         Ok(())
     }
 
-    /// Waits for the end of the actuation, if it has begun, and completes its record.
-    fn end(
-        mut self,
-        run: Option<&RunTrial>,
-    ) -> (Result<ActuationTrial, ExperimentError>, Coordination) {
-        // Nothing begins after the run.
+    /// Nothing begins after the run.
+    fn begin_nothing(&mut self) {
         if let Phase::Cued {
             due_us,
             asked: false,
@@ -289,6 +285,14 @@ impl Partner<'_> {
         {
             *due_us = Some(u64::MAX);
         }
+    }
+
+    /// Waits for the end of the actuation, if it has begun, and completes its record.
+    fn end(
+        mut self,
+        run: Option<&RunTrial>,
+    ) -> (Result<ActuationTrial, ExperimentError>, Coordination) {
+        self.begin_nothing();
         // If the run ended between the command and its answer, the capsule moves nevertheless: wait for the answer.
         while self.capsule.is_posted() && !matches!(self.phase, Phase::Failed(_)) {
             let (rig_us, capsule_us) = self.together_us;
