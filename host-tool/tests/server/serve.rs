@@ -813,7 +813,7 @@ fn a_jog_lives_on_renewals_alone() {
     let executed = bench.executed();
     let jog = |name: &&str| *name == "Jog";
     let first = executed.iter().position(jog).expect("the order");
-    for pair in executed[first..].windows(2).filter(|pair| jog(&&pair[1])) {
+    for pair in executed[first..].windows(2).filter(|pair| jog(&pair[1])) {
         assert_eq!(pair[0], "GetRigStatus");
     }
     // A repeated renewal renews nothing.
