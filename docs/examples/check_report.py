@@ -36,40 +36,32 @@ def student_t(degrees, confidence=0.95):
     return (low + high) / 2
 
 
-def half_slope(points):
-    """Half the 95 % interval of the slope, from the means of the clampings: trials of one clamping share its error."""
+def line(points):
+    """Slope, its 95 % interval and intercept of the line through the means of the clampings, because trials of one
+    clamping share its error; R^2 and residual deviation of the trials about it."""
     by_a = {}
     for x, y in points:
         by_a.setdefault(x, []).append(y)
+    if len(by_a) < 2:
+        return None
     means = {x: statistics.fmean(ys) for x, ys in by_a.items()}
-    degrees = len(means) - 2
-    if degrees < 1:
-        return None
     slope, intercept = statistics.linear_regression(list(means), list(means.values()))
-    left = math.fsum((y - intercept - slope * x) ** 2 for x, y in means.items())
-    middle = statistics.fmean(means)
-    return student_t(degrees) * math.sqrt(left / degrees / math.fsum((x - middle) ** 2 for x in means))
 
+    def left(points):
+        return math.fsum((y - intercept - slope * x) ** 2 for x, y in points)
 
-def line(points):
-    """Slope, its interval, intercept, R^2 and residual deviation of the line of least squares."""
-    xs, ys = [x for x, _ in points], [y for _, y in points]
-    if len(set(xs)) < 2:
-        return None
-    n, mean_x, mean_y = len(points), statistics.fmean(xs), statistics.fmean(ys)
-    squares_x = math.fsum((x - mean_x) ** 2 for x in xs)
-    slope = math.fsum((x - mean_x) * (y - mean_y) for x, y in points) / squares_x
-    intercept = mean_y - slope * mean_x
-    left = math.fsum((y - intercept - slope * x) ** 2 for x, y in points)
-    squares_y = math.fsum((y - mean_y) ** 2 for y in ys)
-    sd = math.sqrt(left / (n - 2)) if n > 2 else None
+    n, degrees, middle = len(points), len(means) - 2, statistics.fmean(means)
+    squares_x = math.fsum((x - middle) ** 2 for x in means)
+    mean_y = statistics.fmean(y for _, y in points)
+    squares_y = math.fsum((y - mean_y) ** 2 for _, y in points)
+    half = student_t(degrees) * math.sqrt(left(means.items()) / degrees / squares_x) if degrees else None
     return {
         "n": n,
         "slope": slope,
-        "slope_half_95": half_slope(points),
+        "slope_half_95": half,
         "intercept_mm": intercept,
-        "r_squared": 1 - left / squares_y if squares_y else None,
-        "residual_sd_mm": sd,
+        "r_squared": 1 - left(points) / squares_y if squares_y else None,
+        "residual_sd_mm": math.sqrt(left(points) / (n - 2)) if n > 2 else None,
     }
 
 

@@ -36,10 +36,11 @@ def means(points):
 
 
 def line(points):
-    """Slope and intercept of the line of least squares; None for one indentation."""
-    if len({a for a, _ in points}) < 2:
+    """Slope and intercept of the line through the means of the clampings; None for one indentation."""
+    clampings = means(points)
+    if len(clampings) < 2:
         return None
-    return statistics.linear_regression([a for a, _ in points], [d for _, d in points])
+    return statistics.linear_regression([a for a, _, _ in clampings], [d for _, d, _ in clampings])
 
 
 def as_svg(points, title):

@@ -136,7 +136,7 @@ pub(crate) enum Mark {
     Segments(u32),
     /// The points are the outline of a pale area.
     Area,
-    /// The same behind the data: it does not widen the axis, and ends where the plot does.
+    /// The same behind all other curves: it does not widen the axis, and ends where the plot does.
     Backdrop,
 }
 
@@ -454,7 +454,10 @@ where
     for (entry, curve) in labelled.enumerate() {
         draw_entry(root, legend.place(entry), curve)?;
     }
-    for curve in curves {
+    // A backdrop would cover the dots of the curves before it.
+    let (behind, before): (Vec<_>, Vec<_>) =
+        (curves.iter()).partition(|curve| curve.mark == Mark::Backdrop);
+    for curve in behind.into_iter().chain(before) {
         draw_curve(&mut chart, curve, (y_low, y_high))?;
     }
     Ok(())
@@ -673,6 +676,22 @@ mod tests {
             heights.len() >= 4 && heights.iter().all(|y| plot.contains(y)),
             "{heights:?}"
         );
+    }
+
+    /// A band of one series would else hide the dots of another.
+    #[test]
+    fn backdrops_lie_behind_all_other_curves() {
+        let curve = |mark| Curve {
+            label: String::new(),
+            colour: MEASURED,
+            mark,
+            points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
+        };
+        let heading = Heading::new("a", Source::Model);
+        let curves = vec![curve(Mark::Dots(7)), curve(Mark::Backdrop)];
+        let svg = over_time(&heading, "y", curves).expect("drawn");
+        let place = |what| svg.find(what).expect(what);
+        assert!(place("<polygon") < place("<circle"), "{svg}");
     }
 
     #[test]

@@ -151,32 +151,38 @@ impl Observation {
     }
 }
 
-/// Greatest difference of two indentations of one notch, mm [assumed]. Rollers that are clamped anew in their notch are
+/// Greatest difference of two indentations of one notch, um, assumed. Rollers that are clamped anew in their notch are
 /// measured 0.02 to 0.1 mm apart, and the notches of the paper's series are 1 mm apart.
-pub const SAME_NOTCH_MM: f64 = 0.2;
+pub const SAME_NOTCH_UM: i64 = 200;
+
+/// Whole micrometres, because differences of millimetres are not exact: 5.2 less 5.0 is more than 0.2.
+fn micrometres(mm: f64) -> i64 {
+    libm::round(1e3 * mm) as i64
+}
 
 /// The notches in which the rollers were clamped.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Notches {
-    /// The least indentation of each, mm, in order.
-    least_mm: Vec<f64>,
+    /// The least indentation of each, um, in order.
+    least_um: Vec<i64>,
 }
 
 impl Notches {
     /// Of all indentations, mm, of some trials. A notch holds its least indentation, and others up to
-    /// [`SAME_NOTCH_MM`] beyond it.
+    /// [`SAME_NOTCH_UM`] beyond it.
     #[must_use]
     pub fn of(indentations_mm: impl Iterator<Item = f64>) -> Self {
-        let mut least_mm: Vec<f64> = indentations_mm.collect();
-        least_mm.sort_by(f64::total_cmp);
-        least_mm.dedup_by(|next_mm, least_mm| *next_mm - *least_mm <= SAME_NOTCH_MM);
-        Self { least_mm }
+        let mut least_um: Vec<i64> = indentations_mm.map(micrometres).collect();
+        least_um.sort_unstable();
+        least_um.dedup_by(|next_um, least_um| *next_um - *least_um <= SAME_NOTCH_UM);
+        Self { least_um }
     }
 
     /// Number of an indentation's notch, from 0, that of the least indentation.
     #[must_use]
     pub fn number(&self, indentation_mm: f64) -> usize {
-        let begun = (self.least_mm).partition_point(|least_mm| *least_mm <= indentation_mm);
+        let at_um = micrometres(indentation_mm);
+        let begun = self.least_um.partition_point(|least_um| *least_um <= at_um);
         begun.saturating_sub(1)
     }
 }

@@ -1,7 +1,7 @@
 //! The sampled density: prior times likelihood.
 //!
 //! The mean of a condition's repeats is the model's displacement, plus the model's errors, plus the measurement error.
-//! The model's error in an antegrade pass is one number for all strokes and nets at an indentation and wall, and so is
+//! The model's error in an antegrade pass is one number for all strokes and nets in a notch and at a wall, and so is
 //! its error in a returning pass: ten strokes show the same error ten times, and say no more about the body than one
 //! exact stroke. All errors are normal, so the model's are integrated out: the means of a family of conditions have
 //! the covariance `diag(u^2) + tau^2 A A^T`, with u the standard error of a mean and the rows of A from

@@ -136,6 +136,11 @@ fn clampings_of_one_notch_are_one_family() {
     assert_eq!(families(&[5.05, 5.047]), [0, 0]);
     assert_eq!(families(&[4.0, 5.05]), [0, 1]);
     assert_eq!(families(&[5.1, 3.96, 5.0, 4.05]), [0, 0, 1, 1]);
+    // In binary fractions 5.2 less 5.0 is more than 0.2, and 1.2 less 1.0 is less.
+    assert_eq!(families(&[5.0, 5.2]), [0, 0]);
+    assert_eq!(families(&[1.0, 1.2]), [0, 0]);
+    assert_eq!(families(&[5.0, 5.201]), [0, 1]);
+    assert_eq!(families(&[1.0, 1.201]), [0, 1]);
     // Not from one to the next: these reach from one notch of a fine rack to another.
     assert_eq!(families(&[1.0, 1.15, 1.3, 1.45]), [0, 0, 1, 1]);
 }

@@ -59,11 +59,20 @@ fn moved_mm(model: &Model, depth_mm: f64, unlike: Unlike) -> [f64; 3] {
 
 /// Trials of a body at all indentations on a wall.
 fn trials(of: impl Fn(f64) -> [f64; 3], lubrication: Lubrication, seed: u64) -> Vec<Observation> {
+    repeated(REPEATS, of, lubrication, seed)
+}
+
+fn repeated(
+    repeats: usize,
+    of: impl Fn(f64) -> [f64; 3],
+    lubrication: Lubrication,
+    seed: u64,
+) -> Vec<Observation> {
     let mut random = stream(seed, lubrication as u64);
     let mut all = vec![];
     for &indentation_mm in depths_mm() {
         for (kind, exact_mm) in kinds().into_iter().zip(of(indentation_mm)) {
-            for _ in 0..REPEATS {
+            for _ in 0..repeats {
                 all.push(Observation {
                     kind,
                     lubrication,
@@ -269,8 +278,8 @@ fn a_friction_ratio_that_changes_with_the_wall_is_not_reliable() {
     assert!(has(&fit, Check::Discrepancy), "{:?}", fit.verdict);
 }
 
-/// Between these clampings, 0.12 mm apart, a net displacement of two cycles changes by two of its uncertainties: walls
-/// that are compared without the model's own difference would be accused.
+/// Between these clampings, 0.12 mm apart, a net displacement of two cycles changes by two of its uncertainties: a
+/// body that is compared without the model's own difference is accused.
 #[test]
 fn clampings_of_one_notch_do_not_accuse_a_body_of_the_model() {
     let mut trials = vec![];
@@ -290,8 +299,28 @@ fn clampings_of_one_notch_do_not_accuse_a_body_of_the_model() {
     }
     let fit = fitted(&trials, 9).expect("a posterior");
     assert!(fit.verdict.is_reliable(), "{:?}", fit.verdict);
-    for check in [Check::Walls, Check::NetAndPasses] {
-        assert!(!fit.verdict.says(check), "{:?}", fit.verdict);
+    assert!(!fit.verdict.says(Check::Walls), "{:?}", fit.verdict);
+}
+
+/// Clampings 0.03 mm off their caliper, with ten repeats that know their mean to 0.06 mm. 20 data sets with
+/// `RETROGRADE_CAMPAIGN=full`; otherwise one, whose walls are accused if the indentations are taken as exact.
+#[test]
+fn clampings_off_their_caliper_do_not_accuse_the_walls() {
+    for seed in if full() { 0..20 } else { 2..3 } {
+        let mut trials = vec![];
+        for lubrication in [Lubrication::Dry, Lubrication::Lubricated] {
+            let mut random = stream(100 + seed, lubrication as u64);
+            let off_mm: Vec<_> = (depths_mm().iter())
+                .map(|mm| (*mm, 0.03 * normal(&mut random)))
+                .collect();
+            let of = |depth_mm| {
+                let found = off_mm.iter().find(|(of_mm, _)| *of_mm == depth_mm);
+                moved_mm(&Model::ONE, depth_mm + found.expect("drawn").1, LIKE)
+            };
+            trials.extend(repeated(10, of, lubrication, seed));
+        }
+        let fit = fitted(&trials, seed).expect("a posterior");
+        assert!(!has(&fit, Check::Walls), "{seed}: {:?}", fit.verdict);
     }
 }
 

@@ -4,7 +4,6 @@
 use campaign::form::Form;
 use campaign::order::doing;
 use campaign::plan::{Lubrication, Purpose};
-use campaign::statistics::FittedLine;
 use plotters::style::RGBColor;
 use trials::check;
 use trials::trial::{Action, RigSample, Screw};
@@ -14,7 +13,7 @@ use crate::figures::{
     Chart, Curve, Figure, FigureError, Heading, Mark, Source, figure, planned, sampled, thinned,
 };
 use crate::report::campaign_band::ModelBand;
-use crate::report::evaluation::{ConditionRow, Evaluation, Part, clampings, deviations, run_of};
+use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
 
 /// Points of a band's edge.
 const EDGE: u32 = 48;
@@ -103,13 +102,12 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
             .iter()
             .find(|(row, _)| row.lubrication == lubrication)
             .map(|(_, line)| line);
-        let between = FittedLine::through(&clampings(&points));
-        if let Some((line, between)) = line.zip(between) {
+        if let Some(line) = line {
             let at = |index: u32| ends.0 + (ends.1 - ends.0) * f64::from(index) / f64::from(EDGE);
             let edge = |sign: f64| {
                 (0..=EDGE)
                     .map(at)
-                    .filter_map(move |x| Some((x, line.at(x) + sign * between.half_band(x)?)))
+                    .filter_map(move |x| Some((x, line.at(x) + sign * line.half_band(x)?)))
                     .collect::<Vec<_>>()
             };
             let (upper, lower) = (edge(1.0), edge(-1.0));
@@ -137,7 +135,7 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
     if curves.is_empty() {
         return None;
     }
-    // Insert first, so that the band is behind all curves.
+    // Insert first, so that the band is behind those of the lines.
     if let Some(band) = band {
         curves.insert(
             0,

@@ -152,7 +152,7 @@ pub struct ConditionRow {
     pub origin: Origin,
 }
 
-/// A line through displacement over indentation: a row of `report/lines.csv`.
+/// A line through displacement over indentation, by the means of the clampings: a row of `report/lines.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LineRow {
     /// State of the walls.
@@ -161,13 +161,13 @@ pub struct LineRow {
     pub n: usize,
     /// Rise, mm of displacement per mm of indentation.
     pub slope: Rounded<4>,
-    /// Half the width of its 95 % interval, from the means of the clampings; none for two of them.
+    /// Half the width of its 95 % interval; none for two clampings.
     pub slope_half_95: Option<Rounded<4>>,
     /// Value at zero indentation.
     pub intercept_mm: Rounded<4>,
-    /// Share of the variance that the line explains.
+    /// Share of the trials' variance that the line explains.
     pub r_squared: Option<Rounded<4>>,
-    /// Standard deviation about the line.
+    /// Standard deviation of the trials about the line.
     pub residual_sd_mm: Option<Rounded<4>>,
     /// Origin of the data.
     pub origin: Origin,
@@ -383,7 +383,7 @@ pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)
 }
 
 /// (a_n, mean displacement) of each clamping, mm. All trials of one clamping have its a_n, and share what is wrong with
-/// it, so these means, not the trials, are independent of each other.
+/// it, so these means, not the trials, are independent of each other. Clampings of equal a_n count as one.
 #[must_use]
 pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut all: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
@@ -397,22 +397,26 @@ pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// The line through the points of a series.
+/// The line of a series, through the means of its clampings: the interval of such a line holds for no other.
 fn line(
     lubrication: Lubrication,
     points: &[(f64, f64)],
     origin: Origin,
 ) -> Option<(LineRow, FittedLine)> {
-    let line = FittedLine::through(points)?;
-    let between = FittedLine::through(&clampings(points))?;
+    let line = FittedLine::through(&clampings(points))?;
+    let n = points.len();
+    let off = |(a_mm, displacement_mm): &(f64, f64)| displacement_mm - line.at(*a_mm);
+    let left: f64 = points.iter().map(|point| off(point).powi(2)).sum();
+    let values: Vec<f64> = points.iter().map(|(_, value)| *value).collect();
+    let spread = Spread::of(&values)?.sd.filter(|sd| *sd > 0.0);
     let row = LineRow {
         lubrication,
-        n: line.n,
+        n,
         slope: Rounded(line.slope),
-        slope_half_95: between.half_slope().map(Rounded),
+        slope_half_95: line.half_slope().map(Rounded),
         intercept_mm: Rounded(line.intercept),
-        r_squared: line.r_squared.map(Rounded),
-        residual_sd_mm: line.residual_sd.map(Rounded),
+        r_squared: spread.map(|sd| Rounded(1.0 - left / (sd.powi(2) * (n - 1) as f64))),
+        residual_sd_mm: (n > 2).then(|| Rounded((left / (n - 2) as f64).sqrt())),
         origin,
     };
     Some((row, line))
@@ -730,5 +734,38 @@ mod tests {
         // Two clampings leave no degrees of freedom, whatever the number of trials.
         let (row, _) = line(Lubrication::Dry, &points[..20], Origin::Board).expect("a line");
         assert_eq!((row.n, row.slope_half_95), (20, None));
+    }
+
+    /// The same five means as above, of 10, 10, 10, 1 and 1 trials: the interval lies about the line of the means, not
+    /// about that of the trials, which follows the clampings that were repeated most.
+    #[test]
+    fn a_clamping_of_many_trials_does_not_pull_the_line() {
+        let clamping = |(a_mm, off_mm, n): (f64, f64, usize)| vec![(a_mm, 8.0 * a_mm + off_mm); n];
+        let numbers = [
+            (1.0, 1.0, 10),
+            (2.0, -1.0, 10),
+            (3.0, 1.0, 10),
+            (4.0, -1.0, 1),
+            (5.0, 1.0, 1),
+        ];
+        let points = numbers.map(clamping).concat();
+        let (row, drawn) = line(Lubrication::Dry, &points, Origin::Board).expect("a line");
+        assert_eq!(row.n, 32);
+        for (found, expected) in [
+            (row.slope.0, 8.0),
+            (row.intercept_mm.0, 0.2),
+            (drawn.at(5.0), 40.2),
+        ] {
+            assert!((found - expected).abs() < 1e-9, "{found}: {row:?}");
+        }
+        // The trials' residuals are 0.8 and -1.2 mm, 21 and 11 of them, and their spread is about their own mean.
+        let sd = row.residual_sd_mm.expect("32 trials").0;
+        let squares: f64 = 21.0 * 0.8_f64.powi(2) + 11.0 * 1.2_f64.powi(2);
+        assert!((sd - (squares / 30.0).sqrt()).abs() < 1e-9, "{sd}");
+        let rise = |(_, y): &(f64, f64)| *y;
+        let mean = points.iter().map(rise).sum::<f64>() / 32.0;
+        let all: f64 = points.iter().map(|(_, y)| (y - mean).powi(2)).sum();
+        let r_squared = row.r_squared.expect("a spread").0;
+        assert!((r_squared - 1.0 + squares / all).abs() < 1e-9, "{row:?}");
     }
 }
