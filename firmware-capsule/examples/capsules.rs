@@ -169,10 +169,11 @@ fn lives(count: u64) {
         3 * count,
         counted(found.iter().map(|f| &f.0))
     );
-    let found = verdict::all(count, cases::rescued);
+    let found = verdict::all(2 * count, cases::rescued);
     let least = found.iter().map(|f| f.1).fold(f64::MAX, f64::min);
     println!(
-        "| the way out after a cut, a watchdog, an emergency stop or a silent host | {count} | {} | {least:.3} | - |",
+        "| the way out after a cut, a watchdog, an emergency stop or a silent host | {} | {} | {least:.3} | - |",
+        2 * count,
         counted(found.iter().map(|f| &f.0))
     );
 }

@@ -230,7 +230,7 @@ fn not_within(
     let outside = early.max(late);
     let is_outside = outside.is_positive() && !unfolds(record);
     let is_forged = outside > CLOCK_STEP
-        || is_outside && (away > LONGEST || is_of_another(campaign, planned, name, start));
+        || is_outside && (away > LONGEST || is_of_another(campaign, planned, (name, record)));
     is_forged.then(|| {
         format!(
             "began at {start}, and by {TRIALS} the attempt lasted from {began} to {}",
@@ -242,7 +242,7 @@ fn not_within(
 }
 
 /// Whether the start of a record with this name lies within an attempt at the same thing that is complete without it.
-fn is_of_another(campaign: &Campaign, planned: &Planned, name: &str, start: Timestamp) -> bool {
+fn is_of_another(campaign: &Campaign, planned: &Planned, (name, record): (&str, &Trial)) -> bool {
     fn stem(name: &str) -> Option<&str> {
         name.split_once('-').map(|(stem, _)| stem)
     }
@@ -251,10 +251,9 @@ fn is_of_another(campaign: &Campaign, planned: &Planned, name: &str, start: Time
     };
     let has_its_own = |trial: u32, attempt: &Attempt| {
         let mut records = campaign.records(trial, attempt.number).into_iter();
-        records.any(|(other, record)| {
-            let time = record.started_utc;
-            // The same start is that of a copy.
-            stem(&other) == stem(name) && time != start && includes(attempt, time)
+        records.any(|(other, own)| {
+            let is_copy = own == *record;
+            stem(&other) == stem(name) && !is_copy && includes(attempt, own.started_utc)
         })
     };
     let same = |of: &&TrialState| {
@@ -266,7 +265,7 @@ fn is_of_another(campaign: &Campaign, planned: &Planned, name: &str, start: Time
             .attempts
             .iter()
             .filter(complete)
-            .filter(|one| includes(one, start));
+            .filter(|one| includes(one, record.started_utc));
         meanwhile.any(|attempt| !has_its_own(of.planned.trial, attempt))
     })
 }

@@ -234,7 +234,7 @@ pub enum ClientError {
     #[diagnostic(
         code(retrograde::interrupted),
         help(
-            "the device has confirmed the stop and nothing moves; `retrograde info` shows where it is"
+            "nothing moves once the stop is confirmed; `retrograde info` shows where the machine is"
         )
     )]
     Interrupted {

@@ -153,6 +153,9 @@ fn a_command_that_waited_too_long_is_not_asked_again_after_a_stop() {
     *standstill.lock().expect("free") = set;
     let error = guest.acknowledge().expect_err("stopped");
     // It was certainly not carried out.
-    assert!(matches!(error, ClientError::OwnerBusy { .. }), "{error:?}");
+    assert!(
+        matches!(error, ClientError::Interrupted { .. }),
+        "{error:?}"
+    );
     assert_eq!(acknowledgements(&log), 0);
 }
