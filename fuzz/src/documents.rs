@@ -192,7 +192,7 @@ fn owner(folder: &Path, bytes: &[u8]) {
     let left = doorway.owner_file().and_then(|file| file.recording);
     let lock = doorway.claim().expect("a folder").expect("free");
     assert_eq!(lock.left_record(), left);
-    lock.records(None);
+    lock.left_has_ended();
     drop(lock);
     assert!(doorway.owner().is_none(), "it has left");
 }

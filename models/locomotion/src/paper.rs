@@ -6,5 +6,5 @@ pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
 }
 
 /// The indentations of the roller series, mm. The paper gives 5.05 mm alone, as the condition of the fold test; it is
-/// [assumed] to be a_5, the deepest, and the others are assumed, too.
+/// taken to be a_5, the deepest; the other four are assumed.
 pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];
