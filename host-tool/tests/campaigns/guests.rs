@@ -4,41 +4,17 @@ use std::sync::Mutex;
 use std::sync::mpsc::channel;
 
 use crate::campaign_run::{converse, path, place, small_plan};
+use crate::support::asked::Asked;
 use crate::support::tool::Memory;
 use client::address::Address;
 use client::link::owner::Question;
-use client::link::{Link, LinkError, OpenError};
+use client::link::{Link, OpenError};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
 use protocol::capsule::GetCapsuleStatus;
 use protocol::system::DeviceKind;
 use protocol::table::{Endpoint as _, Reply, Response};
 use simulated_machines::machine::{Script, World};
-
-/// A link at whose door another process has asked something.
-struct Asked(Box<dyn Link>, Option<Question>);
-
-impl Link for Asked {
-    fn place(&self) -> String {
-        self.0.place()
-    }
-
-    fn now_us(&self) -> u64 {
-        self.0.now_us()
-    }
-
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.0.send(bytes)
-    }
-
-    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
-        self.0.receive(buffer, deadline_us)
-    }
-
-    fn question(&mut self) -> Option<Question> {
-        self.1.take()
-    }
-}
 
 /// A bench at whose capsule's door another process has asked something.
 struct Bench(Memory, Mutex<Option<Question>>);
@@ -52,9 +28,10 @@ impl Connector for Bench {
         purpose: Purpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let link = self.0.open(kind, address, baud, purpose)?;
-        Ok(match kind {
-            DeviceKind::Rig => link,
-            DeviceKind::Capsule => Box::new(Asked(link, self.1.lock().expect("free").take())),
+        let mut asked = self.1.lock().expect("free");
+        Ok(match asked.take_if(|_| kind == DeviceKind::Capsule) {
+            Some(question) => Box::new(Asked::at(0, link, question)),
+            None => link,
         })
     }
 

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use crate::support::asked::Asked;
 use crate::support::tool::{Memory, ready};
 use client::error::ClientError;
 use client::link::owner::Question;
-use client::link::{Link, LinkError};
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState, GetActuationRecord};
@@ -255,27 +255,6 @@ fn the_run_goes_on_whatever_becomes_of_the_capsule() {
     }
 }
 
-/// A link at whose door a guest asks something at this time.
-struct Asked(Box<dyn Link>, u64, Option<Question>);
-
-impl Link for Asked {
-    fn place(&self) -> String {
-        self.0.place()
-    }
-    fn now_us(&self) -> u64 {
-        self.0.now_us()
-    }
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.0.send(bytes)
-    }
-    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
-        self.0.receive(buffer, deadline_us)
-    }
-    fn question(&mut self) -> Option<Question> {
-        self.2.take_if(|_| self.0.now_us() >= self.1)
-    }
-}
-
 /// Meanwhile the rig would hear nothing, not even a stop.
 #[test]
 fn the_host_does_not_wait_for_the_answer_to_a_guest() {
@@ -288,7 +267,7 @@ fn the_host_does_not_wait_for_the_answer_to_a_guest() {
         let question = Question::new(GetActuationRecord.into_request(), move |reply| {
             answers.send(reply).expect("heard");
         });
-        let link = Box::new(Asked(link, 1_000_000, Some(question)));
+        let link = Box::new(Asked::at(1_000_000, link, question));
         let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
         let mut longest_us = 0;
         while capsule.now_us() < 3_000_000 {
@@ -311,7 +290,7 @@ fn nothing_is_folded_after_the_run() {
         ..ready(DeviceKind::Capsule)
     });
     let question = Question::new(GetActuationRecord.into_request(), |_| {});
-    let link = Box::new(Asked(link, 1_400_000, Some(question)));
+    let link = Box::new(Asked::at(1_400_000, link, question));
     let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
     let (mut rig, _) = connected(Script {
         world: vec![(1_500_000, World::StopFrame)],

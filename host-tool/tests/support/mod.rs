@@ -2,6 +2,7 @@
 // Each group uses only a part of it.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
+pub mod asked;
 #[cfg(unix)]
 pub mod bench;
 pub mod made_up;
