@@ -33,7 +33,7 @@ const TEXT: usize = 6;
 const CLOCK: usize = TEXT + LONGEST;
 const CAUSE: usize = CLOCK + 1;
 
-/// The causes that are kept for the next start, each as [`MAGIC`] plus its place and one.
+/// Causes that can be kept for the next start. Stored as [`MAGIC`] + 1 + index.
 const CAUSES: [ResetCause; 5] = [
     ResetCause::PowerOn,
     ResetCause::Pin,
@@ -62,7 +62,7 @@ pub struct Retained {
     pub latched: Option<EStop>,
     /// The clock stopped, and that ended the previous start; told once.
     pub clock_failed: bool,
-    /// Why the previous start began, if this one only takes its place; told once.
+    /// Cause of the previous start, if this start only replaces it; told once.
     pub cause: Option<ResetCause>,
 }
 
@@ -103,8 +103,8 @@ pub fn start(words: &mut impl Words) -> Retained {
     }
 }
 
-/// Passes on to the next start the data left to this one, and why this one began: this start could do nothing yet, and
-/// the next one takes its place. A latched E-stop is kept anyway.
+/// Passes on to the next start what the previous one left, and the cause of this one: this start could do nothing yet,
+/// and the next one replaces it. A latched E-stop is kept anyway.
 pub fn leave_again(words: &mut impl Words, left: &Retained, cause: ResetCause) {
     if left.clock_failed {
         keep_clock_failed(words);

@@ -51,9 +51,9 @@ impl Values {
         Ok(values)
     }
 
-    /// Loads a record from flash. Ignores that of an unknown setting. False if it is of another layout or out of range:
-    /// an older or newer firmware wrote it. The default counts then, and no value that it has replaced; so it does
-    /// after an empty record.
+    /// Loads a record from flash; ignores one of an unknown setting. False if its layout is another or its value out of
+    /// range: an older or newer firmware wrote it. The default is then in force, not the value of an earlier record. An
+    /// empty record also restores the default.
     pub fn load(&mut self, number: u8, record: &[u8]) -> bool {
         let Some(key) = SettingKey::from_number(number) else {
             return true;
@@ -145,7 +145,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         let mut store = Store::new(flash);
         let (mut values, mut name) = (Values::DEFAULT, String::new());
         let mut records = R::default();
-        // By the last record of each setting: a later one has replaced what was passed over.
+        // Whether the last record of each setting could not be used; a later record overrides an earlier one.
         let mut passed_over = [false; SettingKey::ALL.len()];
         let loaded = store.load(|number, record| match number {
             NAME_RECORD => {
@@ -154,7 +154,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
             }
             _ if R::NUMBERS.contains(&number) => records.load(number, record),
             _ => {
-                // Else it is of another firmware.
+                // Other records belong to another firmware.
                 if let Some(key) = setting::<R>(number) {
                     passed_over[key as usize] = !values.load(number, record);
                 }
@@ -270,8 +270,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// After a conflict writes all defaults, which are in force: else the next start would find the conflict again, or
-    /// a single new value would end it and the old values of the others would come back.
+    /// After a conflict, writes all defaults, which are in force. Otherwise the next start would find the conflict
+    /// again, or a single new value would end it and bring back the old values of the others.
     fn end_conflict(&mut self) -> Result<(), StorageFailed> {
         if self.found == Found::Conflict {
             self.save_defaults()?;
@@ -280,7 +280,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Ends a conflict before one of its records is so old that [`Self::save`] replaces it, which alone might end it.
+    /// Ends a conflict before [`Self::save`] rewrites one of its old records, which alone might end the conflict.
     fn end_old_conflict(&mut self) -> Result<(), StorageFailed> {
         match self.store.overdue() {
             Some(_) => self.end_conflict(),
@@ -291,7 +291,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     fn save_defaults(&mut self) -> Result<(), StorageFailed> {
         for key in SettingKey::of(R::KIND) {
             let default = key.range().default;
-            // A value out of force is in flash all the same, and another firmware may find it there.
+            // A value that is not in force is still in flash, where another firmware may load it.
             if self.found != Found::Settings || self.values.get(key) != default {
                 self.save(key as u8, &Values::record(default))?;
             }

@@ -1,9 +1,9 @@
 //! A log of numbered records in flash: the last record of a number counts.
 //!
-//! A power cut at any instant leaves the old record or the new one (`sequential-storage`, and what is done here about an
-//! erasure that was cut). We use its queue, not its map. On a full sector the map searches all records for each of
-//! them: that takes six seconds, and the watchdog bites. Its remedy, a cache, and the map itself take 6 KB more flash. A
-//! full queue drops its oldest sector, so we rewrite a record that is still needed long before.
+//! A power cut at any instant leaves the old record or the new one. `sequential-storage` ensures this, with the repair
+//! of interrupted erasures here. We use its queue, not its map. On a full sector the map searches all records for each
+//! of them: six seconds, which the watchdog does not allow. The map and the cache that would remedy this take 6 KB more
+//! flash. A full queue drops its oldest sector, so we rewrite a record that is still needed long before.
 
 use core::ops::Range;
 use embassy_futures::block_on;
@@ -36,8 +36,8 @@ const fn in_a_sector(write_size: usize) -> u32 {
 
 /// Age of each number's last record, in records.
 ///
-/// The log drops its oldest sector when it needs room. What is younger than a sector's worth of records is never
-/// in there, so whatever becomes older than [`Ages::OLDEST`] is written again.
+/// The log drops its oldest sector when it needs room. A record younger than a sector's worth of records is never in
+/// that sector. So a record that becomes older than [`Ages::OLDEST`] is written again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ages {
     records: u32,
@@ -48,7 +48,7 @@ pub struct Ages {
 impl Ages {
     /// Settings and the name.
     pub const NUMBERS: usize = SettingKey::ALL.len() + 1;
-    /// Age at which a record is written again.
+    /// Age at which a record is written again, in records.
     pub const OLDEST: u32 = 256;
 
     /// The ages for an empty log.
@@ -92,7 +92,7 @@ impl Default for Ages {
 #[derive(Debug)]
 struct Checked<F> {
     flash: F,
-    /// A sector whose erasure was cut, and could not be ended yet: it reads as blank, whatever is left in it.
+    /// A sector whose erasure was interrupted and could not be repeated yet. It reads as blank, whatever it contains.
     half_erased: Option<u32>,
 }
 
@@ -108,7 +108,7 @@ impl<F: NorFlash> Checked<F> {
         Ok(true)
     }
 
-    /// Whether the log takes what is here for a mark: half of a byte's bits are programmed.
+    /// Whether the log sees a mark at this offset: at least four bits are programmed.
     async fn is_marked(&mut self, offset: u32) -> Result<bool, F::Error> {
         let mut read = [0xFF; LONGEST_READ];
         let read = &mut read[..F::READ_SIZE];
@@ -117,7 +117,7 @@ impl<F: NorFlash> Checked<F> {
         Ok(programmed >= 4)
     }
 
-    /// Whether the log takes begin and end of the sector for marked. The one in use has a mark at its beginning only.
+    /// Whether the log sees marks at the sector's beginning and end. The sector in use has one at its beginning only.
     async fn marks(&mut self, sector: u32) -> Result<(bool, bool), F::Error> {
         let end = sector + SECTOR - F::READ_SIZE as u32;
         Ok((self.is_marked(sector).await?, self.is_marked(end).await?))
@@ -127,7 +127,8 @@ impl<F: NorFlash> Checked<F> {
         Ok(self.marks(sector).await? == (true, false))
     }
 
-    /// The sector behind the one in use, which the log erases next. If that was cut, it may look as if it were in use, too.
+    /// The sector behind the one in use, which the log erases next. After an interrupted erasure it may look as if it
+    /// were in use, too.
     async fn oldest(&mut self) -> Result<Option<u32>, F::Error> {
         let mut oldest = None;
         for sector in SECTORS.step_by(SECTOR as usize) {
@@ -143,9 +144,9 @@ impl<F: NorFlash> Checked<F> {
         Ok(oldest)
     }
 
-    /// Erases the oldest sector if its marks say that a power cut has half erased it, or `even_whole`. Nothing in it counts
-    /// any more, for what is needed was written again long before (see [`Ages`]). If it cannot be erased now, as with a
-    /// low supply, it is hidden until it is. True if there is such a sector.
+    /// Erases the oldest sector if its marks show an interrupted erasure, or also if it is full and `even_whole`. Its
+    /// records no longer count: those still needed were written again long before (see [`Ages`]). If the erasure fails,
+    /// as with a low supply, the sector is hidden until it succeeds. True if there was such a sector.
     async fn erase_oldest(&mut self, even_whole: bool) -> Result<bool, F::Error> {
         let Some(oldest) = self.oldest().await? else {
             return Ok(false);
@@ -227,14 +228,16 @@ impl<F: NorFlash> Store<F> {
             && Ages::OLDEST + Ages::NUMBERS as u32 <= in_a_sector(F::WRITE_SIZE)
     );
 
-    /// The log in [`SECTORS`] of `flash`. Erases a sector, for up to half a second, if a power cut has interrupted just that.
+    /// The log in [`SECTORS`] of `flash`. Repeats an erasure that a power cut has interrupted, which takes up to half a
+    /// second.
     pub fn new(flash: F) -> Self {
         const { Self::FITS };
         let mut flash = Checked {
             flash,
             half_erased: None,
         };
-        // With two sectors in use the log would read or write the wrong one. A flash that cannot be read says so later.
+        // With two sectors in use the log would read or write the wrong one. Ignore read errors here: the log reports
+        // them later.
         let _ = block_on(flash.erase_oldest(false));
         Self {
             log: QueueStorage::new(
@@ -246,8 +249,8 @@ impl<F: NorFlash> Store<F> {
         }
     }
 
-    /// Calls `record` with number and content of every record, older ones first; from the start again if a sector that
-    /// was half erased is in the way.
+    /// Calls `record` with number and content of every record, older ones first. Begins anew if a half-erased sector
+    /// was in the way.
     ///
     /// # Errors
     /// The sectors cannot be read as records; what was read before stands.

@@ -52,9 +52,9 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     store: SettingsStore<F, Kept>,
     /// Number and energy of the motions that are not in the totals yet.
     ended: (u32, u64),
-    /// The last write has failed, and is tried again then; else 0.
+    /// Time at which a failed write is tried again, us; 0 if none has failed.
     again_us: u64,
-    /// Position, and the time since when it has not changed with the bridge asleep.
+    /// Last position, and the time since which it is unchanged with the bridge asleep.
     resting: (Counts, u64),
     calibrated: Option<Calibration>,
     recording: Recording,

@@ -390,7 +390,7 @@ impl Detector {
         let before = self.spooling.along(self.window.speed_cps(12, 4));
         let now = self.spooling.along(self.window.speed_cps(2, 0));
         let sudden = (before / 14).max(STRUCK_LOSS_CPS);
-        // Nearly always so; the rest would delay the duty that follows from this reading.
+        // Nearly always true; skip the rest, which would delay the next duty.
         if before < FAST_CPS || now >= before.saturating_sub(sudden / 2) {
             return false;
         }
@@ -501,8 +501,8 @@ impl Detector {
             .window
             .battery_mv(FORCE_READINGS)
             .map_or(0, |loaded_mv| self.rest_mv.saturating_sub(loaded_mv));
-        // Check the longer time too: a motor that turns uncounted is driven like a standing one, brakes by that, and
-        // draws nothing for a while.
+        // Check the longer time too: a motor whose turning is not counted is driven like a standing one. The drive then
+        // brakes it, and it draws nothing for a while.
         if self.draws_nothing(FORCE_READINGS) && self.draws_nothing(ORDERED_READINGS) {
             if sag_mv >= LEAST_SAG_MV {
                 Trip::SenseLost

@@ -154,7 +154,7 @@ struct Actuation {
     kind: ActuationKind,
     leg: Leg,
     detector: Detector,
-    /// Thread where the motion or the feeling of its end began, plus the distance by which a partial winding stops early.
+    /// Thread at which the motion, or the feeling of its end, began, plus the stop margin of a partial winding.
     from: Thread,
     started_us: u64,
     deadline_us: u64,
@@ -501,7 +501,7 @@ impl Capsule {
         };
         let stopping = actuation.detector.stopping_distance();
         let counts = self.sample.counts;
-        // A calibration that has found its end is not held to the end of the one before.
+        // Once a calibration has found its end, the end of the previous one no longer applies.
         let found = actuation.found.is_some();
         let known = self.calibration.as_ref().zip(end).filter(|_| !found);
         let decided = actuation.leg.decide(
@@ -511,7 +511,7 @@ impl Capsule {
             stopping,
             (known, &actuation.settings),
         );
-        // Accept no end that was found by current or counts which contradict each other.
+        // Accept no end if current and counts contradict each other: one of them has found it.
         let ends = matches!(
             decided,
             Err(_) | Ok(Decision::Folded | Decision::EndFound { .. })
@@ -560,7 +560,7 @@ impl Capsule {
             Decision::Arrived if ends_folded(actuation.kind) => {
                 match actuation.leg.spooling() {
                     Spooling::PayOut => {
-                        // Nothing shows that the thread holds.
+                        // Without a tension nothing shows that the thread holds.
                         if actuation.leg.measures_tension() {
                             return Err(CapsuleFault::SlipOrBreak);
                         }
@@ -583,7 +583,7 @@ impl Capsule {
                 return Ok(());
             }
             Decision::Arrived | Decision::Unfolded => {
-                // At the end with a tension that was never measured: nothing shows that the thread holds.
+                // The tension was not measured, so nothing shows that the thread holds.
                 if actuation.leg.measures_tension() {
                     return Err(CapsuleFault::SlipOrBreak);
                 }
@@ -649,7 +649,7 @@ impl Capsule {
         // unfolding ends before zero. Thread that this run has wound itself is certain.
         self.spare = match purpose {
             Purpose::Calibrate => Thread(0),
-            // The end is the one that the last motion has found. It may have been something in the way then.
+            // This end is where the last motion ended, which may have been at something in the way.
             Purpose::Check { believed: true } => Thread(self.spare.0.max(FOUND_AGAIN.0)),
             Purpose::Reference | Purpose::Check { .. } => {
                 Thread((folded.0 - wound.0).clamp(FOUND_AGAIN.0, FOUND_BY_RISE.0))
@@ -660,14 +660,14 @@ impl Capsule {
         self.recorder.zero_moved(self.zero.since(zero).thread());
         self.zero = zero;
         (self.drift, self.doubt) = (Drift::default(), Thread(0));
-        // The zero has moved by the creep, so the end is where the calibration had it.
+        // The new zero includes the creep, so the end is where the calibration found it.
         self.crept = Thread(0);
         // A calibration is complete only after its last part, the tension.
         self.referenced = purpose != Purpose::Calibrate;
         if matches!(purpose, Purpose::Check { .. }) {
             return Ok(None);
         }
-        // A motor that was braked just now shows no pull: wind on from here, and feel it.
+        // The current of a motor that was just braked shows no pull: wind on from here to feel it.
         let reads = matches!(&self.mode, Mode::Moving(moving) if moving.winding_ma.is_some());
         Ok(Some(match reads {
             true => Leg::PayOut {
@@ -681,7 +681,7 @@ impl Capsule {
     /// Ends a motion at the folded end.
     fn folded(&mut self, now_us: u64, actions: &mut Actions) {
         let end = match &self.mode {
-            // Where it had come to before it was felt.
+            // Thread at which the feeling of the end began.
             Mode::Moving(actuation) if actuation.winding_ma.is_some() => {
                 Thread(actuation.from.0.saturating_sub(STOP_MARGIN.0))
             }
@@ -693,9 +693,9 @@ impl Capsule {
         }
     }
 
-    /// A calibration has found the end too early, in a capsule whose zero may lie as high as it can: its last reference
-    /// run has not wound all the thread itself. The place where a calibration begins becomes the unfolded end, so what
-    /// is left on the spool would never be paid out again.
+    /// Whether a calibration found its end too early, in a capsule whose zero may be too high: its last reference run
+    /// did not wind all the thread itself. The start of a calibration becomes the unfolded end, so thread left on the
+    /// spool would never be paid out.
     fn misses_thread(&self, wound: Thread) -> bool {
         let kept = self.calibration.filter(|_| self.spare == FOUND_BY_RISE);
         kept.is_some_and(|kept| wound.0 < kept.folded.0 - FOUND_BY_RISE.0 / 2)
@@ -730,7 +730,7 @@ impl Capsule {
             CapsuleFault::Jam { .. } | CapsuleFault::LowBattery { .. }
         );
         self.referenced &= keeps_position;
-        // Nothing has moved, and nothing that judged the fold was wrong.
+        // Nothing has moved, and the fold was judged correctly.
         self.was_folded |= matches!(self.mode, Mode::Folded) && fault == CapsuleFault::EStopFrame;
         if self.is_moving() {
             let outcome = ActuationOutcome::Faulted(fault);

@@ -400,8 +400,8 @@ impl Leg {
             }
             Leg::Feel { from, then } => {
                 let way = counts.since(from).thread();
-                // A standing motor takes more current than the thread pulls: read it once it turns. One that all its
-                // current cannot turn is pulled, too.
+                // A standing motor takes more current than the thread's pull: read it once it turns. A motor that
+                // stands at the end force is pulled, too.
                 let blocked = load.end_force && load.stands;
                 let felt = load.excess_ma.is_some() && way >= FELT_AFTER || blocked;
                 let past = known.is_some_and(|(_, end)| {
@@ -437,10 +437,10 @@ impl Leg {
 }
 
 impl Leg {
-    /// Chooses the next leg after a [`Leg::Feel`]. `felt` and `pulls`: there is a reading, and the thread pulls.
+    /// Chooses the next leg after a [`Leg::Feel`]. `felt`: there is a reading. `pulls`: the thread pulls.
     ///
     /// # Errors
-    /// There was no reading, however often it was tried, so nothing shows that the thread holds.
+    /// No try gave a reading, so nothing shows that the thread holds.
     fn felt(
         self,
         counts: Counts,

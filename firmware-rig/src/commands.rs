@@ -152,7 +152,7 @@ fn respond(
         }
         Request::SetName(name) => {
             machine.may_change_settings()?;
-            // A terminal would obey an escape sequence in it.
+            // A terminal would obey an escape sequence in the name.
             if name.name.chars().any(char::is_control) {
                 return Err(Refusal::NameNotPrintable);
             }

@@ -220,8 +220,8 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             }
         }
         self.event(Event::Tick);
-        // The break interrupt reports each opening. Should its notice be lost, this look at the pin finds the loop open; in a
-        // fault it does so once.
+        // The break interrupt reports each opening. If its notice is lost, this check finds the loop open; while a
+        // fault is latched it does so once.
         let is_known = self.machine.state() == RigState::Faulted && self.left.latched.is_some();
         if self.rig.now().inputs.estop_loop && !is_known {
             self.event(Event::LoopOpened);

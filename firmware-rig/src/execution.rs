@@ -15,8 +15,8 @@ use motion::{
 
 /// Time prepared ahead in the ring, 8 ms. A stop takes effect only after it.
 pub const LEAD_TICKS: u32 = 800_000;
-/// Time at which the ring counts as full, 7.8 ms: steps leave it while it is filled, and to replace these at once would
-/// cost a batch each.
+/// Time at which the ring counts as full, 7.8 ms. Steps leave the ring while it is filled; replacing these at once
+/// would cost a batch each.
 const FULL_TICKS: u32 = LEAD_TICKS / 40 * 39;
 /// Fewest periods to keep in the ring: a few long ones reach the lead, but must not let the ring run short.
 const MIN_QUEUE: u32 = 8;
@@ -348,8 +348,8 @@ impl Execution {
         Some(self.end(ring, mailbox, end))
     }
 
-    /// The counter misses more steps than are waiting in the ring. Stop then: at rest, the positions tell which are
-    /// lost.
+    /// Whether the counter misses more steps than wait in the ring. Then stop: at rest, the positions show which steps
+    /// are lost.
     fn misses_edges(&self, ring: &impl Ring) -> bool {
         let missed = self.periods.position().distance_to(ring.counted());
         missed.0 > ring.waiting_pulses()
@@ -461,8 +461,8 @@ impl Execution {
         }
     }
 
-    /// Compares captured edges for as long as the ring can wait. If there is no time, captures are lost to the
-    /// comparison: watching a run must not end it.
+    /// Compares captured edges for as long as the ring can wait. Without time, some captures are not compared: watching
+    /// a run must not end it.
     fn time_edges(&self, ring: &mut impl Ring) {
         for _ in 0..LOOKS {
             let ample = ring.lead() >= LEAD_TICKS / 2 || ring.waiting() >= AMPLE_QUEUE;
@@ -491,7 +491,8 @@ impl Execution {
 
     /// Turns DIR for the next stroke. All pulses have left.
     fn turn(&mut self, ring: &mut impl Ring, next: Direction) {
-        // If control's queue had no room for the notice until now, the record at the end makes up for it.
+        // The stroke's end may still be unreported because control's queue was full. The record at the end makes up for
+        // it.
         self.ended_stroke = None;
         ring.set_direction(next);
         self.direction = next;
@@ -500,7 +501,7 @@ impl Execution {
     }
 }
 
-/// Every pulse of the ring has left. After a cut the ring runs empty, too.
+/// Whether every pulse of the ring has left. After a cut the ring also runs empty.
 fn all_left(ring: &impl Ring, mailbox: &impl Mailbox) -> bool {
     ring.waiting_pulses() == 0 && !mailbox.is_cut()
 }

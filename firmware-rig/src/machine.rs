@@ -33,7 +33,7 @@ use protocol::{
 };
 use running::ActiveRun;
 
-/// How long a host repeats a request that is not answered.
+/// Time for which a host repeats an unanswered request, us.
 const REPEATED_US: u64 = ATTEMPTS as u64 * RETRY_AFTER_US;
 
 /// How a path ended.
@@ -235,7 +235,7 @@ pub struct Machine {
     image_hash: u32,
     record: RunRecord,
     run: Option<ActiveRun>,
-    /// The path is that of the run: its reports belong into the record, also after a fault.
+    /// The active path belongs to the run: its reports go into the record, also after a fault.
     recording: bool,
     /// Strokes of the present or last run.
     strokes: u32,
@@ -281,8 +281,8 @@ impl Machine {
         }
     }
 
-    /// Replaces the settings; check [`Machine::may_change_settings`] first. If positions mean something else with the
-    /// new ones, the position becomes unknown.
+    /// Replaces the settings; check [`Machine::may_change_settings`] first. If the meaning of positions changes, the
+    /// position becomes unknown.
     pub fn set_settings(&mut self, settings: Settings) {
         let same = (settings.axis, settings.flag_um) == (self.settings.axis, self.settings.flag_um);
         self.settings = settings;
@@ -353,7 +353,7 @@ impl Machine {
         actions
     }
 
-    /// Handles one event, and adds what is to be done to `actions`: these are too large to be copied at each tick.
+    /// Like `step`, but adds to `actions`, which is too large to be copied at each tick.
     pub fn handle(&mut self, now: &Now, event: Event<'_>, actions: &mut Actions) {
         if self.recording {
             self.record.glitches = now.glitches.wrapping_sub(self.glitches_at_start);
@@ -532,7 +532,7 @@ impl Machine {
         }
     }
 
-    /// The rig ends a jog by itself. The host, which does not know it, may repeat a renewal that was lost.
+    /// Ignores repeated renewals of a jog that the rig has ended by itself, which the host does not know yet.
     fn refuse_repeated_jogs(&mut self, now_us: u64) {
         if let State::Moving(Some(_)) = self.state {
             self.jog_stopped_until_us = now_us.saturating_add(REPEATED_US);
@@ -580,8 +580,8 @@ impl Machine {
         match end {
             PathEnd::Underrun => return self.latch(RigFault::Underrun, actions),
             PathEnd::Guard => return self.latch(RigFault::WindowGuard, actions),
-            // The cause of a cut may be reported later than the cut; the read-back counter has the true position.
-            // With the loop closed it was the E-stop frame: it cuts before control reads it.
+            // The cause may be reported later than the cut. With the loop closed it was the E-stop frame, which cuts
+            // before control reads it. The read-back counter has the true position.
             PathEnd::Cut if now.inputs.estop_loop => {
                 return self.latch(RigFault::EStopLoop, actions);
             }

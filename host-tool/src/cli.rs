@@ -447,8 +447,8 @@ fn run_in(
     screen.finish(result)
 }
 
-/// Reads a command line. An empty variable counts as not set. An address that cannot be read is an error of every command
-/// but a stop, which goes to the other machine even so.
+/// Reads a command line. An empty variable counts as not set. An unreadable address is an error, except for a stop,
+/// which still goes to the other machine.
 fn parsed(args: &[OsString]) -> Result<Cli, clap::Error> {
     let matches = command().try_get_matches_from(args)?;
     let mut cli = Cli::from_arg_matches(&matches)?;
@@ -556,7 +556,7 @@ fn stop(
     if unread.is_empty() {
         return stops::stop(urgent, which, places, screen);
     }
-    // At once: the other machine's answer may take seconds.
+    // Say this at once: the other machine's answer may take seconds.
     for (_, unread) in &unread {
         screen.say(&unread.line(urgent));
     }

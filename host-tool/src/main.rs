@@ -17,19 +17,19 @@ fn main() -> ExitCode {
     }
 }
 
-/// The program with the virtual machines, where it is built: beside this one.
+/// Path of the virtual bench's program, if it exists beside this one.
 fn bench() -> Option<PathBuf> {
     let own = std::env::current_exe().ok()?;
     let bench = own.with_file_name(format!("virtual-bench{EXE_SUFFIX}"));
     bench.is_file().then_some(bench)
 }
 
-/// The same command line, by the program that has the virtual machines, too.
+/// Runs the same command line in the virtual bench's program, which has the virtual machines.
 fn on(bench: &std::path::Path, args: &[OsString]) -> ExitCode {
     let mut command = Command::new(bench);
-    // Its own `serve` is another one: the word says that the tool's commands are meant.
+    // The bench has its own `serve`, so this word selects the tool's commands.
     command.arg("retrograde").args(args.iter().skip(1));
-    // In its place, so that signals reach it and its exit code is this one's.
+    // Replace this process, so that signals and exit code are the bench's.
     #[cfg(unix)]
     let why = std::os::unix::process::CommandExt::exec(&mut command);
     #[cfg(not(unix))]

@@ -40,7 +40,7 @@ pub struct EdgeTiming {
     due: u32,
     /// The captures' clock minus the path's, at the last edge.
     offset: u32,
-    /// An edge of the path has come. The first one has no interval before it.
+    /// The first edge of the path was captured. No interval ends at it.
     begun: bool,
     /// Captures or periods were lost: nothing more can be compared on this path.
     lost: bool,
@@ -88,7 +88,8 @@ impl EdgeTiming {
         }
         if !line.remembers(self.next) {
             self.lost = true;
-            // Not the steps behind a missing edge have pushed it out, but a pause: the jumper is there.
+            // Only few steps lie behind the missing edge, so a pause has pushed it out: the jumper is there, the edge
+            // is not.
             let behind = line.end().pulses.wrapping_sub(self.end.pulses);
             if self.begun && instants.is_empty() && behind < REMEMBERED / 2 {
                 self.timed.worst_error_ticks = u32::MAX;
@@ -114,7 +115,7 @@ impl EdgeTiming {
                 due = at.wrapping_add(interval);
                 to_come -= 1;
             }
-            // Periods of a single step each have a loop of their own: where periods are unlike, hardly any other comes.
+            // A loop of its own for periods of a single step: where periods differ, nearly all are of this kind.
             let mark = loop {
                 if next == given {
                     break 'edges edges.len();
@@ -146,12 +147,12 @@ impl EdgeTiming {
             self.timed.worst_error_ticks = u32::MAX;
         }
         self.timed.edges = self.timed.edges.wrapping_add(instants.len() as u32);
-        // `differ` has already subtracted the intervals that are off. An additional edge ends none.
+        // `differ` has already subtracted the intervals that are off. No interval ends at an additional edge.
         let intervals = instants.len().wrapping_sub(additional) as u32;
         self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 
-    /// Takes the first edge of a path for the time when its first step was due: no interval ends at it.
+    /// Assigns the first edge of a path to the time when its first step was due: no interval ends at it.
     #[inline(never)]
     fn begin(&mut self, line: &Timeline, instants: &[AtomicU32]) {
         let Some(first) = instants.first() else {
@@ -162,7 +163,7 @@ impl EdgeTiming {
         }
         let first = first.load(Ordering::Relaxed);
         if self.to_come > 0 {
-            // Its period was taken up by an earlier look.
+            // An earlier call has already taken the period of this edge.
             (self.offset, self.due) = (first.wrapping_sub(self.due), first);
         } else {
             self.pass_pauses(line);

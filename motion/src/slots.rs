@@ -51,7 +51,8 @@ impl Slots {
         self.words(slot)[LAST_TICK].load(Ordering::Relaxed)
     }
 
-    /// Makes a slot the end of the queue. The counter has to stop before the outputs lose their pulses.
+    /// Makes a slot the end of the queue. Writes its first word first: the counter must stop before the pulse widths
+    /// become 0.
     pub fn end(&self, slot: u32) {
         self.show(slot, 0);
         self.write(slot, 0, 0, 0);

@@ -116,7 +116,7 @@ impl Browser {
         }
     }
 
-    /// Makes the page so wide, in pixels.
+    /// Sets the width of the page, pixels.
     pub(crate) fn resize(&mut self, width: u32) -> Result<(), DoorError> {
         let params =
             json!({ "width": width, "height": 900, "deviceScaleFactor": 1, "mobile": false });

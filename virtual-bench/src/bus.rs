@@ -24,7 +24,7 @@ pub struct BusReport {
 }
 
 impl BusReport {
-    /// The report of a machine that was powered up at `epoch_ns`, after `earlier` of its power-ups before.
+    /// The report of a machine that was powered up at `epoch_ns`; `earlier` covers its previous power-ups.
     pub(crate) fn of<W: Wiring>(
         session: &Session<Emulator<W>>,
         earlier: &Self,

@@ -45,8 +45,8 @@ const UNEVEN_CYCLE: RunRequest = RunRequest {
     ..ONE_CYCLE
 };
 
-/// Instructions per second of virtual time that the emulator executes. By the model of its cycles the chip executes 42
-/// to 71 million, by what it executes.
+/// Instructions per second of virtual time that the emulator executes. By the cycle model, the chip executes 42 to 71
+/// million, depending on the code.
 const IPS: u64 = 65_000_000;
 
 struct Homed {
@@ -82,7 +82,8 @@ impl Homed {
         Ok(2.0 / wall.elapsed().as_secs_f64())
     }
 
-    /// Most instructions without sleep within `us`, to 10 us of them. No task takes more, interrupts included.
+    /// Most instructions without sleep within `us`, with a resolution of 10 us. No task takes more, interrupts
+    /// included.
     fn longest_awake(&mut self, us: u64) -> Result<u64, FigureError> {
         const STEP_US: u64 = 10;
         // Allow for single instructions that fall beyond the end of a step.

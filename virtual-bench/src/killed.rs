@@ -6,11 +6,11 @@ use std::time::{Duration, Instant};
 
 use crate::processes::{DoorError, Process, Rig, wrong};
 
-/// The rig waits this long for a sign of life. Braking and the delays of this computer come on top.
+/// Time that the rig waits for a sign of life, ms. Braking and the delays of this computer come on top.
 const LINK_TIMEOUT_MS: &str = "1000";
 /// Longest time from the last byte of the killed process to the last edge.
 const LIMIT: Duration = Duration::from_millis(1_100);
-/// A rig without an edge for this long stands.
+/// Time without an edge after which the rig counts as standing.
 const STANDS: Duration = Duration::from_millis(400);
 /// Edges of one cycle of 20 mm, at 800 steps per mm of the paper's rig.
 const FAR_EDGES: usize = 32_000;
@@ -19,7 +19,7 @@ const FAR_EDGES: usize = 32_000;
 /// measurements.
 ///
 /// # Errors
-/// [`DoorError`]; a rig that moved on for too long is one, and a run that should have finished and did not.
+/// [`DoorError`], also if the rig moved on for too long, or a run that should have finished did not.
 pub fn run(kills: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     let rig = Rig::start()?;
     rig.warm_up()?;

@@ -1,9 +1,8 @@
 //! The step generator beside its peers: each way to time the steps of a move, run on the same emulated core, counted by
 //! the same model of its cycles, judged by the same exact profile, in one table.
 //!
-//! A peer is measured without what calls it: its interrupt's entry and return (22 to 34 cycles) are added to its share
-//! and its rate, everything else that a machine needs is not. What the firmware takes for all of that together stands
-//! in a row of its own.
+//! A peer is measured without its caller: its interrupt's entry and return (22 to 34 cycles) are added to its share and
+//! its rate, everything else that a machine needs is not. A separate row has the firmware's cost of all that together.
 
 mod follow;
 mod klipper;
@@ -24,7 +23,7 @@ use crate::verdicts::{Stroke, TICK_HZ};
 const PARTS_PER_US: f64 = 1e5;
 /// Rates at which shares are stated, Hz.
 const RATES_HZ: [f64; 3] = [28_500.0, 100_000.0, 250_000.0];
-/// Most alarms by which the ring is refilled: one when half of 232 entries of at least one step have played.
+/// Most alarms per step for refilling the ring: one when half of 232 entries of at least one step have played.
 const RING_ALARMS: f64 = 1.0 / 116.0;
 
 /// A way to time steps: its number in the image, and what follows from its design.
@@ -80,8 +79,8 @@ pub struct Image {
 /// How far edges are from the exact profile, us.
 #[derive(Clone, Copy, Debug)]
 struct Errors {
-    /// Largest, with the origin of time that makes it smallest: how long before its first step a move begins is nobody's
-    /// concern.
+    /// Largest, with the origin of time that makes it smallest: the time from the start of a move to its first step
+    /// does not matter.
     largest: f64,
     /// Root of the mean square, about the mean.
     rms: f64,
@@ -254,8 +253,7 @@ const NEARLY_ALL: Range<u64> = 1..SHORT.steps - 1;
 /// Steps of the cruise that are followed.
 const CRUISE: Range<u64> = 30_000..34_000;
 
-/// Windows in both ramps of a move. The first and last steps, which take the longest time and have the most of it, are
-/// not among them.
+/// Windows in both ramps of a move, without the first and last steps: these take longest, but also have most time.
 fn ramps(order: &Stroke) -> [Range<u64>; 2] {
     let (n, ramp) = (order.steps, order.ramp_ticks);
     let steps = n * ramp / (2 * (order.duration_ticks - ramp));

@@ -18,7 +18,7 @@ use crate::pace::Slow;
 /// How long a client may leave its line full before it is disconnected: the machine must not wait for it.
 const PATIENCE: Duration = Duration::from_millis(1);
 
-/// The machine boots for this long, us, before its time is paced: translating its code is no reason to lose time.
+/// Time for which the machine boots before it is paced, us: time spent on translating its code must not count as lost.
 const BOOT_US: u64 = 500_000;
 
 /// A machine behind a port of the loopback interface.

@@ -16,7 +16,7 @@ const LEAVING: Duration = Duration::from_secs(2);
 /// the measurements.
 ///
 /// # Errors
-/// [`DoorError`]; a stop that came too late is one.
+/// [`DoorError`], also for a stop that came too late.
 pub fn run(stops: u32, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     let rig = Rig::start()?;
     rig.warm_up()?;

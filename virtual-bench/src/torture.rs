@@ -55,7 +55,7 @@ pub struct Failure {
     pub what: String,
     /// The happenings with their answers, and the firmware's log.
     pub story: String,
-    /// The happenings that are left when all are left out that it does not need.
+    /// The happenings that remain when all unnecessary ones are left out.
     pub needs: Vec<Happening>,
 }
 
@@ -95,7 +95,7 @@ pub enum Restart {
 /// Why no order may move anything before an acknowledgement.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Latched {
-    /// An emergency stop, which outlives every restart but that by the supply.
+    /// An emergency stop. Of all restarts, only a power cut clears it.
     stop: bool,
     /// The last restart was by a fault.
     fault: bool,
@@ -162,9 +162,9 @@ pub trait Victim: Default {
     fn suffers(&mut self, defect: &Defect) {
         let _ = defect;
     }
-    /// Does that to the machine at the present instant or later.
+    /// Does `happening` to the machine at the present instant or later.
     fn inflict(board: &mut Self::Board, now_ns: u64, happening: &Happening);
-    /// Takes everything away that is wrong with the machine, and says whether it could.
+    /// Removes everything that is wrong with the machine; false if it could not.
     ///
     /// # Errors
     /// The bench failed.
@@ -185,7 +185,7 @@ pub trait Victim: Default {
     fn judged(&self) -> u64;
 }
 
-/// Settings as they may be: each value of a change that nobody knows the outcome of.
+/// Possible values of each setting: several after a change whose outcome is unknown.
 #[derive(Clone, Debug)]
 pub struct Kept(BTreeMap<u8, Vec<u32>>);
 
@@ -230,7 +230,7 @@ impl Kept {
         }
     }
 
-    /// Whether a machine may have this value. From now on it has no other.
+    /// Whether a machine may have this value. If it is found, no other is possible from now on.
     fn found(&mut self, key: SettingKey, value: u32) -> bool {
         let values = self.0.entry(key as u8).or_default();
         let may = values.contains(&value);
@@ -335,7 +335,7 @@ fn attempt<M: Victim>(seed: u64, some: &[Happening]) -> Result<trial::Ended, Ben
     trial::run::<M>(&mut Dice::new(seed ^ OF_MACHINE), some)
 }
 
-/// Leaves out of a failure whatever it breaks the same rule without.
+/// Leaves out all happenings without which the failure still breaks the same rule.
 fn shorten(failure: &mut Failure) {
     let (all, once) = of(failure.seed);
     let rule = rule_of(&failure.what);
@@ -354,7 +354,7 @@ fn rule_of(what: &str) -> String {
     what.chars().filter(|one| !one.is_ascii_digit()).collect()
 }
 
-/// Leaves out whatever it still fails without: halves at first, then less and less.
+/// Leaves out all elements without which it still fails: halves at first, then ever smaller parts.
 pub fn shrunk<T: Clone>(all: &[T], mut fails: impl FnMut(&[T]) -> bool) -> Vec<T> {
     let mut needs = all.to_vec();
     let mut size = needs.len() / 2;

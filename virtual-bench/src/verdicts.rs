@@ -146,8 +146,8 @@ pub struct Verdict {
     pub wrong_direction: u64,
     /// Strokes: changes of direction plus one.
     pub strokes: u32,
-    /// Largest deviation of an edge from the exact profile, ns, and the number of that edge. The only origin of time is
-    /// the first edge's nearest tick.
+    /// Largest deviation of an edge from the exact profile, ns, and the number of that edge. Time begins at the tick
+    /// nearest to the first edge.
     pub worst: (f64, u64),
     /// Time from the first stroke's start to the last edge, ns, measured on the pin.
     pub duration_ns: u64,

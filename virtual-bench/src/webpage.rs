@@ -99,8 +99,8 @@ impl Hand {
     }
 }
 
-/// Checks what only a browser shows: the page offers what the rig's state allows, keeps what was typed over a reload,
-/// tells in one place, always in sight, what went wrong, and shows no keys on a phone.
+/// Checks what only a browser shows: the page offers what the rig's state allows, keeps typed text over a reload,
+/// reports errors in one place that is always in sight, and shows no keys on a phone.
 fn looked_over(browser: &mut Browser) -> Result<(), DoorError> {
     const BUTTONS: &str = "(() => {
         const state = document.getElementById('rig-state').textContent;
@@ -195,7 +195,7 @@ impl Python {
 /// measurements.
 ///
 /// # Errors
-/// [`DoorError`]; a stop that came too late is one, and so is a server that grows.
+/// [`DoorError`], also for a stop that came too late and for a server that grows.
 pub fn run(stops: u32, by: &By, say: &mut dyn FnMut(String)) -> Result<(), DoorError> {
     let rig = Rig::start()?;
     rig.warm_up()?;

@@ -63,7 +63,7 @@ fn measure() -> Result<()> {
         .spawn()
         .map_err(|why| Failure::new(format!("probe-rs does not start: {why}"), REMEDY))?;
     let lines = follow(&mut child);
-    // It has done its work, or hangs; if it has ended by itself, neither call has an effect.
+    // The child has done its work, or hangs. If it has ended by itself, neither call has an effect.
     let _ = child.kill();
     let _ = child.wait();
     let lines = lines?;
@@ -84,7 +84,7 @@ fn measure() -> Result<()> {
 /// Reads the output of `probe-rs list`: a line for each probe begins with its number in brackets.
 ///
 /// # Errors
-/// None or several: it would ask which one, or flash the wrong board.
+/// No probe, or several: `probe-rs` would ask which one, or flash the wrong board.
 fn one_probe(list: &[String]) -> Result<()> {
     let found = list.iter().filter(|line| line.trim().starts_with('['));
     match found.count() {
@@ -197,7 +197,7 @@ fn written(one: Measurement, value: u32) -> String {
     }
 }
 
-/// Named by the chip, so that two boards' files stay apart.
+/// Name of a file, with the chip's number, so that two boards' files stay apart.
 fn file_name(rows: &[Row]) -> String {
     let words: Vec<_> = rows
         .iter()

@@ -123,7 +123,7 @@ fn host_tests() -> Tests {
     })
 }
 
-/// Python waits for its machines in real time, the bench computes: each leaves the other its share.
+/// Run both at once: the Python tests mostly wait for their machines in real time, and the bench computes.
 fn bench_tests() -> Tests {
     thread::scope(|scope| {
         let python = scope.spawn(python::test);

@@ -1,6 +1,6 @@
-//! What other people's code may be part of the programs: its licence, its source, and which crates may not.
+//! Which foreign code may be part of the programs: its licence, its source, and the crates that are banned.
 //!
-//! Cargo itself says what there is, so that the check needs nothing installed and is never left out.
+//! Cargo itself lists the crates, so that the check needs no other program and is never skipped.
 
 use crate::process::{Failure, Result, host_cargo, installed, lines_of, root, run};
 
@@ -61,8 +61,8 @@ pub(crate) fn check() -> Result<()> {
     advisories()
 }
 
-/// Known holes and withdrawn versions, where `cargo-deny` and its copy of the database are at hand: they change without a
-/// change here, and a new copy needs the net.
+/// Known vulnerabilities and withdrawn versions. Skipped without `cargo-deny` and its copy of the database: the
+/// database changes without a change here, and a new copy needs the network.
 fn advisories() -> Result<()> {
     let home = std::env::var_os("CARGO_HOME").map(std::path::PathBuf::from);
     let home = home.or_else(|| std::env::home_dir().map(|home| home.join(".cargo")));
@@ -87,8 +87,8 @@ fn advisories() -> Result<()> {
     )
 }
 
-/// Says what is wrong with a crate, from `NAME vVERSION [(SOURCE)] [(proc-macro)]|LICENCE`. Cargo names the source of all
-/// that does not come from its default registry.
+/// Returns what is wrong with a crate, from `NAME vVERSION [(SOURCE)] [(proc-macro)]|LICENCE`. Cargo names every source
+/// except its default registry.
 fn wrong_crate(line: &str, ours: &str) -> Option<String> {
     let (about, licence) = line.split_once('|')?;
     let (name, rest) = about.split_once(' ')?;
@@ -109,8 +109,8 @@ fn wrong_crate(line: &str, ours: &str) -> Option<String> {
         .then(|| format!("{about}: its licence, \"{licence}\", is not among those allowed"))
 }
 
-/// Whether an SPDX expression leaves a choice of which all is allowed: `AND` binds before `OR`, and older crates write
-/// `/` for `OR`. Without any licence: no.
+/// Whether one alternative of an SPDX expression has only allowed licences: `AND` binds before `OR`, and older crates
+/// write `/` for `OR`. Without any licence: no.
 fn satisfied(expression: &str, allowed: &dyn Fn(&str) -> bool) -> bool {
     let expression = expression.replace('/', " OR ");
     let expression = expression.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -32,8 +32,8 @@ const IMAGES: [Image; 3] = [
         name: "firmware-capsule",
         chip: "STM32F411RETx",
         memory: &STM32F411RE,
-        // A larger flash budget: telling a capsule's own changes from a fault takes code, and flash costs the cell
-        // nothing.
+        // A larger flash budget: code is needed to tell a capsule's own changes from a fault, and flash takes no energy
+        // from the cell.
         budget: Budget {
             flash_bytes: 96 * 1024,
             ram_bytes: 32 * 1024,
@@ -69,7 +69,7 @@ pub(crate) fn build() -> Result<()> {
 /// The image of the peers that the bench compares with the firmware. It is never flashed, so nothing checks its layout.
 const PEERS: [&str; 2] = ["--package", "step-peers"];
 
-/// Builds the image of the peers. Apart from the others: what its crates ask of those that both use must not get into
+/// Builds the image of the peers, separately: the features that its crates request of shared crates must not get into
 /// the firmware.
 ///
 /// # Errors

@@ -30,7 +30,7 @@ pub(crate) static STM32F411RE: Memory = Memory {
     code: 0x0801_0000..0x0808_0000,
     ram: 0x2001_0000..0x2001_FC00,
     stack: 0x2000_0000..0x2000_F800,
-    // Below lies the system memory, which can be read. The 16 option bytes within are no place to step on.
+    // Below the gap lies the system memory, which can be read. The 16 option bytes within the gap are left out, too.
     gap: 32 * 1024,
 };
 

@@ -14,7 +14,7 @@ use crate::process::{Failure, Result, lines_of, root};
 
 /// Longest page, lines.
 const MOST_LINES: usize = 400;
-/// The page that may be longer: one message after the other, to look things up.
+/// Page that may be longer: a reference of the messages.
 const LONGER: &str = "docs/protocol.md";
 /// Longest line of prose, columns.
 const MOST_COLUMNS: usize = 120;
@@ -25,7 +25,7 @@ pub(crate) fn check() -> Result<()> {
     git.args(["ls-files", "*.md"]).current_dir(root());
     let mut pages = BTreeMap::new();
     for name in lines_of(&mut git, "run it in a checkout of the repository")? {
-        // A page that is deleted and not committed yet is found where something leads to it.
+        // A page that is deleted but not committed is reported where a link leads to it.
         if let Ok(text) = fs::read_to_string(root().join(&name)) {
             pages.insert(PathBuf::from(name), text);
         }
@@ -122,7 +122,7 @@ fn broken(
     }
 }
 
-/// The path from the root of what a page calls `file`.
+/// The path from the root of a file that a page calls `file`.
 fn beside(page: &Path, file: &str) -> PathBuf {
     let mut path = PathBuf::new();
     for part in page.parent().unwrap_or(page).join(file).components() {

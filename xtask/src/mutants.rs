@@ -75,7 +75,7 @@ fn mutate(package: &str, options: &[String]) -> Result<Count> {
     let elsewhere = TESTED_ELSEWHERE
         .iter()
         .find(|(of, ..)| *of == package)
-        // Who names files means those alone.
+        // If the user names files, only those are meant.
         .filter(|_| !options.iter().any(|option| option.starts_with("--file")));
     let Some((_, files, tests)) = elsewhere else {
         return run_once(package, package, options);

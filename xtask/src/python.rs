@@ -75,7 +75,8 @@ fn prepared() -> Result<Command> {
     Ok(tests)
 }
 
-/// The environment's Python with those of the packages that can be installed; the system's if there can be none.
+/// Python of the environment with all packages that can be installed; the system's Python if there can be no
+/// environment.
 fn with_packages() -> PathBuf {
     let Some(python) = environment() else {
         println!(
@@ -99,7 +100,7 @@ pub(crate) fn environment() -> Option<PathBuf> {
     environment_in(&target().join("python"))
 }
 
-/// The same in this folder. What was left half made, for a package of the system was missing, is made anew.
+/// The same in this folder. An environment left half made, because a system package was missing, is made anew.
 fn environment_in(folder: &Path) -> Option<PathBuf> {
     let python = folder.join("bin/python");
     let is_whole = || quiet(Command::new(&python).args(["-m", "pip", "--version"]));
@@ -113,7 +114,7 @@ fn environment_in(folder: &Path) -> Option<PathBuf> {
     (is_whole() || made()).then_some(python)
 }
 
-/// Whether this Python carries a statement out, if need be after it has installed these packages.
+/// Whether this Python executes a statement, if necessary after these packages were installed.
 pub(crate) fn provides(python: &Path, statement: &str, packages: &[impl AsRef<OsStr>]) -> bool {
     let has = || quiet(Command::new(python).args(["-c", statement]));
     let install = ["-m", "pip", "install", "--quiet", "--retries", "1"];

@@ -2,7 +2,7 @@
 //!
 //! * No two files import each other, directly or by way of others; nor do two modules of a crate, each with the files
 //!   below it.
-//! * Crates import in one direction, which cargo sees to, and not past what `docs/architecture.md` draws.
+//! * Crates import in one direction, which cargo enforces, and only as `docs/architecture.md` draws it.
 //! * No crate is larger than a fifth of the source, no source file longer than 800 lines, no function longer than 100.
 //!
 //! Imports are read from the text: `use`, and paths that begin with `crate`, `self` or `super`.
@@ -284,7 +284,7 @@ impl Unit {
             .map_or(Path::new(""), PathBuf::as_path)
     }
 
-    /// The same between the modules below the root, each with all files below it.
+    /// The imports between the modules below the root, each with all files below it.
     fn rooms(
         &self,
         imports: &BTreeMap<String, BTreeSet<String>>,

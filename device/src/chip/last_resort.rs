@@ -14,8 +14,8 @@ use cortex_m_rt::ExceptionFrame;
 #[macro_export]
 macro_rules! last_resort {
     ($outputs_off:path) => {
-        /// Message and place are not used: inlined, the optimiser sees that nobody reads them, and 9.5 KB of texts, places
-        /// and formatting stay out of the image. The callers tell as much, see `cargo xtask where`.
+        /// Inlined, so that the optimiser drops the unused message and location: 9.5 KB of texts and formatting stay
+        /// out of the image. The callers' addresses tell as much, see `cargo xtask where`.
         // rustc warns that the hint is ignored; it is not, as the image's size shows.
         #[allow(unused_attributes)]
         #[inline(always)]
@@ -55,11 +55,11 @@ macro_rules! last_resort {
     };
 }
 
-/// Set once the last words are kept: a further panic comes from logging them, and must not replace them.
+/// True once the last words are kept. A later panic comes from logging them and must not replace them.
 static DYING: AtomicBool = AtomicBool::new(false);
 
-/// Keeps the last words and starts again. A panic within a frame of the log finds the log taken and panics once more:
-/// then the first words stand, and nothing is logged.
+/// Keeps the last words and resets. A panic while a frame of the log is being written panics again when it logs: the
+/// first words are then kept, and nothing is logged.
 pub(super) fn die(words: &Draft) -> ! {
     // A panic or fault never returns, so none of them is resumed between this check and the store below.
     if DYING.load(Ordering::Relaxed) {

@@ -44,7 +44,7 @@ pub async fn receive(
                 // out what the last round left in it: old frames, an emergency stop among them. Drop all of it.
                 UART_ERRORS.fetch_add(1, Ordering::Relaxed);
                 while poll_once(uart.read(&mut buffer)).is_ready() {
-                    // A line that errs all the time holds nobody up.
+                    // Keep the watchdog fed, even if the line errs all the time.
                     check_in(Client::Link);
                     yield_now().await;
                 }

@@ -17,7 +17,7 @@ const BATTERY_RATIO: u32 = 2;
 /// Readings per sample. The filters before both inputs leave 2 mA of the current's ripple; the readings spread over two
 /// PWM periods and more, so that their mean has none of it, wherever the sample begins.
 const ADC_PAIRS: u32 = 4;
-/// From the supply of encoder and amplifier to their first valid levels (assumed of both; ask their data sheets).
+/// Time from power-up of encoder and amplifier to valid levels. Assumed for both; check their data sheets.
 pub(crate) const SENSORS_START: Duration = Duration::from_millis(1);
 
 /// Motor, encoder, current and battery.
@@ -30,7 +30,7 @@ pub(crate) struct DriveTrain {
 }
 
 impl DriveTrain {
-    /// A chip without the factory's word still tells its supply to 2.5 %.
+    /// Without the factory's word the typical reference is used: the supply is then known to 2.5 %.
     pub(crate) fn new(adc: Adc) -> Self {
         let Adc {
             current,
@@ -73,13 +73,13 @@ impl DriveTrain {
         timers::encoder_is_counted()
     }
 
-    /// Powers encoder and amplifier, and counts after [`SENSORS_START`]. The counter keeps its value without them: the lines
-    /// of an encoder that goes off or comes on are not counted, and the worm holds the motor meanwhile.
+    /// Powers encoder and amplifier; call `count` after [`SENSORS_START`]. The counter keeps its value meanwhile: edges
+    /// from switching the encoder are not counted, and the worm holds the motor.
     pub(crate) fn power_sensors(&mut self) {
         pins::power_sensors(true);
     }
 
-    /// Counts from here: the powered encoder shows its lines.
+    /// Starts counting; the powered encoder now gives valid levels.
     pub(crate) fn count(&mut self) {
         timers::count_encoder(true);
     }
@@ -90,7 +90,8 @@ impl DriveTrain {
         pins::power_sensors(false);
     }
 
-    /// How long the motor is shorted in each period, so that the rest is this share of the battery. No battery reading: no drive.
+    /// Ticks per period for which the motor is shorted, so that the rest gives this voltage. Without a battery reading
+    /// there is no drive.
     fn pause(&self, millivolts: i16) -> u16 {
         let full = u32::from(PWM_TICKS);
         let battery_mv = u32::from(self.battery_mv);
@@ -101,7 +102,7 @@ impl DriveTrain {
 
     /// Reads everything. nFAULT means nothing while the bridge sleeps.
     ///
-    /// Without a supply that can be, the battery reads 0 mV: no drive, and refused as empty.
+    /// If the reference gives an impossible supply, the battery reads 0 mV: no drive, and refused as empty.
     pub(crate) fn sample(&mut self, now_us: u64) -> Sample {
         pins::switch_adc_on();
         let awake = pins::PULSES.run();

@@ -1,5 +1,5 @@
-//! The board that the image is built for: pins, clocks, timers, interrupts, named in a file of their own and
-//! nowhere else. The sequence of a reading and of a drive, is `drive_train.rs`.
+//! The board that the image is built for: pins, clocks, timers, interrupts. Only this module's file for the board names
+//! them. The sequence of a reading and of a drive is in `drive_train.rs`.
 //!
 //! | signal | what it does |
 //! |---|---|
@@ -19,9 +19,9 @@
 //! | 0 | 1 | pays out |
 //! | 1 | 1 | motor shorted |
 //!
-//! While driving, one input is high and the other one carries the pauses: in these both low sides conduct, and the current circulates
-//! through them (slow decay). So the motor has the mean voltage `D V` and the mean current `(D V - e) / R`, whatever its inductance is.
-//! At 80 kHz the current ripples by 0.17 A at most.
+//! While driving, one input is high and the other one pulses. While both are high, both low sides conduct and the
+//! current circulates through them (slow decay). So the motor has the mean voltage `D V` and the mean current `(D V -
+//! e) / R`, whatever its inductance. At 80 kHz the current ripples by 0.17 A at most.
 
 mod stm32f411re;
 pub(crate) use stm32f411re::*;
@@ -47,7 +47,7 @@ pub(crate) struct Board {
     pub(crate) watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
 }
 
-/// The ADC's inputs, and what the factory knew of its reference.
+/// The ADC's inputs, and the factory's calibration of its reference.
 pub(crate) struct Adc {
     /// Channel of the motor's current.
     pub(crate) current: u8,
@@ -55,7 +55,7 @@ pub(crate) struct Adc {
     pub(crate) battery: u8,
     /// The factory's reading of the reference, if it left one.
     pub(crate) factory_word: u16,
-    /// The supply that it had then.
+    /// Supply during the factory's reading, mV.
     pub(crate) factory_mv: u32,
 }
 

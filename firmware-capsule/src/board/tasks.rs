@@ -37,7 +37,7 @@ use protocol::{
 
 /// Readings while the bridge is awake.
 const PERIOD: Duration = Duration::from_millis(1);
-/// Control confirms with every reading; twenty missed ones, and the motor is braked.
+/// Age at which control's order is stale, us: twenty readings. The motor is then braked.
 const STALE_US: u64 = 20_000;
 
 /// Sets the bridge and reads the sensors: every 1 ms while the bridge is awake, else every 100 ms; at once after a new
@@ -78,15 +78,15 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         next = if drive == Drive::Off {
             now + CHECK_IN
         } else {
-            // On the grid of the period, but after a rest on a new one.
+            // Keep to the grid of the period; after a rest, begin a new one.
             (next + PERIOD).clamp(now, now + PERIOD)
         };
         wait(&mut drive_train, next, stale, drive).await;
     }
 }
 
-/// Waits for the next reading and sets what is ordered meanwhile: the speed loop orders after each reading. Before a bridge
-/// that is to wake up there is a reading at once, because without sensors nothing may be driven.
+/// Waits for the next reading and sets new orders meanwhile: the speed loop orders after each reading. Returns at once
+/// if the bridge has to wake up: without sensors nothing may be driven, so a reading comes first.
 async fn wait(drive_train: &mut DriveTrain, next: Instant, stale: bool, mut drive: Drive) {
     while let Either::Second(()) = select(Timer::at(next), ORDER_CHANGED.wait()).await {
         if stale {

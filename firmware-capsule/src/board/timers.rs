@@ -17,7 +17,7 @@ pub(crate) fn configure_encoder() {
     pac::TIM2.arr().write_value(u32::MAX);
 }
 
-/// Counts, or keeps the count.
+/// Starts, or stops and keeps the count.
 pub(crate) fn count_encoder(on: bool) {
     pac::TIM2.cr1().modify(|w| w.set_cen(on));
 }
@@ -56,7 +56,7 @@ impl Pulses {
         });
     }
 
-    /// Both inputs high for so many ticks of each period, from the next one on.
+    /// Sets how many ticks of each period IN1 and IN2 are high, from the next period on.
     pub(crate) fn set(&self, in1: u16, in2: u16) {
         self.0.ccr(0).write(|w| w.set_ccr(in1));
         self.0.ccr(1).write(|w| w.set_ccr(in2));
@@ -68,12 +68,12 @@ impl Pulses {
         self.0.cr1().modify(|w| w.set_cen(true));
     }
 
-    /// Ends them where they are.
+    /// Stops the pulses; the outputs stay.
     pub(crate) fn stop(&self) {
         self.0.cr1().modify(|w| w.set_cen(false));
     }
 
-    /// They run, and the bridge is awake.
+    /// Whether the pulses run and the bridge is awake.
     pub(crate) fn run(&self) -> bool {
         self.0.cr1().read().cen()
     }

@@ -49,9 +49,9 @@ const SCATTERED: i32 = 1_050;
 const COMPARED_UM: (i32, i32) = (350, 100);
 /// Minimum readings in that range.
 const LEAST_COMPARED: i32 = 8;
-/// Minimum pull just before the end, in thousandths of the calibration's, with which a fold is not felt again. After a
-/// slip of 2 mm it was 620 at most in 150 lifelike capsules, 780 with 1.4 times the friction; friction x 0.7 alone leaves
-/// as little.
+/// Minimum pull just before the end, in thousandths of the calibration's, at which a fold is not checked by feeling.
+/// After a slip of 2 mm the pull was at most 620 in 150 lifelike capsules, 780 with 1.4 times the friction. Friction x
+/// 0.7 alone lowers it as far.
 const SURE_PULL: u16 = 800;
 /// Largest creep of the end that is believed, um: twice as much is a slip that keeps 65 % of its pull.
 const MOST_CREPT_UM: i32 = 800;
@@ -100,7 +100,8 @@ fn crept_by(share: i32, rise_um: i32) -> i32 {
 }
 
 impl Capsule {
-    /// The folded end was reached with a pull that less friction leaves, or a thread that has slipped, and was not felt yet.
+    /// Whether the folded end was reached with so little pull that friction has fallen or the thread has slipped, and
+    /// it was not felt yet.
     pub(super) fn may_have_slipped(&self) -> bool {
         let Mode::Moving(actuation) = &self.mode else {
             return false;
@@ -125,12 +126,12 @@ impl Capsule {
         let Leg::Wind { end, short, .. } = actuation.leg else {
             return;
         };
-        // A folded thread that was felt is wound back to where that began.
+        // A folded thread that was felt is being wound back; do not scale again.
         if actuation.kind != ActuationKind::FoldTo && short.is_some() {
             return;
         }
         let rise_um = calibration.rise.0.max(1);
-        // Within what the arithmetic below bears: an encoder may say anything.
+        // Limited to the range of the arithmetic below: an encoder may say anything.
         let left_um = end.0.saturating_sub(thread.0).clamp(-MOST_UM, MOST_UM);
         // The origami's force grows faster towards the folded end.
         let steep_um = rise_um * 85 / 100;
@@ -307,7 +308,7 @@ impl Capsule {
         }
         let back_emf_uv_cps = actuation.back_emf_uv_cps;
         actuation.calibrated = found.is_some();
-        // Once a cycle: an end that is felt is left again later.
+        // Follow once a cycle: an end that is only felt will be left later.
         let leaves = !ends_folded(actuation.kind);
         if let (None, Some(tension_ma), true) = (found, tension_ma, leaves) {
             self.follow_creep(tension_ma);

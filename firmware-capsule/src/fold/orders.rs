@@ -85,7 +85,8 @@ impl Capsule {
         if let Command::FoldTo(target) = command {
             self.may_stop_at(target)?;
         }
-        // It would end with nothing but a lost position. An unfolding may end above zero, and is all that can be done.
+        // A calibration of a wound capsule could only lose its position. An unfolding may end above zero and is all
+        // that can be done.
         let is_wound = matches!(self.mode, Mode::Folded | Mode::Stopped) && self.thread() >= WOUND;
         if kind == ActuationKind::Calibrate && is_wound {
             return Err(out_of_range(self.thread(), (Thread(0), WOUND)));
@@ -246,7 +247,7 @@ impl Capsule {
             _ => seek(Purpose::Reference),
         };
         if calibrates && !self.referenced {
-            // A hand may have been at the thread.
+            // Somebody may have pulled at the thread.
             self.spare = Thread(0);
         }
         if matches!(leg, Leg::Seek { .. }) {
@@ -305,7 +306,7 @@ impl Capsule {
         self.feel_folded()
     }
 
-    /// Feels whether the folded thread pulls: winds a little, and pays out as much as that takes.
+    /// Feels whether the folded thread pulls: winds a little, then pays out `CHECKED`.
     fn feel_folded(&self) -> Leg {
         let to = Thread(self.thread().0.saturating_sub(CHECKED.0));
         Leg::feel(self.sample.counts, to)

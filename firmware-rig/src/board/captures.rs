@@ -1,8 +1,7 @@
 //! The instants of the step edges: TIM5 captures each rising edge at its jumper, DMA keeps the instants in a ring.
 //!
-//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and the clock of the step
-//! timer, 100 MHz, so that an interval has to be the planned one to the tick. The time base of the firmware is
-//! another timer.
+//! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and runs at the step timer's
+//! 100 MHz, so each interval has to equal the planned one to the tick. Another timer is the firmware's time base.
 
 use super::channels::{DMA_ERRORS, LOST_CAPTURES};
 use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
@@ -73,7 +72,8 @@ impl Captures {
             at_end,
             stopped,
         } = written();
-        // After the ring was looked at: an instant that came after a lost one is not in it before the flag is up.
+        // Check this after reading the ring: an instant captured after a lost one reaches the ring only after the flag
+        // is set.
         if is_overcaptured() {
             LOST_CAPTURES.fetch_add(1, Ordering::Relaxed);
             return None;

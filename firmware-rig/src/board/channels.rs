@@ -120,7 +120,8 @@ pub fn wake_after_cut() {
 /// Tells motion and control that the pulses were cut.
 pub fn pulses_were_cut(why: Event<'static>) {
     wake_after_cut();
-    // 16 notices cannot pile up within control's 10 ms; and if one did get lost, the path's end says that it was cut.
+    // Control takes notices every 10 ms at most, so 16 cannot pile up. If one is lost, the path's end still says that
+    // it was cut.
     let _ = NOTICES.try_send(why);
 }
 

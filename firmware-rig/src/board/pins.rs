@@ -85,8 +85,8 @@ pub fn init() -> Board {
     }
 }
 
-/// Through the PLL to 100 MHz; both timer clocks are 100 MHz. From 8 MHz of the ST-LINK (or a crystal), or from the
-/// chip's own 16 MHz, which are good enough for the link and not for a step.
+/// PLL at 100 MHz, and both timer clocks at 100 MHz. Source: 8 MHz of the ST-LINK (or a crystal), or the chip's own 16
+/// MHz, which is accurate enough for the link but not for steps.
 fn clocks(source: Clock) -> Config {
     use rcc::{
         AHBPrescaler, APBPrescaler, Hse, HseMode, Pll, PllMul, PllPDiv, PllPreDiv, PllQDiv,
@@ -143,8 +143,8 @@ fn accelerate_flash() {
     });
 }
 
-/// A debugger that halts the core stops TIM1 and switches its outputs off as MOE = 0 does (RM0383 section 23.16.5), so
-/// that the prepared steps do not play out behind its back.
+/// Stops TIM1 and switches its outputs off, as MOE = 0 does, when a debugger halts the core (RM0383 section 23.16.5).
+/// Otherwise the prepared steps would play on.
 ///
 /// The watchdog keeps running, so a halt ends the motion: the watchdog's reset switches the driver off within 1.5 s
 /// and is latched as a fault. A frozen watchdog would leave the driver on for as long as the halt lasts, and the steps
@@ -259,8 +259,8 @@ fn is_high(pin: Pin) -> bool {
     port(pin).idr().read().idr(pin.number) == pac::gpio::vals::Idr::HIGH
 }
 
-/// Highest first: the break, the time base at 2 (the switch filter reads it), the switches, the step ring's producer.
-/// The serial port stays below, at 7.
+/// Sets the interrupt priorities. Highest first: the break, the time base at 2 (the switch filter reads it), the
+/// switches, the step ring's producer. The serial port is lowest, at 7.
 fn configure_priorities() {
     interrupt::TIM1_BRK_TIM9.set_priority(Priority::P1);
     interrupt::EXTI9_5.set_priority(Priority::P3);
@@ -298,8 +298,8 @@ pub fn set_direction(direction: Direction) {
     set(DIR, direction == Direction::Away);
 }
 
-/// Raises the far limit's interrupt if it is open: an opening on the way home or before a start ended nothing, and raises
-/// none when the carriage turns away from home or starts.
+/// Raises the far limit's interrupt if it is open. An opening on the way home or before a start stops nothing, and
+/// raises no further interrupt when the carriage turns away from home or starts.
 pub fn look_at_far_limit() {
     if inputs().far_limit {
         pac::EXTI.swier(0).write(|w| w.set_line(FAR_LINE, true));

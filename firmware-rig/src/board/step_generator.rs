@@ -305,12 +305,12 @@ impl Ring for StepGenerator {
         TIM1.bdtr().modify(|w| w.set_moe(true));
         // MOE reads back right only after a resynchronisation of some clocks (RM0383 section 12.3.12).
         let armed = (0..MOE_READS).any(|_| is_armed());
-        // A past opening still shows in the break flag.
+        // The break flag shows an opening that is already over.
         if !armed || TIM1.sr().read().bif(0) {
             self.halt();
             return Err(StartError::LoopOpen);
         }
-        // An opening since the order was checked found nothing to cut.
+        // An opening of the far limit since the order's check cut nothing: no pulses were armed.
         if pins::direction() == Direction::Away {
             pins::look_at_far_limit();
         }
@@ -392,7 +392,7 @@ pub fn clear_flags() {
     });
 }
 
-/// All of TIM1's registers that no path changes. The outputs are off.
+/// Configures all registers of TIM1 that no path changes. The outputs are off.
 fn configure_timer() {
     TIM1.psc().write_value(0);
     TIM1.cr1().write(|w| w.set_arpe(true));
@@ -414,7 +414,7 @@ fn configure_timer() {
     });
 }
 
-/// Brings TIM1 back to the state after a reset of the chip, with its settings: its burst begins at ARR again.
+/// Resets TIM1 and configures it again, so that its burst begins at ARR.
 fn restart_timer() {
     pac::RCC.apb2rstr().modify(|w| w.set_tim1rst(true));
     let _ = pac::RCC.apb2rstr().read();

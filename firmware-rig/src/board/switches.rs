@@ -88,8 +88,8 @@ impl Watch {
 /// Home flag and far limit, in the order of [`channels::GLITCHES`].
 static WATCHES: [Watch; 2] = [Watch::new(HOME_LINE), Watch::new(FAR_LINE)];
 
-/// The home flag had no level at its last service, and where the carriage was at that first edge. Used by the
-/// interrupt only.
+/// Whether the home flag had no level at its last service, and the carriage's position at the first edge then. Used by
+/// the interrupt only.
 static BOUNCING: AtomicBool = AtomicBool::new(false);
 static FIRST_EDGE: AtomicI32 = AtomicI32::new(0);
 
@@ -116,7 +116,7 @@ pub fn tend() {
 
 #[pac::interrupt]
 fn EXTI9_5() {
-    // Before anything else: where the carriage was at the edge.
+    // Read the count before anything else: it is the carriage's position at the edge.
     let count = step_generator::counted();
     // A masked line sets its pending bit all the same.
     let pending = pac::exti::regs::Lines(EXTI.pr(0).read().0 & EXTI.imr(0).read().0);
@@ -135,7 +135,7 @@ fn EXTI9_5() {
     if pending.line(HOME_LINE) {
         let before = channels::HOME_FLAG_OPEN.load(Ordering::Relaxed);
         let level = settle(HOME_LINE, 0, before, || pins::inputs().home_flag);
-        // A bouncing flag has no level. Once it settles, the first of its edges is the position to use.
+        // A bouncing flag has no level. Once it settles, its first edge gives the position.
         let bounces = BOUNCING.swap(level.is_none(), Ordering::Relaxed);
         if !bounces {
             FIRST_EDGE.store(count.0, Ordering::Relaxed);

@@ -85,7 +85,7 @@ impl Machine {
         let flag = settings.flag.distance_to(StepPosition::HOME).0;
         let (pull_off, overtravel) = (settings.pull_off.0, settings.overtravel.0);
         let (direction, distance, speed_um_s) = match homing.phase {
-            // The flag reaches from its edge to the end of travel on the home side.
+            // The flag is open from its edge to the end of travel on the home side.
             HomingPhase::Clear => (Direction::Away, flag + overtravel, settings.locate_um_s * 2),
             HomingPhase::Seek => {
                 // If the position is known, travel no farther than needed.
@@ -155,7 +155,7 @@ impl Machine {
             phase @ HomingPhase::Locate if homing.locate.is_none() => {
                 Some(RigFault::FlagNotFound(phase))
             }
-            // From the flag it goes away from home.
+            // The next move goes away from home.
             HomingPhase::Seek | HomingPhase::Locate if now.inputs.far_limit => {
                 Some(RigFault::FarLimit)
             }

@@ -10,9 +10,9 @@ use device::chip::{start, supply};
 use embassy_stm32::pac::{self, TIM5, timer::vals::CcmrInputCcs};
 use measurements::Measurement as M;
 
-/// TIM5_OR: leads an oscillator to channel 4, to be measured against the core's (RM0383 section 6.2.11).
+/// TIM5_OR: connects an oscillator to channel 4, to measure it against the core's clock (RM0383 section 6.2.11).
 const TIM5_OPTIONS: *mut u32 = 0x4000_0C50 as *mut u32;
-/// Its value that leads LSI to channel 4: TI4_RMP = 01.
+/// Value of TIM5_OR that connects LSI to channel 4: TI4_RMP = 01.
 const LSI_TO_CHANNEL_4: u32 = 1 << 6;
 
 /// Time from HSEON to HSERDY. A clock that takes longer than the firmware waits gives more than 300 ms.
@@ -26,7 +26,7 @@ pub fn external_clock_start_us() -> u32 {
     pac::RCC.cr().modify(|w| w.set_hseon(true));
     while !pac::RCC.cr().read().hserdy() && cycles_since(began) < LONGEST {}
     let took = cycles_since(began);
-    // The start that follows switches it on again.
+    // The start that follows switches the clock on again.
     pac::RCC.cr().modify(|w| w.set_hseon(false));
     took / CYCLES_PER_US
 }
@@ -54,7 +54,7 @@ pub fn report_clocks() {
     while cycles_since(began) < 1_000_000 {}
     tell(M::TimerTicks, TIM5.cnt().read().wrapping_sub(from));
 
-    // Every eighth edge of LSI.
+    // Capture every eighth edge of LSI.
     // SAFETY: an existing register that nothing else uses.
     unsafe { TIM5_OPTIONS.write_volatile(LSI_TO_CHANNEL_4) };
     TIM5.ccmr_input(1).modify(|w| {

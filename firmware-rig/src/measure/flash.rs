@@ -19,7 +19,7 @@ const US: u32 = 100;
 
 /// Reports all of it, unless the supply is too low or settings are stored there.
 pub fn report(mut sectors: Sectors) {
-    // An error leaves the rest out: it shows as "not measured".
+    // After an error the rest is missing and shows as "not measured".
     let _ = block_on(async {
         let mut stored = [0; 4];
         for offset in (OFFSET..OFFSET + SECTOR).step_by(stored.len()) {

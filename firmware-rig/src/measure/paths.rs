@@ -35,7 +35,7 @@ const PATHS: [(u32, u64, u64, M); 3] = [
     (20_000, 8_009_940 + 500_000, 500_000, M::FastMissing),
 ];
 
-/// Lets go of EN, as in a reset. Motion's code switches the driver on; so the pull-up keeps it off all the same.
+/// Releases EN, as a reset does. The pull-up then keeps the driver off, even though motion's code switches it on.
 fn release_enable() {
     const { assert!(wiring::rig::ENABLE.port == 'A') };
     let pin = wiring::rig::ENABLE.number;
@@ -87,7 +87,8 @@ fn play(
     ORDERS.signal(Order {
         path: Path::Move {
             profile,
-            // Away from home an open far limit would end the path, and the wiring of this measurement leaves it out.
+            // Home, because an open far limit would end a path away from home, and this measurement is wired without
+            // it.
             direction: Direction::Home,
         },
         window: Window {

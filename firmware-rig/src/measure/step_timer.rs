@@ -38,7 +38,7 @@ fn all_but_update() -> SrAdv {
     flags
 }
 
-/// MOE from its setting to its showing. An open loop keeps it from being set.
+/// Time from setting MOE until it reads back as set. An open loop keeps it from being set.
 pub fn report_moe() {
     rearm_loop();
     let began = DWT::cycle_count();
@@ -52,15 +52,15 @@ pub fn report_moe() {
     }
 }
 
-/// The delay of a burst: the latest counts at which its first and last word are seen to have come, of 100 updates. The
-/// counter begins at 0 with the update; each sight comes up to a look late.
+/// The delay of a burst: the latest counts at which its first and last word are seen, over 100 updates. The counter
+/// begins at 0 with the update. Polling finds each word one read late at most.
 pub fn report_burst(generator: &mut StepGenerator) {
     const PERIODS: u32 = 100;
     const TICKS: u32 = 20_000;
     generator.clear(200);
     for period in 0..PERIODS {
         let odd = period % 2 == 1;
-        // Neighbours differ in their first word and in their last.
+        // Neighbouring periods differ in first and last word, so that each change shows.
         let _ = generator.push(Period {
             ticks: TICKS + u32::from(odd),
             repeats: 0,
@@ -133,11 +133,11 @@ pub fn report_repeats(generator: &mut StepGenerator) {
 struct Burst(UnsafeCell<[u16; WORDS]>);
 // SAFETY: constant; only the DMA controller reads it.
 unsafe impl Sync for Burst {}
-/// Words that tell their place.
+/// Each word has a different value.
 static BURST: Burst = Burst(UnsafeCell::new([11, 12, 13, 14, 15]));
 
-/// Takes the request away within a burst, and looks where the words of the next one land. With its bursts cut the timer
-/// is of no use until its next reset.
+/// Removes the request during a burst, and checks where the words of the next one land. After that the timer is
+/// unusable until its next reset.
 pub fn report_cut_bursts() {
     const TRIES: u32 = 200;
     pins::cut_pulses();
@@ -154,7 +154,7 @@ pub fn report_cut_bursts() {
             start_burst();
             delay(MS / 10);
             let found = registers().into_iter().position(|word| word == 11);
-            // Beyond all five: it is none of them.
+            // Found in none of the five: report a larger shift.
             shift = found.unwrap_or(WORDS).max(shift);
         }
         request(false);
@@ -209,7 +209,7 @@ fn clear_registers() {
     }
 }
 
-/// Resets TIM1 with its burst's place, and sets the burst up again.
+/// Resets TIM1, including its burst's position, and sets the burst up again.
 fn reset_timer() {
     let burst = TIM1.dcr().read();
     pac::RCC.apb2rstr().modify(|w| w.set_tim1rst(true));

@@ -168,8 +168,8 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
     Ok(all)
 }
 
-/// Classifies a file: a trial if it is a sidecar of an action that began; none if it needs no mention; otherwise why it is omitted, and
-/// whether it is part of a trial's record.
+/// Classifies a file: a trial if it is a sidecar of an action that began; none if it needs no mention; otherwise why it
+/// is omitted, and whether it is part of a trial's record.
 fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let is_record = is_record(&name);

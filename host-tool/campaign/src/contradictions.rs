@@ -31,7 +31,7 @@ pub struct Verified {
     pub files: usize,
     /// Number of trial records whose contents were checked.
     pub records: usize,
-    /// Those without an end: under way, or what recorded them was cut off.
+    /// Records without an end: under way, or their recording was cut off.
     pub unended: Vec<String>,
     /// All findings.
     pub findings: Vec<Finding>,
@@ -205,8 +205,8 @@ pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Opti
     counts.filter_map(other).next()
 }
 
-/// A start of a record that is not of its attempt. One outside of it is explained by a clock that was set back
-/// meanwhile, unless it is that of another attempt.
+/// Reports a record whose start is not within its attempt. A clock that was set back explains it, unless the start lies
+/// within another attempt.
 fn not_within(
     campaign: &Campaign,
     (planned, attempt): (&Planned, &Attempt),
@@ -221,8 +221,8 @@ fn not_within(
     let last = attempt.ended.filter(|_| !unfolds(record));
     let last = last.map_or(start, |ended| ended.max(began));
     let (early, late) = (first.duration_since(start), start.duration_since(last));
-    // Behind the step an early record has the same clock as the end of its attempt; before it, a late one has that of
-    // its beginning. There it is minutes away.
+    // An early record was made after the clock's step, by the same clock as the end of its attempt. A late one was made
+    // before the step, by the clock of the attempt's beginning. By that clock it is minutes away.
     let away = match (attempt.ended, early > late) {
         (Some(ended), true) => ended.duration_since(start),
         _ => start.duration_since(began),
@@ -350,7 +350,7 @@ fn indentation_differs(
     if let Some(contradiction) = contradicting.reduce(Option::and) {
         return contradiction;
     }
-    // Readings that are there all the same are of a clock that was set back since.
+    // If the set is there nevertheless, the clock was set back since.
     let mut sets = campaign.readings.sets.iter();
     let is_there = sets.any(|set| set.number == number && set.accepted);
     (!is_there).then(|| {

@@ -45,7 +45,7 @@ impl std::fmt::Display for Finding {
 
 pub(crate) const COPY: &str = "restore it from a copy";
 pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
-/// For what a session leaves that was killed, or is under way.
+/// Remedy for leftovers of a session that was killed, or is under way.
 pub(crate) const RESUME: &str = "if no session is under way, one was cut off: `retrograde campaign run` takes this up; change nothing by hand";
 
 /// Reads the manifest of a folder; none if the folder has none.
@@ -251,7 +251,7 @@ impl Differences {
                 .and_then(|path| path.strip_prefix('/'))
                 .and_then(|path| path.split_once('/'));
             match within {
-                // Only what this tool replaces: other programs use the suffix, too.
+                // Only files that this tool replaces: other programs use the suffix, too.
                 None if plain::of_part(path) == Some(manifest::NAME) => {
                     left.parts.push(path.clone());
                 }
@@ -271,7 +271,7 @@ impl Differences {
     }
 }
 
-/// The attempt may lack an entry in the manifest: only the last one made can.
+/// Whether the attempt may be missing in the manifest: only the latest one may.
 fn is_new(attempt: &str, campaign: &Campaign) -> bool {
     let began = campaign.rows.iter().rev().find_map(|row| {
         (row.event == crate::ledger::LedgerEvent::Began)

@@ -143,7 +143,7 @@ impl Folder {
             Ok(lock)
         })();
         let lock = made.map_err(|io: std::io::Error| {
-            // Only what was made here: its name is random.
+            // Remove only the folder made here: its name is random.
             let _ = fs::remove_dir_all(&part);
             if fs::symlink_metadata(folder).is_ok() {
                 return exists(folder);

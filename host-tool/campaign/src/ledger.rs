@@ -45,7 +45,7 @@ pub enum LedgerEvent {
 }
 
 impl LedgerEvent {
-    /// The change that a trial of the wrong state cannot have, in words.
+    /// The event as a participle, for a refusal: `trial 3 is done, not to be begun`.
     const fn words(self) -> &'static str {
         match self {
             Self::Began => "begun",

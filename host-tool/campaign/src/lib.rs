@@ -1,13 +1,13 @@
 //! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
 //!
-//! * [`plan`]: what is to be done, as people write it.
-//! * [`form`]: the shape of the body in it. [`order`]: in which order.
-//! * [`ledger`]: what happened, and the state that it amounts to.
-//! * [`readings`]: what the caliper says.
-//! * [`files`], [`contents`], [`folder`]: all that on the disk, as it is named, read and written.
+//! * [`plan`]: the plan, as people write it.
+//! * [`form`]: the shape of the body. [`order`]: the order of the trials.
+//! * [`ledger`]: the events, and the state that follows from them.
+//! * [`readings`]: the readings of the caliper.
+//! * [`files`], [`contents`], [`folder`]: the files, their names, reading and writing.
 //! * [`manifest`]: the hash of every file.
-//! * [`differences`], `contradictions`, [`verify`]: every change of a folder, found.
-//! * [`prompts`]: what is asked, and what may be answered.
+//! * [`differences`], `contradictions`, [`verify`]: find every change of a folder.
+//! * [`prompts`]: the questions, and the possible answers.
 //! * [`conduct`]: carries the trials out.
 //! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
 //! * [`statistics`]: mean, deviation, and a line with its band.

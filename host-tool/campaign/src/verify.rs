@@ -1,7 +1,7 @@
 //! Finds every change of a folder since this program wrote it: compares the manifest, and the files with each other.
 //!
-//! Nothing here finds whoever rebuilds the manifest and keeps all files in agreement. The report uses this too: one list
-//! of checks.
+//! It cannot find a change by somebody who rebuilds the manifest and keeps all files in agreement. The report uses the
+//! same checks.
 
 use std::path::Path;
 use std::{fs, io};

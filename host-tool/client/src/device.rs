@@ -182,7 +182,7 @@ impl Device {
         if matches(&identity) {
             // Events from before this session are not reported.
             self.next_event = self.events(u32::MAX)?.next;
-            // Forget what came before the answer: it would be reported twice, or wait for earlier ones for ever.
+            // Forget events from before the answer: they would be reported twice, or wait for earlier ones for ever.
             let next = self.next_event;
             self.events.retain(|event| event.index < next);
             self.early = self.early.split_off(&next);
@@ -258,8 +258,8 @@ impl Device {
         self.link.is_line_wanted()
     }
 
-    /// Offers the line to other processes, or withdraws the offer. For an owner that only looks at times, and works at
-    /// others.
+    /// Offers the line to other processes, or withdraws the offer. For an owner that alternates between looking and
+    /// working.
     pub fn offer_line(&mut self, offered: bool) {
         self.link.offer_line(offered);
     }
@@ -280,12 +280,12 @@ impl Device {
         self.link.records(sidecar);
     }
 
-    /// The record of [`Device::left_record`] has its end now.
+    /// Notes that the record of [`Device::left_record`] is complete.
     pub fn left_has_ended(&mut self) {
         self.link.left_has_ended();
     }
 
-    /// The record of the line's previous owner, if that was killed.
+    /// Unfinished record of the line's previous owner, if that process was killed.
     #[must_use]
     pub fn left_record(&self) -> Option<PathBuf> {
         self.link.left_record()

@@ -301,8 +301,8 @@ impl ClientError {
         )
     }
 
-    /// The error in words for a record that is read later: without what was true at that moment only, and without what to
-    /// do then.
+    /// The error in words for a record that is read later: without statements that hold at that moment only, and
+    /// without advice.
     #[must_use]
     pub fn in_record(&self) -> String {
         let seen = match self {

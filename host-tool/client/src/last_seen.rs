@@ -7,8 +7,7 @@ use crate::decimal;
 /// The rig's last answer, and the possible course of its motion since.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LastSeen {
-    /// Position of the carriage and the age of the answer that gave it, both in us or um; none if the rig was not
-    /// homed then.
+    /// Position of the carriage, um, and age of the answer that gave it, us; none if the rig was not homed then.
     pub at: Option<(i32, u64)>,
     /// Possible course of the motion since.
     pub since: Since,
@@ -80,7 +79,7 @@ pub(crate) fn after(seen: Option<&LastSeen>) -> String {
     seen.map(|seen| format!("; {seen}")).unwrap_or_default()
 }
 
-/// The same of a machine that was ordered to move: without anything known, that it may.
+/// Like `after`, for a machine that was ordered to move: if nothing is known, says that it may be moving.
 pub(crate) fn or_moving(seen: Option<&LastSeen>) -> String {
     match seen {
         Some(_) => after(seen),

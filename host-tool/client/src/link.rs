@@ -155,10 +155,10 @@ pub trait Link: Send {
         let _ = sidecar;
     }
 
-    /// The record of the previous owner has its end now.
+    /// Notes that the record of the previous owner is complete.
     fn left_has_ended(&mut self) {}
 
-    /// The record of the line's previous owner, if that was killed.
+    /// Unfinished record of the line's previous owner, if that process was killed.
     fn left_record(&self) -> Option<PathBuf> {
         None
     }

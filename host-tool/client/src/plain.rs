@@ -269,7 +269,7 @@ impl Folder {
         file.write_all(bytes)
             .and_then(|()| file.sync_all())
             .and_then(|()| self.rename(part, name))
-            // Nothing will complete it.
+            // Nothing will complete this file.
             .inspect_err(|_| drop(self.unlink(part)))
     }
 
@@ -308,7 +308,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     file.write_all(bytes)
         .and_then(|()| file.sync_all())
         .and_then(|()| fs::rename(&part, path))
-        // Nothing will complete it.
+        // Nothing will complete this file.
         .inspect_err(|_| drop(fs::remove_file(&part)))?;
     sync_folder_of(path)
 }

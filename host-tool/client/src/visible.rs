@@ -1,5 +1,5 @@
-//! Text as it may reach a terminal or a page. What a device, a record or another person wrote may hold sequences that a terminal
-//! obeys, and characters that turn the order of the others around.
+//! Makes text safe for a terminal or a page. Text from a device, a record or another person may contain sequences that
+//! a terminal obeys, and characters that reverse the order of others.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;

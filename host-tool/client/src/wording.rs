@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::decimal;
 
-/// Name of a state or an outcome, as files and HTTP have it; nothing for a value with parts.
+/// Name of a state or an outcome, as in files and HTTP; empty for a value with parts.
 #[must_use]
 pub fn name(of: &impl Serialize) -> String {
     match serde_json::to_value(of) {
@@ -75,7 +75,7 @@ fn accel(um_s2: u64) -> String {
     format!("{} mm/s2", decimal::write(um_s2, 3))
 }
 
-/// The value's name, how many more decimals people's unit has than the wire's, and that unit.
+/// Name of the value, number of decimals by which the displayed unit exceeds the wire's, and the displayed unit.
 fn named(field: Field) -> (&'static str, u32, &'static str) {
     match field {
         Field::Cycles => ("the number of cycles", 0, ""),

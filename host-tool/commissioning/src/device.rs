@@ -29,7 +29,7 @@ pub(super) fn started_well(work: &mut Work<'_>) -> Result<Identity, Halt> {
     Ok(identity)
 }
 
-/// Compares the device's clock with that of the link; beyond `limit_ppm` it is wrong.
+/// Compares the device's clock with that of the link. A difference beyond `limit_ppm` is a defect.
 pub(super) fn compare_clocks(
     work: &mut Work<'_>,
     limit_ppm: i64,

@@ -161,8 +161,8 @@ fn way_in(
     }
 }
 
-/// Opens the line for a stop: through its owner, or else directly. An owner that has the port for itself is the only
-/// way; on a computer with much to do it may need longer than its usual time, so it is asked again while `may_wait`.
+/// Opens the line for a stop: through its owner, or else directly. If the owner has the port exclusively, there is no
+/// other way; on a busy computer it may need longer than usual, so it is asked again while `may_wait`.
 fn way_to_stop<L>(
     through: impl Fn() -> Result<L, OpenError>,
     direct: impl Fn() -> Result<L, OpenError>,
@@ -179,7 +179,7 @@ fn way_to_stop<L>(
     }
 }
 
-/// The owner of the line does not answer. A server that owns it is not told to end itself.
+/// Error for an owner of the line that does not answer. If this server is the owner, does not advise to end it.
 fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
     let (why, remedy) = match owner {
         Some(owner) if owner.pid == std::process::id() => {

@@ -56,8 +56,8 @@ pub fn end_record(device: &mut Device, now: Timestamp) -> Result<Option<String>,
     Ok(Some(said))
 }
 
-/// The machine is that of the record, and has not been started again since. Each switching-on counts its starts from 1
-/// anew, so the time since its start decides as well.
+/// Whether this is the machine of the record, without a restart since. The number of starts begins at 1 after each
+/// power-on, so the time since the start is compared as well.
 fn is_same(device: &mut Device, trial: &Trial, now: Timestamp) -> Result<bool, ClientError> {
     let place = device.place();
     let Some(identity) = device.identity() else {

@@ -156,7 +156,7 @@ impl Actions {
         }
         let number = list.back().map_or(1, |last| last.number + 1);
         if list.len() >= KEPT {
-            // One that is under way stays: its result is still to come. Few are, so memory stays bounded.
+            // Keep actions that are under way: their results are still to come. They are few, so memory stays bounded.
             let oldest = list.iter().position(|action| action.standing.is_over());
             oldest.and_then(|oldest| list.remove(oldest));
         }

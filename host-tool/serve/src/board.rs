@@ -65,9 +65,9 @@ pub struct Machine {
     pub stops: Arc<Stops>,
     /// Lock and door of the machine's line, once a line is known.
     doorway: Mutex<Option<Doorway>>,
-    /// This server is moving the machine, or has begun what it has not seen end.
+    /// This server is moving the machine, or has begun a motion whose end it has not seen.
     pub acting: Arc<AtomicBool>,
-    /// The run that this server began last, if that was the last that it began.
+    /// The run that this server began last; none if it began another motion after that.
     run: Mutex<Option<u32>>,
     pub orders: SyncSender<Order>,
     pub lease: Mutex<Option<Lease>>,
@@ -121,8 +121,8 @@ impl Machine {
         *lock(&self.run) = Some(run);
     }
 
-    /// Notes the end of what this server began in an earlier connection, if the status that has just come shows it. A
-    /// run that finishes without its host goes on; what another owner of the line moves is that owner's.
+    /// Notes the end of a motion that this server began in an earlier connection, if the new status shows it. A run
+    /// that finishes without its host goes on. A motion of another owner of the line does not count.
     pub fn note_end(&self, is_owner: bool) {
         let panel = self.panel();
         let run = panel.rig.filter(in_run).map(|status| status.run);

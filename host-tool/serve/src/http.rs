@@ -135,8 +135,8 @@ pub async fn listen(listener: TcpListener, router: Router) {
                 let mut router = router.clone();
                 let is_stop = is_stop(&request);
                 let answer = async move { router.call(request).await };
-                // The answer is dropped as soon as its reader has closed the connection, even before it was begun. A
-                // stop counts nevertheless: it begins here.
+                // When a reader closes its connection, the answer is dropped, even before it was begun. A stop must be
+                // carried out anyway, so it begins here.
                 let answer = match is_stop {
                     true => Answer::Begun(tokio::spawn(answer)),
                     false => Answer::Due(answer),
@@ -171,9 +171,9 @@ pub async fn listen(listener: TcpListener, router: Router) {
 
 /// The answer to a request.
 enum Answer<A> {
-    /// It is being made, whether or not its reader stays.
+    /// Already begun; continues even if its reader leaves.
     Begun(JoinHandle<Result<Response, Infallible>>),
-    /// It is made for its reader.
+    /// Not begun; ends if its reader leaves.
     Due(A),
 }
 

@@ -203,8 +203,8 @@ pub fn serve(
     }
 }
 
-/// Waits for Ctrl-C, and then until what this server moves stands or its stop has failed; until then stops are still
-/// accepted.
+/// Waits for Ctrl-C, and then until the machines that this server moves stand or their stops have failed. Stops are
+/// accepted until then.
 async fn until_rest(board: &Board, pressed: &Interrupt, leaving: &AtomicBool) {
     while pressed().is_none() {
         sleep(LOOK).await;
@@ -349,7 +349,7 @@ fn private(file: &Path, text: &str) -> io::Result<()> {
 struct ServerFile {
     file: PathBuf,
     text: String,
-    /// Held for its lock: there is one server file, and it stays that of the server that was first.
+    /// Held for its lock: the server file belongs to the first server.
     lock: File,
 }
 
@@ -385,7 +385,7 @@ impl ServerFile {
             .map_err(|why| format!("{}: {why}", self.file.display()))
     }
 
-    /// Makes file and lock new: a folder of temporary files is cleaned of what nobody has touched for days.
+    /// Renews the modification times of file and lock: systems delete old files from folders of temporary files.
     fn renew(&self) {
         // Another server may have replaced the file.
         if fs::read_to_string(&self.file).is_ok_and(|text| text != self.text) {

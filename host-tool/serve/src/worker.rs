@@ -152,7 +152,7 @@ impl Worker<'_> {
         }
         machine.acting.store(false, Ordering::SeqCst);
         let mut told = told.filter(|told| told.delivery != Delivery::Stopped)?;
-        // The first stop was sent, and its failure knows where the carriage was.
+        // Report the failure of the first stop: it knows where the carriage was.
         if let Some(Failure::Client(error) | Failure::Experiment(ExperimentError::Client(error))) =
             last
             && matches!(error, ClientError::StopUnconfirmed { .. })
@@ -273,7 +273,7 @@ impl Worker<'_> {
 
     fn ask(&self, device: &mut Device) -> Result<(), ClientError> {
         panel::ask(device, || self.machine.panel())?;
-        // After a lost connection this shows whether what was begun goes on.
+        // After a lost connection, the status shows whether a motion begun before goes on.
         self.machine.note_end(device.owner().is_none());
         Ok(())
     }
@@ -346,7 +346,7 @@ impl Worker<'_> {
         // From here on, a stop is noticed between any two frames.
         stops.with(|stops| stops.order(Some(stop)));
         device.ordered_at(mark);
-        // Whoever has ordered this waits for its result, unlike the screen for the next status.
+        // Repeat questions to a busy owner: somebody waits for this result. A missed status request does not matter.
         device.ask_once(false);
         let result = self.act(device, action, &work);
         device.ask_once(true);
@@ -370,7 +370,7 @@ impl Worker<'_> {
         // Send all samples first, so that the readers' picture is complete when the action ends.
         self.board.flush(self.machine, true);
         let settled = match lost {
-            // It may go on.
+            // The motion may go on.
             true => Ok(()),
             false => self.settle(device).and_then(|()| {
                 self.machine.acting.store(goes_on, Ordering::SeqCst);
@@ -614,8 +614,8 @@ impl Worker<'_> {
                     }
                 }
             };
-            // Look before each renewal, too: this computer may have slept since it came, which no clock here shows. Then
-            // the jog has ended, and a renewal would begin another one.
+            // Check the state before each renewal: this computer may have slept since the renewal came, which no clock
+            // here shows. The jog has ended then, and a renewal would begin another one.
             if renewal || rig.now_us() >= asked_us + POLL_US {
                 asked_us = rig.now_us();
                 let status = rig.rig_status().map_err(silent)?;

@@ -98,7 +98,7 @@ pub(crate) fn actuate(
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
 }
 
-/// Warns of what a reference run or a calibration takes for granted.
+/// Warns of the assumptions of a reference run or a calibration.
 fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> Result<(), Failure> {
     match kind {
         ActuationKind::Reference if capsule.call(GetCapsuleTotals)?.calibration.is_none() => {

@@ -147,7 +147,7 @@ impl<'a> Named<'a> {
             write(&mut out)?;
             out.flush()
         };
-        // A link is followed only if the user says that what is there may go.
+        // Follow a link only if the user allows its target to be replaced.
         let is_link = fs::symlink_metadata(self.path).is_ok() && !plain::is_file(self.path);
         let written = if is_device(self.path) || (self.force && is_link) {
             File::options()

@@ -35,7 +35,7 @@ use trials::trial::RecordError;
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
 
-/// Who owns the line meanwhile, for those who ask.
+/// Command named to other processes as the owner of the line.
 const COMMAND: &str = "campaign run";
 
 /// Subcommands of `campaign`.
@@ -280,7 +280,7 @@ fn create(
         time_text(remaining_s(campaign).0),
     ));
     screen.say(&format!("Folder: {}", out.display()));
-    // Only a rig knows its limits, but most have these, and a trial that it refuses comes after an hour of readings.
+    // Warn now: only a rig knows its limits, but most have these, and its refusal would come after an hour of readings.
     if let Err(why) = planning::solve(&campaign.plan.run, &Axis::REFERENCE, &REFERENCE_LIMITS) {
         screen.say(&format!(
             "NOTE: a rig with default settings refuses this run: {why}"
@@ -330,8 +330,8 @@ fn carry_out(
     Ok(value)
 }
 
-/// Writes the report of a finished campaign. One of an earlier state is made anew; a page that is no report of this
-/// program is kept, and then there is none.
+/// Writes the report of a finished campaign, and replaces one of an earlier state. A page that is no report of this
+/// program is kept; then no report is written.
 fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, Failure> {
     let present = present(folder);
     let page = report_folder(folder).join("report.html");
@@ -457,7 +457,7 @@ fn failure(broken: Broken, again: &str) -> Failure {
     }
 }
 
-/// An error of a record, with a remedy for a campaign: outside one it is another folder.
+/// Replaces an error's remedy, which is to choose another folder: a campaign has only one.
 fn within_campaign(error: ExperimentError) -> ExperimentError {
     let (record, why) = match error {
         ExperimentError::Record(record) => {

@@ -160,7 +160,7 @@ pub(crate) fn commission(
 fn stop(device: &mut Device) -> Result<(), ClientError> {
     match device.interrupted() {
         None => device.urgent(Urgent::Stop),
-        // Ctrl-C has sent the stop. A line that was given up, to find a board again that was reset, carries none.
+        // Ctrl-C has sent the stop. A line that was given up to find a reset board again cannot carry one.
         Some(_) => match device.settle() {
             Err(ClientError::Link(_)) => Ok(()),
             settled => settled,

@@ -143,8 +143,8 @@ fn addresses(
         .collect()
 }
 
-/// Refuses unless the machine is at rest, or cannot be asked: flashing mends such a board. A run may go on without a
-/// process that owns its line: one that finishes without its host, or the start button's.
+/// Refuses unless the machine is at rest. A machine that cannot be asked is accepted: flashing repairs it. A run may go
+/// on although no process owns the line: one that finishes without its host, or the start button's.
 fn require_rest(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
     for address in addresses(kind, places, |candidate| candidate.may_ask) {
         let Some(state) = motion(kind, &address, places) else {
@@ -169,7 +169,7 @@ fn motion(kind: DeviceKind, address: &Address, places: &Places<'_>) -> Option<St
     let link = connector.open(kind, address, baud, Purpose::Look).ok()?;
     let nonce = connector.nonce();
     let mut device = Device::new(link, nonce);
-    // An owner is refused by its name.
+    // An owner is refused later, by its name.
     if device.owner().is_some() {
         return None;
     }
@@ -190,8 +190,8 @@ fn motion(kind: DeviceKind, address: &Address, places: &Places<'_>) -> Option<St
     }
 }
 
-/// Takes the machine's line, or each line where it may be if it has no address, so that nobody begins anything
-/// meanwhile. Refuses while another process works with one of them: a reset would end what it does.
+/// Takes the machine's line, or without an address every line where it may be, so that nobody begins anything
+/// meanwhile. Refuses while another process works on one of them: the reset would end its work.
 fn taken(kind: DeviceKind, places: &Places<'_>) -> Result<Vec<Lock>, Failure> {
     let named = named(kind, places);
     let addresses = addresses(kind, places, |_| true);

@@ -59,7 +59,7 @@ pub(crate) fn identify(
     }))
 }
 
-/// Rests, or until an interrupt: the fold after it is refused then.
+/// Rests until the time is over or an interrupt comes; after an interrupt the fold is refused.
 fn rest(capsule: &mut Device) -> Result<(), Failure> {
     /// Interval of the look for an interrupt, us.
     const LOOK_US: u64 = 200_000;

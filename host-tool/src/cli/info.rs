@@ -90,8 +90,8 @@ pub(crate) fn info(
     Ok(Value::Object(all))
 }
 
-/// The addresses in a machine's last words. Nothing else of them may be part of a command: whoever pastes it would run
-/// what the machine says.
+/// The addresses in a machine's last words. A command must contain nothing else of these: who pastes it would run the
+/// machine's text.
 fn addresses(last_words: &str) -> Vec<String> {
     let words = last_words.split(|c: char| !c.is_ascii_alphanumeric());
     let digits = words.filter_map(|word| word.strip_prefix("0x"));

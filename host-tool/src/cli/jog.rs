@@ -33,7 +33,7 @@ pub(crate) fn jog(
     })?;
     let renew_us = RENEW_US.min(u64::from(dead_man.value) * 1_000 / 3);
     let end_us = rig.now_us().saturating_add(args.for_s.0.into());
-    // Stopped before it was answered: it may have begun, and brakes then.
+    // A stop came before the answer. The jog may have begun; then it brakes.
     let mut early = match rig.call(jog) {
         Ok(_) => false,
         Err(ClientError::Interrupted { .. }) => true,

@@ -33,7 +33,7 @@ pub(crate) fn move_to(
             ));
             return Ok(json!({ "already": true, "status": status }));
         }
-        // It may have begun, and brakes then.
+        // The move may have begun; then it brakes.
         Err(ClientError::Interrupted { .. }) => {
             let status = rig.wait_rest()?;
             return Err(cut_short("the move", &rig, &status));

@@ -112,8 +112,7 @@ pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
 pub struct Defects {
     /// The contradictions within it.
     pub contradictions: Vec<String>,
-    /// Telemetry that is missing. A machine may move on while nobody listens, and the record of the motion is true all
-    /// the same.
+    /// Missing telemetry. The record of the motion is still true: the machine may have moved on while nobody listened.
     pub gaps: Vec<String>,
 }
 
@@ -148,7 +147,7 @@ impl Defects {
         }
     }
 
-    /// Those of the files themselves come first.
+    /// Puts the defects of the files first.
     fn after(self, files: Vec<String>) -> Self {
         Self {
             contradictions: [files, self.contradictions].concat(),
@@ -635,7 +634,7 @@ fn travelled(
         ));
     }
     let (least, most) = (executed.min_steps, executed.max_steps);
-    // A cut keeps steps from leaving that a sample before it counts already; the record does not.
+    // A sample before a cut already counts steps that the cut then held back; the record does not.
     let kept = executed.prepared_edges.map_or(0, |prepared| {
         prepared.saturating_sub(executed.commanded_edges)
     });
@@ -661,7 +660,7 @@ fn ends_at(
     };
     let start_us = actuation_start_us(trial).unwrap_or(first.time_us);
     let end_us = start_us.saturating_add(u64::from(record.duration_ms) * 1_000);
-    // The thread goes on from the last sample to the end of the motion.
+    // The thread still moves between the last sample and the end of the motion.
     let fastest_um_s = u64::from(SettingKey::UnfoldUmS.range().max);
     let hidden_um = end_us.saturating_sub(last.time_us) * fastest_um_s / 1_000_000;
     let apart_um = u64::from(last.thread_um.abs_diff(record.thread_um));

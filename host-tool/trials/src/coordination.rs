@@ -88,7 +88,7 @@ pub fn run(
     if let Err(error) = experiment::listen(capsule, recordings.actuation.telemetry_ms) {
         capsule.records(None);
         let ending = experiment::without_record(&recorder, &error);
-        // The loss of the capsule is the cause; a record that cannot be written does not hide it.
+        // The loss of the capsule is the cause: report it even if the record cannot be written.
         let _ = recorder.finish(ending, capsule.take_lost_events());
         return Err(error.into());
     }
@@ -98,7 +98,7 @@ pub fn run(
         capsule,
         shaping,
         cue,
-        // Nothing moves before the first cycle but for the delay of its start.
+        // At the start of the run, the carriage rests for the start delay only.
         dwell_us: match cue.stroke() {
             0 => run.start_delay_us.into(),
             _ => run.home_dwell_us.into(),
@@ -275,7 +275,7 @@ impl Partner<'_> {
         Ok(())
     }
 
-    /// Nothing begins after the run.
+    /// Cancels an actuation not requested yet.
     fn begin_nothing(&mut self) {
         if let Phase::Cued {
             due_us,
@@ -352,7 +352,7 @@ impl Partner<'_> {
         let lost = self.capsule.take_lost_events();
         // Discard what it still sends.
         let _ = self.capsule.set_telemetry(0);
-        // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
+        // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the record.
         if let Ok(record) = &outcome {
             let ending = Ending::Actuation(*record);
             self.recorder.latched(after_stops(self.capsule, &ending));

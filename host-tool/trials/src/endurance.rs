@@ -206,7 +206,7 @@ impl Run {
         if let Err(error) = &result {
             self.endurance.status = match error {
                 ExperimentError::Client(ClientError::Interrupted { .. }) => Status::Stopped,
-                // Before anything moved: a later refusal ends a series that was carried out so far.
+                // Refused before anything moved. A later refusal ends a series that was partly carried out.
                 ExperimentError::Client(ClientError::Refused {
                     request: "Fold", ..
                 }) if self.endurance.done == 0 => Status::Refused,

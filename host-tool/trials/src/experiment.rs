@@ -312,7 +312,8 @@ fn record<R>(
             let ended = verdict(&ending);
             // Ignore the error: the action has ended. The next request will notice a device that does not answer.
             let _ = device.set_telemetry(0);
-            // The last exchange: an emergency stop goes out with any before it, and has to be in the record.
+            // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the
+            // record.
             recorder.latched(after_stops(device, &ending));
             match recorder.finish(ending, lost_events) {
                 Ok(trial) => Ok(RecordedTrial {

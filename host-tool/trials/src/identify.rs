@@ -112,8 +112,8 @@ struct Block {
     battery_mv: f64,
 }
 
-/// Rest before the fold, s: a damped origami is still opening for so long after it was let go. It need not have come to
-/// its end; an even longer rest does no harm.
+/// Rest before the fold, s: a damped origami opens for this long after it was let go. It need not have opened
+/// completely, and a longer rest does no harm.
 pub const REST_S: u32 = 30;
 
 /// Finds the capsule's parameters. Before the fold it has rested for [`REST_S`].
@@ -144,8 +144,8 @@ impl Block {
     }
 }
 
-/// A fold up to its farthest point. One that feels its thread there pays out and winds again, and the origami pulls less
-/// on that way.
+/// The part of a fold up to its farthest point. A fold that feels its thread there pays out and winds again, and the
+/// origami then pulls less.
 fn once_wound(fold: &[TracePoint]) -> &[TracePoint] {
     let far_um = fold.iter().map(|point| point.thread_um).max();
     let far = fold

@@ -17,8 +17,8 @@ struct Missed {
 }
 
 impl Trial {
-    /// Ends the record. Counts the rows that the process left, without a last one that was cut short. It wrote no events:
-    /// `kept` are those that the device still has since its start, and the number of those that it has dropped.
+    /// Ends the record. Counts the rows that the process left, except for an incomplete last one. The process wrote no
+    /// events, so `kept` has those that the device still has since its start, and the number of dropped ones.
     ///
     /// # Errors
     /// The sidecar cannot be written.
@@ -37,7 +37,7 @@ impl Trial {
                 self.missed_samples = rows.iter().map(|row| u64::from(row.missed)).sum();
                 None
             }
-            // The device's own record is true all the same.
+            // The device's own record is still true.
             Err(error) => Some(format!("the telemetry cannot be read: {error}")),
         };
         let (mut events, mut lost_events) = kept;

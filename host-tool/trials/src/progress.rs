@@ -184,7 +184,7 @@ impl Observer for Live<'_> {
     }
 }
 
-/// Times and place of a run. Beside a bar there is no room for the time that has passed, and the bar shows it.
+/// Times and place of a run. Beside a bar, leaves out the elapsed time: the bar shows it, and there is no room.
 fn run_text(elapsed_us: u64, total_us: u64, place: &str, beside_bar: bool) -> String {
     let (total, left) = (
         tenths(total_us),

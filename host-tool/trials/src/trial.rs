@@ -312,7 +312,7 @@ impl Trial {
         }
     }
 
-    /// Whether the machine has accepted it. What it refused was never begun, and counts nowhere as a trial.
+    /// Whether the machine has accepted the action. A refused one was never begun and does not count as a trial.
     #[must_use]
     pub const fn has_begun(&self) -> bool {
         match &self.action {

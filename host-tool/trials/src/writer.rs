@@ -79,8 +79,8 @@ impl Writer {
         let _ = self.jobs.send(Job::Replace(path, bytes));
     }
 
-    /// Waits until everything is on the disk; drop all appenders first. Whatever is written afterwards, as the sidecar
-    /// that calls the record complete, cannot outlive the rows in a power cut.
+    /// Waits until everything is on the disk; drop all appenders first. A file written afterwards, such as the sidecar
+    /// that calls the record complete, then cannot survive a power cut without the rows.
     ///
     /// # Errors
     /// The first failed write. After a failed append, nothing more is appended to that file.

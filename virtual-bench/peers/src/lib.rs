@@ -6,8 +6,8 @@
 //!   application note AVR446 has it;
 //! * [`segments`]: one speed for each hundredth of a second, as motion controllers of the family of grbl move.
 //!
-//! Each is treated as well as its interface permits: it is handed the move in the unit in which it is most exact, and
-//! what an interval has beyond whole ticks is carried over to the next, not dropped.
+//! Each is used as well as its interface permits: it gets the move in the unit in which it is most exact, and a
+//! fraction of a tick is carried over to the next interval, not dropped.
 #![no_std]
 #![forbid(unsafe_code)]
 

@@ -8,7 +8,7 @@ use crate::{Method, Move};
 
 /// Most groups of a batch, as the image asks for them.
 pub const BATCH: usize = 64;
-/// As the image asks for them: at most 8 ms, equal steps as the repetition counter can play them within 0.8 ms.
+/// Limits of a batch, as in the image: at most 8 ms, equal steps as the repetition counter can play them within 0.8 ms.
 const SHARE: Share = Share {
     steps: u32::MAX,
     ticks: 800_000,

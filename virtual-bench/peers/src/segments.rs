@@ -90,7 +90,7 @@ impl Intervals {
             false => (position as u32).clamp(self.done, steps),
         };
         let count = whole - self.done;
-        // The last of the steps comes before the end of the segment, by what the position is ahead of it.
+        // The last step comes before the end of the segment: the position is a fraction of a step beyond it.
         let ahead = (position - whole as f32).max(0.0);
         let length = (self.end - begun) as f32;
         let before = ahead * length / (position - self.position);

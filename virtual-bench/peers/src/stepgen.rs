@@ -4,12 +4,12 @@ use stepgen::Stepgen;
 
 use crate::{Method, Move, TICK_HZ};
 
-/// Its delays have so many bits behind the point.
+/// Number of fraction bits of its delays.
 const FRACTION_BITS: u32 = 8;
 /// It keeps the first delay in 16 bits before the point, which it checks, and twice that delay in 32 bits all together,
 /// which it does not: from here on it would wrap unnoticed.
 const MOST_TICKS: f64 = 32_768.0;
-/// Its first delay, in terms of the exact one.
+/// Factor of its first delay against the exact one.
 const FIRST: f64 = 0.676;
 
 /// Its delays, in ticks.

@@ -71,8 +71,8 @@ fn debug_register(core: &mut dyn Processor, value: Option<u64>) -> Option<u64> {
     core.debugger_access(value, DEMCR, Width::W32, VirtualNanos(0))
 }
 
-/// `fresh`, the state of a new processor, but with `retired` instructions: these are counted on over a reset. `None` if
-/// the state does not end with their number as the emulator's version writes it, a postcard varint.
+/// `fresh`, the state of a new processor, but with the number of `retired` instructions, which a reset does not clear.
+/// `None` if the state does not end with this number as the emulator's version writes it, a postcard varint.
 fn after_reset(fresh: &[u8], mut retired: u64) -> Option<Vec<u8>> {
     let Some((0, state)) = fresh.split_last() else {
         return None;

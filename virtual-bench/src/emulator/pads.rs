@@ -157,8 +157,8 @@ impl Pads<'_> {
             });
     }
 
-    /// Sets the level at TIM2's input `channel`, 1 or 2, at this instant of the bench's clock, or as soon after it as
-    /// the timer has not been looked at yet.
+    /// Sets the level at TIM2's input `channel`, 1 or 2, at this instant of the bench's clock, or when the timer was
+    /// last called, if that is later.
     pub fn drive_tim2_input(&mut self, channel: u8, high: bool, at_ns: u64) {
         self.touched = true;
         let at = VirtualNanos(at_ns.saturating_sub(self.epoch_ns)).max(self.tim2.seen());

@@ -146,8 +146,8 @@ const CR2: u32 = 0x04;
 const SMCR: u32 = 0x08;
 const DIER: u32 = 0x0C;
 
-/// Pulses that only the board sees. Their events go to a bus without listeners, so the emulator does not stop for them;
-/// they are made up for, each at its exact instant, before anybody looks at the timer or its outputs.
+/// Pulses that only the board sees. Their events go to a bus without listeners, so the emulator does not stop for them.
+/// They are handled later, each at its exact instant, before anybody looks at the timer or its outputs.
 #[derive(Debug)]
 struct Late<R> {
     nowhere: Bus,
@@ -187,7 +187,7 @@ impl<F: Family> Watched<F> {
         }
     }
 
-    /// Makes up for its events when it is looked at. `nowhere` is a bus without listeners.
+    /// Handles the timer's events late, when it is looked at. `nowhere` is a bus without listeners.
     pub(super) fn made_up_late(mut self, nowhere: Bus) -> Self {
         self.late = register_at(CR1).map(|cr1| Late {
             nowhere,
@@ -197,7 +197,7 @@ impl<F: Family> Watched<F> {
         self
     }
 
-    /// Makes up for the events until `at`.
+    /// Handles the withheld events until `at`.
     pub(super) fn make_up(&mut self, registers: &mut RegisterFile, at: VirtualNanos) {
         while let Some(late) = &mut self.late
             && let Some(due) = late.nowhere.next_event().filter(|due| *due <= at)
@@ -210,7 +210,7 @@ impl<F: Family> Watched<F> {
         }
     }
 
-    /// Makes up for the events until now with a register's value from before a write that has just changed it.
+    /// Handles the withheld events until now, with a register's value from before the write that has just changed it.
     fn make_up_before_write(
         &mut self,
         register: F::Register,
@@ -240,7 +240,7 @@ impl<F: Family> Watched<F> {
         }
     }
 
-    /// Calls the timer, after what it has to make up for, with the context that its events shall reach.
+    /// Handles the withheld events, then calls the timer with the context that its events have to reach.
     fn call<T>(
         &mut self,
         registers: &mut RegisterFile,

@@ -30,7 +30,7 @@ const REFUSED: u64 = 3;
 const LOOK_NS: u64 = 1_000_000;
 /// Most virtual time of a move, ns: the slowest takes 5 s.
 const LONGEST_NS: u64 = 60_000_000_000;
-/// Steps before a window from which its instructions are followed already: the cache has to be filled again.
+/// Number of steps before a window from which instructions are followed, so that the cache fills again.
 const MARGIN: u64 = 300;
 
 /// Nothing is soldered to the chip.
@@ -80,7 +80,7 @@ pub(super) struct Followed {
     pub(super) code_bytes: u64,
 }
 
-/// The image, and what of it the bench has to know.
+/// The image, and the facts about it that the bench needs.
 pub(super) struct Peers {
     image: Image,
     code: Code,
@@ -218,7 +218,7 @@ struct Follower {
     seen: Followed,
     /// The mailbox is being watched.
     asked: bool,
-    /// The order was handed over: what was written before is the image clearing its memory.
+    /// The order was handed over. Earlier writes were the image clearing its memory.
     ordered: bool,
 }
 
@@ -244,7 +244,7 @@ impl Follower {
         for (at, value) in (ORDER..).step_by(4).zip(rest) {
             let _ = host.write(self.mailbox + at, Width::W32, value);
         }
-        // Last: the image waits for it.
+        // Write this last: the image waits for it.
         let _ = host.write(self.mailbox + METHOD, Width::W32, method);
         self.ordered = true;
     }
@@ -286,7 +286,7 @@ impl Follower {
         let now = (self.given, self.core.instructions, self.core.cycles());
         if !self.following && self.given + MARGIN >= window.start {
             self.watch_all(true, host);
-            // It takes effect at the next stop.
+            // The watch takes effect at the next stop.
             session.pause_at(Some(VirtualNanos(hit.at.0 + 1)));
         } else if let Some((steps, instructions, cycles)) = self.begun {
             if self.given >= window.end {

@@ -101,7 +101,7 @@ impl Compressor {
         let mut child = command.spawn().map_err(failed)?;
         let stdin = child.stdin.take();
         let output = thread::scope(|scope| {
-            // If it ends early, its own words say why.
+            // If the program ends early, its output says why.
             scope.spawn(move || stdin.map(|mut stdin| stdin.write_all(input.as_bytes())));
             child.wait_with_output()
         });

@@ -99,7 +99,7 @@ impl Capsule {
         self.plant.extremes_mm()
     }
 
-    /// Whether something hard was put where the fold already was. No such thing can be, and the force on it means nothing.
+    /// Whether something hard was put where the fold already was. That is impossible, so the force on it means nothing.
     #[must_use]
     pub fn is_pierced(&self) -> bool {
         self.pierced
@@ -208,8 +208,8 @@ impl Capsule {
         });
     }
 
-    /// Advances to `until_ns`; calls `edge` with the encoder's outputs after each edge, and the instant at which the
-    /// step ends that it falls into.
+    /// Advances to `until_ns`; calls `edge` with the encoder's outputs after each edge, and with the end of the step in
+    /// which the edge falls.
     pub fn advance(&mut self, until_ns: u64, mut edge: impl FnMut((bool, bool), u64)) {
         loop {
             // Include defects due at the very end, because the next call only asks for later ones.

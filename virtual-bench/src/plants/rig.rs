@@ -29,9 +29,9 @@ impl DriverTiming {
 
 /// Steps closer together than this count as one movement, ns.
 const MOVING_NS: u64 = 10_000_000;
-/// The chip's break input ends the pulses within this time of the E-stop loop's opening, ns.
+/// Longest time from the opening of the E-stop loop to the last pulse, ns: the chip's break input ends the pulses.
 const LOOP_CUTS_NS: u64 = 10_000;
-/// The firmware ends the pulses within this time of the far limit's opening, ns: its filter and two sampling windows
+/// Longest time from the opening of the far limit to the last pulse, ns: the firmware's filter and two sampling windows
 /// of 24 us, the masking of a noisy line, which may keep it busy for a millisecond, and its next look.
 const LIMIT_CUTS_NS: u64 = 5_000_000;
 

@@ -24,9 +24,9 @@ enum Keeping {
     /// Nothing.
     #[default]
     Nothing,
-    /// The next pulse's instant will be.
+    /// DMA will be kept from the next pulse's instant.
     Next,
-    /// That instant is, until the following pulse.
+    /// DMA is kept from this instant, until the following pulse.
     First,
     /// The following pulse has come.
     Second,

@@ -19,9 +19,9 @@ use crate::plants::capsule::Defect;
 
 /// Time from a confirmed stop to the last drive of the bridge, ns: a fast motor is driven against its speed.
 const BRAKING_NS: u64 = 300_000_000;
-/// Longest pause within what one order moves, ns.
+/// Longest pause within the motion of one order, ns.
 const PAUSE_NS: u64 = 1_500_000_000;
-/// A thread has to bear this (docs/capsule-figures.md), N.
+/// Force that a thread has to bear, N (docs/capsule-figures.md).
 const MOST_N: f64 = 25.0;
 /// Travel of a folded nominal capsule, and thread left on the spool of an unfolded one, mm.
 const FOLDED_MM: f64 = 19.5;
@@ -40,7 +40,7 @@ pub struct Look {
     pub least_mm: f64,
     /// Largest force so far, N.
     pub peak_n: f64,
-    /// That force means nothing: something hard was put where the fold already was.
+    /// The force means nothing: something hard was put where the fold already was.
     pub pierced: bool,
     /// Flash operations while the motor turned.
     pub flash_moving: u64,
@@ -50,19 +50,19 @@ pub struct Look {
 #[derive(Debug, Default)]
 pub struct Judge {
     last: Look,
-    /// An order explains what moves. The same before the present request.
+    /// An order explains the motion. The same before the present request.
     allowed: bool,
     before: bool,
     latched: Latched,
     /// After this instant nothing is driven, until the next order, ns; the same before the present request.
     barred_ns: Option<u64>,
     barred_before_ns: Option<u64>,
-    /// After this instant the host's silence has ended what moves, ns.
+    /// By this instant the host's silence has ended all motion, ns.
     silent_ns: Option<u64>,
     /// When the last order was given, and when the capsule was last awake, ns.
     ordered_ns: u64,
     awake_ns: u64,
-    /// What the capsule counts or measures may be wrong: nobody knows where its zero is.
+    /// The capsule's counts or measurements may be wrong: its zero is unknown.
     is_blind: bool,
     looks: u64,
 }
@@ -126,7 +126,7 @@ fn orders(request: &Request) -> bool {
 impl Victim for Judge {
     type Board = CapsuleBoard;
     const KIND: DeviceKind = DeviceKind::Capsule;
-    // The first drive between two looks is all that is seen.
+    // Of all drives between two looks, only the first is seen.
     const PIECE_US: u64 = 100_000;
     const QUICK: &[(SettingKey, u32)] = &[];
 
@@ -220,7 +220,7 @@ impl Victim for Judge {
         }
     }
 
-    /// By another capsule, which would be driven past its zero by a motion that goes on.
+    /// Replaces the capsule. A motion that goes on would drive the new one past its zero.
     fn cure(&mut self, bench: &Bench<CapsuleBoard>) -> Result<bool, BenchError> {
         let is_cured = bench.visit(|visit| {
             let capsule = &mut visit.board().capsule;

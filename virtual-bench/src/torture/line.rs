@@ -16,9 +16,9 @@ const KEPT: usize = 8;
 pub(super) struct Sent {
     /// The frames since the last answer.
     pub(super) new: Vec<Vec<u8>>,
-    /// Those of requests that were answered, the last one at the end.
+    /// Frames of answered requests, the last one at the end.
     pub(super) answered: VecDeque<Vec<u8>>,
-    /// So many frames from now on are sent twice.
+    /// Number of next frames that are sent twice.
     pub(super) twice: u32,
 }
 

@@ -28,9 +28,9 @@ const HOMING: u64 = 140 * STEPS_PER_MM + 20 * STEPS_PER_MM;
 const BRAKING_NS: u64 = 10_000_000 + 60_000_000;
 /// How long the start button is pressed, ns.
 const PRESSED_NS: u64 = 55_000_000;
-/// Longest pause within what one order moves, ns. A run may be held for ever.
+/// Longest pause within the motion of one order, ns. A run may be held for ever.
 const PAUSE_NS: u64 = 500_000_000;
-/// An E-stop ends the pulses within this time of the contact's opening, ns: no instruction is involved.
+/// Longest time from the opening of the E-stop contact to the last pulse, ns: no instruction is involved.
 const CUT_NS: u64 = 10_000;
 
 /// A look at the machine: all that was seen since the last one.
@@ -69,9 +69,9 @@ struct Account {
     misled: bool,
     /// Steps lost when the last homing was ordered.
     lost_before: u64,
-    /// After this instant no step, until the next order, ns.
+    /// No step may come after this instant, until the next order, ns.
     barred_ns: Option<u64>,
-    /// What moves need not end when the host is gone.
+    /// The motion need not end when the host is gone.
     finishes: bool,
 }
 
@@ -86,13 +86,13 @@ pub struct Judge {
     before: Account,
     granted: u64,
     latched: Latched,
-    /// The flag may not be what the carriage makes of it.
+    /// The flag's state may differ from the one that the carriage causes.
     flag_is_wrong: bool,
     flag_was_wrong: bool,
     /// When the last order was given, and when the last step left, ns.
     ordered_ns: u64,
     stepped_ns: u64,
-    /// After this instant the host's silence has ended what moves, ns.
+    /// By this instant the host's silence has ended all motion, ns.
     silent_ns: Option<u64>,
     /// Resets and power cuts so far.
     restarts: u64,
@@ -191,7 +191,7 @@ impl Judge {
                 let lost = self.last.lost - self.account.lost_before;
                 match self.account.misled {
                     true => STROKE as u64,
-                    // What moved before may not have stood yet.
+                    // The carriage may still have been moving.
                     false => {
                         self.last.carriage.abs_diff(there) + lost + self.account.allowed.min(1_600)
                     }
@@ -369,7 +369,7 @@ impl Victim for Judge {
     }
 
     fn acts(&mut self, action: &Action) {
-        // It may happen later than planned, or not be cured: the flag is doubted to the end.
+        // The action may happen later than planned, or not be cured, so the flag is doubted to the end.
         self.flag_is_wrong |= matches!(
             action,
             Action::Stick(Switch::Home, _)

@@ -71,7 +71,7 @@ pub enum Happening {
 pub struct Dice(Random);
 
 impl Dice {
-    /// Those of a seed.
+    /// The dice of a seed.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(Random::new(seed))
@@ -217,15 +217,15 @@ fn lead_to(all: &mut Vec<Happening>, request: &Request, dice: &mut Dice) {
     }
 }
 
-/// Acknowledges whatever was, and lets the machine find its position.
+/// Acknowledges any fault, and lets the machine find its position.
 fn prepare(all: &mut Vec<Happening>, find: Request, us: u64) {
     all.push(Happening::Ask(Request::Acknowledge(Acknowledge)));
     all.push(Happening::Ask(find));
     all.push(Happening::Wait(us));
 }
 
-/// Settings that a scenario changes, with what the rules allow them: none that gives positions another meaning, or
-/// that the plant does not fit.
+/// Settings that a scenario changes, with the permitted values: none that gives positions another meaning or that does
+/// not fit the plant.
 const RIG_SETTINGS: [(SettingKey, Range<u64>); 8] = [
     (SettingKey::LinkTimeoutMs, 200..3_000),
     (SettingKey::DeadManMs, 50..2_000),
@@ -250,7 +250,7 @@ fn setting(dice: &mut Dice, settings: &[(SettingKey, Range<u64>)]) -> Setting {
         0 => dice.wild(),
         _ => dice.number(range.clone()),
     };
-    // A wild value may be a good one: then it has to be one that the plant fits.
+    // A wild value within the permitted range must also fit the plant.
     let fits = range.contains(&value.into()) || value < key.range().min || value > key.range().max;
     let value = if fits { value } else { key.range().default };
     Setting { key, value }

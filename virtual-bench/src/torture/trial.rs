@@ -25,7 +25,7 @@ const MS: u64 = 1_000_000;
 const EXCUSED_NS: u64 = 3_500 * MS;
 /// Time from a reset to the first use of the link, us.
 const START_US: u64 = 300_000;
-/// A task that misbehaves is ended within this time, ns: watchdog and its last feeding, then the start.
+/// Longest time until a task that misbehaves is ended, ns: watchdog and its last feeding, then the start.
 const ENDED_NS: u64 = 1_800 * MS;
 /// Longest time that anything may go on at the end, ns.
 const ENDS_NS: u64 = 90_000 * MS;
@@ -78,7 +78,7 @@ struct Trial<M: Victim> {
     is_open: bool,
     /// The machine was restarted since its settings were last compared.
     has_restarted: bool,
-    /// Until then it need not answer, ns.
+    /// Until then the machine need not answer, ns.
     excused_ns: u64,
     /// Numbers of the last bytes with a fault: of the host, of the machine.
     bad_bytes: (u64, u64),
@@ -86,7 +86,7 @@ struct Trial<M: Victim> {
     resets: usize,
     /// When a task began to misbehave, ns.
     sabotaged_ns: Option<u64>,
-    /// Something was called where nothing is.
+    /// An address without memory was called.
     called_nowhere: bool,
     /// Until then the clock may restart the machine, ns.
     clock_ns: u64,
@@ -443,7 +443,7 @@ impl<M: Victim> Trial<M> {
             self.excuse();
             self.ask(&Request::SetSetting(setting))?;
             if self.bench.visit(|visit| visit.flash_is_cut())? {
-                // Whatever it said: the flash has the old value or the new one.
+                // Whatever the machine answered, the flash has the old value or the new one.
                 self.kept = before;
                 self.kept
                     .change(setting.key, setting.value, Answer::Unknown);

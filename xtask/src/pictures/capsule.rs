@@ -97,7 +97,7 @@ fn bridge(picture: &mut Picture) {
     picture.text((PARTS + 90, 250), Anchor::Start, "note", "shunt there");
 }
 
-/// The shunt is between bridge and motor, so that it sees what circulates between two pulses.
+/// The shunt is between bridge and motor, so that it also measures the current that circulates between two pulses.
 fn motor(picture: &mut Picture) {
     let right = PARTS + 200;
     picture.text((right - 48, 164), Anchor::Start, "", "OUT1");

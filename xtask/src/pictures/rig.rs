@@ -7,7 +7,7 @@ const BOARD: (i32, i32) = (30, 60);
 const BOARD_SIZE: (i32, i32) = (560, 840);
 /// The board's right edge, where the wires begin.
 const EDGE: i32 = BOARD.0 + BOARD_SIZE.0;
-/// Of the columns within the board.
+/// Columns within the board.
 const CHIP: i32 = 250;
 const ARDUINO: i32 = 310;
 const SHIELD: i32 = 375;

@@ -20,7 +20,7 @@ const OF_PAGE: [Picture; 3] = [
 ];
 const OF_TRIAL: Picture = ("trial.png", 1000, 1250, &[]);
 
-/// The page, and where its hash is kept: of the page that the pictures show.
+/// Path of the page, and of the hash of the page that the pictures show.
 const PAGE: &str = "host-tool/serve/src/page.html";
 const HASH: &str = "docs/pictures/page.sha256";
 
@@ -133,7 +133,7 @@ impl Session<'_> {
             ))
             .arg(format!("--window-size={width},{height}"))
             .arg("--force-device-scale-factor=1")
-            // The page's own time, for its stream to arrive.
+            // Virtual time of the page, ms, for its stream to arrive.
             .arg("--virtual-time-budget=3000")
             .args(more)
             .arg(format!(
@@ -173,7 +173,7 @@ fn start(command: &mut Command, parts: &[&str]) -> Result<(Ends, Vec<String>)> {
             let lines = BufReader::new(stream)
                 .lines()
                 .map_while(std::io::Result::ok);
-            // Later lines find no reader, and that ends nothing.
+            // Read on after the receiver has gone, so that the program can print.
             lines.for_each(|line| drop(says.send(line)));
         });
     }

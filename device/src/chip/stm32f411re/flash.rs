@@ -3,8 +3,8 @@
 //! A write keeps the processor from fetching instructions for 16 us typically, an erasure for up to 500 ms (STM32F411
 //! datasheet, flash memory programming; x32).
 //!
-//! Below 2.7 V, neither is allowed by words (x32): cells would read differently each time. A start below that is
-//! refused; an operation that has begun continues.
+//! Below 2.7 V, writing and erasing by words (x32) are not allowed: cells could read differently each time. Both are
+//! refused below that voltage. An operation that has begun continues.
 
 use super::{super::start, TIME_DRIVER, supply};
 use crate::{

@@ -24,33 +24,33 @@ pub(crate) use interrupt::SPI5 as MOTOR_INTERRUPT;
 
 /// The chip's reference (RM0383 section 11.10).
 pub(crate) const REFERENCE_CHANNEL: u8 = 17;
-/// Where the factory has left its reading of the reference (DS10314 table 75), and the supply that it had then.
+/// The factory's reading of the reference (DS10314 table 75), and the supply at which it was read, mV.
 const FACTORY_WORD: *const u16 = 0x1FFF_7A2A as *const u16;
 const FACTORY_MV: u32 = 3_300;
-/// Turns of [`cortex_m::asm::delay`], of some three cycles of 16 MHz each, until shortly before the end of a conversion:
-/// 27 cycles of 8 MHz, and 124 for the reference. Looks at the status register cost more than waiting: each occupies
+/// Loops of [`cortex_m::asm::delay`], about three cycles of 16 MHz each, until shortly before the end of a conversion:
+/// 27 cycles of 8 MHz, and 124 for the reference. Waiting costs less than polling the status register, which occupies
 /// the bus.
 const CONVERTS: u32 = 14;
 const CONVERTS_REFERENCE: u32 = 78;
-/// How often to look for the end after that. A look takes 8 cycles.
+/// Maximum polls for the end after that. A poll takes 8 cycles.
 const ADC_PATIENCE: u32 = 200;
 
-/// Of the bridge's pulses.
+/// Timer of the bridge's pulses.
 pub(crate) const PULSES: Pulses = Pulses(pac::TIM3);
 
-/// Of port A.
+/// Pins of port A.
 const ENCODER: [usize; 2] = [
     at('A', wiring::capsule::ENCODER[0]),
     at('A', wiring::capsule::ENCODER[1]),
 ];
 const N_FAULT: usize = at('A', wiring::capsule::N_FAULT);
-/// Of port B.
+/// Pins of port B.
 const IN1: usize = at('B', wiring::capsule::IN1);
 const IN2: usize = at('B', wiring::capsule::IN2);
 const N_SLEEP: usize = at('B', wiring::capsule::N_SLEEP);
 const SENSORS: usize = at('B', wiring::capsule::SENSORS);
 
-/// What has the HAL's names below.
+/// Pins that are named by the HAL's types below.
 const _: () = {
     use wiring::capsule::{BATTERY, CURRENT, ENCODER, IN1, IN2, SERIAL};
     assert!(ENCODER[0].is('A', 0) && ENCODER[1].is('A', 1));
@@ -243,6 +243,6 @@ pub(crate) fn convert(channel: u8) -> u16 {
             return pac::ADC1.dr().read().data();
         }
     }
-    // Blind, with a motor running: outputs off, reset.
+    // Without readings and with a motor running: outputs off, reset.
     panic!("the ADC does not finish a conversion")
 }

@@ -199,7 +199,7 @@ fn write_font(pdf: &mut Pdf, font: Ref, descriptor: Ref, file: Ref) {
         .ascent(METRICS.ascent)
         .descent(METRICS.descent)
         .cap_height(METRICS.capital)
-        // The font does not say how thick its stems are, and 0 says that.
+        // The font does not state its stem width; 0 means unknown.
         .stem_v(0.0)
         .font_file2(file);
     let length = i32::try_from(ARIMO.len()).unwrap_or(i32::MAX);

@@ -111,7 +111,7 @@ pub fn present(folder: &Path) -> Present {
     }
 }
 
-/// The line of a page that says of which state of the folder it is.
+/// Line of a page that identifies the state of the folder that the page shows.
 fn hash_of_list(seal: &str) -> String {
     format!("{}: SHA-256 {seal}", manifest::NAME)
 }
@@ -172,7 +172,7 @@ pub fn write(
                 keep(&pdf, &drawings.pdf)?;
             }
             None => {
-                // An earlier report drew it of trials that no longer count.
+                // An earlier report drew this figure from trials that no longer count.
                 target.remove(&svg).map_err(failed(&svg))?;
                 target.remove(&pdf).map_err(failed(&pdf))?;
             }
@@ -242,7 +242,7 @@ struct Figures {
     passes: Option<Drawings>,
 }
 
-/// Why dots do not stand at their indentation.
+/// Explains why dots are not exactly at their indentation.
 const BESIDE: &str = "Conditions of one indentation stand beside each other, dry on the left.";
 
 fn html(

@@ -113,7 +113,7 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
             let (upper, lower) = (edge(1.0), edge(-1.0));
             if !upper.is_empty() {
                 let round = upper.into_iter().chain(lower.into_iter().rev()).collect();
-                // Three clampings give a band many times as high as the data.
+                // Must not widen the axis: three clampings give a band many times as high as the data.
                 curves.push(curve("", colour, Mark::Backdrop, round));
             }
             let through = vec![(ends.0, line.at(ends.0)), (ends.1, line.at(ends.1))];

@@ -382,8 +382,8 @@ pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)
     Some(samples.iter().map(at).collect())
 }
 
-/// (a_n, mean displacement) of each clamping, mm. All trials of one clamping have its a_n, and share what is wrong with
-/// it, so these means, not the trials, are independent of each other. Clampings of equal a_n count as one.
+/// (a_n, mean displacement) of each clamping, mm. All trials of one clamping share its a_n and its errors, so these
+/// means, not the trials, are independent of each other. Clampings of equal a_n count as one.
 #[must_use]
 pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut all: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
@@ -397,7 +397,7 @@ pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// The line of a series, through the means of its clampings: the interval of such a line holds for no other.
+/// The line of a series, through the means of its clampings: only such a line has a valid interval.
 fn line(
     lubrication: Lubrication,
     points: &[(f64, f64)],

@@ -33,7 +33,7 @@ thead{display:table-header-group}.wide{overflow:visible}.short{break-inside:avoi
 .banner{-webkit-print-color-adjust:exact;print-color-adjust:exact}a{color:inherit;text-decoration:none}\
 section>p,section>ul{break-after:avoid}figure{grid-template-columns:minmax(0,1fr) minmax(0,1fr)}figure.one{grid-template-columns:1fr;max-width:150mm}}";
 
-/// A complete page that loads nothing, and that no text from elsewhere turns around.
+/// A complete page that loads nothing, and in which no foreign text can change the direction of writing.
 pub(crate) fn page(title: &str, body: &Markup) -> String {
     let page = html! {
         (DOCTYPE)

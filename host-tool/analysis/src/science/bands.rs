@@ -43,7 +43,7 @@ impl Bands {
     }
 
     /// From each fitted body's displacement in each of the cases, with its discrepancy: the standard deviation of the
-    /// model's error in a displacement, mm. What a trial would find without an error of measurement.
+    /// model's error in a displacement, mm, without the error of measurement.
     #[must_use]
     pub fn with_discrepancy(cases: &[f64], values: &[Vec<f64>], deviations_mm: &[f64]) -> Self {
         let spread = |(values, deviation_mm): (&Vec<f64>, &f64)| {

@@ -39,7 +39,7 @@ struct ConditionRow {
 /// The files of a fit's draws, by name; `prior` are draws of the prior with what they predict.
 ///
 /// # Errors
-/// No fit is known that fails: all rows are flat.
+/// None known: all rows are flat.
 pub fn files(
     fit: &Fit,
     prior: &(Draws, Predictions),

@@ -70,7 +70,7 @@ pub struct Posterior {
     pub r_hat: f64,
     /// Least effective sample size among the unknowns, in the bulk or in the tails.
     pub ess: f64,
-    /// Whether no reason speaks against it. False if `reasons` has one.
+    /// False if `reasons` has an entry.
     pub reliable: bool,
     /// Reasons why it is not reliable, a sentence each.
     #[serde(default)]

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::conduct::{Broken, Conduct, Connect, Machines};
 
-/// Facts of a start of the machine, which differ after each start, and a remark of the tool.
+/// Facts that are not compared: they differ after each start of the machine, or are a remark of the tool.
 const PASSING: [&str; 3] = ["boot_id", "reset_cause", "commissioning"];
 
 impl Machines {
@@ -30,8 +30,8 @@ impl Machines {
 }
 
 impl Conduct<'_> {
-    /// Whether the machines answer. One that was gone while a question waited gets a new session if it is back and the
-    /// same; what needs it then begins with homing, as in a new session of the tool.
+    /// Whether the machines answer. A machine that was gone while a question waited gets a new session if the same one
+    /// is back; homing is then needed again, as in a new session of the tool.
     ///
     /// # Errors
     /// Another machine answers, or one with another image or other settings: the records of this session would mix

@@ -67,8 +67,8 @@ impl Conduct<'_> {
         set.indentation.as_deref() == Some(&*planned.indentation) && !elsewhere
     }
 
-    /// The rollers are to be clamped anew: the readings no longer hold, whatever happens before there are others, and the
-    /// hand at the rollers may turn the screw.
+    /// Discards the readings because the rollers are to be clamped anew: they no longer hold, even if no others follow.
+    /// Requires homing, because handling the rollers may turn the screw.
     pub(super) fn clamp(&mut self) -> Result<(), Broken> {
         self.homed_in = None;
         let Some(set) = self.folder.campaign().readings.clamped().cloned() else {

@@ -47,7 +47,7 @@ impl Conduct<'_> {
         if self.folder.campaign().plan.passes.is_none() {
             return Ok(true);
         }
-        // The question that follows is also the one at which a rig that is gone is waited for.
+        // The next question also waits for a rig that is gone.
         if self.gone {
             return Ok(false);
         }

@@ -92,7 +92,8 @@ impl Device {
         until_us: u64,
         observer: &mut dyn Observer,
     ) -> Result<Option<Response>, ClientError> {
-        // Post a guest's question as well: a machine that does not answer it must not hold up whoever attends to two.
+        // Post a guest's question as well: a machine that does not answer it must not block a caller that serves two
+        // machines.
         if self.posted.is_none()
             && let Some(question) = self.question()
         {
@@ -123,7 +124,7 @@ impl Device {
         }
     }
 
-    /// Sends and receives until `until_us`, or until the posted request has its answer, or certainly none.
+    /// Sends and receives until `until_us`, or until the posted request is answered or certain to stay unanswered.
     fn posted_answer(
         &mut self,
         until_us: u64,
@@ -139,7 +140,7 @@ impl Device {
                     return Ok(Some((posted, Some(output))));
                 }
                 (Turn::Unanswered, Some(posted)) => return Ok(Some((posted, None))),
-                // First the stop that has made it pointless.
+                // Give up this request only after the stop that cancels it.
                 (Turn::Nothing, Some(posted))
                     if is_abandonable(posted.impact)
                         && !self.commanding
@@ -275,7 +276,7 @@ impl Device {
         }
     }
 
-    /// What is known of the carriage, and of what has become of its motion; none of a capsule.
+    /// Last known position of the carriage, and possible course of its motion since; none for a capsule.
     pub(crate) fn last_seen(&self, since: Since) -> Option<LastSeen> {
         let (came_us, status) = self.last_status.as_ref()?;
         let age_us = self.now_us().saturating_sub(*came_us);

@@ -22,7 +22,7 @@ fn is_end(event: &Event) -> bool {
     )
 }
 
-/// Most pieces of events that are fetched one after the other. The device keeps 11; more come while they are fetched.
+/// Maximum number of successive fetches. Fetching all that the device keeps takes 11; more events may come meanwhile.
 const MOST_PIECES: usize = 1_000;
 
 impl Device {
@@ -43,7 +43,7 @@ impl Device {
     /// The events that the device keeps, and the number of those that it has lost.
     ///
     /// # Errors
-    /// As [`Device::call`]; [`ClientError::WrongResponse`] if they come to no end.
+    /// As [`Device::call`]; [`ClientError::WrongResponse`] if the events never end.
     pub fn kept_events(&mut self) -> Result<(Vec<Event>, u32), ClientError> {
         let (mut events, mut oldest, mut from) = (vec![], None, 0);
         for _ in 0..MOST_PIECES {

@@ -68,7 +68,7 @@ pub struct Recorded {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ActionState {
     Running,
-    /// Held: its time limit is put off.
+    /// Held: the time limit is suspended.
     Paused,
     /// A hold prolongs the announced duration by this time, us.
     Extended(u64),
@@ -150,7 +150,7 @@ impl Device {
         observer.begun(&Begun::Run(*accepted));
         let total_us = accepted.total_ticks.div_ceil(100);
         let (mut elapsed_us, mut paused_us, mut held_since_us) = (0, 0_u64, None);
-        // The present hold has been granted its time.
+        // Whether the present hold has already extended the time limit.
         let mut granted = false;
         self.wait("the run", total_us, observer, |device, event, observer| {
             if let Some(event) = event {
@@ -204,7 +204,7 @@ impl Device {
         Ok(record)
     }
 
-    /// Longest time by which a hold delays a run, us, the hold itself apart: braking with the rig's deceleration, and
+    /// Longest delay of a run by a hold, us, without the hold itself: braking with the rig's deceleration, and
     /// accelerating again as the run does.
     fn detour_us(&mut self, accepted: &RunAccepted) -> Result<u64, ClientError> {
         let key = SettingKey::StopAccelUmS2;
@@ -216,8 +216,8 @@ impl Device {
         Ok(brakes_us + longest(|stroke| stroke.ramp_ticks) / 100)
     }
 
-    /// Hands out the events behind the end of a motion: the rig tells its end first, and its cause, such as a fault,
-    /// after that. A machine that no longer answers is noticed by the next request.
+    /// Delivers the events after the end of a motion: the rig reports the end first, then its cause, such as a fault.
+    /// If the machine no longer answers, the next request notices it.
     fn hand_out_the_last(&mut self, observer: &mut dyn Observer) {
         let _ = self.fetch_events();
         self.hand_out(observer);
@@ -523,7 +523,7 @@ impl Device {
         passed_us.saturating_sub(behind_us).max(passed_us / SLOWEST)
     }
 
-    /// Sends the request of the pacer. After a stop it is not sent, which no longer matters.
+    /// Sends the pacer's request. After a stop it is dropped, because a hold or a resume then has no effect.
     pub(crate) fn pace(&mut self, observer: &mut dyn Observer) -> Result<(), ClientError> {
         let Some(pace) = self.pacer.as_mut().and_then(|pacer| pacer()) else {
             return Ok(());

@@ -267,8 +267,9 @@ impl Lock {
             .map_err(|why| doorway.error(why))
     }
 
-    /// Publishes the record that the owner now writes; `None` when it is complete, and then again the one that was left
-    /// here, until that has ended (or for ever, if this owner is killed as well while it records). Errors are ignored: on a full disk the record itself reports one.
+    /// Publishes the record that the owner now writes. After its completion (`None`), publishes the record that was
+    /// left here, until that has ended; it is forgotten if this owner is killed while it records. Ignores errors: on a
+    /// full disk the record itself reports one.
     pub fn records(&self, sidecar: Option<&Path>) {
         let written = sidecar.and_then(|path| std::path::absolute(path).ok());
         let mut owner_file = self.owner_file();
@@ -276,7 +277,7 @@ impl Lock {
         let _ = self.publish(&owner_file);
     }
 
-    /// The record that was left here has its end now.
+    /// Notes that the record left here is complete.
     pub fn left_has_ended(&self) {
         *self.left() = None;
         self.records(None);

@@ -611,7 +611,7 @@ impl Visit {
         let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         let left = asking.unanswered == Some(frame.header.seq);
         if (asking.pending || left || !self.looks) && frame.header.kind == Kind::Request {
-            // A repetition of an unanswered question, or a guest that was told that it can only stop.
+            // The question is a repetition of an unanswered one, or the guest was told that it can only stop.
             return Ok(());
         }
         let header = |session, seq| Header {

@@ -94,7 +94,7 @@ impl StopMark {
     }
 }
 
-/// The beginning of a process, by two clocks: that of the computer may be set meanwhile.
+/// Start of a process, by two clocks: the computer's clock may be set meanwhile.
 #[derive(Clone, Copy, Debug)]
 pub struct Began {
     time: SystemTime,
@@ -114,9 +114,10 @@ impl Began {
     /// Whether the process began after a stop, as seen `elapsed` later, when the clock shows `now`. In doubt it did
     /// not, and the stop counts for it.
     fn is_after(&self, stop: SystemTime, elapsed: Duration, now: SystemTime) -> bool {
-        // Its beginning by the clock as it goes now.
+        // Start of the process, by the clock as it is set now.
         let began = now.checked_sub(elapsed).unwrap_or(self.time);
-        // A stop from the future is older than a clock that was set back, but not if that was since the beginning.
+        // A stop in the future was made before the clock was set back: before the start, too, unless the clock could
+        // have shown that time since.
         stop <= began.min(self.time) || stop > now.max(self.time + elapsed)
     }
 }

@@ -20,7 +20,7 @@ const STMICROELECTRONICS: u16 = 0x0483;
 /// Time limit for a write. A frame of 170 bytes takes 15 ms, so a port that takes longer than this is stuck.
 const WRITE: Duration = Duration::from_secs(1);
 
-/// The reason when a port ends.
+/// Error text for a port that is lost.
 const GONE: &str = "the port is gone";
 
 /// A serial port.

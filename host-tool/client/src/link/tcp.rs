@@ -11,7 +11,7 @@ use crate::link::{Link, LinkError, OpenError, Reason};
 /// Time limit for a write: a server that reads nothing for this long is stuck.
 const WRITE: Duration = Duration::from_secs(1);
 
-/// The reason when a connection ends.
+/// Error text for a connection that has ended.
 const CLOSED: &str = "the other end closed the connection";
 
 /// A TCP link.

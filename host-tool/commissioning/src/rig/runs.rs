@@ -14,21 +14,21 @@ use crate::hands::Part;
 use crate::work::Work;
 use crate::work::rig::by_speed;
 
-/// The edges of so many cycles are timed: the intervals of all others are the same.
+/// Cycles whose edges are timed; the intervals of all others are the same.
 const TIMED_CYCLES: u16 = 100;
-/// An edge rises for up to 100 ns and is sampled every 10 ns: an interval may be one sample longer or shorter than the
-/// plan's.
+/// Allowed error of an interval, ticks: an edge rises for up to 100 ns and is sampled every 10 ns, so an interval may
+/// be one sample longer or shorter than planned.
 const JITTER_TICKS: u32 = 1;
-/// A run of the last step fails if a switch's line shows this many false pulses.
+/// False pulses on a switch's line at which a run of the last step fails.
 const TOO_MANY_GLITCHES: u32 = 100;
 
-/// A run with short strokes as fast as they go, within the way on which the rig does not look for its flag: without
-/// motor power the flag does not change.
+/// A run with the fastest strokes, so short that the rig does not check its flag: without motor power the flag does not
+/// change.
 fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
     let [lead, full, micro] = SCREW.map(|key| u64::from(work.setting(key)));
     let steps_per_rev = (full * micro).max(1);
     let um = |steps: u32| u64::from(steps) * lead / steps_per_rev;
-    // The lesser of the two: a way that is too long for a number of 32 bits is beyond every setting.
+    // A distance that does not fit into 32 bits exceeds every setting.
     let within = |setting: u32, um: u64| u32::try_from(um).map_or(setting, |um| um.min(setting));
     let stroke_um = work.setting(Key::StrokeUm);
     let stroke_um = match work.setting(Key::FlagUm) {
@@ -57,7 +57,7 @@ pub(super) fn read_back(work: &mut Work<'_>) -> Result<(), Halt> {
 pub(super) fn edge_timing(work: &mut Work<'_>) -> Result<(), Halt> {
     let cycles = work.options.read_back_cycles.min(TIMED_CYCLES);
     let run = short_strokes(work, cycles)?;
-    // The way home is timed as well, and is no part of it.
+    // Home first: otherwise the way home would be timed as well.
     work.at_home()?;
     let before = work.device.call(GetRigHardware)?;
     let (accepted, record) = work.run_without_power(run)?;
@@ -156,7 +156,8 @@ pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
     work.start_short_run(10)?;
     work.under_way()?;
     let status = work.ask(Part::Jumper, false, at_rest)?;
-    // Half a second is a stroke's quarter; the end of the stroke finds what the rounds before have not.
+    // Half a second is a quarter of a stroke. The end of the stroke finds lost steps that the rounds before have
+    // missed.
     let status = match status.fault {
         Some(_) => status,
         None => work.until(3_000_000, at_rest)?,

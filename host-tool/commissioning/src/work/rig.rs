@@ -15,7 +15,7 @@ use super::{LOOK_US, Work};
 use crate::halt::{Halt, fault_text, homing_text, refused};
 use crate::hands::{Act, Part};
 
-/// How long a loop that is open at an acknowledgement is watched for closing by itself, us.
+/// Time to wait for a loop that is open at an acknowledgement to close by itself, us.
 const LOOP_US: u64 = 500_000;
 
 /// Longest wait for the effect of an act, us.
@@ -41,8 +41,8 @@ pub struct Start {
 }
 
 impl Start {
-    /// Whether the board, as it is `now`, has started again since. A board that was without supply counts its starts
-    /// from 1 again: then only its time tells.
+    /// Whether the board, as it is `now`, has started again since. After a power cut the number of starts begins at 1
+    /// again; then only the time shows it.
     #[must_use]
     pub fn is_over(&self, now: &Self) -> bool {
         now.boot_id != self.boot_id || now.time_us < self.time_us

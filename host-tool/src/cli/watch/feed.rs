@@ -137,7 +137,7 @@ impl Shared {
         }
         let name = stops::name(urgent);
         let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
-        // Forget these orders: a stop that goes out by itself an hour later would surprise.
+        // Forget these orders: a stop must not go out by itself an hour later.
         self.asks().retain(|ask| !asks.contains(ask));
         for ask in asks {
             self.stops.with(|stops| stops.withdraw(ask));
@@ -175,7 +175,7 @@ pub(crate) struct Feed<'a> {
 }
 
 impl Feed<'_> {
-    /// Watches until the person leaves. The last key may have been a stop that no connection has taken.
+    /// Watches until the person leaves. Then sends the last key's stop directly, if no connection has taken it.
     pub(crate) fn follow(&self) {
         self.keep_connected();
         self.shared.stop_directly(self.places);

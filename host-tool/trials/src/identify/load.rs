@@ -49,9 +49,9 @@ const LATER_MM: f64 = 0.7;
 /// Difference of the thread's zero from the end of the slack at which the firmware finds it, mm.
 const ZERO_MM: f64 = 0.1;
 
-/// Usual noise of a block's current, mA: what is known beforehand is weighed by it.
+/// Usual noise of a block's current, mA; it sets the weight of prior knowledge in the fit.
 const NOISE_MA: f64 = 0.7;
-/// Least noise that a fit is believed to have, mA.
+/// Lower limit for the estimated noise of a fit, mA.
 const LEAST_NOISE_MA: f64 = 0.5;
 /// Ratio of the pull's current paying out to that winding, and its standard deviation: friction of 0.10 to 0.20.
 const RATIO: (f64, f64) = (0.29, 0.06);
@@ -75,7 +75,7 @@ const TAUT: usize = 6;
 /// Least and largest values; a calibration leaves a slack of 0 to 3 mm.
 const LEAST: Values = [0.0, 0.0, 0.1, 0.0, -0.15, 0.0, 0.0];
 const MOST: Values = [60.0, 60.0, 400.0, 1.2, 3.15, 0.4, 1.3];
-/// Parameters that lie between their ends in a fit, and what it would mean if one did not.
+/// Parameters that a fit must find within their limits, and the meaning if one is at a limit.
 const AT_AN_END: [(usize, &str); 4] = [
     (
         SLACK,
@@ -172,7 +172,7 @@ impl Friction {
         }
     }
 
-    /// Hysteresis and direction may both be at their ends: they are not likely values with a deviation, but ranges.
+    /// Hysteresis and direction are ranges, not standard deviations: both may be at their ends, so they add up.
     fn uncertainty(&self) -> f64 {
         let hysteresis = self.with.map(|one| (one - self.value).abs());
         let ranges = hysteresis[0].max(hysteresis[1]) + self.direction;
@@ -401,7 +401,7 @@ impl<'a> Readings<'a> {
         let slopes = self.slopes(values);
         let residuals = self.residuals(values);
         let (mut normal, _) = equations(&slopes, &residuals);
-        // Without damping, and with an origami that has opened, nothing tells these two.
+        // Without damping, and if the origami had opened, the readings do not determine these two.
         normal[DAMPING][DAMPING] += 1e-6;
         normal[TAUT][TAUT] += 1e-6;
         let inverse = inverse(normal)?;
@@ -420,8 +420,8 @@ impl<'a> Readings<'a> {
         for drift_ma in self.drifts_ma() {
             add(&drift_ma, 1.0);
         }
-        // Half of the largest snap's square, in the mean over the places of its range: the sizes from nothing to the largest
-        // have a third, but one that is large is so in every motion.
+        // Variance of a snap: half of the largest's square, averaged over its places. Sizes spread from 0 to the
+        // largest would give a third, but a large snap recurs in every motion.
         let weight = COVERAGE.powi(2) / 2.0 / SNAP_PLACES as f64;
         for (from_mm, to_mm) in SNAPS_MM {
             for place in 0..SNAP_PLACES {
@@ -435,14 +435,14 @@ impl<'a> Readings<'a> {
         Some(squares.map(f64::sqrt))
     }
 
-    /// Currents by which the amplifier's ripple may be off.
+    /// Possible error of each block's current by the amplifier's ripple, mA.
     fn ripple_ma(&self) -> Vec<f64> {
         self.all()
             .map(|block| RIPPLE_MA * (block.current_ma / 100.0).powi(2))
             .collect()
     }
 
-    /// Currents by which a drift of its zero in either motion may be off.
+    /// Possible errors of the blocks' currents by a drift of the amplifier's zero in either motion, mA.
     fn drifts_ma(&self) -> [Vec<f64>; 2] {
         let (folds, all) = (self.folding.len(), self.count());
         [(0, folds), (folds, all)].map(|(from, to)| {
@@ -518,7 +518,7 @@ fn within(values: Values) -> Values {
     std::array::from_fn(|index| values[index].clamp(LEAST[index], MOST[index]))
 }
 
-/// Mean over a block, of the force at each place of it, by Simpson's rule: near the end it bends upwards within one.
+/// Mean over a block of a function of the force, by Simpson's rule: near the end the force is curved within a block.
 fn mean(block: &Block, slack_mm: f64, of: impl Fn(f64) -> f64) -> f64 {
     let (middle, half) = (block.thread_mm - slack_mm, block.way_mm / 2.0);
     let at = |travel_mm: f64| of(beam_n(travel_mm));
@@ -548,8 +548,8 @@ fn left_mm(damping: f64) -> f64 {
 /// Step of the table of the force, mm.
 const TABLE_MM: f64 = 0.01;
 
-/// Force of the origami at a travel by the beam estimate, N: `F = 0.2055 a / (d d0 / d a)` with the paper's Eqs. (2)
-/// to (5), (7). Beyond the end of the kinematics that at the end: no block there enters a fit.
+/// Force of the origami at a travel by the beam estimate, N: `F = 0.2055 a / (d d0 / d a)` with the paper's Eqs. (2) to
+/// (5), (7). Constant beyond the end of the kinematics, where no block enters a fit.
 fn beam_n(travel_mm: f64) -> f64 {
     static TABLE: OnceLock<Vec<f64>> = OnceLock::new();
     let table = TABLE.get_or_init(|| {

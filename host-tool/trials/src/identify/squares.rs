@@ -41,8 +41,8 @@ pub(super) fn fit<const N: usize>(rows: &[([f64; N], f64)]) -> Option<Fit<N>> {
     })
 }
 
-/// Factor on a variance for residuals of which neighbours are alike. Limited: above a correlation of 0.9 it would
-/// depend on its estimate alone.
+/// Factor on a variance for correlated neighbouring residuals. Limited: above a correlation of 0.9 it would depend on
+/// the estimate of the correlation alone.
 pub(super) fn likeness(residuals: &[f64]) -> f64 {
     let squares: f64 = residuals.iter().map(|residual| residual * residual).sum();
     let products: f64 = residuals.windows(2).map(|pair| pair[0] * pair[1]).sum();

@@ -1,8 +1,8 @@
-//! The limits that hold a design back: those without which one that is no longer would go farther.
+//! The limits that hold a design back: without one of them, a design that is no longer would go farther.
 //!
-//! Near the design everything is taken as straight, by finite differences: the displacement and what the limits apply to,
-//! over alpha, beta, c/W and the number of crescents as if it were continuous. A limit's shadow price is how much farther
-//! the best design within reach goes when that limit alone is loosened.
+//! Near the design, the displacement and the limited values are taken as linear in alpha, beta, c/W and the number of
+//! crescents (as if continuous), by finite differences. A limit's shadow price is how much farther the best design
+//! within reach goes when that limit alone is loosened.
 
 use locomotion::kinematics::MAX_CRESCENTS;
 use locomotion::range::OutOfRange;
@@ -12,27 +12,27 @@ use crate::science::optimise::limits::{Limits, Needs};
 use crate::science::optimise::mean;
 use crate::science::optimise::search::{FREE, Proposal, placed};
 
-/// Numbers of a design that are continuous: alpha, beta, c/W. The crescents come last.
+/// Number of a design's continuous values: alpha, beta, c/W. The number of crescents comes last.
 const SMOOTH: usize = 3;
-/// Crescents that count like the whole range of one of the others: within reach is one of them.
+/// Number of crescents that counts like the whole range of one of the others: one crescent is within reach.
 const RANGE: f64 = 50.0;
 
-/// A change of a design, or how much something changes with it.
+/// A change of a design, or a gradient over it.
 type Change = [f64; SMOOTH + 1];
 
 /// Step of the finite differences to either side, as a share of the range: below it the model's ripple shows.
 const STEP: f64 = 0.01;
-/// Distance within which the design may change.
+/// Largest change of the design, as a share of the range.
 const REACH: f64 = 0.02;
-/// A limit is loosened by this share of it, a bound of the search by this share of its range.
+/// Share by which a limit is loosened: of the limit, or for a bound of the search, of its range.
 const LOOSER: f64 = 0.01;
-/// A limit is named from this gain on, as a share of the displacement.
+/// Least gain from which a limit is named, as a share of the displacement.
 const WORTH: f64 = 5e-4;
 
 /// A limit near a design: `row` times the change of the design is at most `slack`.
 #[derive(Clone, Copy, Debug)]
 struct Plane {
-    /// None for what is no limit of the search: the reach, and being no longer.
+    /// None for planes that are no limits of the search: the reach, and a length that must not grow.
     name: Option<&'static str>,
     row: Change,
     slack: f64,
@@ -165,7 +165,8 @@ pub fn holding_back(
         .collect())
 }
 
-/// Largest `gain` times a change within the planes. It lies where as many of them meet as a change has numbers.
+/// Largest `gain` times a change within the planes. It lies at a corner, where as many planes meet as a change has
+/// numbers.
 fn farthest(gain: Change, planes: &[Plane]) -> f64 {
     let within = |corner: &Change| {
         planes
