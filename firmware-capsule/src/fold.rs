@@ -184,6 +184,8 @@ struct Actuation {
     found: Option<(Thread, Rise)>,
     /// The calibration that this motion has made is in force.
     calibrated: bool,
+    /// The zero was known when the motion began.
+    zero_known: bool,
     /// Settings with the end force scaled to this motion's friction.
     settings: Settings,
 }
@@ -503,7 +505,9 @@ impl Capsule {
         let counts = self.sample.counts;
         // Once a calibration has found its end, the end of the previous one no longer applies.
         let found = actuation.found.is_some();
-        let known = self.calibration.as_ref().zip(end).filter(|_| !found);
+        let zero_known = self.referenced || actuation.zero_known;
+        let known = self.calibration.as_ref().filter(|_| !found);
+        let known = known.map(|calibration| (calibration, end.filter(|_| zero_known)));
         let decided = actuation.leg.decide(
             counts,
             self.zero,
@@ -606,14 +610,6 @@ impl Capsule {
         actuation.near = false;
         actuation.slack_from = None;
         Ok(())
-    }
-
-    fn circuit_disagrees(&self) -> bool {
-        let Mode::Moving(actuation) = &self.mode else {
-            return false;
-        };
-        let known = self.known_back_emf();
-        actuation.circuit.disagrees_now(known, &self.settings)
     }
 
     /// Sets the zero once the end force has been found. Returns the next leg, if there is one.

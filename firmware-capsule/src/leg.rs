@@ -122,19 +122,22 @@ impl Rise {
     ///
     /// Friction that has changed since the calibration moves the end force to where the origami is flatter, or before
     /// its hard end, and lengthens the rise by up to a third. A run that has `wound` almost all of the calibrated way
-    /// may have such a rise. Something in the way shortens the rise there, and so stays a jam.
-    pub fn is_of(self, calibration: &Calibration, wound: Thread) -> bool {
+    /// may have such a rise. Something in the way shortens the rise there, and so stays a jam. Less friction shortens it,
+    /// too, to 0.71 of the calibrated one at 0.7 times the friction. It is believed `past_the_end` only, where nothing
+    /// can be in the way.
+    pub fn is_of(self, calibration: &Calibration, wound: Thread, past_the_end: bool) -> bool {
         let (half, quarter) = (i64::from(self.half.0), i64::from(self.quarter.0));
         let (known, long) = (
             i64::from(calibration.rise.0),
             i64::from(calibration.long_rise.0),
         );
         // In 32nds.
-        let (most, least_ratio) = match wound.0 >= calibration.folded.0 - FRICTION_MOVES.0 {
-            true => (44, 25),
-            false => (40, 28),
+        let (least, most, least_ratio) = match wound.0 >= calibration.folded.0 - FRICTION_MOVES.0 {
+            true if past_the_end => (20, 44, 25),
+            true => (24, 44, 25),
+            false => (24, 40, 28),
         };
-        (known * 24..=known * most).contains(&(half * 32))
+        (known * least..=known * most).contains(&(half * 32))
             && quarter * known * 32 >= least_ratio * long * half
     }
 }
@@ -308,7 +311,8 @@ impl Leg {
     }
 
     /// Judges the leg at `counts`. `zero` is the count of thread zero; `stopping` is the distance that the motor runs
-    /// on if it is braked now; `known` is the calibration, and where its folded end is by now.
+    /// on if it is braked now; `known` is the calibration, and where its folded end is by
+    /// now, if the zero is known.
     ///
     /// # Errors
     /// A jam, or a thread that is broken, has slipped, or cannot be felt.
@@ -318,7 +322,7 @@ impl Leg {
         zero: Counts,
         load: Load,
         stopping: Counts,
-        (known, settings): (Option<(&Calibration, Thread)>, &Settings),
+        (known, settings): (Option<(&Calibration, Option<Thread>)>, &Settings),
     ) -> Result<Decision, CapsuleFault> {
         let thread = counts.since(zero).thread();
         let stop_within = Thread(stopping.thread().0.saturating_add(STOP_MARGIN.0));
@@ -374,8 +378,9 @@ impl Leg {
                 };
                 let right = match (purpose, known) {
                     (Purpose::Check { believed: true }, _) => true,
-                    (Purpose::Reference | Purpose::Check { .. }, Some((calibration, _))) => {
-                        rise.is_of(calibration, wound)
+                    (Purpose::Reference | Purpose::Check { .. }, Some((calibration, end))) => {
+                        let past_the_end = end.is_some_and(|end| thread >= end);
+                        rise.is_of(calibration, wound, past_the_end)
                     }
                     _ => rise.half >= LEAST_RISE,
                 };
@@ -404,9 +409,9 @@ impl Leg {
                 // stands at the end force is pulled, too.
                 let blocked = load.end_force && load.stands;
                 let felt = load.excess_ma.is_some() && way >= FELT_AFTER || blocked;
-                let past = known.is_some_and(|(_, end)| {
-                    thread.0 >= end.0 + settings.end_overrun.0 - STOP_MARGIN.0
-                });
+                let end = known.and_then(|(_, end)| end);
+                let past = end
+                    .is_some_and(|end| thread.0 >= end.0 + settings.end_overrun.0 - STOP_MARGIN.0);
                 if !felt && !past && way < FELT_AT_MOST {
                     return Ok(Decision::Continue);
                 }

@@ -36,6 +36,8 @@ const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
 const STEADY_UM: i32 = 300;
 /// Extensions of the tension zone, each by `STEADY_UM`, for a motor that was never steady in it.
 pub(super) const PROLONGATIONS: u8 = 4;
+/// Minimum readings that show that a taut thread lacks pull: a single one is off by up to 20 mA.
+const LEAST_TAUT: i32 = 8;
 /// Minimum current that winding a taut thread takes more than paying it out.
 const LEAST_TENSION_MA: u32 = 15;
 /// Minimum pull of a folded thread, percent of the calibrated one: a thread that has slipped by 2 mm or more keeps 65
@@ -217,6 +219,15 @@ impl Capsule {
         }
     }
 
+    /// Whether voltage, current and speed contradict each other now.
+    pub(super) fn circuit_disagrees(&self) -> bool {
+        let Mode::Moving(actuation) = &self.mode else {
+            return false;
+        };
+        let known = self.known_back_emf();
+        actuation.circuit.disagrees_now(known, &self.settings)
+    }
+
     /// Motor constant measured by the calibration; 0 while one is in progress or if there is none.
     pub(super) fn known_back_emf(&self) -> u16 {
         match &self.calibration {
@@ -276,18 +287,6 @@ impl Capsule {
             }
             return Ok(());
         }
-        let further = Thread(taut_to.0 - STEADY_UM);
-        if actuation.taut.count == 0 && actuation.prolongations > 0 && to < further {
-            // A motor that starts too fast is braked, and its current does not count for a while: extend the zone.
-            actuation.prolongations -= 1;
-            actuation.governor.hold_less();
-            actuation.leg = Leg::PayOut {
-                taut_to: Some(further),
-                to,
-            };
-            return Ok(());
-        }
-        actuation.leg = Leg::PayOut { taut_to: None, to };
         let tension_ma = actuation
             .winding_ma
             .zip(actuation.taut.mean())
@@ -300,10 +299,24 @@ impl Capsule {
             _ => 0,
         };
         let least_ma = least_ma.max(LEAST_TENSION_MA);
+        let lacks = tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma);
+        let further = Thread(taut_to.0 - STEADY_UM);
+        let few = actuation.taut.count == 0 || lacks && actuation.taut.count < LEAST_TAUT;
+        if few && actuation.prolongations > 0 && to < further {
+            // A motor that starts too fast is braked, and its current does not count for a while: extend the zone.
+            actuation.prolongations -= 1;
+            actuation.governor.hold_less();
+            actuation.leg = Leg::PayOut {
+                taut_to: Some(further),
+                to,
+            };
+            return Ok(());
+        }
+        actuation.leg = Leg::PayOut { taut_to: None, to };
         // Without steady readings nothing shows that the thread holds. Only a partial unfolding may be too short for
         // them; it does not end at an end.
         let told = tension_ma.is_some() || actuation.kind == ActuationKind::FoldTo;
-        if !told || tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma) {
+        if !told || lacks {
             return Err(CapsuleFault::SlipOrBreak);
         }
         let back_emf_uv_cps = actuation.back_emf_uv_cps;

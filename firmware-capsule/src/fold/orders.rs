@@ -250,6 +250,7 @@ impl Capsule {
             // Somebody may have pulled at the thread.
             self.spare = Thread(0);
         }
+        let zero_known = self.referenced;
         if matches!(leg, Leg::Seek { .. }) {
             self.referenced = false;
             // The rise is compared with the calibration's, which was counted above this current. A thread that is not
@@ -284,6 +285,7 @@ impl Capsule {
             prolongations: measures::PROLONGATIONS,
             found: None,
             calibrated: false,
+            zero_known,
             settings: self.settings,
         });
         self.recorder

@@ -63,7 +63,7 @@ fn decide(leg: Leg, counts: Counts, load: Load) -> Result<Decision, CapsuleFault
         ZERO,
         load,
         Counts(0),
-        (Some((&KNOWN, END)), &Settings::REFERENCE),
+        (Some((&KNOWN, Some(END))), &Settings::REFERENCE),
     )
 }
 
@@ -214,8 +214,58 @@ fn a_rise_along_a_line_is_no_origami() {
             quarter: Thread(quarter),
         };
         let less = Thread(almost.0 - 1);
-        assert_eq!(rise.is_of(&KNOWN, less), right, "{rise:?}");
-        assert_eq!(rise.is_of(&KNOWN, almost), right_if_whole, "{rise:?}");
+        assert_eq!(rise.is_of(&KNOWN, less, false), right, "{rise:?}");
+        assert_eq!(
+            rise.is_of(&KNOWN, almost, false),
+            right_if_whole,
+            "{rise:?}"
+        );
+    }
+}
+
+/// At 0.7 times the friction the end force comes later, after a shorter rise. Before the end something hard may be in the
+/// way.
+#[test]
+fn a_shorter_rise_is_believed_past_the_known_end_only() {
+    let rise = |half| Rise {
+        half: Thread(half),
+        quarter: Thread(half + 1_600),
+    };
+    let almost = Thread(END.0 - FRICTION_MOVES.0);
+    for (half, past_the_end, right) in [
+        (1_125, false, true),
+        (1_124, false, false),
+        (1_124, true, true),
+        (938, true, true),
+        (937, true, false),
+    ] {
+        let found = rise(half).is_of(&KNOWN, almost, past_the_end);
+        assert_eq!(found, right, "{half} um, past the end: {past_the_end}");
+    }
+    assert!(!rise(1_000).is_of(&KNOWN, Thread(almost.0 - 1), true));
+    let begun = after(ORIGIN, 0);
+    let counts = Counts(begun.0 + END.counts().0);
+    let zero_for = |thread: i32| counts.back(Thread(thread).counts());
+    let load = Load {
+        rise_from: Some(counts.back(Thread(1_000).counts())),
+        long_rise_from: Some(counts.back(Thread(2_700).counts())),
+        ..END_FORCE
+    };
+    for (thread_um, end, found) in [
+        (END.0 + 2, Some(END), true),
+        (END.0 - 2, Some(END), false),
+        // The count means nothing.
+        (END.0 + 2, None, false),
+    ] {
+        let decided = seek(false, Purpose::Reference).decide(
+            counts,
+            zero_for(thread_um),
+            load,
+            Counts(0),
+            (Some((&KNOWN, end)), &Settings::REFERENCE),
+        );
+        let is_found = matches!(decided, Ok(Decision::EndFound { .. }));
+        assert_eq!(is_found, found, "{thread_um} um: {decided:?}");
     }
 }
 
@@ -358,7 +408,7 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
             ZERO,
             NONE,
             stopping,
-            (Some((&KNOWN, END)), &Settings::REFERENCE)
+            (Some((&KNOWN, Some(END))), &Settings::REFERENCE)
         ),
         Ok(Decision::Continue)
     );
@@ -369,7 +419,7 @@ fn paying_out_ends_before_zero_by_what_the_motor_runs_on() {
             ZERO,
             NONE,
             stopping,
-            (Some((&KNOWN, END)), &Settings::REFERENCE)
+            (Some((&KNOWN, Some(END))), &Settings::REFERENCE)
         ),
         Ok(Decision::Unfolded)
     );

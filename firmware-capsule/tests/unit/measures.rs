@@ -304,16 +304,35 @@ fn a_folded_thread_has_to_pull_as_it_did() {
         let mut capsule = paying_out(Command::Unfold);
         capsule.sample.current_ua = -1_000 * taut_ma;
         // Only readings of a steady motor in the last 0.3 mm count.
-        for (um, steady, count) in [
-            (301, true, 0),
-            (300, false, 0),
-            (300, true, 1),
-            (1, true, 2),
-        ] {
+        let more = (2..=8).map(|count| (1, true, count));
+        for (um, steady, count) in [(301, true, 0), (300, false, 0), (300, true, 1)]
+            .into_iter()
+            .chain(more)
+        {
             assert_eq!(capsule.measure(Thread(21_000 + um), steady), Ok(()));
             assert_eq!(actuation(&mut capsule).taut.count, count);
         }
         assert_eq!(capsule.measure(Thread(21_000), true), tells, "{taut_ma} mA");
+        assert_eq!(taut_to(&mut capsule), None);
+    }
+}
+
+/// One reading can be off by more than the pull's margin.
+#[test]
+fn a_pull_that_few_readings_call_too_weak_is_read_further_down() {
+    for (then_ma, tells) in [(50, Ok(())), (87, Err(CapsuleFault::SlipOrBreak))] {
+        let mut capsule = paying_out(Command::Unfold);
+        capsule.sample.current_ua = -100_000;
+        for _ in 0..7 {
+            assert_eq!(capsule.measure(Thread(21_001), true), Ok(()));
+        }
+        assert_eq!(capsule.measure(Thread(21_000), true), Ok(()));
+        assert_eq!(taut_to(&mut capsule), Some(Thread(20_700)));
+        capsule.sample.current_ua = -1_000 * then_ma;
+        for _ in 0..200 {
+            assert_eq!(capsule.measure(Thread(20_701), true), Ok(()));
+        }
+        assert_eq!(capsule.measure(Thread(20_700), true), tells, "{then_ma} mA");
         assert_eq!(taut_to(&mut capsule), None);
     }
 }
