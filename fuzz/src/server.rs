@@ -26,7 +26,7 @@ use tower_service::Service as _;
 
 use operations::connector::{Candidate, Connector, Purpose};
 use operations::names::Names;
-use operations::places::Places;
+use operations::places::{Beginning, Places};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
 use serve::board::{Board, Machine};
@@ -186,6 +186,7 @@ pub fn with<R>(
         names: Names::default(),
         baud: DEFAULT_BAUD,
         connector: &connector,
+        beginning: Beginning::now(),
     };
     let (sender, direct) = channel();
     let workers = board

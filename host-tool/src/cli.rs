@@ -50,7 +50,6 @@ pub mod watch;
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
 use std::process::ExitCode;
-use std::sync::LazyLock;
 
 use clap::builder::{OsStr, Resettable};
 use clap::error::ErrorKind;
@@ -66,7 +65,7 @@ use operations::connector::Connector;
 use operations::delivery::{Delivery, Told};
 use operations::failure::{DONE, Failure, USAGE, usage, usage_text};
 use operations::names::{self, Names};
-use operations::places::{self, Places};
+use operations::places::{Beginning, Places};
 use protocol::capsule::ActuationKind;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
@@ -307,7 +306,6 @@ impl Subcommand {
 
 /// Runs one command line, program name first, on the process's streams.
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
-    LazyLock::force(&places::BEGAN);
     let (mut out, mut err) = (io::stdout(), io::stderr());
     let terminal = err.is_terminal();
     let at = At {
@@ -406,6 +404,7 @@ fn run_in(
     err: &mut dyn Write,
     at: At,
 ) -> u8 {
+    let beginning = Beginning::now();
     let args: Vec<OsString> = args.into_iter().collect();
     let cli = match parsed(&args) {
         Ok(cli) => cli,
@@ -441,6 +440,7 @@ fn run_in(
             names: found.names,
             baud: cli.baud,
             connector,
+            beginning,
         };
         carry_out(&cli.subcommand, &places, found.unread, &mut screen)
     });

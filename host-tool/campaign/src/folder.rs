@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
 use client::limited;
-use client::plain::{self, replace};
+use client::plain::{self, Locked, replace};
 use jiff::Timestamp;
 use serde::Serialize;
 
@@ -95,7 +95,7 @@ impl Growing {
 /// A campaign that this process may write.
 pub struct Folder {
     /// Held for its lock, which the system releases when the process ends in any way.
-    _lock: File,
+    _lock: Locked,
     campaign: Campaign,
     trials: Growing,
     readings: Growing,
@@ -136,7 +136,7 @@ impl Folder {
             // which a file is open.
             let lock = cfg!(unix).then(|| plain::open_or_create(&part.join(LOCK)));
             let lock = lock.transpose()?;
-            lock.as_ref().map_or(Ok(()), File::try_lock)?;
+            let lock = lock.map(Locked::new).transpose()?;
             // Fails if another process was faster: its folder is not empty.
             fs::rename(&part, folder)?;
             plain::sync_folder_of(folder)?;
@@ -159,7 +159,7 @@ impl Folder {
     }
 
     /// Opens a folder for writing; it must match its manifest.
-    fn open(folder: &Path, lock: File) -> Result<Self, CampaignError> {
+    fn open(folder: &Path, lock: Locked) -> Result<Self, CampaignError> {
         let path = folder.join(manifest::NAME);
         let manifest = read_manifest(folder)?
             .ok_or_else(|| CampaignError::new(&path, "it is missing", RESTORE))?;
@@ -470,11 +470,11 @@ fn last_line(path: &Path) -> Result<String, CampaignError> {
 
 /// Takes the lock that lets one process write at a time. It is a file of its own, because some systems make a locked
 /// file unreadable.
-fn lock(folder: &Path) -> Result<File, CampaignError> {
+fn lock(folder: &Path) -> Result<Locked, CampaignError> {
     let path = folder.join(LOCK);
     let file = plain::open_or_create(&path).map_err(|io| CampaignError::write(&path, io))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
+    match Locked::new(file) {
+        Ok(locked) => Ok(locked),
         Err(fs::TryLockError::WouldBlock) => Err(CampaignError::misuse(
             folder,
             "another process is writing this campaign",

@@ -2,9 +2,10 @@
 //! device never opened, and no file is read beyond its limit.
 
 use std::ffi::OsString;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::hash::{BuildHasher, RandomState};
 use std::io::{self, Read, Write};
+use std::ops::Deref;
 use std::path::{Path, PathBuf};
 
 use crate::limited;
@@ -68,6 +69,36 @@ fn opened(path: &Path, options: &mut fs::OpenOptions) -> io::Result<File> {
         Ok(file)
     } else {
         Err(not_plain())
+    }
+}
+
+/// A file that this process has locked.
+#[derive(Debug)]
+pub struct Locked(File);
+
+impl Locked {
+    /// Locks the file.
+    ///
+    /// # Errors
+    /// [`TryLockError::WouldBlock`] if it is locked already.
+    pub fn new(file: File) -> Result<Self, TryLockError> {
+        file.try_lock()?;
+        Ok(Self(file))
+    }
+}
+
+impl Deref for Locked {
+    type Target = File;
+
+    fn deref(&self) -> &File {
+        &self.0
+    }
+}
+
+impl Drop for Locked {
+    fn drop(&mut self) {
+        // Closing the file is not enough: a child process has a copy of it until it has started its program.
+        let _ = self.0.unlock();
     }
 }
 
@@ -352,6 +383,20 @@ pub fn sync_folder_of(path: &Path) -> io::Result<()> {
 mod tests {
     use super::*;
     use std::os::unix::fs::symlink;
+
+    #[test]
+    fn a_lock_ends_though_a_child_process_has_a_copy_of_its_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("lock");
+        let open = || open_or_create(&path).expect("mine");
+        let file = open();
+        let copy = file.try_clone().expect("a copy");
+        let locked = Locked::new(file).expect("free");
+        assert!(matches!(Locked::new(open()), Err(TryLockError::WouldBlock)));
+        drop(locked);
+        Locked::new(open()).expect("free again");
+        drop(copy);
+    }
 
     fn fifo(path: &Path) {
         rustix::fs::mkfifoat(

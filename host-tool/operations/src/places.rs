@@ -2,7 +2,7 @@
 
 use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use client::door::lock::Doorway;
 use client::error::ClientError;
 use client::identity;
 use client::link::LinkError;
-use client::link::owner::Began;
+use client::link::owner::{Began, StopMark};
 use client::{Device, Interrupt, matches, visible};
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Identity, Urgent};
@@ -23,12 +23,6 @@ use crate::failure::Failure;
 use crate::interrupt;
 use crate::left;
 use crate::names::Names;
-
-/// Start of this process. A stop after it is newer than the command, however long the search for the machine took.
-pub static BEGAN: LazyLock<Began> = LazyLock::new(Began::now);
-
-/// Whether this process has already connected to rig and capsule.
-static CONNECTED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
 
 /// Both machines.
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
@@ -148,6 +142,35 @@ impl Need {
     }
 }
 
+/// The beginning of a command line: a stop since then is newer than its orders, however long the search for the machine
+/// takes.
+pub struct Beginning {
+    began: Began,
+    /// Whether it has already connected to rig and capsule.
+    connected: [AtomicBool; 2],
+}
+
+impl Beginning {
+    /// A command line that begins now.
+    #[must_use]
+    pub fn now() -> Self {
+        Self {
+            began: Began::now(),
+            connected: Default::default(),
+        }
+    }
+
+    /// The last stop that is older than the orders to this machine, where `now` is the last of all. A command line
+    /// that connects again continues after stops that were reported.
+    fn mark(&self, kind: DeviceKind, now: StopMark) -> StopMark {
+        let connected = &self.connected[usize::from(kind == DeviceKind::Capsule)];
+        match connected.swap(true, Ordering::Relaxed) {
+            true => now,
+            false => now.before(self.began),
+        }
+    }
+}
+
 /// The addresses that the user gave, and the connector to open links to them.
 pub struct Places<'a> {
     /// The rig's address, if one was given.
@@ -160,6 +183,8 @@ pub struct Places<'a> {
     pub baud: u32,
     /// Opens the links.
     pub connector: &'a dyn Connector,
+    /// The beginning of the command line.
+    pub beginning: Beginning,
 }
 
 impl Places<'_> {
@@ -216,11 +241,7 @@ impl Places<'_> {
         // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
         let doorway = self.connector.doorway(&address);
         let now = Doorway::last_stops(doorway.as_ref());
-        // The search for the machine may have taken seconds. A process that reconnects continues after stops that were
-        // reported.
-        let again =
-            CONNECTED[usize::from(kind == DeviceKind::Capsule)].swap(true, Ordering::Relaxed);
-        let mark = if again { now } else { now.before(*BEGAN) };
+        let mark = self.beginning.mark(kind, now);
         let pressed = interrupt::install();
         let interrupt = told(doorway, Arc::clone(&pressed));
         let mut device = self.open_stoppable(kind, &address, need, &pressed)?;

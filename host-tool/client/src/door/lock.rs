@@ -6,7 +6,7 @@
 //! long as it lives; `.owner` describes the owner; `.door` is the socket. The modification times of `.stop` and
 //! `.estop` tell each process that a stop was requested since it last looked.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, OpenOptions, TryLockError};
 use std::hash::BuildHasher;
 use std::hash::RandomState;
 use std::io;
@@ -23,6 +23,7 @@ use crate::address::Address;
 use crate::door::stream::{Listener, Stream};
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
+use crate::plain::Locked;
 
 /// Environment variable that names another folder for locks and doors.
 const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
@@ -57,8 +58,8 @@ pub struct Lock {
     owner_file: Mutex<OwnerFile>,
     /// The record of an owner that was killed.
     left: Mutex<Option<PathBuf>>,
-    // The system releases the lock when the file is closed, however the process ends.
-    _file: File,
+    // The system releases the lock however the process ends.
+    _locked: Locked,
 }
 
 impl Doorway {
@@ -141,10 +142,10 @@ impl Doorway {
             .write(true)
             .open(self.file("lock"))
             .map_err(|why| self.error(why))?;
-        match file.try_lock() {
+        match Locked::new(file) {
             // Somebody listens at the door, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
-            Ok(()) if cfg!(unix) && self.connect(None).is_ok() => Ok(None),
-            Ok(()) => {
+            Ok(_) if cfg!(unix) && self.connect(None).is_ok() => Ok(None),
+            Ok(locked) => {
                 // Left by an owner that was killed.
                 let left = self
                     .owner_file()
@@ -163,7 +164,7 @@ impl Doorway {
                     doorway: self.clone(),
                     owner_file: Mutex::new(owner_file),
                     left: Mutex::new(left),
-                    _file: file,
+                    _locked: locked,
                 }))
             }
             Err(TryLockError::WouldBlock) => Ok(None),
