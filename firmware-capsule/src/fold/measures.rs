@@ -301,7 +301,11 @@ impl Capsule {
         let least_ma = least_ma.max(LEAST_TENSION_MA);
         let lacks = tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma);
         let further = Thread(taut_to.0 - STEADY_UM);
-        let few = actuation.taut.count == 0 || lacks && actuation.taut.count < LEAST_TAUT;
+        // A fold that is felt has pulled too little already, and a slip of 2 mm can leave just enough further down.
+        let few = match ends_folded(actuation.kind) {
+            false if lacks => actuation.taut.count < LEAST_TAUT,
+            _ => actuation.taut.count == 0,
+        };
         if few && actuation.prolongations > 0 && to < further {
             // A motor that starts too fast is braked, and its current does not count for a while: extend the zone.
             actuation.prolongations -= 1;

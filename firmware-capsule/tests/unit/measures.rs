@@ -317,10 +317,16 @@ fn a_folded_thread_has_to_pull_as_it_did() {
     }
 }
 
-/// One reading can be off by more than the pull's margin.
+/// One reading can be off by more than the pull's margin. A fold that is felt has pulled too little before.
 #[test]
 fn a_pull_that_few_readings_call_too_weak_is_read_further_down() {
-    for (then_ma, tells) in [(50, Ok(())), (87, Err(CapsuleFault::SlipOrBreak))] {
+    let slipped = Err(CapsuleFault::SlipOrBreak);
+    let mut felt = paying_out(Command::Unfold);
+    actuation(&mut felt).kind = ActuationKind::CheckFolded;
+    felt.sample.current_ua = -100_000;
+    assert_eq!(felt.measure(Thread(21_001), true), Ok(()));
+    assert_eq!(felt.measure(Thread(21_000), true), slipped);
+    for (then_ma, tells) in [(50, Ok(())), (87, slipped)] {
         let mut capsule = paying_out(Command::Unfold);
         capsule.sample.current_ua = -100_000;
         for _ in 0..7 {
