@@ -120,6 +120,8 @@ fn looked_over(browser: &mut Browser) -> Result<(), DoorError> {
         })()",
     )?;
     browser.wait("!window.before && document.querySelector('[name=cycles]').value === '7'")?;
+    // The page sends no order before it has heard the server.
+    browser.wait("/Ready|Unhomed/.test(document.body.innerText)")?;
     browser.wait(
         "(() => {
             scrollTo(0, document.body.scrollHeight);
@@ -140,7 +142,68 @@ fn looked_over(browser: &mut Browser) -> Result<(), DoorError> {
             "Array.from(document.querySelectorAll('kbd')).every((key) => (key.getClientRects().length > 0) === {shown})"
         ))?;
     }
+    shows_what_holds(browser)?;
+    insists(browser)?;
     browser.wait("/Ready|Unhomed/.test(document.body.innerText)")
+}
+
+/// Checks what the page makes of states that this rig is not in, and of keys that this computer does not have.
+fn shows_what_holds(browser: &mut Browser) -> Result<(), DoorError> {
+    const OFFERS: &str = "(() => {
+        const rig = { contact: 'owned', state: 'ready', status: { position_steps: 0 } };
+        const [run, home] = ['[data-submits=\"rig/run\"]', '[data-command=\"rig/home\"]'].map((at) => document.querySelector(at));
+        showButtons('rig', rig);
+        const at_home = !run.disabled && run.classList.contains('main');
+        showButtons('rig', { ...rig, status: { position_steps: 800 } });
+        const away = run.disabled && home.classList.contains('main');
+        showButtons('rig', { ...rig, estop_loop_open: true });
+        beginJog(document.querySelector('[data-jog]'));
+        return at_home && away && home.disabled && jog === null;
+    })()";
+    const SAYS: &str = "(() => {
+        const text = (id) => document.getElementById(id).textContent;
+        const hidden = (id) => document.getElementById(id).hidden;
+        const run = { strokes: 2, stroke: 0, elapsed_us: 0 };
+        const rig = { contact: 'owned', contact_text: '', state: 'running', run, link: { silent_ms: 2600 } };
+        showRig(rig);
+        const silent = text('rig-state').includes('not heard for 2 s');
+        showRig({ ...rig, contact: 'lost', estop_loop_open: false });
+        const lost = text('inputs') === '-' && text('rig-fault').includes('old') && hidden('run');
+        showState({ instance, time_utc: new Date().toISOString(), machines: {}, campaign: null });
+        return silent && lost && hidden('rig') && hidden('runs');
+    })()";
+    const HEARS: &str = "(() => {
+        const kept = stop;
+        let heard = '';
+        stop = (name) => { heard += name; };
+        for (const [key, code] of [['у', 'KeyE'], ['ы', 'KeyS'], ['р', 'KeyH']]) {
+            dispatchEvent(new KeyboardEvent('keydown', { key, code }));
+        }
+        stop = kept;
+        return heard === 'estopstop';
+    })()";
+    browser.wait(OFFERS)?;
+    browser.wait(SAYS)?;
+    browser.wait(HEARS)
+}
+
+/// Checks that a stop goes on while the server is not reached, in a browser of 2022.
+fn insists(browser: &mut Browser) -> Result<(), DoorError> {
+    browser.wait(
+        "(() => {
+            AbortSignal.timeout = undefined;
+            window.reached = window.fetch;
+            window.tries = 0;
+            window.fetch = () => { window.tries += 1; return Promise.reject(new TypeError('cut off')); };
+            stop('stop');
+            return true;
+        })()",
+    )?;
+    browser.wait(
+        "window.tries > 7 && document.getElementById('said').textContent.includes('NOT CONFIRMED')",
+    )?;
+    browser.wait("(() => { window.fetch = window.reached; return true; })()")?;
+    browser.wait("document.getElementById('said').textContent.includes('rig: stopped')")
 }
 
 /// An interpreter connected to the server, which executes commands line by line.

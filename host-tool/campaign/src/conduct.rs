@@ -434,3 +434,36 @@ impl<'a> Conduct<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::rig::RigFault;
+
+    #[test]
+    fn each_end_of_a_homing_is_told_as_what_it_was() {
+        let not_homed = |fault, link_lost| ClientError::NotHomed { fault, link_lost };
+        let overdue = ClientError::Overdue {
+            place: "rig".to_owned(),
+            action: "homing",
+            limit_ms: 1,
+            seen: None,
+        };
+        for (error, outcome) in [
+            (not_homed(None, false), AttemptOutcome::Stopped),
+            (not_homed(None, true), AttemptOutcome::LinkLost),
+            (
+                not_homed(Some(RigFault::EStopFrame), true),
+                AttemptOutcome::Faulted,
+            ),
+            (overdue, AttemptOutcome::Faulted),
+            (
+                ClientError::Interrupted { request: "Home" },
+                AttemptOutcome::Stopped,
+            ),
+        ] {
+            let text = error.to_string();
+            assert_eq!(Broken::from(error).outcome(), outcome, "{text}");
+        }
+    }
+}

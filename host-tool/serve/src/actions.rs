@@ -335,4 +335,35 @@ mod tests {
         let again = actions.arrive(command("2", 0), Timestamp::UNIX_EPOCH);
         assert_eq!(again, Arrival::Again(3));
     }
+
+    #[test]
+    fn an_accepted_action_whose_machine_is_lost_has_an_unknown_end() {
+        let gone = Failure::Unreached {
+            why: "it is away".to_owned(),
+            help: "plug it in".to_owned(),
+        };
+        for (accepted, state) in [(json!({ "edges": 1 }), "unknown"), (Value::Null, "failed")] {
+            let actions = Actions::new("i".to_owned());
+            actions.arrive(command("a", 1), Timestamp::UNIX_EPOCH);
+            actions.update(1, |action| action.accepted = accepted);
+            let ended = actions.end(1, Value::Null, Some(&gone), Timestamp::UNIX_EPOCH);
+            assert_eq!(actions.json(&ended.expect("there"))["state"], state);
+        }
+    }
+
+    #[test]
+    fn what_is_under_way_is_shown_before_what_has_ended() {
+        let actions = Actions::new("i".to_owned());
+        let now = Timestamp::UNIX_EPOCH;
+        for key in ["run", "hold"] {
+            actions.arrive(command(key, 0), now);
+        }
+        actions.update(1, |action| action.standing = Standing::UnderWay);
+        actions.end(2, Value::Null, None, now);
+        assert_eq!(actions.latest(DeviceKind::Rig)["id"], "i-1");
+        assert!(!actions.are_over(DeviceKind::Rig));
+        actions.end(1, Value::Null, None, now);
+        assert_eq!(actions.latest(DeviceKind::Rig)["id"], "i-1");
+        assert!(actions.are_over(DeviceKind::Rig));
+    }
 }

@@ -49,6 +49,15 @@ pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     answer(status, &value)
 }
 
+/// The answer to a path whose parts cannot be read.
+pub fn not_utf8() -> Response {
+    bad(
+        StatusCode::BAD_REQUEST,
+        "the path is not UTF-8; nothing was done",
+        "docs/serve.md and /openapi.json list all requests",
+    )
+}
+
 /// Like [`bad`], boxed for use as an error.
 pub fn boxed(status: StatusCode, why: &str, help: &str) -> Instead {
     Box::new(bad(status, why, help))

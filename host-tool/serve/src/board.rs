@@ -1,7 +1,7 @@
 //! State shared by workers, requests and readers, and its JSON form.
 
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -61,6 +61,8 @@ pub struct Machine {
     pub kind: DeviceKind,
     pub address: Address,
     panel: Mutex<Panel>,
+    /// Number of notices so far. It tells a new one from the last, which may have the same words.
+    notices: AtomicU64,
     identity: Mutex<Option<(Identity, String)>>,
     pub stops: Arc<Stops>,
     /// Lock and door of the machine's line, once a line is known.
@@ -85,6 +87,7 @@ impl Machine {
             kind,
             panel: Mutex::new(Panel::new(kind, address.to_string())),
             address,
+            notices: AtomicU64::new(0),
             identity: Mutex::default(),
             stops: Arc::default(),
             doorway: Mutex::default(),
@@ -208,7 +211,11 @@ impl Board {
     }
 
     pub fn notice(&self, machine: &Machine, notice: Notice) {
-        machine.panel().notice = Some(notice);
+        let mut panel = machine.panel();
+        panel.notice = Some(notice);
+        // Within the panel's lock, so that the number is never that of another notice.
+        machine.notices.fetch_add(1, Ordering::Relaxed);
+        drop(panel);
         self.changed.notify_one();
     }
 
@@ -307,7 +314,10 @@ impl Board {
 
     fn machine_json(&self, machine: &Machine) -> Value {
         let now = Instant::now();
-        let panel = machine.panel().clone();
+        let (panel, number) = {
+            let panel = machine.panel();
+            (panel.clone(), machine.notices.load(Ordering::Relaxed))
+        };
         let (contact, contact_text) = match &panel.contact {
             Contact::Lost(why) => ("lost", why.clone()),
             Contact::Owned => ("owned", "this server owns the line".to_owned()),
@@ -319,8 +329,8 @@ impl Board {
         });
         let quality = &panel.quality;
         let notice = panel.notice.as_ref().map(|notice| match notice {
-            Notice::Done(text) => json!({ "good": true, "text": text }),
-            Notice::Bad(text) => json!({ "good": false, "text": text }),
+            Notice::Done(text) => json!({ "good": true, "text": text, "number": number }),
+            Notice::Bad(text) => json!({ "good": false, "text": text, "number": number }),
         });
         let skipped = panel.events.len().saturating_sub(SHOWN_EVENTS);
         let events: Vec<_> = panel

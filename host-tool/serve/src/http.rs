@@ -9,10 +9,11 @@ use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::body::{Body, Bytes, to_bytes};
+use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
-    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+    WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
@@ -38,7 +39,7 @@ use trials::plan::{self, REFERENCE_LIMITS};
 
 use crate::access::{Access, Demand, Denied, Peer, demand};
 use crate::actions::{Action, Arrival, RequestedAction, Standing};
-use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, status};
+use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, not_utf8, status};
 use crate::board::{Board, Machine, Order};
 use crate::bodies::{LONGEST_BODY, object};
 use crate::connections::{Connections, Doing};
@@ -64,6 +65,8 @@ const HEAD: Duration = Duration::from_secs(10);
 const BUFFER: usize = 64 * 1024;
 /// Longest wait for the end of an action, s.
 const LONGEST_WAIT_S: u64 = 60;
+/// Refuse orders that were given longer ago, ms: they have waited in a dead link, and nobody expects a motion any more.
+const LATE_MS: i64 = 5_000;
 /// A stop is confirmed or reported as failed within this time.
 const STOPPING: Duration = Duration::from_secs(10);
 
@@ -82,6 +85,8 @@ pub struct App {
 }
 
 type Shared = State<Arc<App>>;
+/// The named parts of a path; an error if they are not UTF-8.
+type Parts<T> = Result<Path<T>, PathRejection>;
 
 /// Routes all requests.
 pub fn router(app: Arc<App>) -> Router {
@@ -229,7 +234,11 @@ async fn guard(
         Ok(()) => next.run(request).await,
         Err(Denied { status, why, help }) => closing(bad(status, &why, help)),
     };
+    let is_unauthorized = response.status() == StatusCode::UNAUTHORIZED;
     let headers = response.headers_mut();
+    if is_unauthorized {
+        headers.insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    }
     for (name, value) in [
         (CACHE_CONTROL, "no-store"),
         (REFERRER_POLICY, "no-referrer"),
@@ -323,7 +332,10 @@ async fn actions(State(app): Shared) -> Response {
     good(json!({ "actions": app.board.actions.all() }))
 }
 
-async fn action(State(app): Shared, Path(id): Path<String>, request: Request) -> Response {
+async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Response {
+    let Ok(Path(id)) = id else {
+        return not_utf8();
+    };
     let wait_s = match wait_s(request.uri().query().unwrap_or_default()) {
         Ok(wait_s) => wait_s,
         Err(why) => return bad(StatusCode::BAD_REQUEST, &why, "nothing was done"),
@@ -446,7 +458,10 @@ async fn records(State(app): Shared) -> Response {
     }
 }
 
-async fn record(State(app): Shared, Path(name): Path<String>) -> Response {
+async fn record(name: Parts<String>, State(app): Shared) -> Response {
+    let Ok(Path(name)) = name else {
+        return not_utf8();
+    };
     let kind = if name.ends_with(".csv") {
         "text/csv"
     } else {
@@ -595,12 +610,24 @@ fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
     }
 }
 
+/// Whether an order says that it was given long ago, by this computer's clock, or says it unreadably.
+fn is_late(headers: &HeaderMap) -> bool {
+    headers.get("retrograde-sent").is_some_and(|sent| {
+        let sent_ms: Option<i64> = sent.to_str().ok().and_then(|text| text.parse().ok());
+        let now_ms = Timestamp::now().as_millisecond();
+        sent_ms.is_none_or(|sent_ms| now_ms.saturating_sub(sent_ms) > LATE_MS)
+    })
+}
+
 async fn command(
     State(app): Shared,
-    Path((machine, name)): Path<(String, String)>,
+    path: Parts<(String, String)>,
     headers: HeaderMap,
     body: Body,
 ) -> Response {
+    let Ok(Path((machine, name))) = path else {
+        return not_utf8();
+    };
     match order(&app, &machine, &name, &headers, body).await {
         Ok(response) => response,
         Err(response) => *response,
@@ -658,7 +685,13 @@ async fn order(
                 at: Instant::now(),
                 after,
             };
-            if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
+            if is_late(headers) {
+                let failure = Failure::refused(
+                    "the order is late: by its `Retrograde-Sent` it was given more than 5 s ago",
+                    "nothing was moved by this order; look at the machine, then again",
+                );
+                board.ended(number, Value::Null, Some(&failure));
+            } else if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
                 worker.orders.try_send(order)
             {
                 let failure = Failure::Unreached {

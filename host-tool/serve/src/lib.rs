@@ -39,7 +39,7 @@ pub mod stream;
 #[doc(hidden)]
 pub mod worker;
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::panic::resume_unwind;
@@ -54,7 +54,8 @@ use client::Interrupt;
 use client::address::Address;
 use client::door::lock;
 use client::identity::kind_name;
-use client::{limited, plain};
+use client::limited;
+use client::plain::{self, Locked};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use tokio::net::{TcpListener, TcpSocket};
@@ -350,7 +351,7 @@ struct ServerFile {
     file: PathBuf,
     text: String,
     /// Held for its lock: the server file belongs to the first server.
-    lock: File,
+    lock: Locked,
 }
 
 impl ServerFile {
@@ -361,13 +362,10 @@ impl ServerFile {
     fn within(folder: &Path, content: &Value) -> Result<Self, String> {
         let lock = plain::open_or_create(&folder.join("serve.lock"));
         let lock = lock.map_err(|why| why.to_string())?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err("they find the server that was started before".to_owned());
-            }
-            Err(TryLockError::Error(why)) => return Err(why.to_string()),
-        }
+        let lock = Locked::new(lock).map_err(|error| match error {
+            TryLockError::WouldBlock => "they find the server that was started before".to_owned(),
+            TryLockError::Error(why) => why.to_string(),
+        })?;
         let server_file = Self {
             file: folder.join("serve.json"),
             text: content.to_string(),

@@ -382,9 +382,10 @@ impl Worker<'_> {
                 action.files.clone_from(&outcome.files);
             }
         });
+        // First the notice, so that no state after the end has the one before.
+        self.board.notice(self.machine, notice);
         self.board
             .ended(action, outcome.result, outcome.failure.as_ref());
-        self.board.notice(self.machine, notice);
         settled?;
         if lost {
             return Err(outcome.failure.unwrap_or_else(server_ends));

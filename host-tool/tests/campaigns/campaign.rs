@@ -1190,3 +1190,79 @@ fn an_ordinary_folder_is_checked_as_far_as_it_can_be() {
     assert_eq!(Form::Folded.name(), "folded");
     assert_eq!(Lubrication::Dry.name(), "dry");
 }
+
+/// A new manifest without the file would hide its loss.
+#[test]
+fn a_campaign_without_one_of_its_files_is_not_resumed() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let sidecar = Campaign::read(&path).expect("read").run_sidecar(2, 1);
+    let listed = fs::read(path.join(manifest::NAME)).expect("there");
+    fs::remove_file(sidecar.expect("there").with_extension("csv")).expect("removed");
+    let error = resume(&path, at(99)).err().expect("refused");
+    assert!(error.why.contains("it is missing"), "{error:?}");
+    assert_eq!(fs::read(path.join(manifest::NAME)).expect("there"), listed);
+}
+
+#[test]
+fn a_run_that_the_plan_does_not_say_is_found() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = campaign(&path);
+    let mut script = Script::new(DeviceKind::Rig);
+    script.ready = true;
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 5).expect("there");
+    let row = |event| LedgerRow::of(event, 4, Some(1));
+    folder
+        .append(row(LedgerEvent::Began), at(200), Origin::Board)
+        .expect("written");
+    let recording = Recording {
+        folder: folder.campaign().attempt_folder(4, 1),
+        stem: "run".to_owned(),
+        now: at(205),
+        note: None,
+        telemetry_ms: 100,
+    };
+    let mut run = folder.campaign().plan.run;
+    run.stroke_um += 1_000;
+    experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
+    let mut ended = row(LedgerEvent::Ended);
+    ended.outcome = Some(AttemptOutcome::Complete);
+    folder
+        .append(ended, at(230), Origin::Board)
+        .expect("written");
+    folder.seal_attempt(4, 1).expect("written");
+    drop(folder);
+    let found = findings(&path);
+    let says = "is not of the motion that the plan says";
+    assert!(found.iter().any(|one| one.contains(says)), "{found:?}");
+}
+
+#[test]
+fn a_second_run_and_an_attempt_that_was_never_begun_are_found() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let sidecar = Campaign::read(&path).expect("read").run_sidecar(1, 1);
+    let sidecar = sidecar.expect("there");
+    let stem = sidecar.file_stem().expect("a name");
+    let stem = stem.to_string_lossy().into_owned();
+    for kind in ["csv", "json"] {
+        let text = fs::read_to_string(sidecar.with_extension(kind)).expect("there");
+        let text = text.replace(&format!("{stem}.csv"), &format!("{stem}-2.csv"));
+        let second = sidecar.with_file_name(format!("{stem}-2.{kind}"));
+        fs::write(second, text).expect("written");
+    }
+    fs::create_dir(path.join(ATTEMPTS).join("099-1")).expect("made");
+    fs::write(path.join(ATTEMPTS).join("099-1/x.txt"), "x").expect("written");
+    let forged = manifest::of_folder(&path).expect("read");
+    fs::write(path.join(manifest::NAME), forged.text()).expect("written");
+    let found = findings(&path);
+    for says in [
+        "trials/001-1: has the records of several runs or passes",
+        "trials/099-1: trials.csv knows no such attempt",
+    ] {
+        assert!(found.iter().any(|one| one == says), "{found:?}");
+    }
+}

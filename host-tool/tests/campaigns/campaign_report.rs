@@ -356,6 +356,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
         let sd_um = spread.and_then(|spread| spread.sd);
         assert_eq!(row.sd_mm.map(|sd| sd.0), sd_um.map(|sd| sd / 1e3));
     }
+    assert_eq!(evaluation.lines.len(), 2);
     for (row, line) in &evaluation.lines {
         let points = evaluation.points(Purpose::Series, row.lubrication);
         assert_eq!(FittedLine::through(&clampings(&points)), Some(*line));

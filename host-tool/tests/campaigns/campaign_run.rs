@@ -1211,3 +1211,59 @@ fn verify_says_what_is_wrong_and_what_to_do() {
     assert_eq!(code, 2, "{err}");
     assert!(err.contains("no SHA256SUMS and no record"), "{err}");
 }
+
+#[test]
+fn conditions_that_differ_from_the_ledger_are_found() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let args = [
+        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "1",
+    ];
+    let (code, said, err) = memory.run(&[&args[..], &AT].concat());
+    assert_eq!(code, 0, "{said}{err}");
+    let file = whole(&out).attempt_folder(1, 1).join("conditions.json");
+    let written = fs::read_to_string(&file).expect("there");
+    for (key, value, what) in [
+        ("campaign", serde_json::json!("other"), "the campaign"),
+        ("attempt", serde_json::json!(2), "the trial"),
+        ("origin", serde_json::json!("board"), "the origin"),
+        ("readings_set", serde_json::json!(1), "the readings"),
+        ("indentation_mm", serde_json::json!("1.9"), "a_n"),
+        (
+            "camera_file",
+            serde_json::json!("IMG_1.MOV"),
+            "the camera's file",
+        ),
+    ] {
+        let mut says: serde_json::Value = serde_json::from_str(&written).expect("JSON");
+        says[key] = value;
+        fs::write(&file, says.to_string()).expect("written");
+        let folder = Path::new(&out);
+        let forged = campaign::manifest::of_folder(folder).expect("read");
+        fs::write(folder.join(campaign::manifest::NAME), forged.text()).expect("written");
+        let found = verify(folder).expect("a folder").findings;
+        let wanted = format!("conditions.json and trials.csv differ in {what}");
+        assert!(
+            found.iter().any(|one| one.what == wanted),
+            "{what}: {found:?}"
+        );
+    }
+}
+
+#[test]
+fn a_virtual_capsule_makes_the_campaign_virtual() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let mut capsule = Script::new(DeviceKind::Capsule);
+    capsule.uid = VIRTUAL_UID;
+    let memory = Memory::with(vec![Script::new(DeviceKind::Rig), capsule]);
+    let args = [
+        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "1",
+    ];
+    let (_, said, err) = memory.run(&[&args[..], &AT].concat());
+    let origin = Campaign::read(Path::new(&out))
+        .expect("a campaign")
+        .origin();
+    assert_eq!(origin, Some(Origin::Virtual), "{said}{err}");
+}

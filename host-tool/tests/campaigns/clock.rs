@@ -223,3 +223,36 @@ fn a_clock_that_is_set_back_among_the_readings_condemns_no_indentation() {
         );
     }
 }
+
+#[test]
+fn an_indentation_of_readings_at_another_place_is_found() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = Folder::create(&path, SMALL, Path::new("small.toml")).expect("made");
+    let other = match &*folder.campaign().order[0].indentation {
+        "a1" => "a2",
+        _ => "a1",
+    };
+    for first in [
+        reading(1, None, 1, "24.4"),
+        reading(2, Some(other), 1, "22.4"),
+    ] {
+        for row in [first.clone(), accepted(&first)] {
+            folder
+                .append_reading(row, at(0), Origin::Board)
+                .expect("written");
+        }
+    }
+    let mut began = LedgerRow::of(LedgerEvent::Began, 1, Some(1));
+    (began.readings_set, began.indentation_mm) = (Some(2), Some(mm("1")));
+    append(&mut folder, began, 10);
+    let mut ended = LedgerRow::of(LedgerEvent::Ended, 1, Some(1));
+    ended.outcome = Some(AttemptOutcome::Stopped);
+    append(&mut folder, ended, 40);
+    drop(folder);
+    let found = findings(&path);
+    assert!(
+        found.iter().any(|one| one.contains("which are not of")),
+        "{found:?}"
+    );
+}

@@ -9,7 +9,7 @@ use crate::campaign::{
     SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading,
 };
 use campaign::contents::Campaign;
-use campaign::files::TRIALS;
+use campaign::files::{READINGS, TRIALS};
 use campaign::folder::Folder;
 use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
 use campaign::manifest;
@@ -327,4 +327,79 @@ fn the_time_that_is_left_is_told_in_minutes() {
     ] {
         assert_eq!(text(seconds), told);
     }
+}
+
+/// Otherwise the next reading would get its number again.
+#[test]
+fn a_reading_that_the_manifest_does_not_take_is_taken_back() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = campaign(&path);
+    let before = fs::read(path.join(READINGS)).expect("there");
+    let manifest = fs::read(path.join(manifest::NAME)).expect("there");
+    fs::remove_file(path.join(manifest::NAME)).expect("removed");
+    fs::create_dir_all(path.join(manifest::NAME).join("in the way")).expect("made");
+    let first = || reading(3, Some("a2"), 1, "14.3");
+    folder
+        .append_reading(first(), at(100), Origin::Board)
+        .expect_err("no manifest");
+    assert_eq!(fs::read(path.join(READINGS)).expect("there"), before);
+    fs::remove_dir_all(path.join(manifest::NAME)).expect("removed");
+    fs::write(path.join(manifest::NAME), manifest).expect("written");
+    folder
+        .append_reading(first(), at(101), Origin::Board)
+        .expect("written");
+    drop(folder);
+    assert_eq!(findings(&path), Vec::<String>::new());
+}
+
+#[test]
+fn readings_and_trials_are_of_one_origin() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("new");
+    let mut folder = Folder::create(&path, SMALL, Path::new("small.toml")).expect("made");
+    folder
+        .append_reading(reading(1, None, 1, "24.4"), at(1), Origin::Board)
+        .expect("written");
+    let began = LedgerRow::of(LedgerEvent::Began, 1, Some(1));
+    let error = folder
+        .append(began, at(2), Origin::Virtual)
+        .expect_err("mixed");
+    assert!(error.why.contains("of origin board"), "{error:?}");
+    let path = place.path().join("forged");
+    drop(campaign(&path));
+    let text = fs::read_to_string(path.join(READINGS)).expect("there");
+    let forged = text.replace(",board\n", ",virtual\n");
+    fs::write(path.join(READINGS), forged).expect("written");
+    let error = Campaign::read(&path).expect_err("mixed");
+    assert!(error.why.contains("its origin is virtual"), "{error:?}");
+}
+
+/// A plan is fixed once there are readings.
+#[test]
+fn a_range_that_is_none_and_what_is_too_large_are_refused() {
+    for (table, fits) in [
+        ("[displacement]\nleast_mm = 1\ngreatest_mm = 1.001\n", true),
+        ("[displacement]\nleast_mm = 1\ngreatest_mm = 1\n", false),
+        ("[displacement]\nleast_mm = 2\ngreatest_mm = 1\n", false),
+        ("[displacement]\nuncertainty_mm = 100\n", true),
+        ("[displacement]\nuncertainty_mm = 100.001\n", false),
+        ("[virtual]\nscatter_mm = 100\n", true),
+        ("[virtual]\nscatter_mm = 100.001\n", false),
+        ("[virtual]\nscatter_mm = -0.001\n", false),
+    ] {
+        let parsed = CampaignPlan::parse(&format!("{SMALL}{table}"), Path::new("plan.toml"));
+        assert_eq!(parsed.is_ok(), fits, "{table}: {parsed:?}");
+    }
+}
+
+#[test]
+fn an_indentation_no_deeper_than_a_shallower_one_is_questioned() {
+    let mut readings = Readings::default();
+    measured(&mut readings, None, &["24.4", "24.4"]);
+    measured(&mut readings, Some("a1"), &["14.3", "14.3"]);
+    measured(&mut readings, Some("a2"), &["14.3", "14.3"]);
+    let set = readings.sets.last().expect("one");
+    let found = questions(&plan(SMALL), &readings, set);
+    assert_eq!(found, ["a2 = 5.050 mm does not rise above a1 = 5.050 mm"]);
 }

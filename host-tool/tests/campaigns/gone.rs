@@ -4,20 +4,23 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use campaign::conduct::Machines;
 use campaign::ledger::Standing;
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
+use protocol::rig::{Hold, MoveTo};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
-use simulated_machines::machine::{Script, World, estop};
+use simulated_machines::machine::{Script, World, estop, link};
 use trials::experiment::PAPER_RUN;
 
 use crate::campaign_run::{
     UP_TO_THE_PASSES, converse, path, place, plan_of_passes, small_plan, whole,
 };
-use crate::support::tool::Memory;
+use crate::support::tool::{Memory, ready};
 
 /// A bench that is switched off while the first question waits, and is back after so many attempts to reach it.
 struct Restarted {
@@ -206,4 +209,49 @@ fn a_fault_is_told_before_the_rollers_move() {
     let help = "remove its cause, `retrograde ack rig`, then `retrograde campaign run`";
     assert!(words.contains(help), "{shown}");
     assert!(!memory.heard().contains(&"Home"), "{:?}", memory.heard());
+}
+
+/// A session that was killed has left the machines as they were.
+#[test]
+fn every_motion_for_nobody_is_stopped() {
+    type Begin = fn(&mut Device);
+    let none: Begin = |_| {};
+    let home: Begin = |rig| {
+        rig.home().expect("accepted");
+    };
+    let moves: Begin = |rig| {
+        let to = MoveTo {
+            position_um: 100_000,
+            speed_um_s: 10_000,
+        };
+        rig.call(to).expect("accepted");
+    };
+    let held: Begin = |rig| {
+        rig.run(PAPER_RUN).expect("accepted");
+        rig.idle(1_000_000, &mut Unobserved).expect("there");
+        rig.call(Hold).expect("accepted");
+        rig.idle(1_000_000, &mut Unobserved).expect("there");
+    };
+    let fold: Begin = |capsule| {
+        capsule.fold().expect("accepted");
+    };
+    let ready_rig = || ready(DeviceKind::Rig);
+    for (script, rig_does, capsule_does, stopped) in [
+        (Script::new(DeviceKind::Rig), home, none, &["rig"][..]),
+        (ready_rig(), moves, none, &["rig"]),
+        (ready_rig(), held, none, &["rig"]),
+        (ready_rig(), none, fold, &["capsule"]),
+        (ready_rig(), moves, fold, &["rig", "capsule"]),
+        (ready_rig(), none, none, &[]),
+    ] {
+        let connect = |script: Script| {
+            let kind = script.kind;
+            Device::connect(link(script).0, kind, 1).expect("there")
+        };
+        let (mut rig, mut capsule) = (connect(script), connect(ready(DeviceKind::Capsule)));
+        rig_does(&mut rig);
+        capsule_does(&mut capsule);
+        let mut machines = Machines::new(rig, Some(capsule), None).expect("there");
+        assert_eq!(machines.come_to_rest().expect("confirmed"), stopped);
+    }
 }

@@ -8,7 +8,7 @@ use client::link::Link;
 use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
-use protocol::rig::{RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
+use protocol::rig::{MoveTo, RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
 use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Event, ResetCause, Urgent, What};
 use protocol::table::Telemetry;
@@ -842,4 +842,23 @@ fn a_run_that_the_rig_has_stopped_in_silence_is_recorded_as_that() {
     );
     assert!(stopped > 0);
     assert!(log.lock().expect("log").urgent.is_empty());
+}
+
+#[test]
+fn a_move_that_the_rig_has_stopped_in_silence_says_so() {
+    let script = Script {
+        settings: vec![(SettingKey::LinkTimeoutMs, 500)],
+        deaf_to: vec![("GetRigStatus", 6)],
+        ready: true,
+        ..Script::new(DeviceKind::Rig)
+    };
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 11).expect("a rig");
+    let to = MoveTo {
+        position_um: 100_000,
+        speed_um_s: 10_000,
+    };
+    let accepted = rig.call(to).expect("accepted");
+    let (outcome, status) = rig.wait_move(&accepted, &mut Unobserved).expect("ends");
+    assert_eq!(outcome, RunOutcome::LinkLost);
+    assert_ne!(status.position_steps, accepted.to_steps);
 }

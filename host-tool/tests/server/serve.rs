@@ -287,9 +287,12 @@ fn a_cross_site_page_a_rebound_name_and_a_missing_token_move_nothing() {
         send(&server.at, &request("POST", "/api/v1/stop", &passed_on, "")).status,
         401
     );
-    assert_eq!(
-        send(&server.at, &request("GET", "/api/v1/state", &passed_on, "")).status,
-        401
+    let answer = send(&server.at, &request("GET", "/api/v1/state", &passed_on, ""));
+    assert_eq!(answer.status, 401);
+    assert!(
+        answer.head.contains("www-authenticate: bearer"),
+        "{}",
+        answer.head
     );
 }
 
@@ -342,10 +345,20 @@ fn every_route_of_the_document_is_served() {
     let server = Server::start(&bench);
     assert_eq!(server.get("/openapi.json").body, OPENAPI);
     let manual = std::fs::read_to_string("../docs/serve.md").expect("the manual");
+    let state = server.state();
+    for (name, _) in state["machines"]["rig"]["link"].as_object().expect("it") {
+        assert!(manual.contains(name), "{name}");
+    }
     for (method, path) in routes {
         if path == "/api/v1/stream" {
             continue;
         }
+        // Too many connections, and a body that does not come.
+        let responses = &paths[path][method]["responses"];
+        let is_stop = path.ends_with("stop");
+        assert_eq!(responses["503"].is_null(), is_stop, "{method} {path}");
+        let reads_body = method == "post" && !is_stop;
+        assert_ne!(responses["408"].is_null(), reads_body, "{method} {path}");
         let path = path.replace("{id}", "none").replace("{name}", "none");
         let bearer = format!("Bearer {}", server.token);
         let answer = send(
@@ -379,6 +392,9 @@ fn every_route_of_the_document_is_served() {
         ("POST", "/api/v1/rig/flash", 404),
         ("GET", "/api/v1/rig/home", 405),
         ("DELETE", "/api/v1/state", 405),
+        ("GET", "/api/v1/actions/%FF", 400),
+        ("GET", "/api/v1/records/%FF", 400),
+        ("POST", "/api/v1/rig/%FF", 400),
     ] {
         let bearer = format!("Bearer {}", server.token);
         let answer = send(
@@ -523,6 +539,60 @@ fn bad_input_is_refused_with_the_texts_of_the_command_line() {
     );
     let plan = server.post("/api/v1/plan", &json!({})).json();
     assert_eq!(plan["plan"]["achieved"]["edges"], 1_040_000);
+}
+
+/// An order that waited in a dead link says when it was given.
+#[test]
+fn a_late_order_moves_nothing() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let server = Server::start(&bench);
+    let bearer = format!("Bearer {}", server.token);
+    let now_ms = || {
+        let since = std::time::UNIX_EPOCH.elapsed().expect("after 1970");
+        since.as_millis()
+    };
+    let order = |key: &str, sent: &str| {
+        let headers = [
+            ("Authorization", &*bearer),
+            ("Idempotency-Key", key),
+            ("Retrograde-Sent", sent),
+        ];
+        let body = "{\"position_mm\":3}";
+        send(
+            &server.at,
+            &request("POST", "/api/v1/rig/move", &headers, body),
+        )
+    };
+    let late = (now_ms() - 6_000).to_string();
+    for sent in [&*late, "yesterday", ""] {
+        let answer = order(&server.key(), sent);
+        assert_eq!(answer.status, 409, "{sent}: {}", answer.body);
+        assert!(answer.message().contains("late"), "{}", answer.body);
+    }
+    assert_eq!(moved(&bench), 0);
+    let key = server.key();
+    let answer = order(&key, &now_ms().to_string());
+    assert!(answer.status < 300, "{}", answer.body);
+    let ended = server.end_of(&answer.json()["action"]);
+    // A repetition comes late, and is told what has become of the order.
+    assert_eq!(order(&key, &late).json()["action"], ended);
+    assert_eq!(bench.count("MoveTo"), 1);
+}
+
+/// The page has to show the second one, and a program that has seen the end must not see the notice before.
+#[test]
+fn a_second_notice_with_the_same_words_has_another_number() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let server = Server::start(&bench);
+    let numbers: Vec<_> = (0..2)
+        .map(|_| {
+            server.done("/api/v1/rig/home", &json!({}));
+            let notice = server.state()["machines"]["rig"]["notice"].clone();
+            assert_eq!(notice["text"], "home: done");
+            notice["number"].as_u64().expect("a number")
+        })
+        .collect();
+    assert!(numbers[0] < numbers[1], "{numbers:?}");
 }
 
 /// The paper's run, much shortened.
@@ -1005,6 +1075,10 @@ fn the_state_of_a_campaign_is_shown_until_it_cannot_be_read() {
     std::fs::write(format!("{folder}/trials.csv"), "damaged").expect("written");
     let state = server.until("an error", |state| !state["campaign"]["error"].is_null());
     assert_eq!(state["campaign"]["folder"], folder);
+    assert_eq!(
+        state["campaign"].as_object().map(serde_json::Map::len),
+        Some(2)
+    );
 }
 
 #[test]

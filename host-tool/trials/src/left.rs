@@ -77,3 +77,57 @@ impl Trial {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trial::Recording;
+    use crate::trial::tests::device;
+    use jiff::Timestamp;
+    use protocol::capsule::{ActuationAccepted, ActuationKind};
+
+    #[test]
+    fn what_was_left_is_counted_from_the_start_of_the_action() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let started = |index: u32, actuation| Event {
+            index,
+            time_us: index.into(),
+            what: What::Capsule(CapsuleEvent::Started {
+                actuation,
+                kind: ActuationKind::Fold,
+            }),
+        };
+        let events = vec![started(7, 2), started(8, 3), started(9, 4)];
+        for (actuation, first, lost) in [(3, 8, 0), (5, 7, 4)] {
+            let rows = "time_us,missed\n20000,0\n80000,2\n160000,3\n180000,";
+            std::fs::write(folder.path().join("fold.csv"), rows).expect("written");
+            let action = Action::Actuation {
+                actuation: ActuationKind::Fold,
+                accepted: Some(ActuationAccepted {
+                    actuation,
+                    timeout_ms: 6_000,
+                }),
+                record: None,
+            };
+            let recording = Recording {
+                folder: folder.path().to_owned(),
+                stem: "fold".to_owned(),
+                now: Timestamp::UNIX_EPOCH,
+                note: None,
+                telemetry_ms: 20,
+            };
+            let mut trial = Trial::new(action, device(), &recording);
+            trial.telemetry = "fold.csv".to_owned();
+            let ending = Ending::Lost("gone".to_owned());
+            trial
+                .end_left(
+                    &folder.path().join("fold.json"),
+                    ending,
+                    (events.clone(), 4),
+                )
+                .expect("written");
+            assert_eq!((trial.samples, trial.missed_samples), (3, 5));
+            assert_eq!((trial.events[0].index, trial.lost_events), (first, lost));
+        }
+    }
+}

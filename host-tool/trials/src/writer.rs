@@ -249,4 +249,40 @@ mod tests {
         assert_eq!(writer.finish().expect_err("read only").path, path);
         assert_eq!(fs::read(&sidecar).expect("there"), b"the end");
     }
+
+    /// A disk that is full once, and then has space again: what it took, and how often it was asked.
+    struct Hiccup(Arc<std::sync::Mutex<Vec<Vec<u8>>>>, u32);
+
+    impl Write for Hiccup {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.1 += 1;
+            if self.1 == 2 {
+                return Err(io::Error::other("no space"));
+            }
+            self.0.lock().expect("free").push(bytes.to_vec());
+            Ok(bytes.len())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    impl Sink for Hiccup {
+        fn sync(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn nothing_is_appended_behind_a_hole() {
+        let taken = Arc::default();
+        let writer = Writer::new(PathBuf::from("a.csv"), Hiccup(Arc::clone(&taken), 0));
+        let mut appender = writer.appender();
+        for row in ["1\n", "2\n", "3\n"] {
+            appender.write_all(row.as_bytes()).expect("never fails");
+        }
+        drop(appender);
+        assert_eq!(writer.finish().expect_err("full").why, "no space");
+        assert_eq!(*taken.lock().expect("free"), [b"1\n".to_vec()]);
+    }
 }

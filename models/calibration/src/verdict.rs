@@ -586,4 +586,88 @@ mod tests {
     fn walls_that_differ_by_more_than_their_clampings_are_accused() {
         assert!((0..20).all(|seed| !found(seed, 0.8, 0.2).is_reliable()));
     }
+
+    #[test]
+    fn a_posterior_that_was_badly_sampled_is_unreliable() {
+        for (has_mixed, table_error, wanted) in [
+            (true, 0.5, &[][..]),
+            (true, 0.501, &[Check::Table]),
+            (true, f64::INFINITY, &[Check::Table]),
+            (true, f64::NAN, &[Check::Table]),
+            (false, 0.1, &[Check::Mixing]),
+        ] {
+            let mut verdict = Verdict::default();
+            of_sampling(&mut verdict, has_mixed, table_error, 0.5);
+            let found: Vec<_> = verdict.reasons.iter().map(|one| one.check).collect();
+            assert_eq!(found, wanted, "{table_error}");
+            assert_eq!(verdict.is_reliable(), wanted.is_empty());
+        }
+    }
+
+    #[test]
+    fn draws_at_an_end_of_their_prior_are_told() {
+        for axis in 0..OF_BODY {
+            for (z, end) in [(-2.0, "lower"), (2.0, "upper")] {
+                for (there, told) in [
+                    (20, None),
+                    (21, Some(false)),
+                    (50, Some(false)),
+                    (51, Some(true)),
+                ] {
+                    let point = |number: usize| {
+                        let mut point = [0.0; UNKNOWNS];
+                        if number < there {
+                            point[axis] = z;
+                        }
+                        point
+                    };
+                    let draws = Draws {
+                        walkers: 1,
+                        ensembles: vec![(0..100).map(point).collect()],
+                        accepted: 1.0,
+                    };
+                    let mut verdict = Verdict::default();
+                    bounds(&mut verdict, &draws);
+                    let found = verdict.reasons.first();
+                    let unreliable = found.map(|one| one.unreliable);
+                    assert_eq!(unreliable, told, "{axis} {z} {there}");
+                    assert!(found.is_none_or(|one| one.sentence.contains(end)));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_net_too_far_from_its_passes_is_named_either_way() {
+        for (net_mm, named) in [
+            (40.0, true),
+            (30.0, false),
+            (16.0, false),
+            (9.0, false),
+            (5.0, true),
+            (-16.0, true),
+        ] {
+            let condition = |kind, mean_mm| Condition {
+                case: Case {
+                    kind,
+                    indentation_mm: 5.0,
+                },
+                lubrication: Lubrication::Dry,
+                notch: 0,
+                family: 0,
+                repeats: 10,
+                mean_mm,
+                uncertainty_mm: 0.06,
+                scatter: 9.0,
+            };
+            let conditions = [
+                condition(Kind::Net { cycles: 2 }, net_mm),
+                condition(Kind::AntegradePass, 10.0),
+                condition(Kind::ReturningPass, -2.0),
+            ];
+            let mut verdict = Verdict::default();
+            net_and_passes(&mut verdict, &conditions);
+            assert_eq!(verdict.says(Check::NetAndPasses), named, "{net_mm}");
+        }
+    }
 }

@@ -10,7 +10,7 @@ use calibration::chance::stream;
 use calibration::design::{Effort, Estimate, Judged, choose, judge};
 use calibration::fit::quantile;
 use calibration::history::Trial;
-use calibration::observation::{Case, Kind, Lubrication, conditions};
+use calibration::observation::{Case, Kind, conditions};
 use calibration::prediction::Predictor;
 use calibration::prior::{OF_BODY, Point, draw, parts};
 use calibration::sampler::{self, sample_from};
@@ -154,7 +154,6 @@ fn recommended_trials_leave_less_open_than_as_many_of_the_papers() {
     let paper: Vec<Planned> = DEPTHS_MM
         .map(|mm| Planned::dry(KINDS[0], mm, 1, UNCERTAINTY_MM))
         .to_vec();
-    assert!(paper.iter().all(|one| one.lubrication == Lubrication::Dry));
     let one = |number: u64| {
         let truth = draw(&mut stream(4, number));
         let wide = log_width(&truth, &paper, number);

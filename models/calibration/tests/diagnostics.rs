@@ -4,7 +4,7 @@
 use calibration::chance::{normal, stream};
 use calibration::diagnostics::{bulk_ess, r_hat, tail_ess};
 use calibration::prior::UNKNOWNS;
-use calibration::sampler::Draws;
+use calibration::sampler::{Draws, Mixing};
 use std::collections::BTreeSet;
 
 /// Chains that any program can reproduce: a linear congruential generator drives an autoregression.
@@ -179,5 +179,25 @@ fn a_few_draws_are_those_of_all_walkers() {
             assert!(ensemble.is_sorted_by(|one, next| one[1] <= next[1]));
             assert!(ensemble[of_one - 1][1] - ensemble[0][1] > 0.95 * steps as f64);
         }
+    }
+}
+
+#[test]
+fn quantiles_need_all_three_numbers() {
+    for (r_hat, ess, tail_ess, enough) in [
+        (1.01, 400.0, 400.0, true),
+        (1.010_1, 400.0, 400.0, false),
+        (1.0, 399.9, 400.0, false),
+        (1.0, 400.0, 399.9, false),
+        (f64::NAN, 400.0, 400.0, false),
+        (1.0, f64::NAN, 400.0, false),
+        (1.0, 400.0, f64::NAN, false),
+    ] {
+        let one = Mixing {
+            r_hat,
+            ess,
+            tail_ess,
+        };
+        assert_eq!(one.is_enough(), enough, "{one:?}");
     }
 }

@@ -8,9 +8,11 @@ use calibration::fit::{Fit, Settings, Unfit, fit};
 use calibration::observation::{Case, Condition, Kind, Lubrication, Observation, conditions};
 use calibration::plausible::mistake;
 use calibration::prediction::Predictor;
-use calibration::sampler::Effort;
+use calibration::prior::{Parts, Point, Values, parts};
+use calibration::sampler::{Draws, Effort};
 use calibration::table::{Region, Table};
-use calibration::verdict::Check;
+use calibration::target::Target;
+use calibration::verdict::{Check, judge};
 use locomotion::model::{Model, Setting, Value};
 use wrong_bodies::{LIKE, Unlike, displacements_mm};
 
@@ -125,8 +127,8 @@ fn a_body_like_the_model_moves_like_it() {
         let model = body(&[("body.friction_ratio", ratio)]);
         let cases = kinds().map(|kind| case(kind, depth_mm));
         let predictor = Predictor::new(&model, &cases, 0.05).expect("covered");
-        let values = calibration::prior::Values([0.15, ratio, 0.0007, 0.1]);
-        let body = calibration::prior::parts(&values.point());
+        let values = Values([0.15, ratio, 0.0007, 0.1]);
+        let body = parts(&values.point());
         let expected = predictor.displacements_mm(&body).expect("covered");
         let found = moved_mm(&model, depth_mm, LIKE);
         for (one, other) in found.iter().zip(&expected) {
@@ -373,4 +375,57 @@ fn a_friction_ratio_that_falls_with_the_slip_speed_is_invisible() {
     let fit = fitted(&dry(&fast, LIKE, 8), 8).expect("a posterior");
     assert!(fit.verdict.is_reliable(), "{:?}", fit.verdict);
     assert!(fit.quantile(1, 0.95) < 20.0);
+}
+
+#[test]
+fn a_condition_that_the_others_do_not_predict_is_named() {
+    let truth = Values([0.15, 40.0, 0.0007, 0.1]).point();
+    let both = [Kind::AntegradePass, Kind::ReturningPass];
+    let at = |indentation_mm| {
+        both.map(|kind| Case {
+            kind,
+            indentation_mm,
+        })
+    };
+    let cases: Vec<Case> = [1.0, 3.0, 5.05].into_iter().flat_map(at).collect();
+    let predictor = Predictor::new(&Model::ONE, &cases, 0.5).expect("covered");
+    let table = Table::new(predictor, Region::WHOLE, [6, 6, 4]);
+    let found_mm = table.displacements_mm(&parts(&truth)).expect("inside");
+    let mut random = stream(1, 1);
+    let mut near =
+        || -> Point { std::array::from_fn(|axis| truth[axis] + 0.01 * normal(&mut random)) };
+    let draws = Draws {
+        walkers: 1,
+        ensembles: vec![(0..200).map(|_| near()).collect()],
+        accepted: 1.0,
+    };
+    let exact = |body: &Parts, cases: &[Case]| {
+        Predictor::new(&Model::ONE, cases, 0.5)?.displacements_mm(body)
+    };
+    for (off_mm, named) in [(0.0, false), (5.0, true)] {
+        let trial = |(place, (case, mm)): (usize, (&Case, &f64))| Observation {
+            kind: case.kind,
+            lubrication: Lubrication::Dry,
+            indentation_mm: case.indentation_mm,
+            displacement_mm: mm + if place == 2 { off_mm } else { 0.0 },
+            uncertainty_mm: UNCERTAINTY_MM,
+        };
+        let trials: Vec<_> = cases.iter().zip(&found_mm).enumerate().map(trial).collect();
+        let conditions = conditions(&trials).expect("usable");
+        let place = |one: &Condition| cases.iter().position(|case| *case == one.case);
+        let places: Vec<usize> = conditions.iter().filter_map(place).collect();
+        let target = Target {
+            conditions: &conditions,
+            places: &places,
+            table: &table,
+            table_errors_mm: &vec![0.0; cases.len()],
+        };
+        let verdict = judge(&target, &draws, &exact).expect("covered");
+        let says = verdict.reasons.iter().any(|one| {
+            one.check == Check::LeftOut
+                && one.unreliable
+                && one.sentence.contains("antegrade pass, dry, at 3 mm")
+        });
+        assert_eq!(says, named, "{verdict:?}");
+    }
 }

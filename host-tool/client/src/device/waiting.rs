@@ -542,3 +542,47 @@ impl Device {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::link::{Link, LinkError};
+
+    /// A link whose clock shows this, us.
+    struct At(u64);
+
+    impl Link for At {
+        fn place(&self) -> String {
+            "nowhere".to_owned()
+        }
+        fn now_us(&self) -> u64 {
+            self.0
+        }
+        fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+            Ok(())
+        }
+        fn receive(&mut self, _: &mut [u8], _: u64) -> Result<usize, LinkError> {
+            Ok(0)
+        }
+    }
+
+    #[test]
+    fn a_clock_that_stands_makes_no_action_endless() {
+        let clock = |ahead_us: i64| {
+            Some(Clock {
+                ahead_us: (ahead_us, ahead_us),
+            })
+        };
+        let mut device = Device::new(Box::new(At(1_000_000)), 1);
+        assert_eq!(device.passed_us(0, None), 1_000_000);
+        for (behind_us, passed_us) in [
+            (0, 1_000_000),
+            (600_000, 400_000),
+            (950_000, 50_000),
+            (1_000_000, 50_000),
+        ] {
+            device.clock = clock(behind_us);
+            assert_eq!(device.passed_us(0, clock(0)), passed_us, "{behind_us}");
+        }
+    }
+}

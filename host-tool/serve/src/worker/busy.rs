@@ -71,8 +71,9 @@ impl Busy<'_> {
         match end(pace) {
             Ok(result) => board.ended(action, result, None),
             Err(failure) => {
-                board.ended(action, Value::Null, Some(failure));
+                // First the notice, so that no state after the end has the one before.
                 board.notice(self.machine, Notice::Bad(failure.in_one_line()));
+                board.ended(action, Value::Null, Some(failure));
             }
         }
     }

@@ -578,3 +578,36 @@ fn only_a_running_trial_may_end_within_a_row() {
         assert_eq!((samples.len(), wrong.len()), (found, defects), "{wrong:?}");
     }
 }
+
+#[test]
+fn a_status_that_the_record_does_not_bear_out_is_told() {
+    let found = changed(|trial, _| {
+        let Action::Run { achieved, .. } = &mut trial.action else {
+            panic!("a run");
+        };
+        *achieved = None;
+    });
+    assert!(only(&found).contains("without what was planned or executed"));
+    let found = move_record(|trial, _| {
+        let Action::Move { moved, .. } = &mut trial.action else {
+            panic!("a move");
+        };
+        *moved = None;
+    });
+    assert!(only(&found).contains("without what was accepted or done"));
+    let bare = trial(Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    });
+    let found = actuation(&bare, &[]);
+    assert!(only(&found).contains("without the capsule's record"));
+    let found = changed(|trial, _| {
+        trial.status = Status::Refused;
+        let Action::Run { executed, .. } = &mut trial.action else {
+            panic!("a run");
+        };
+        *executed = None;
+    });
+    assert!(only(&found).contains("called refused, and the machine accepted it"));
+}

@@ -223,3 +223,32 @@ fn event(index: u32, what: What) -> Event {
         what,
     }
 }
+
+#[test]
+fn a_record_of_a_later_format_is_not_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("fold.json");
+    let recording = Recording {
+        folder: folder.path().to_owned(),
+        stem: "fold".to_owned(),
+        now: Timestamp::UNIX_EPOCH,
+        note: None,
+        telemetry_ms: 20,
+    };
+    let action = Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    };
+    let mut trial = Trial::new(action, device(), &recording);
+    trial.telemetry = "fold.csv".to_owned();
+    for (format, why) in [
+        (FORMAT, None),
+        (FORMAT + 1, Some("format 3, this tool reads 2")),
+    ] {
+        trial.format = format;
+        fs::write(&path, serde_json::to_string(&trial).expect("text")).expect("written");
+        let read = Trial::read(&path).map_err(|error| error.why);
+        assert_eq!(read.err().as_deref(), why);
+    }
+}

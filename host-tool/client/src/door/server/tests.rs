@@ -3,7 +3,8 @@
 use std::sync::mpsc::{Receiver, channel};
 
 use protocol::rig;
-use protocol::table::Endpoint;
+use protocol::system::{BuildProfile, DeviceKind, Hello, ResetCause, Revision};
+use protocol::table::{Endpoint, SCHEMA_KEY};
 
 use super::*;
 
@@ -202,4 +203,117 @@ fn at_a_loopback_door_the_token_decides() {
     let sent = written.recv_timeout(Duration::from_secs(2)).expect("sent");
     assert_eq!(header(&sent).expect("a frame").kind, Kind::Urgent);
     core.close();
+}
+
+#[test]
+fn a_stop_that_nobody_has_noticed_is_not_forgotten() {
+    let (core, _written) = core();
+    core.stop(0, STOP, Urgent::Stop).expect("sent");
+    core.forget_stop();
+    assert_eq!(core.stopped(), Some(Urgent::Stop));
+    core.forget_stop();
+    assert_eq!(core.stopped(), None);
+}
+
+#[test]
+fn a_stop_does_not_hide_an_emergency_stop() {
+    let (core, _written) = core();
+    core.stop(0, STOP, Urgent::EStop).expect("sent");
+    let later = Header { seq: 8, ..STOP };
+    core.stop(0, later, Urgent::Stop).expect("sent");
+    assert_eq!(core.stopped(), Some(Urgent::EStop));
+}
+
+#[test]
+fn a_confirmation_goes_to_the_one_who_stopped() {
+    let (core, _written) = core();
+    let come = || {
+        let (frames, told) = sync_channel(WAITING_FRAMES);
+        let (number, _) = core.admit(Box::new(|| {}), frames).expect("room");
+        (number, told)
+    };
+    let ((one, to_one), (other, to_other)) = (come(), come());
+    for guest in [one, other] {
+        core.stop(guest, STOP, Urgent::Stop).expect("sent");
+    }
+    for (seq, urgent, told) in [
+        (FIRST_SEQ + 1, Urgent::Stop, (0, 1)),
+        (FIRST_SEQ, Urgent::EStop, (0, 0)),
+        // The owner's own.
+        (7, Urgent::Stop, (0, 0)),
+        (FIRST_SEQ, Urgent::Stop, (1, 0)),
+    ] {
+        core.confirmed(seq, urgent);
+        let heard = (to_one.try_iter().count(), to_other.try_iter().count());
+        assert_eq!(heard, told, "{seq} {urgent:?}");
+    }
+}
+
+#[test]
+fn a_stop_keeps_its_number_beside_those_of_others() {
+    let (core, written) = core();
+    let other = Header { seq: 8, ..STOP };
+    let more = (100..100 + GUESTS as u16).map(|seq| Header { seq, ..STOP });
+    // The last one is so long ago that it is forgotten.
+    let all = [STOP, other, STOP, other]
+        .into_iter()
+        .chain(more)
+        .chain([STOP]);
+    for header in all {
+        core.stop(0, header, Urgent::Stop).expect("sent");
+    }
+    let numbers: Vec<_> = written
+        .try_iter()
+        .map(|frame| header(&frame).expect("a frame").seq - FIRST_SEQ)
+        .collect();
+    assert_eq!(numbers[..4], [0, 1, 0, 1]);
+    assert_eq!(numbers.last(), Some(&(2 + GUESTS as u16)));
+}
+
+/// An answer `Stale` would say that the machine has not seen it, and the guest would ask again.
+#[test]
+fn a_question_without_an_answer_is_not_called_unseen() {
+    let (core, _written) = core();
+    core.introduce(&Identity {
+        device: DeviceKind::Rig,
+        protocol: protocol::VERSION,
+        schema_key: SCHEMA_KEY,
+        uid: [7; 12],
+        revision: Revision {
+            commit: 1,
+            dirty: false,
+        },
+        profile: BuildProfile::Firmware,
+        boot_id: 1,
+        reset_cause: ResetCause::PowerOn,
+        session: 1,
+    });
+    let (frames, told) = sync_channel(WAITING_FRAMES);
+    let mut visit = Visit::new(&core, Box::new(|| {}), frames).expect("a line");
+    let frame = |session, seq, request: &Request| {
+        let header = Header {
+            kind: Kind::Request,
+            session,
+            seq,
+        };
+        encode(header, request).expect("fits")
+    };
+    let hello = Request::Hello(Hello {
+        protocol: protocol::VERSION,
+        schema_key: SCHEMA_KEY,
+        nonce: 5,
+    });
+    let mut now = Instant::now();
+    visit.take(&frame(0, 1, &hello), now).expect("taken");
+    let welcome = told.try_recv().expect("told");
+    let session = header(&welcome).expect("a frame").session;
+    let resume = frame(session, 2, &rig::Resume.into_request());
+    visit.take(&resume, now).expect("taken");
+    now += BREATH;
+    core.question(now).expect("asked").answer(None);
+    now += BREATH;
+    visit.take(&resume, now).expect("taken");
+    now += BREATH;
+    assert!(core.question(now).is_none());
+    assert!(told.try_recv().is_err(), "nothing is known of it");
 }
