@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, read, ready, through_the_door_alone};
+use crate::support::bench::{Bench, at_a_port, read, ready, through_the_door_alone};
 use crate::support::signal::{Signal, kill};
 use client::door::lock::Doorway;
 use client::door::window::Window;
@@ -85,7 +85,7 @@ impl Observer for Seen {
 
 #[test]
 fn windows_and_a_subscriber_take_nothing_from_the_owner() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&["--cycles", "2", "--stroke-mm", "20", "--duration-s", "12"]);
     // It waits for its guests, however long a busy computer takes to let them in.
     let (code, _, err) = bench.retrograde(&["hold"]);
@@ -197,37 +197,39 @@ fn a_window_knows_of_stops_that_are_newer_than_its_orders() {
 
 #[test]
 fn a_serial_port_is_shared_as_well() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
-    let run = bench.run(&SHORT);
-    let (code, out, err) = bench.retrograde(&["info"]);
-    assert_eq!(code, Some(0), "{err}");
-    assert!(out.contains("Running, homed"), "{out}");
-    assert_eq!(bench.retrograde(&["home"]).0, Some(3));
-    // A second name for the same port.
-    let link = bench.folder.path().join("port");
-    std::os::unix::fs::symlink(&bench.address, &link).expect("a link");
-    let name = link.to_str().expect("UTF-8");
-    let (code, out, err) = bench.retrograde(&["--rig", name, "estop"]);
-    assert_eq!(code, Some(0), "{out}{err}");
-    assert_eq!(end(run).0, Some(6));
-    assert_eq!(bench.urgent().first(), Some(&Urgent::EStop));
-    let (code, _, err) = bench.retrograde(&["ack"]);
-    assert_eq!(code, Some(0), "{err}");
+    at_a_port(DeviceKind::Rig, |bench| {
+        let run = bench.run(&SHORT);
+        let (code, out, err) = bench.retrograde(&["info"]);
+        assert_eq!(code, Some(0), "{err}");
+        assert!(out.contains("Running, homed"), "{out}");
+        assert_eq!(bench.retrograde(&["home"]).0, Some(3));
+        // A second name for the same port.
+        let link = bench.folder.path().join("port");
+        std::os::unix::fs::symlink(&bench.address, &link).expect("a link");
+        let name = link.to_str().expect("UTF-8");
+        let (code, out, err) = bench.retrograde(&["--rig", name, "estop"]);
+        assert_eq!(code, Some(0), "{out}{err}");
+        assert_eq!(end(run).0, Some(6));
+        assert_eq!(bench.urgent().first(), Some(&Urgent::EStop));
+        let (code, _, err) = bench.retrograde(&["ack"]);
+        assert_eq!(code, Some(0), "{err}");
+    });
 }
 
 #[test]
 fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
-    let mut run = bench.run(&["--on-link-loss", "finish"]);
-    kill(Signal::STOP, run.id());
-    let (code, out, err) = bench.retrograde(&["estop"]);
-    // The port is exclusive, so only the owner could have passed the stop on.
-    assert_eq!(code, Some(8), "{out}{err}");
-    assert!(err.contains("NOT DELIVERED"), "{err}");
-    assert!(err.contains(&format!("process {}", run.id())), "{err}");
-    assert_eq!(bench.urgent(), []);
-    run.kill().expect("killed");
-    run.wait().expect("ended");
+    at_a_port(DeviceKind::Rig, |bench| {
+        let mut run = bench.run(&["--on-link-loss", "finish"]);
+        kill(Signal::STOP, run.id());
+        let (code, out, err) = bench.retrograde(&["estop"]);
+        // The port is exclusive, so only the owner could have passed the stop on.
+        assert_eq!(code, Some(8), "{out}{err}");
+        assert!(err.contains("NOT DELIVERED"), "{err}");
+        assert!(err.contains(&format!("process {}", run.id())), "{err}");
+        assert_eq!(bench.urgent(), []);
+        run.kill().expect("killed");
+        run.wait().expect("ended");
+    });
 }
 
 #[test]
@@ -501,7 +503,7 @@ fn only_the_owner_of_the_folder_can_get_in() {
 fn an_emergency_stop_is_at_the_machine_within_50_ms_of_the_second_process_start() {
     let mut times = vec![];
     for _ in 0..50 {
-        let bench = Bench::at_a_port(DeviceKind::Rig);
+        let bench = Bench::on_tcp(DeviceKind::Rig);
         let mut run = bench.run(&[]);
         thread::sleep(Duration::from_millis(100));
         let begin = Instant::now();

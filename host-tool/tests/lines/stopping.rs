@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, ready, through_the_door_alone};
+use crate::support::bench::{Bench, at_a_port, ready, through_the_door_alone};
 use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
 use client::door::lock::Doorway;
@@ -478,20 +478,21 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
 #[test]
 fn a_stop_finds_the_door_without_its_owner_file() {
     for gone in ["owner", "lock"] {
-        let bench = Bench::at_a_port(DeviceKind::Rig);
-        let run = bench.run(&[]);
-        for entry in std::fs::read_dir(bench.locks()).expect("locks") {
-            let path = entry.expect("an entry").path();
-            if path.extension().is_some_and(|kind| kind == gone) {
-                std::fs::remove_file(path).expect("mine");
+        at_a_port(DeviceKind::Rig, |bench| {
+            let run = bench.run(&[]);
+            for entry in std::fs::read_dir(bench.locks()).expect("locks") {
+                let path = entry.expect("an entry").path();
+                if path.extension().is_some_and(|kind| kind == gone) {
+                    std::fs::remove_file(path).expect("mine");
+                }
             }
-        }
-        let (code, out, err) = bench.retrograde(&["info"]);
-        assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
-        let (code, out, err) = bench.retrograde(&["estop"]);
-        assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
-        let ended = crate::support::bench::read(run.wait_with_output().expect("ended"));
-        assert_eq!(ended.0, Some(6), "without .{gone}: {ended:?}");
+            let (code, out, err) = bench.retrograde(&["info"]);
+            assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
+            let (code, out, err) = bench.retrograde(&["estop"]);
+            assert_eq!(code, Some(0), "without .{gone}: {out}{err}");
+            let ended = crate::support::bench::read(run.wait_with_output().expect("ended"));
+            assert_eq!(ended.0, Some(6), "without .{gone}: {ended:?}");
+        });
     }
 }
 

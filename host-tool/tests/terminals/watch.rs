@@ -81,7 +81,7 @@ fn a_key_that_comes_with_a_resize_is_obeyed() {
 
 #[test]
 fn a_key_is_an_emergency_stop_and_the_fault_is_shown_with_its_remedy() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut terminal = watch(&bench);
     let shown = terminal.wait_for("READY");
     assert!(!shown.contains("process"), "{shown}");
@@ -165,7 +165,7 @@ fn the_terminal_is_restored_however_it_ends() {
 /// After its window has been closed, no key can end the watch, and it must not keep the line.
 #[test]
 fn a_watch_whose_terminal_is_gone_ends() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut child = Terminal::lost(bench.command(&["watch"]));
     let begin = Instant::now();
     while child.try_wait().expect("a child").is_none() {
@@ -272,7 +272,7 @@ fn the_owner_of_the_line_is_killed_and_the_watch_goes_on() {
 
 #[test]
 fn a_watch_gives_the_line_up_for_a_command_that_moves_and_looks_on() {
-    let bench = Bench::at_a_port(DeviceKind::Rig);
+    let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut terminal = watch(&bench);
     terminal.wait_for("this program owns the line");
     let mut other = watch(&bench);
