@@ -78,7 +78,8 @@ pub struct Parameters {
     pub sense_gain: f64,
     /// Noise of one reading of the current, mA rms. The bench adds none: the emulated converter is exact.
     pub sense_noise_ma: f64,
-    /// Time constant of the filters behind the amplifier and at the battery's divider, s: 160e-6 (design, 1 kOhm and 160 nF).
+    /// Time constant of the filters, s: 160e-6 (design, 1 kOhm and 160 nF behind the amplifier, two 100 kOhm and 3.3 nF
+    /// at the divider of the battery).
     pub filter_s: f64,
     /// Thread on the spool at the start, mm.
     pub wound_mm: f64,
