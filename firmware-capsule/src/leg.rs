@@ -123,8 +123,8 @@ impl Rise {
     /// Friction that has changed since the calibration moves the end force to where the origami is flatter, or before
     /// its hard end, and lengthens the rise by up to a third. A run that has `wound` almost all of the calibrated way
     /// may have such a rise. Something in the way shortens the rise there, and so stays a jam. Less friction shortens it,
-    /// too, to 0.71 of the calibrated one at 0.7 times the friction. It is believed `past_the_end` only, where nothing
-    /// can be in the way.
+    /// too, to 0.71 of the calibrated one at 0.7 times the friction. It is believed `past_the_end` only, where the origami
+    /// was before. If that end is itself too early, the margin covers it: this run pays out only what it has wound.
     pub fn is_of(self, calibration: &Calibration, wound: Thread, past_the_end: bool) -> bool {
         let (half, quarter) = (i64::from(self.half.0), i64::from(self.quarter.0));
         let (known, long) = (
@@ -311,8 +311,8 @@ impl Leg {
     }
 
     /// Judges the leg at `counts`. `zero` is the count of thread zero; `stopping` is the distance that the motor runs
-    /// on if it is braked now; `known` is the calibration, and where its folded end is by
-    /// now, if the zero is known.
+    /// on if it is braked now; `known` is the calibration, and
+    /// where its folded end is by now, if the zero is known.
     ///
     /// # Errors
     /// A jam, or a thread that is broken, has slipped, or cannot be felt.

@@ -532,7 +532,8 @@ impl Machine {
         }
     }
 
-    /// Ignores repeated renewals of a jog that the rig has ended by itself, which the host does not know yet.
+    /// Refuses jogs for a while after the rig has ended one by itself: the host does not know it yet, and may repeat a
+    /// renewal.
     fn refuse_repeated_jogs(&mut self, now_us: u64) {
         if let State::Moving(Some(_)) = self.state {
             self.jog_stopped_until_us = now_us.saturating_add(REPEATED_US);

@@ -34,9 +34,9 @@ impl Mean {
 const SLACK_ZONE: (Thread, Thread) = (Thread(800), Thread(2_200));
 /// Length of the last part of the tension zone, um: only there does its current count.
 const STEADY_UM: i32 = 300;
-/// Extensions of the tension zone, each by `STEADY_UM`, for a motor that was never steady in it.
+/// Extensions of the tension zone, each by `STEADY_UM`, for a motor that was never steady in it, or not long enough.
 pub(super) const PROLONGATIONS: u8 = 4;
-/// Minimum readings that show that a taut thread lacks pull: a single one is off by up to 20 mA.
+/// Minimum readings by which a reference calls a thread slipped: a single one is off by up to 20 mA.
 const LEAST_TAUT: i32 = 8;
 /// Minimum current that winding a taut thread takes more than paying it out.
 const LEAST_TENSION_MA: u32 = 15;
@@ -301,9 +301,10 @@ impl Capsule {
         let least_ma = least_ma.max(LEAST_TENSION_MA);
         let lacks = tension_ma.is_some_and(|tension_ma| u32::from(tension_ma) < least_ma);
         let further = Thread(taut_to.0 - STEADY_UM);
-        // A fold that is felt has pulled too little already, and a slip of 2 mm can leave just enough further down.
-        let few = match ends_folded(actuation.kind) {
-            false if lacks => actuation.taut.count < LEAST_TAUT,
+        // A reference has just felt the end, and less pull may be one bad reading. Elsewhere it is a slip: 2 mm can leave
+        // just enough further down.
+        let few = match actuation.kind {
+            ActuationKind::Reference if lacks => actuation.taut.count < LEAST_TAUT,
             _ => actuation.taut.count == 0,
         };
         if few && actuation.prolongations > 0 && to < further {

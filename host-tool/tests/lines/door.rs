@@ -12,6 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::bench::{Bench, at_a_port, read, ready, through_the_door_alone};
+use crate::support::server::Killed;
 use crate::support::signal::{Signal, kill};
 use client::door::lock::Doorway;
 use client::door::window::Window;
@@ -219,16 +220,15 @@ fn a_serial_port_is_shared_as_well() {
 #[test]
 fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
     at_a_port(DeviceKind::Rig, |bench| {
-        let mut run = bench.run(&["--on-link-loss", "finish"]);
-        kill(Signal::STOP, run.id());
+        // Killed also if the test fails: it is frozen.
+        let run = Killed(bench.run(&["--on-link-loss", "finish"]));
+        kill(Signal::STOP, run.0.id());
         let (code, out, err) = bench.retrograde(&["estop"]);
         // The port is exclusive, so only the owner could have passed the stop on.
         assert_eq!(code, Some(8), "{out}{err}");
         assert!(err.contains("NOT DELIVERED"), "{err}");
-        assert!(err.contains(&format!("process {}", run.id())), "{err}");
+        assert!(err.contains(&format!("process {}", run.0.id())), "{err}");
         assert_eq!(bench.urgent(), []);
-        run.kill().expect("killed");
-        run.wait().expect("ended");
     });
 }
 

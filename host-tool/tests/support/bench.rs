@@ -64,8 +64,8 @@ pub fn at_a_port(kind: DeviceKind, test: impl Fn(&Bench)) {
         let bench = Bench::at_a_port(kind);
         match catch_unwind(AssertUnwindSafe(|| test(&bench))) {
             Ok(()) => return,
-            Err(_) if bench.stalled.load(Ordering::Relaxed) && attempt < 20 => {}
-            Err(failed) => resume_unwind(failed),
+            Err(failed) if attempt == 20 || !bench.has_stalled() => resume_unwind(failed),
+            Err(_) => {}
         }
     }
 }
@@ -229,7 +229,11 @@ impl Bench {
             .command(&[&["run"], more].concat())
             .spawn()
             .expect("starts");
+        let begin = Instant::now();
         while self.count("Run") == 0 {
+            if begin.elapsed() > Duration::from_secs(60) {
+                child.kill().expect("it is ours");
+            }
             if child.try_wait().expect("a child").is_some() && self.count("Run") == 0 {
                 panic!(
                     "no run: {:?}",
@@ -261,6 +265,15 @@ impl Bench {
     pub fn urgent(&self) -> Vec<Urgent> {
         let log = self.log.lock().expect("log");
         log.urgent.iter().map(|(urgent, _)| *urgent).collect()
+    }
+
+    /// Whether the line has stalled so far. A stall that goes on is known only when it ends.
+    fn has_stalled(&self) -> bool {
+        let begin = Instant::now();
+        while !self.stalled.load(Ordering::Relaxed) && begin.elapsed() < Duration::from_secs(5) {
+            thread::sleep(Duration::from_millis(10));
+        }
+        self.stalled.load(Ordering::Relaxed)
     }
 
     pub fn connections(&self) -> u32 {

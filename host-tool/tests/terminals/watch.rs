@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, read, ready};
+use crate::support::bench::{Bench, at_a_port, read, ready};
 use crate::support::signal::{Signal, kill};
 use crate::support::terminal::{End, Terminal};
 use host_tool::cli::watch::terminal::take;
@@ -272,44 +272,46 @@ fn the_owner_of_the_line_is_killed_and_the_watch_goes_on() {
 
 #[test]
 fn a_watch_gives_the_line_up_for_a_command_that_moves_and_looks_on() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let mut terminal = watch(&bench);
-    terminal.wait_for("this program owns the line");
-    let mut other = watch(&bench);
-    other.wait_for("through process");
-    for _ in 0..3 {
-        let args = ["move", "1", "--speed-mm-s", "10"];
-        let (code, _, err) = bench.retrograde(&args);
+    // Only a port that was closed can be opened again.
+    at_a_port(DeviceKind::Rig, |bench| {
+        let mut terminal = watch(bench);
+        terminal.wait_for("this program owns the line");
+        let mut other = watch(bench);
+        other.wait_for("through process");
+        for _ in 0..3 {
+            let args = ["move", "1", "--speed-mm-s", "10"];
+            let (code, _, err) = bench.retrograde(&args);
+            assert_eq!(code, Some(0), "{err}");
+            let (code, _, err) = bench.retrograde(&["move", "0"]);
+            assert_eq!(code, Some(0), "{err}");
+        }
+        // It goes on until both windows have seen it, however long a busy computer takes for that.
+        let run = bench.run(&["--cycles", "9", "--stroke-mm", "20", "--duration-s", "90"]);
+        let owner = format!("through process {} (`retrograde run", run.id());
+        terminal.wait_for(&owner);
+        other.wait_for(&owner);
+        let (code, _, err) = bench.retrograde(&["stop", "rig"]);
         assert_eq!(code, Some(0), "{err}");
-        let (code, _, err) = bench.retrograde(&["move", "0"]);
-        assert_eq!(code, Some(0), "{err}");
-    }
-    // It goes on until both windows have seen it, however long a busy computer takes for that.
-    let run = bench.run(&["--cycles", "9", "--stroke-mm", "20", "--duration-s", "90"]);
-    let owner = format!("through process {} (`retrograde run", run.id());
-    terminal.wait_for(&owner);
-    other.wait_for(&owner);
-    let (code, _, err) = bench.retrograde(&["stop", "rig"]);
-    assert_eq!(code, Some(0), "{err}");
-    // Its result does not matter here.
-    run.wait_with_output().expect("ends");
-    // One of the two must own the line again.
-    let begin = Instant::now();
-    while [&terminal, &other]
-        .iter()
-        .all(|one| !one.text().contains("this program owns"))
-    {
-        assert!(
-            begin.elapsed() < Duration::from_secs(20),
-            "{}",
-            terminal.text()
-        );
-        thread::sleep(Duration::from_millis(10));
-    }
-    for terminal in [terminal, other] {
-        terminal.press("q");
-        assert_eq!(terminal.ends_restored(), Some(0));
-    }
+        // Its result does not matter here.
+        run.wait_with_output().expect("ends");
+        // One of the two must own the line again.
+        let begin = Instant::now();
+        while [&terminal, &other]
+            .iter()
+            .all(|one| !one.text().contains("this program owns"))
+        {
+            assert!(
+                begin.elapsed() < Duration::from_secs(20),
+                "{}",
+                terminal.text()
+            );
+            thread::sleep(Duration::from_millis(10));
+        }
+        for terminal in [terminal, other] {
+            terminal.press("q");
+            assert_eq!(terminal.ends_restored(), Some(0));
+        }
+    });
 }
 
 #[test]
