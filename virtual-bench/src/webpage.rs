@@ -166,20 +166,21 @@ fn shows_what_holds(browser: &mut Browser) -> Result<(), DoorError> {
         const run = { strokes: 2, stroke: 0, elapsed_us: 0 };
         const rig = { contact: 'owned', contact_text: '', state: 'running', run, link: { silent_ms: 2600 } };
         showRig(rig);
-        const silent = text('rig-state').includes('not heard for 2 s');
+        const silent = text('rig-state').includes('not heard') && text('rig-link').includes('not heard for 2 s');
         showRig({ ...rig, contact: 'lost', estop_loop_open: false });
         const lost = text('inputs') === '-' && text('rig-fault').includes('old') && hidden('run');
         showState({ instance, time_utc: new Date().toISOString(), machines: {}, campaign: null });
         return silent && lost && hidden('rig') && hidden('runs');
     })()";
     const HEARS: &str = "(() => {
-        const kept = stop;
+        const kept = [stop, command];
         let heard = '';
         stop = (name) => { heard += name; };
+        command = (path) => { heard += path; };
         for (const [key, code] of [['у', 'KeyE'], ['ы', 'KeyS'], ['р', 'KeyH']]) {
             dispatchEvent(new KeyboardEvent('keydown', { key, code }));
         }
-        stop = kept;
+        [stop, command] = kept;
         return heard === 'estopstop';
     })()";
     browser.wait(OFFERS)?;

@@ -687,7 +687,7 @@ async fn order(
             };
             if is_late(headers) {
                 let failure = Failure::refused(
-                    "the order is late: by its `Retrograde-Sent` it was given more than 5 s ago",
+                    "the order is late: its `Retrograde-Sent` is more than 5 s ago, or no whole number of ms since 1970",
                     "nothing was moved by this order; look at the machine, then again",
                 );
                 board.ended(number, Value::Null, Some(&failure));

@@ -198,7 +198,7 @@ fn a_stop_goes_on_until_it_is_confirmed_and_goes_before_all_other_requests() {
     let stop = function("async function stop(name) {");
     let (before, tries) = stop.split_once("for (let limit").expect("attempts");
     assert!(
-        tries.starts_with(" = 1500, pause = 100; isPending();"),
+        tries.starts_with(" = 2500, pause = 100; isPending() && !mine.over;"),
         "{tries}"
     );
     for first in ["abort(orders);", "abort(plans);", "dropJog();"] {
@@ -210,15 +210,17 @@ fn a_stop_goes_on_until_it_is_confirmed_and_goes_before_all_other_requests() {
     let requests: Vec<_> = PAGE.match_indices("fetch(").collect();
     assert_eq!(requests.len(), 2, "the stream, and `post` for all others");
     assert!(function("async function post(").contains("setTimeout(() => control.abort(), limit)"));
-    // An order ends the attempts, but not one that the token does not allow.
-    let command = function("async function command(");
-    let (refused, sent) = command.split_once("pending.delete(name)").expect("the end");
     assert!(
-        refused.contains("path === 'rig/hold' ? []"),
-        "a hold moves nothing"
+        tries.contains("{ machine: mine.waits[0] }"),
+        "a machine that stands is left alone"
     );
-    assert!(refused.contains("if (!token)") && refused.contains("if (isStale())"));
-    assert!(sent.contains("if (status === 401 && stops === before) ended.forEach"));
+    // No order ends the attempts. None is sent meanwhile, but a hold, which moves nothing.
+    let command = function("async function command(");
+    let (refused, sent) = command.split_once("const more = ").expect("the headers");
+    assert!(refused.contains("if (!token)") && refused.contains("if (isStale() && !holds)"));
+    assert!(refused.contains("if (stopping && !holds)"));
+    assert!(refused.contains("if (one.over) pending.delete(name);"));
+    assert!(!sent.contains("pending"), "{sent}");
     // A finger reaches a disabled button; a jog that was not answered yet is stopped, too.
     assert!(function("async function beginJog(").contains("if (jog || button.disabled) return;"));
     assert!(function("function endJog() {").ends_with("stopJog();"));
@@ -258,10 +260,10 @@ fn a_phone_can_type_numbers_and_sees_the_stops_and_what_went_wrong() {
 }
 
 /// A jog is stopped by letting go, and an order is answered late, also while an emergency stop goes on that is not
-/// confirmed yet.
+/// confirmed yet. Only the word that an order was not sent, which repeats that of the stop, takes its place.
 #[test]
 fn no_late_answer_wipes_a_word_about_a_stop() {
-    for (function, says) in [("function stopJog()", 0), ("async function command(", 0)] {
+    for (function, says) in [("function stopJog()", 0), ("async function command(", 1)] {
         let after = PAGE.split_once(function).expect("there").1;
         let body = after.split_once("\n}").expect("its end").0;
         let said: Vec<_> = body.lines().filter(|line| line.contains("say(")).collect();
