@@ -81,9 +81,7 @@ impl Trial {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::trial::Recording;
-    use crate::trial::tests::device;
-    use jiff::Timestamp;
+    use crate::trial::tests::{device, fold_in};
     use protocol::capsule::{ActuationAccepted, ActuationKind};
 
     #[test]
@@ -109,14 +107,7 @@ mod tests {
                 }),
                 record: None,
             };
-            let recording = Recording {
-                folder: folder.path().to_owned(),
-                stem: "fold".to_owned(),
-                now: Timestamp::UNIX_EPOCH,
-                note: None,
-                telemetry_ms: 20,
-            };
-            let mut trial = Trial::new(action, device(), &recording);
+            let mut trial = Trial::new(action, device(), &fold_in(folder.path()));
             trial.telemetry = "fold.csv".to_owned();
             let ending = Ending::Lost("gone".to_owned());
             trial

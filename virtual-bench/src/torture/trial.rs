@@ -78,7 +78,7 @@ struct Trial<M: Victim> {
     is_open: bool,
     /// The machine was restarted since its settings were last compared.
     has_restarted: bool,
-    /// Until then the machine need not answer, ns.
+    /// Time up to which the machine need not answer, ns.
     excused_ns: u64,
     /// Numbers of the last bytes with a fault: of the host, of the machine.
     bad_bytes: (u64, u64),

@@ -330,6 +330,31 @@ fn a_fold_with_more_friction_than_at_its_calibration_is_no_jam() {
     }
 }
 
+/// With less friction than at its calibration the end force comes later, after a shorter rise. The zero was known, and
+/// past its end nothing can be in the way.
+#[test]
+fn a_reference_with_less_friction_than_at_its_calibration_is_no_jam() {
+    for seed in [122, 139, 202] {
+        let mut capsule = referenced_with(Parameters::lifelike(seed));
+        capsule.look(|capsule| capsule.suffer(Defect::Friction(0.7)));
+        assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete, "{seed}");
+        assert_eq!(
+            capsule.unfold().outcome,
+            ActuationOutcome::Complete,
+            "{seed}"
+        );
+        let accepted = capsule.device.reference().expect("accepted");
+        let record = capsule
+            .device
+            .wait_actuation(&accepted, &mut Unobserved)
+            .expect("it ends");
+        assert_eq!(record.outcome, ActuationOutcome::Complete, "seed {seed}");
+        let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
+        assert!(least_mm >= -0.05, "seed {seed}: {least_mm} mm");
+        capsule.check_clean();
+    }
+}
+
 /// The bench does not stop for the bridge's pulses. A bench that stops for each of them looks at the motor a hundred
 /// thousand times a second more, and must find a capsule that moves alike. That the pulses are the same is shown in
 /// `emulator/timer.rs`.

@@ -56,16 +56,21 @@ pub(crate) fn device() -> IdentityRecord {
     }
 }
 
-#[test]
-fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let recording = Recording {
-        folder: folder.path().to_owned(),
+/// The recording of a fold.
+pub(crate) fn fold_in(folder: &Path) -> Recording {
+    Recording {
+        folder: folder.to_owned(),
         stem: "fold".to_owned(),
         now: Timestamp::UNIX_EPOCH,
         note: None,
         telemetry_ms: 20,
-    };
+    }
+}
+
+#[test]
+fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fold_in(folder.path());
     let action = Action::Actuation {
         actuation: ActuationKind::Fold,
         accepted: None,
@@ -228,13 +233,7 @@ fn event(index: u32, what: What) -> Event {
 fn a_record_of_a_later_format_is_not_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("fold.json");
-    let recording = Recording {
-        folder: folder.path().to_owned(),
-        stem: "fold".to_owned(),
-        now: Timestamp::UNIX_EPOCH,
-        note: None,
-        telemetry_ms: 20,
-    };
+    let recording = fold_in(folder.path());
     let action = Action::Actuation {
         actuation: ActuationKind::Fold,
         accepted: None,
