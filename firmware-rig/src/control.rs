@@ -29,6 +29,8 @@ use protocol::{
 pub const ROUND_US: u64 = 10_000;
 /// Rounds that the start button must stay down to count as pressed: 30 ms, longer than its contact bounces.
 const BUTTON_ROUNDS: u8 = 3;
+/// A press that comes within this time after a motion was meant to stop it, us: it starts nothing.
+const MEANT_TO_STOP_US: u64 = 1_000_000;
 
 /// The rest of the rig, as control sees it.
 pub trait Rig {
@@ -84,7 +86,11 @@ pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     /// When the last round was due, and the largest delay of a round.
     round_us: u64,
     late_us: u32,
+    /// Rounds in which the button was down, and when the last of them was.
     button_rounds: u8,
+    button_us: u64,
+    /// When the last round was in which something moved, us.
+    moved_us: Option<u64>,
 }
 
 impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
@@ -114,6 +120,8 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             late_us: 0,
             // A button that is down at the start must be released first.
             button_rounds: BUTTON_ROUNDS,
+            button_us: 0,
+            moved_us: None,
         };
         control.emit(What::Booted(reset_cause));
         if !usable {
@@ -211,10 +219,17 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         self.round_us += ROUND_US;
         let late_us = now.time_us.saturating_sub(self.round_us);
         self.late_us = self.late_us.max(late_us as u32);
+        if self.moves() {
+            self.moved_us = Some(now.time_us);
+        }
         if !self.rig.button_is_down() {
             self.button_rounds = 0;
-        } else if self.button_rounds < BUTTON_ROUNDS {
+        } else if self.button_rounds < BUTTON_ROUNDS
+            // After a stall the missed rounds come at once; a glitch must not last for all of them.
+            && now.time_us >= self.button_us.saturating_add(ROUND_US / 2)
+        {
             self.button_rounds += 1;
+            self.button_us = now.time_us;
             if self.button_rounds == BUTTON_ROUNDS {
                 self.press_button();
             }
@@ -234,13 +249,20 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         self.rig.chip().supply_low
     }
 
+    fn moves(&self) -> bool {
+        matches!(
+            self.machine.state(),
+            RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
+        )
+    }
+
     fn press_button(&mut self) {
-        let at_rest =
-            self.machine.may_change_settings().is_ok() || self.machine.state() == RigState::Held;
-        if at_rest && self.is_too_weak() {
+        let now = self.rig.now();
+        let is_meant_to_stop = |moved_us: u64| now.time_us < moved_us + MEANT_TO_STOP_US;
+        let may_start = !self.is_too_weak() && !self.moved_us.is_some_and(is_meant_to_stop);
+        if !self.moves() && !may_start {
             return self.emit(What::Rig(RigEvent::ButtonIgnored));
         }
-        let now = self.rig.now();
         let actions = press_button(&mut self.machine, self.settings.values(), &now);
         let refused = actions.refusal.is_some();
         self.perform(&actions);
@@ -251,12 +273,8 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
 
     fn watch_link(&mut self) {
         let before = self.machine.state();
-        let moving = matches!(
-            before,
-            RigState::Homing | RigState::Running | RigState::Moving
-        );
         let timeout_us = self.machine.settings().link_timeout_us;
-        if moving && u64::from(self.rig.silence_us()) > timeout_us {
+        if self.moves() && u64::from(self.rig.silence_us()) > timeout_us {
             self.event(Event::LinkSilent);
             if self.machine.state() != before {
                 self.emit(What::LinkLost);

@@ -395,7 +395,7 @@ impl Machine {
             }
             Command::Button(plan) => self.button(now, plan, actions),
             Command::Stop => {
-                self.stop(RunOutcome::Stopped, actions);
+                self.stop(now, RunOutcome::Stopped, actions);
                 Ok(())
             }
             Command::EStop => {
@@ -443,7 +443,7 @@ impl Machine {
         match self.state {
             State::Homing(_) | State::Running | State::Moving(_) => {
                 self.refuse_repeated_jogs(now.time_us);
-                self.stop(RunOutcome::Stopped, actions);
+                self.stop(now, RunOutcome::Stopped, actions);
                 Ok(())
             }
             State::Held => self.resume(now, actions),
@@ -455,7 +455,7 @@ impl Machine {
         }
     }
 
-    fn stop(&mut self, outcome: RunOutcome, actions: &mut Actions) {
+    fn stop(&mut self, now: &Now, outcome: RunOutcome, actions: &mut Actions) {
         match self.state {
             State::Homing(_) => self.stop_then(Then::Unhomed, actions),
             State::Running => self.stop_then(Then::Ready(outcome), actions),
@@ -463,6 +463,9 @@ impl Machine {
                 let until_us = jog.map_or(0, |jog| jog.until_us);
                 self.jog_stopped_until_us = self.jog_stopped_until_us.max(until_us);
                 self.stop_then(Then::Moved, actions);
+            }
+            State::Held if now.position != self.last.1 => {
+                self.latch(read_back(self.last.1, now.position), actions);
             }
             // Already at rest: just end the run.
             State::Held => {
@@ -528,7 +531,7 @@ impl Machine {
         };
         if policy == Some(LinkLossPolicy::Stop) {
             self.refuse_repeated_jogs(now.time_us);
-            self.stop(RunOutcome::LinkLost, actions);
+            self.stop(now, RunOutcome::LinkLost, actions);
         }
     }
 
@@ -555,7 +558,9 @@ impl Machine {
 
     fn flag_edge(&mut self, opening: bool, count: StepPosition, actions: &mut Actions) {
         match &mut self.state {
-            State::Running | State::Held | State::Stopping(Then::Held) if opening => {
+            State::Running | State::Held | State::Stopping(Then::Held | Then::Ready(_))
+                if opening =>
+            {
                 self.ledger(count, actions);
             }
             State::Homing(homing) => {
@@ -609,11 +614,17 @@ impl Machine {
             State::Stopping(then) => {
                 match then {
                     Then::Unhomed => self.state = State::Unhomed,
-                    // The stop came after the last step: the run is complete.
-                    Then::Ready(_) if end == PathEnd::Complete => self.complete(actions),
                     Then::Ready(outcome) => {
-                        self.end_run(outcome, actions);
-                        self.state = State::Ready;
+                        if let Some(fault) = self.lost_at_rest(counted, missed) {
+                            return self.latch(fault, actions);
+                        }
+                        // The stop came after the last step: the run is complete.
+                        if end == PathEnd::Complete {
+                            self.complete(actions);
+                        } else {
+                            self.end_run(outcome, actions);
+                            self.state = State::Ready;
+                        }
                     }
                     Then::Held => return self.held(end, counted, missed, actions),
                     Then::Moved => self.state = State::Ready,

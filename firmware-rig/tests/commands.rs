@@ -40,7 +40,7 @@ const PAPER: Run = Run {
     link_loss: LinkLossPolicy::Stop,
 };
 
-const HEALTH: RigHealth = RigHealth {
+pub(crate) const HEALTH: RigHealth = RigHealth {
     home_flag: Glitches {
         count: 1,
         last_us: 2,
@@ -61,7 +61,7 @@ const HEALTH: RigHealth = RigHealth {
     image_hash: 12,
 };
 
-const HARDWARE: RigHardware = RigHardware {
+pub(crate) const HARDWARE: RigHardware = RigHardware {
     intervals_exact: 1,
     intervals_1_tick: 2,
     intervals_2_ticks: 3,
@@ -164,7 +164,7 @@ fn rig_in(state: RigState) -> Rig {
     rig
 }
 
-const STATES: [RigState; 8] = [
+pub(crate) const STATES: [RigState; 8] = [
     RigState::Unhomed,
     RigState::Homing,
     RigState::Ready,
@@ -549,36 +549,6 @@ fn the_papers_run_in_exact_integers() {
 }
 
 #[test]
-fn a_reply_says_what_was_asked_and_what_will_be() {
-    let mut rig = Rig::homed(SETTINGS);
-    let request = Run {
-        cycles: 3,
-        // 1,000.8 steps: rounded towards the inside.
-        stroke_um: 1_251,
-        timing: RunTiming::Speeds {
-            forward_um_s: 10_000,
-            return_um_s: 20_000,
-            accel_um_s2: 500_000,
-        },
-        far_dwell_us: 11,
-        home_dwell_us: 1_000,
-        start_delay_us: 500,
-        link_loss: LinkLossPolicy::Finish,
-    };
-    let accepted = accepted(&mut rig, request);
-    assert_eq!(accepted.requested, request);
-    let (forward, back) = (accepted.forward, accepted.back);
-    assert_eq!((forward.steps, back.steps), (1_000, 1_000));
-    assert_eq!((forward.peak_um_s, back.peak_um_s), (10_000, 20_000));
-    assert_eq!((forward.accel_um_s2, back.accel_um_s2), (500_000, 500_000));
-    // Strokes, three dwells of 11 us, two of 1 ms, 0.5 ms of delay.
-    let rests = (3 * 11 + 2 * 1_000 + 500) * 100;
-    let strokes = 3 * (forward.duration_ticks + back.duration_ticks);
-    assert_eq!(accepted.total_ticks, strokes + rests);
-    assert_eq!(accepted.edges, 6_000);
-}
-
-#[test]
 fn homing_says_how_far_it_may_go() {
     let (reply, _, actions) = send(&mut rig_in(RigState::Unhomed), Request::Home(rig::Home));
     let expected = HomeAccepted {
@@ -622,97 +592,6 @@ fn strokes_and_cycles_out_of_range() {
     }
 }
 
-#[test]
-fn a_run_in_ten_seconds_is_infeasible() {
-    let total = |total_us, accel_um_s2| Run {
-        timing: RunTiming::Total {
-            total_us,
-            accel_um_s2,
-        },
-        ..PAPER
-    };
-    // Ten strokes of 130 mm at 49 mm/s, with a ramp of 0.49 s. In 1 s each, no acceleration keeps to that speed.
-    assert_eq!(
-        refused_run(total(10_000_000, 100_000)),
-        Refusal::TooFast {
-            requested_us: 10_000_000,
-            min_us: 31_430_613,
-            min_accel_um_s2: u64::MAX,
-        }
-    );
-    // With an acceleration high enough for the time, the speed is the limit.
-    assert_eq!(
-        refused_run(total(10_000_000, 520_000)),
-        Refusal::SpeedLimit {
-            needed_um_s: 260_000,
-            max_um_s: 49_000,
-        }
-    );
-    assert!(matches!(
-        refused_run(total(30_000_000, 100_000)),
-        Refusal::SpeedLimit {
-            needed_um_s: 52_000..53_000,
-            ..
-        }
-    ));
-    // The dwells alone take longer.
-    let dwelling = Run {
-        far_dwell_us: 9_000_000,
-        ..PAPER
-    };
-    assert!(matches!(
-        refused_run(dwelling),
-        Refusal::TooFast {
-            requested_us: 40_000_000,
-            min_us: 76_430_613,
-            ..
-        }
-    ));
-    for (total_us, accel_um_s2) in [(u64::MAX, 100_000), (u64::MAX / 100, 1)] {
-        assert_eq!(refused_run(total(total_us, accel_um_s2)), Refusal::TooSlow);
-    }
-    for accel_um_s2 in [0, 2_000_001, u32::MAX] {
-        assert_eq!(
-            refused_run(total(40_000_000, accel_um_s2)),
-            out_of_range(Field::AccelUmS2, accel_um_s2.into(), 1, 2_000_000)
-        );
-    }
-}
-
-#[test]
-fn speeds_out_of_range() {
-    let speeds = |forward_um_s, return_um_s, accel_um_s2| Run {
-        timing: RunTiming::Speeds {
-            forward_um_s,
-            return_um_s,
-            accel_um_s2,
-        },
-        ..PAPER
-    };
-    for speed in [49_001, u32::MAX] {
-        let refusal = Refusal::SpeedLimit {
-            needed_um_s: speed.into(),
-            max_um_s: 49_000,
-        };
-        assert_eq!(refused_run(speeds(speed, 10_000, 100_000)), refusal);
-        assert_eq!(refused_run(speeds(10_000, speed, 100_000)), refusal);
-    }
-    assert_eq!(
-        refused_run(speeds(0, 10_000, 100_000)),
-        out_of_range(Field::ForwardUmS, 0, 1, 49_000)
-    );
-    assert_eq!(
-        refused_run(speeds(10_000, 0, 100_000)),
-        out_of_range(Field::ReturnUmS, 0, 1, 49_000)
-    );
-    assert_eq!(
-        refused_run(speeds(10_000, 10_000, 0)),
-        out_of_range(Field::AccelUmS2, 0, 1, 2_000_000)
-    );
-    // The speed that the refusal suggests works.
-    accepted(&mut Rig::homed(SETTINGS), speeds(49_000, 49_000, 2_000_000));
-}
-
 /// 1/256: 12,800 steps per mm.
 fn fine() -> Settings {
     settings(&[(SettingKey::SeekUmS, 19_000), (SettingKey::Microsteps, 256)])
@@ -738,40 +617,6 @@ fn the_step_rate_is_limited() {
     assert!((320_000..322_000).contains(&needed_hz), "{needed_hz}");
     // 250 kHz are 19.5 mm/s.
     accepted(&mut rig, request(19_531));
-}
-
-#[test]
-fn a_dwell_must_leave_time_to_turn() {
-    let request = |far_dwell_us, home_dwell_us| Run {
-        stroke_um: 1_000,
-        timing: RunTiming::Speeds {
-            forward_um_s: 10_000,
-            return_um_s: 10_000,
-            accel_um_s2: 2_000_000,
-        },
-        far_dwell_us,
-        home_dwell_us,
-        ..PAPER
-    };
-    let mut rig = Rig::homed(fine());
-    let mut too_short = |far, home| match refusal(&mut rig, Request::Run(request(far, home))) {
-        Refusal::OutOfRange {
-            field,
-            requested: 0,
-            min,
-            max,
-        } => {
-            assert_eq!(max, u64::from(u32::MAX));
-            (field, min as u32)
-        }
-        other => panic!("{other:?}"),
-    };
-    let (field, min) = too_short(0, 1_000);
-    assert_eq!(field, Field::FarDwellUs);
-    // 1 ms less the time of the first step: sqrt(2 * 78 nm / 2 m/s2) = 280 us.
-    assert!((720..722).contains(&min), "{min}");
-    assert_eq!(too_short(min, 0), (Field::HomeDwellUs, min));
-    accepted(&mut rig, request(min, min));
 }
 
 #[test]

@@ -354,6 +354,20 @@ fn a_count_that_changed_during_the_hold_is_a_fault() {
     assert_eq!(rig.machine.record().outcome, RunOutcome::Faulted(fault));
 }
 
+/// A stop is never refused, but it does not make the position right.
+#[test]
+fn a_stop_of_a_held_run_finds_a_count_that_changed() {
+    let mut rig = started(slow());
+    rig.pulses(2_000);
+    hold(&mut rig);
+    let commanded = rig.ring.counted;
+    rig.ring.counted += 1;
+    let counted = rig.ring.counted;
+    rig.command(Command::Stop).unwrap();
+    let fault = RigFault::ReadBack { commanded, counted };
+    assert_eq!((rig.fault(), rig.machine.homed()), (Some(fault), false));
+}
+
 /// Steps lost before, in and after a hold; the hold before, across and behind the flag (step 800 of the way home,
 /// which at this speed takes 160 steps of braking).
 #[test]

@@ -565,6 +565,35 @@ mod running {
         }
     }
 
+    /// Regression: a stop or a silent host on the way home threw the evidence away, and the rig was "ready".
+    #[test]
+    fn a_stop_forgives_no_lost_steps() {
+        let stops: [fn(&mut Rig); 2] = [
+            |rig| rig.command(Command::Stop).unwrap(),
+            |rig| rig.event(Event::LinkSilent),
+        ];
+        for stop in stops {
+            // Lost on the way out: while the rig brakes, the flag opens too early.
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(2_000);
+            rig.slipping = 64;
+            rig.pulses(12_900);
+            stop(&mut rig);
+            rig.finish();
+            assert_latched(rig, RigFault::LostSteps { residual_steps: 64 });
+            // Stalled on the way back: at rest, the flag has not opened.
+            let mut rig = started(LinkLossPolicy::Stop);
+            rig.pulses(10_000);
+            rig.slipping = 6_000;
+            rig.pulses(5_900);
+            stop(&mut rig);
+            rig.finish();
+            let residual_steps = rig.ring.counted - SETTINGS.flag.0;
+            assert!(residual_steps < -700, "{residual_steps}");
+            assert_latched(rig, RigFault::LostSteps { residual_steps });
+        }
+    }
+
     /// The first of two equal residuals stays the worst, whatever its sign; a greater one takes its place.
     #[test]
     fn the_worst_residual_is_the_first_of_its_size() {
@@ -781,159 +810,98 @@ mod table {
     use Input::*;
     use Start::*;
 
-    /// Every state that the machine tells apart, each reached through commands and events alone.
-    #[derive(Clone, Copy, Debug, PartialEq)]
-    enum Start {
-        Unhomed,
-        Clear,
-        Seek,
-        SeekFound,
-        PullOff,
-        Locate,
-        LocateFound,
-        ToZero,
-        Ready,
-        Away,
-        Back,
-        BackMet,
-        Finish,
-        HomingByButton,
-        ReadyOut,
-        StopHoldOut,
-        StopHoldBack,
-        StopHoldMet,
-        HeldFirst,
-        HeldOut,
-        HeldBack,
-        HeldMet,
-        Moving,
-        Jogging,
-        StopHoming,
-        StopRun,
-        StopBack,
-        StopLost,
-        StopMove,
-        Faulted,
-        FaultedMoving,
-        FaultedHeld,
-        Panicked,
+    /// An enum, and the list of all its variants: none can be missing from it.
+    macro_rules! listed {
+        ($(#[$doc:meta])* enum $name:ident in $all:ident { $($variant:ident,)* }) => {
+            $(#[$doc])*
+            #[derive(Clone, Copy, Debug, PartialEq)]
+            enum $name { $($variant,)* }
+
+            const $all: &[$name] = &[$($variant,)*];
+        };
     }
 
-    const STARTS: [Start; 33] = [
-        Unhomed,
-        Clear,
-        Seek,
-        SeekFound,
-        PullOff,
-        Locate,
-        LocateFound,
-        ToZero,
-        Ready,
-        Away,
-        Back,
-        BackMet,
-        Finish,
-        HomingByButton,
-        ReadyOut,
-        StopHoldOut,
-        StopHoldBack,
-        StopHoldMet,
-        HeldFirst,
-        HeldOut,
-        HeldBack,
-        HeldMet,
-        Moving,
-        Jogging,
-        StopHoming,
-        StopRun,
-        StopBack,
-        StopLost,
-        StopMove,
-        Faulted,
-        FaultedMoving,
-        FaultedHeld,
-        Panicked,
-    ];
-
-    /// Every event and command, with the contents that matter.
-    #[derive(Clone, Copy, Debug, PartialEq)]
-    enum Input {
-        FlagOpens,
-        FlagOpensLate,
-        FlagCloses,
-        FlagClosesLate,
-        FarLimit,
-        SwitchNoise,
-        LoopOpened,
-        StrokeDone,
-        StrokeMismatch,
-        Complete,
-        Stopped,
-        StoppedFar,
-        StoppedNear,
-        StoppedAtLimit,
-        StoppedBehind,
-        Cut,
-        Underrun,
-        Guard,
-        EndMismatch,
-        LinkSilent,
-        TickInTime,
-        TickAtDeadline,
-        TickLate,
-        Home,
-        Run,
-        Hold,
-        Resume,
-        ResumeElsewhere,
-        JogSame,
-        JogOther,
-        MoveTo,
-        Button,
-        ButtonNoPlan,
-        Stop,
-        EStop,
-        Acknowledge,
+    listed! {
+        /// Every state that the machine tells apart, each reached through commands and events alone.
+        enum Start in STARTS {
+            Unhomed,
+            Clear,
+            Seek,
+            SeekFound,
+            PullOff,
+            Locate,
+            LocateFound,
+            ToZero,
+            Ready,
+            Away,
+            Back,
+            BackMet,
+            Finish,
+            HomingByButton,
+            ReadyOut,
+            StopHoldOut,
+            StopHoldBack,
+            StopHoldMet,
+            HeldFirst,
+            HeldOut,
+            HeldBack,
+            HeldMet,
+            Moving,
+            Jogging,
+            StopHoming,
+            StopRun,
+            StopBack,
+            StopMet,
+            StopLost,
+            StopMove,
+            Faulted,
+            FaultedMoving,
+            FaultedHeld,
+            Panicked,
+        }
     }
 
-    const INPUTS: [Input; 36] = [
-        FlagOpens,
-        FlagOpensLate,
-        FlagCloses,
-        FlagClosesLate,
-        FarLimit,
-        SwitchNoise,
-        LoopOpened,
-        StrokeDone,
-        StrokeMismatch,
-        Complete,
-        Stopped,
-        StoppedFar,
-        StoppedNear,
-        StoppedAtLimit,
-        StoppedBehind,
-        Cut,
-        Underrun,
-        Guard,
-        EndMismatch,
-        LinkSilent,
-        TickInTime,
-        TickAtDeadline,
-        TickLate,
-        Home,
-        Run,
-        Hold,
-        Resume,
-        ResumeElsewhere,
-        JogSame,
-        JogOther,
-        MoveTo,
-        Button,
-        ButtonNoPlan,
-        Stop,
-        EStop,
-        Acknowledge,
-    ];
+    listed! {
+        /// Every event and command, with the contents that matter.
+        enum Input in INPUTS {
+            FlagOpens,
+            FlagOpensLate,
+            FlagCloses,
+            FlagClosesLate,
+            FarLimit,
+            SwitchNoise,
+            LoopOpened,
+            StrokeDone,
+            StrokeMismatch,
+            Complete,
+            Stopped,
+            StoppedFar,
+            StoppedNear,
+            StoppedAtLimit,
+            StoppedBehind,
+            Cut,
+            Underrun,
+            Guard,
+            EndMismatch,
+            LinkSilent,
+            TickInTime,
+            TickAtDeadline,
+            TickLate,
+            Home,
+            Run,
+            Hold,
+            Resume,
+            ResumeElsewhere,
+            JogSame,
+            JogOther,
+            MoveTo,
+            Button,
+            ButtonNoPlan,
+            Stop,
+            EStop,
+            Acknowledge,
+        }
+    }
 
     /// No arm for "everything else": a new variant has to be added here, and then to the table.
     fn inputs_of_event(event: &Event) -> &'static [Input] {
@@ -1166,18 +1134,18 @@ mod table {
                     setup.event(Event::FarLimit);
                 }
             }
-            Back | BackMet | StopBack | StopLost | StopHoldBack | StopHoldMet | HeldBack
-            | HeldMet => {
+            Back | BackMet | StopBack | StopMet | StopLost | StopHoldBack | StopHoldMet
+            | HeldBack | HeldMet => {
                 setup.home(Ready);
                 setup.command(run, ON_FLAG);
                 setup.first_stroke();
                 match start {
-                    BackMet | StopHoldMet | HeldMet => setup.flag(true, 800),
+                    BackMet | StopMet | StopHoldMet | HeldMet => setup.flag(true, 800),
                     StopLost => setup.flag(true, 700),
                     _ => {}
                 }
                 match start {
-                    StopBack => setup.command(Command::Stop, CLOSED),
+                    StopBack | StopMet => setup.command(Command::Stop, CLOSED),
                     StopHoldBack | StopHoldMet => setup.command(Command::Hold, CLOSED),
                     HeldBack => setup.hold(4_000),
                     HeldMet => setup.hold(500),
@@ -1241,6 +1209,7 @@ mod table {
         StopHoming,
         StopRun,
         StopBack,
+        StopMet,
         StopLost,
         StopMove,
         StopHoldOut,
@@ -1260,6 +1229,7 @@ mod table {
         Finish,
         StopRun,
         StopBack,
+        StopMet,
         StopLost,
         StopHoldOut,
         StopHoldBack,
@@ -1592,7 +1562,7 @@ mod table {
             &[
                 StopHoming,
                 StopRun,
-                StopBack,
+                StopMet,
                 StopLost,
                 StopMove,
                 StopHoldOut,
@@ -1605,16 +1575,16 @@ mod table {
         (STOPPING, &[LinkSilent, Stop], "Stopping"),
         (&[StopHoming, StopMove], STROKES, "Stopping"),
         (
-            &[StopRun, StopBack, StopLost, StopHoldOut, StopHoldMet],
+            &[StopRun, StopMet, StopLost, StopHoldOut, StopHoldMet],
             &[StrokeDone],
             "Stopping StrokeDone",
         ),
         (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
         (&[StopMove], FINE_ENDS, "Ready Stopped"),
-        (&[StopRun, StopBack], STOPPED, "Ready RunEnded Stopped"),
+        (&[StopRun, StopMet], STOPPED, "Ready RunEnded Stopped"),
         // The stop came after the last step: the run is complete.
         (
-            &[StopRun, StopBack],
+            &[StopRun, StopMet],
             &[Complete],
             "Ready StrokeDone RunEnded Stopped",
         ),
@@ -1623,28 +1593,37 @@ mod table {
             FINE_ENDS,
             "LostSteps { residual_steps: -100 } Cut RunEnded Faulted",
         ),
-        // Stopping for a hold: the ledger goes on; behind the flag, the carriage must have met it.
+        // The ledger goes on while it brakes; behind the flag, the carriage must have met it.
+        (
+            &[StopBack],
+            &[StoppedFar, StoppedAtLimit],
+            "Ready RunEnded Stopped",
+        ),
         (&[StopHoldOut], STOPPED, "Held Held"),
         (&[StopHoldOut], &[Complete], "Ready StrokeDone RunEnded"),
         (
-            &[StopHoldBack],
+            &[StopBack, StopHoldBack],
             &[FlagOpens, FlagCloses, FlagClosesLate],
             "Stopping",
         ),
-        (&[StopHoldBack], &[FlagOpensLate], "Stopping StopPath"),
+        (
+            &[StopBack, StopHoldBack],
+            &[FlagOpensLate],
+            "Stopping StopPath",
+        ),
         (&[StopHoldBack], &[StoppedFar, StoppedAtLimit], "Held Held"),
         (
-            &[StopHoldBack],
+            &[StopBack, StopHoldBack],
             &[StoppedBehind],
             "LostSteps { residual_steps: -9 } Cut RunEnded Faulted",
         ),
         (
-            &[StopHoldBack],
+            &[StopBack, StopHoldBack],
             &[StoppedNear],
             "LostSteps { residual_steps: -300 } Cut RunEnded Faulted",
         ),
         (
-            &[StopHoldBack],
+            &[StopBack, StopHoldBack],
             &[StrokeDone, Complete, Stopped],
             "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
         ),
@@ -1676,12 +1655,12 @@ mod table {
     #[test]
     fn every_pair_of_state_and_input_is_in_the_table() {
         let mut wrong = String::new();
-        for start in STARTS {
+        for &start in STARTS {
             assert!(
                 starts_of(reach(start).state()).contains(&start),
                 "{start:?}"
             );
-            for input in INPUTS {
+            for &input in INPUTS {
                 assert!(inputs_of_event(&sample(input).1).contains(&input));
                 let rows: Vec<_> = TABLE
                     .iter()

@@ -346,16 +346,7 @@ mod anything {
                 reached[watch.machine.state() as usize] += 1;
             }
         }
-        for state in [
-            RigState::Unhomed,
-            RigState::Homing,
-            RigState::Ready,
-            RigState::Running,
-            RigState::Held,
-            RigState::Moving,
-            RigState::Stopping,
-            RigState::Faulted,
-        ] {
+        for state in crate::commands::STATES {
             let share = reached[state as usize] as f64 / (40 * sequences) as f64;
             assert!(share > 0.01, "{state:?} hardly ever reached: {share}");
         }

@@ -184,6 +184,13 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
                 max_um_s: 49_000,
             },
         ),
+        (
+            speeds(49_001, 10_000, 100_000),
+            Refusal::SpeedLimit {
+                needed_um_s: 49_001,
+                max_um_s: 49_000,
+            },
+        ),
     ] {
         assert_eq!(timed(timing), expected, "{timing:?}");
     }
@@ -226,7 +233,21 @@ fn a_refusal_names_the_value_and_what_is_allowed() {
             max_um_s: 49_000,
         }
     );
+    assert!(matches!(
+        timed(total(30_000_000, 100_000)),
+        Refusal::SpeedLimit {
+            needed_um_s: 52_000..53_000,
+            ..
+        }
+    ));
+    // The speed that the refusals suggest works.
+    let fastest = Run {
+        timing: speeds(49_000, 49_000, 2_000_000),
+        ..PAPER
+    };
+    assert!(solve(&fastest, &AXIS, &LIMITS).is_ok());
     assert_eq!(timed(total(u64::MAX, 100_000)), Refusal::TooSlow);
+    assert_eq!(timed(total(u64::MAX / 100, 1)), Refusal::TooSlow);
     // Dwells that leave no time at all: no acceleration would do.
     let dwelling = Run {
         far_dwell_us: 9_000_000,
@@ -314,6 +335,8 @@ fn a_refusal_counts_in_the_steps_of_the_axis() {
         );
         // 1 ms less the time of the first step: sqrt(2 * 78 nm / 2 m/s2) = 280 us.
         assert!((720..722).contains(&min), "{min}");
+        let least = dwells(min as u32, min as u32);
+        assert!(solve(&least, &fine, &LIMITS).is_ok());
     }
 }
 

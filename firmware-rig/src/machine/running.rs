@@ -241,7 +241,10 @@ impl Machine {
         let on_the_way_home = self.run.is_some_and(|run| {
             run.plan.forward().steps().0 > from && !run.flag_met && run.goes_home()
         });
-        let running = matches!(self.state, State::Running | State::Stopping(Then::Held));
+        let running = matches!(
+            self.state,
+            State::Running | State::Stopping(Then::Held | Then::Ready(_))
+        );
         (running && on_the_way_home).then(|| RigFault::LostSteps {
             residual_steps: counted.since(flag),
         })
@@ -276,6 +279,23 @@ impl Machine {
         self.track(report.commanded, report.counted);
     }
 
+    fn stroke_is_complete(&self, position: StepPosition) -> bool {
+        self.run
+            .is_some_and(|run| run.left(position) == Some(Steps(0)))
+    }
+
+    /// The fault of a carriage that stands where it should have met the flag, if it has `missed` it.
+    pub(super) fn lost_at_rest(
+        &self,
+        position: StepPosition,
+        missed: Option<RigFault>,
+    ) -> Option<RigFault> {
+        let flag = self.settings.flag;
+        let limit = self.settings.ledger_limit_steps;
+        let is_behind = position < flag && position.distance_to(flag).0 > limit;
+        missed.filter(|_| is_behind || self.stroke_is_complete(position))
+    }
+
     /// The carriage stands within its run.
     pub(super) fn held(
         &mut self,
@@ -284,19 +304,15 @@ impl Machine {
         missed: Option<RigFault>,
         actions: &mut Actions,
     ) {
-        let flag = self.settings.flag;
-        let limit = self.settings.ledger_limit_steps;
-        let behind_the_flag = position < flag && position.distance_to(flag).0 > limit;
-        let stroke_complete = self
-            .run
-            .is_some_and(|run| run.left(position) == Some(Steps(0)));
-        if let Some(fault) = missed.filter(|_| stroke_complete || behind_the_flag) {
+        if let Some(fault) = self.lost_at_rest(position, missed) {
             return self.latch(fault, actions);
         }
         if end == PathEnd::Complete || self.record.strokes == self.strokes {
             return self.complete(actions);
         }
-        if stroke_complete && let Some(run) = &mut self.run {
+        if self.stroke_is_complete(position)
+            && let Some(run) = &mut self.run
+        {
             let stroke = run.stroke;
             run.begin_stroke(stroke + 1);
             if stroke + 1 == self.strokes {
