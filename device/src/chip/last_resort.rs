@@ -10,7 +10,8 @@ use core::{
 use cortex_m_rt::ExceptionFrame;
 
 /// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
-/// `$outputs_off`, the image's safe state, before anything else.
+/// `$outputs_off`, the image's safe state, before anything else. From then on no task and no interrupt runs that could
+/// switch an output on again: a processor fault has the highest priority, and a panic switches the interrupts off.
 #[macro_export]
 macro_rules! last_resort {
     ($outputs_off:path) => {
@@ -21,6 +22,7 @@ macro_rules! last_resort {
         #[inline(always)]
         #[panic_handler]
         fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+            $crate::chip::last_resort::interrupts_off();
             $outputs_off();
             $crate::chip::last_resort::die_of_a_panic()
         }
@@ -28,6 +30,7 @@ macro_rules! last_resort {
         /// `defmt::panic!` has printed its message; it must not format it a second time.
         #[defmt::panic_handler]
         fn defmt_panic() -> ! {
+            $crate::chip::last_resort::interrupts_off();
             $outputs_off();
             $crate::chip::last_resort::die_of_a_failed_check()
         }
@@ -53,6 +56,12 @@ macro_rules! last_resort {
             $crate::chip::last_resort::die_of_a_fault(frame, interrupted)
         }
     };
+}
+
+/// Ends the work of all tasks and interrupts.
+#[inline(always)]
+pub fn interrupts_off() {
+    cortex_m::interrupt::disable();
 }
 
 /// True once the last words are kept. A later panic comes from logging them and must not replace them.

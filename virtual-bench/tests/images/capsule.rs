@@ -975,6 +975,9 @@ fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String)
         .visit(move |visit| sabotage.apply(visit))
         .expect("the bench runs");
     let armed_ns = capsule.bench.now_ns();
+    if deed == Misbehaviour::Panic {
+        stays_asleep(&mut capsule);
+    }
     capsule.bench.advance_us(1_500_000).expect("the bench runs");
     let resets = capsule.bench.bus().expect("the bench runs").resets;
     assert_eq!(resets.len(), 1, "{resets:?}\n{}", capsule.log());
@@ -1005,6 +1008,27 @@ fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String)
     );
     capsule.device.acknowledge().expect("the cause is gone");
     (resets[0].0 - armed_ns, words)
+}
+
+/// Whoever panics has the bridge asleep from then on, also while the last words are kept: no other task wakes it up.
+fn stays_asleep(capsule: &mut CapsuleRun) {
+    let mut was_asleep = false;
+    for _ in 0..6_000 {
+        capsule.bench.advance_us(20).expect("the bench runs");
+        let is_awake = capsule.look(|capsule| capsule.is_awake());
+        assert!(!(was_asleep && is_awake), "the bridge was woken up again");
+        was_asleep |= !is_awake;
+        if !capsule
+            .bench
+            .bus()
+            .expect("the bench runs")
+            .resets
+            .is_empty()
+        {
+            break;
+        }
+    }
+    assert!(was_asleep);
 }
 
 /// Longer than the watchdog's period and the two check-ins before it, ns.
