@@ -1,11 +1,16 @@
 //! Source revision of the images, for [`Identity`](../protocol/src/system.rs).
+use std::path::Path;
 use std::process::Command;
 
 fn main() {
-    // Without a repository the image says 0: "built outside a repository".
-    let commit = git(&["rev-parse", "HEAD"]);
+    // Outside of a repository, or within another one, the image says 0.
+    let root = Path::new("..").canonicalize().ok();
+    let top = git(&["rev-parse", "--show-toplevel"]);
+    let is_ours = root.is_some() && top.and_then(|top| Path::new(&top).canonicalize().ok()) == root;
+    let told = |arguments: &[&str]| is_ours.then(|| git(arguments)).flatten();
+    let commit = told(&["rev-parse", "HEAD"]);
     let commit = commit.as_ref().and_then(|hash| hash.get(..8));
-    let changes = git(&["status", "--porcelain", "--untracked-files=no"]);
+    let changes = told(&["status", "--porcelain", "--untracked-files=no"]);
     let dirty = changes.is_some_and(|changes| !changes.is_empty());
     println!(
         "cargo:rustc-env=RETROGRADE_COMMIT={}",
@@ -13,16 +18,26 @@ fn main() {
     );
     println!("cargo:rustc-env=RETROGRADE_DIRTY={}", u8::from(dirty));
     // Every commit and checkout writes this log; edits of the images' sources are watched directly.
-    if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]) {
+    if let Some(log) = told(&["rev-parse", "--git-path", "logs/HEAD"]) {
         println!("cargo:rerun-if-changed={log}");
+    } else if Path::new("../.git").exists() {
+        println!(
+            "cargo:warning=git does not tell the revision, so the image says 0: see `git status`"
+        );
     }
+    for file in ["Cargo.lock", "Cargo.toml", "memory.x"] {
+        println!("cargo:rerun-if-changed=../{file}");
+    }
+    // `cargo xtask lint structure` checks that no crate of an image is missing.
     for part in [
         "device",
         "firmware-rig",
+        "firmware-rig/measurements",
         "firmware-capsule",
         "motion",
         "planning",
         "protocol",
+        "wiring",
     ] {
         println!("cargo:rerun-if-changed=../{part}/src");
     }

@@ -70,6 +70,9 @@ const APART: [(&str, &[&str], &str); 4] = [
 ];
 /// Root of the one test program of a crate.
 const ALL_TESTS: &str = "tests/all.rs";
+/// The images, and the script that puts the source revision into them.
+const IMAGES: [&str; 2] = ["firmware-rig", "firmware-capsule"];
+const REVISION: &str = "device/build.rs";
 /// Where the figure of the crates is.
 const FIGURE: &str = "docs/architecture.md";
 
@@ -117,6 +120,7 @@ pub(crate) fn check() -> Result<()> {
     wrong.extend(apart(&packages));
     let drawn = fs::read_to_string(root().join(FIGURE)).unwrap_or_default();
     wrong.extend(figure(&drawn, &packages));
+    wrong.extend(unwatched(&read(&root().join(REVISION))?, &packages));
     if wrong.is_empty() {
         return Ok(());
     }
@@ -615,6 +619,24 @@ fn apart(packages: &[Package]) -> Vec<String> {
     wrong
 }
 
+/// Crates of an image that the script of the revision does not watch: a change there would leave the old revision in the
+/// image.
+fn unwatched(script: &str, packages: &[Package]) -> Vec<String> {
+    let edges = edges(packages);
+    let is_inside = |name: &str| {
+        IMAGES
+            .iter()
+            .any(|image| *image == name || reach(image, &edges).contains(name))
+    };
+    packages
+        .iter()
+        .filter(|package| is_inside(&package.name))
+        .map(|package| shown(&package.folder))
+        .filter(|folder| !script.contains(&format!("\"{folder}\",")))
+        .map(|folder| format!("{REVISION} does not watch {folder}/src"))
+        .collect()
+}
+
 fn edges(packages: &[Package]) -> BTreeMap<String, BTreeSet<String>> {
     packages
         .iter()
@@ -703,6 +725,25 @@ mod tests {
         ]
         .into();
         assert_eq!(circles(&edges), [["a", "b", "c"]]);
+    }
+
+    #[test]
+    fn the_revision_watches_whatever_is_in_an_image() {
+        let package = |name: &str, depends: &[&str]| Package {
+            name: name.to_owned(),
+            folder: root().join(name),
+            depends: depends.iter().map(|name| (*name).to_owned()).collect(),
+        };
+        let packages = [
+            package("firmware-rig", &["device"]),
+            package("device", &["wiring"]),
+            package("wiring", &[]),
+            package("serve", &["wiring"]),
+        ];
+        let found = unwatched("\"firmware-rig\",\n\"device\",", &packages);
+        assert_eq!(found, ["device/build.rs does not watch wiring/src"]);
+        let found = unwatched("\"firmware-rig\", \"device\", \"wiring\",", &packages);
+        assert_eq!(found, Vec::<String>::new());
     }
 
     #[test]
