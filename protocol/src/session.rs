@@ -93,8 +93,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Without a session. The first session's number follows from `first`: pass the boot id, so that a restarted
-    /// device does not begin with the same number again.
+    /// Without a session. The first session's number follows from `first` and the first nonce: pass the boot id, so
+    /// that a restarted device does not give the same program the same number again.
     pub const fn new(first: u32) -> Self {
         Self {
             number: (first % 255) as u8 + 1,
@@ -136,11 +136,10 @@ impl Session {
     fn greet(&mut self, hello: &Hello, seq: u16) -> Decision {
         let again = self.open && hello.nonce == self.nonce;
         if !again {
-            self.number = if self.number == u8::MAX {
-                1
-            } else {
-                self.number + 1
-            };
+            // After each switching-on the boot id is 1 again, and a program that has not noticed may hold the number
+            // that follows from it. So the first nonce decides, and then each number but the last one is as likely.
+            let on = if self.open { 1 } else { 1 + hello.nonce % 254 };
+            self.number = ((u32::from(self.number) - 1 + on) % 255) as u8 + 1;
             self.nonce = hello.nonce;
             self.newest_seq = None;
             self.cache.clear();

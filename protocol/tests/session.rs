@@ -122,6 +122,15 @@ fn a_restarted_device_begins_with_another_number() {
     }
 }
 
+/// A program that has not noticed the switching-on must not speak in the session of the next one.
+#[test]
+fn two_programs_get_different_numbers_from_a_device_that_was_switched_on_twice() {
+    let numbers: std::collections::BTreeSet<_> = (0..254)
+        .map(|nonce| greet(&mut Session::new(1), nonce))
+        .collect();
+    assert_eq!(numbers.len(), 254);
+}
+
 /// Before the first greeting there is no session, whatever number a frame has.
 #[test]
 fn nothing_runs_before_a_greeting() {
