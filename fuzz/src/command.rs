@@ -27,7 +27,7 @@ pub fn check(text: &str) {
 pub fn run(args: &[&str], connector: &dyn Connector) -> (u8, String) {
     let line = ["retrograde"].iter().chain(args).map(Into::into);
     let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line, connector, &mut out, &mut err, false);
+    let code = run_on(line, connector, &mut out, &mut err, None);
     let text = String::from_utf8([out, err].concat()).expect("UTF-8");
     check(&text);
     assert!(code == 0 || !text.is_empty(), "no word about it: {args:?}");

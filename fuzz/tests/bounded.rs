@@ -3,15 +3,15 @@
 use std::fs;
 use std::path::Path;
 
-use fuzz::{MAX_LEN, TARGETS, Target};
+use fuzz::MAX_LEN;
 use proptest::prelude::*;
 use proptest::sample::Index;
 use proptest::test_runner::{Config, TestCaseError, TestRunner};
 
-fn corpus(target: &Target) -> Vec<Vec<u8>> {
+fn corpus(name: &str) -> Vec<Vec<u8>> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("corpus")
-        .join(target.name);
+        .join(name);
     let files = fs::read_dir(&folder).expect("a folder");
     let mut paths: Vec<_> = files.map(|file| file.expect("a file").path()).collect();
     paths.sort();
@@ -45,13 +45,11 @@ fn changed(mut bytes: Vec<u8>, changes: &[Change], other: &[u8], most: usize) ->
 }
 
 /// The corpus, and so many cases of the seed in `.cargo/config.toml`.
-fn bounded(name: &str, cases: u32) {
-    let target = TARGETS.iter().find(|target| target.name == name);
-    let target = target.expect("a target");
-    let corpus = corpus(target);
+fn bounded(name: &str, target: fn(&[u8]), cases: u32) {
+    let corpus = corpus(name);
     for bytes in &corpus {
         assert!(bytes.len() <= MAX_LEN, "longer than it is fuzzed");
-        (target.run)(bytes);
+        target(bytes);
     }
     let config = Config {
         cases,
@@ -68,7 +66,7 @@ fn bounded(name: &str, cases: u32) {
     });
     let script = prop_oneof![3 => script, 1 => noise];
     let run = |bytes: Vec<u8>| -> Result<(), TestCaseError> {
-        (target.run)(&bytes);
+        target(&bytes);
         Ok(())
     };
     if let Err(found) = TestRunner::new(config).run(&script, run) {
@@ -78,45 +76,45 @@ fn bounded(name: &str, cases: u32) {
 
 #[test]
 fn bytes_at_the_receiver() {
-    bounded("stream", 10_000);
+    bounded("stream", fuzz::stream::target, 10_000);
 }
 
 #[test]
 fn bodies_in_good_frames() {
-    bounded("bodies", 1_000);
+    bounded("bodies", fuzz::bodies::target, 1_000);
 }
 
 #[test]
 fn what_a_device_says() {
-    bounded("host", 1_000);
+    bounded("host", fuzz::host::target, 1_000);
 }
 
 #[test]
 fn guests_at_the_door() {
-    bounded("sidedoor", 8_000);
+    bounded("sidedoor", fuzz::sidedoor::target, 8_000);
 }
 
 #[test]
 fn requests_over_http() {
-    bounded("http", 300);
+    bounded("http", fuzz::http::target, 300);
 }
 
 #[test]
 fn changed_records() {
-    bounded("records", 4_000);
+    bounded("records", fuzz::records::target, 4_000);
 }
 
 #[test]
 fn changed_documents() {
-    bounded("documents", 2_000);
+    bounded("documents", fuzz::documents::target, 2_000);
 }
 
 #[test]
 fn changed_folders() {
-    bounded("folders", 300);
+    bounded("folders", fuzz::folders::target, 300);
 }
 
 #[test]
 fn crowds_of_requests() {
-    bounded("together", 1_000);
+    bounded("together", fuzz::together::target, 1_000);
 }

@@ -1,7 +1,7 @@
 //! Hands at the machines on the bench: they press, pull and measure as `retrograde commission` asks a person to.
 
 use std::io::{BufRead, BufReader, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -112,13 +112,9 @@ impl BenchHands {
                 });
                 hold.map_err(ended)?;
             }
-            (
-                Machine::Rig(_),
-                wish @ Wish::Do(Act {
-                    part: Part::Rotor, ..
-                }),
-            ) => return Err(format!("this machine cannot `{wish}`")),
-            (Machine::Rig(bench), Wish::Do(act)) => do_at_rig(bench, act).map_err(ended)?,
+            (Machine::Rig(bench), Wish::Do(act)) if act.part != Part::Rotor => {
+                do_at_rig(bench, act).map_err(ended)?;
+            }
             (Machine::Rig(bench), Wish::Read(Reading::Carriage)) => {
                 let um = bench.visit(|visit| visit.board().rig.carriage_um());
                 return um.map(Some).map_err(ended);
@@ -195,43 +191,8 @@ impl Hands for BenchHands {
     }
 }
 
-/// The hands behind a port of the loopback interface.
-pub struct HandsServer {
-    listener: TcpListener,
-}
-
-impl HandsServer {
-    /// Listens on `port`, or on a free one if it is 0.
-    ///
-    /// # Errors
-    /// [`BenchError::Listen`] when the port is taken.
-    pub fn listen(port: u16) -> Result<Self, BenchError> {
-        let listener =
-            TcpListener::bind(("127.0.0.1", port)).map_err(|why| BenchError::Listen {
-                address: format!("127.0.0.1:{port}"),
-                why,
-            })?;
-        Ok(Self { listener })
-    }
-
-    /// The port it listens on.
-    #[must_use]
-    pub fn port(&self) -> u16 {
-        self.listener
-            .local_addr()
-            .map_or(0, |address| address.port())
-    }
-
-    /// Answers one client after the other, forever.
-    pub fn serve(&self, hands: &BenchHands) {
-        for stream in self.listener.incoming().flatten() {
-            // An error of one client ends its conversation, not the server.
-            let _ = converse(&stream, hands);
-        }
-    }
-}
-
-fn converse(stream: &TcpStream, hands: &BenchHands) -> std::io::Result<()> {
+/// Answers a client until it is gone.
+pub(crate) fn converse(stream: &TcpStream, hands: &BenchHands) -> std::io::Result<()> {
     let mut out = stream;
     for line in BufReader::new(stream).lines() {
         let answer = match line?.parse().and_then(|wish| hands.carry_out(wish)) {

@@ -15,7 +15,7 @@ use virtual_bench::connector::BenchPorts;
 use virtual_bench::demo::{self, DemoOptions};
 use virtual_bench::emulator::Wiring;
 use virtual_bench::figures;
-use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
+use virtual_bench::hands::{BenchHands, Machine, Plug};
 use virtual_bench::peers;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::RigOptions;
@@ -256,12 +256,12 @@ fn lend_hands(
     name: &'static str,
     port: u16,
 ) -> Result<(), BenchError> {
-    let server = HandsServer::listen(port)?;
+    let server = Server::listen(port)?;
     eprintln!(
         "hands at the {name}: --yes --hands 127.0.0.1:{}",
         server.port()
     );
     let hands = BenchHands::new(machine, plug.clone()).served();
-    thread::spawn(move || server.serve(&hands));
+    thread::spawn(move || server.serve_hands(&hands));
     Ok(())
 }

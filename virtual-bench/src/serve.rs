@@ -1,4 +1,4 @@
-//! Serves a machine on TCP in real time, like a serial port.
+//! Serves a machine on TCP in real time, like a serial port, and the hands at it.
 //!
 //! The machine runs on its own thread and writes to its client from there. A second thread waits for clients, and a
 //! third one for bytes from the client.
@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use crate::bench::{Bench, BenchError, Ear, Outside};
 use crate::emulator::Wiring;
-use crate::hands::Plug;
+use crate::hands::{BenchHands, Plug, converse};
 use crate::pace::Slow;
 
 /// How long a client may leave its line full before it is disconnected: the machine must not wait for it.
@@ -21,7 +21,7 @@ const PATIENCE: Duration = Duration::from_millis(1);
 /// Time for which the machine boots before it is paced, us: time spent on translating its code must not count as lost.
 const BOOT_US: u64 = 500_000;
 
-/// A machine behind a port of the loopback interface.
+/// A machine, or the hands at one, behind a port of the loopback interface.
 pub struct Server {
     listener: TcpListener,
 }
@@ -77,6 +77,14 @@ impl Server {
         // Nothing is ever sent: this returns when the machine drops its end.
         let _ = end.recv();
         bench.visit(|_| ())
+    }
+
+    /// Answers one client of these hands after the other, forever.
+    pub fn serve_hands(&self, hands: &BenchHands) {
+        for stream in self.listener.incoming().flatten() {
+            // An error of one client ends its conversation, not the server.
+            let _ = converse(&stream, hands);
+        }
     }
 }
 

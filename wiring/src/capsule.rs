@@ -1,6 +1,6 @@
 //! Wiring of the capsule's electronics on the development board.
 
-use crate::{Pin, Signal};
+use crate::{Pin, Signal, signal};
 
 /// Inputs of the bridge.
 pub const IN1: Pin = Pin::new('B', 4);
@@ -35,11 +35,3 @@ pub const SIGNALS: [Signal; 11] = [
     signal("serial, out", SERIAL[0], "USART2, DMA1 stream 6"),
     signal("serial, in", SERIAL[1], "USART2, DMA1 stream 5"),
 ];
-
-const fn signal(name: &'static str, pin: Pin, function: &'static str) -> Signal {
-    Signal {
-        name,
-        pin,
-        function,
-    }
-}

@@ -27,9 +27,7 @@ impl Pin {
         );
         Self { port, number }
     }
-}
 
-impl Pin {
     /// Whether this is that pin; for checks at compile time.
     #[must_use]
     pub const fn is(self, port: char, number: usize) -> bool {
@@ -52,4 +50,12 @@ pub struct Signal {
     pub pin: Pin,
     /// Peripheral function of the chip there; empty for a plain input or output.
     pub function: &'static str,
+}
+
+const fn signal(name: &'static str, pin: Pin, function: &'static str) -> Signal {
+    Signal {
+        name,
+        pin,
+        function,
+    }
 }

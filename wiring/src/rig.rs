@@ -1,6 +1,6 @@
 //! Wiring of the rig.
 
-use crate::{Pin, Signal};
+use crate::{Pin, Signal, signal};
 
 /// Step pulses to the driver.
 pub const STEP: Pin = Pin::new('A', 10);
@@ -47,11 +47,3 @@ pub const SIGNALS: [Signal; 13] = [
     signal("serial, out", SERIAL[0], "USART2, DMA1 stream 6"),
     signal("serial, in", SERIAL[1], "USART2, DMA1 stream 5"),
 ];
-
-const fn signal(name: &'static str, pin: Pin, function: &'static str) -> Signal {
-    Signal {
-        name,
-        pin,
-        function,
-    }
-}

@@ -3,16 +3,16 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::layout::{Budget, Layout, Memory, STM32F411RE};
+use crate::layout::{Budget, Layout};
 use crate::process::{Failure, Result, root, run};
 use crate::toolchain::{self, TARGET, Toolchain};
 
-/// An image, its chip, and the memory that it may take.
+/// Name of the chip for `probe-rs`.
+const CHIP: &str = "STM32F411RETx";
+
+/// An image and the memory that it may take.
 struct Image {
     name: &'static str,
-    /// Name of the chip for `probe-rs`.
-    chip: &'static str,
-    memory: &'static Memory,
     budget: Budget,
 }
 
@@ -21,8 +21,6 @@ struct Image {
 const IMAGES: [Image; 3] = [
     Image {
         name: "firmware-rig",
-        chip: "STM32F411RETx",
-        memory: &STM32F411RE,
         budget: Budget {
             flash_bytes: 80 * 1024,
             ram_bytes: 48 * 1024,
@@ -30,8 +28,6 @@ const IMAGES: [Image; 3] = [
     },
     Image {
         name: "firmware-capsule",
-        chip: "STM32F411RETx",
-        memory: &STM32F411RE,
         // A larger flash budget: code is needed to tell a capsule's own changes from a fault, and flash takes no energy
         // from the cell.
         budget: Budget {
@@ -42,8 +38,6 @@ const IMAGES: [Image; 3] = [
     // Measures what only a board can tell: the rig's motion without its tasks.
     Image {
         name: "firmware-board",
-        chip: "STM32F411RETx",
-        memory: &STM32F411RE,
         budget: Budget {
             flash_bytes: 64 * 1024,
             ram_bytes: 48 * 1024,
@@ -108,7 +102,7 @@ pub(crate) fn log_of(machine: &str) -> Result<Command> {
     let image = of(machine)?;
     let mut command = Command::new("probe-rs");
     command
-        .args(["run", "--chip", image.chip])
+        .args(["run", "--chip", CHIP])
         .args(KEEP_RESETS)
         .arg(path_of(image));
     Ok(command)
@@ -170,7 +164,7 @@ pub(crate) fn check() -> Result<()> {
             let what = format!("{} cannot be read: {error}", path.display());
             Failure::new(what, "build it with `cargo xtask images`")
         })?;
-        let layout = match Layout::read(&file, image.memory) {
+        let layout = match Layout::read(&file) {
             Ok(layout) => layout,
             Err(reason) => {
                 objections.push(format!("{}: {reason}", image.name));

@@ -12,7 +12,7 @@ use object::{Object as _, ObjectSection as _};
 
 /// Memory of a chip. `memory.x` defines the settings' sectors and the start of the code.
 #[derive(Debug)]
-pub(crate) struct Memory {
+struct Memory {
     flash: Range<u32>,
     settings: Range<u32>,
     code: Range<u32>,
@@ -24,7 +24,7 @@ pub(crate) struct Memory {
 }
 
 /// 512 KiB of flash, 128 KiB of RAM.
-pub(crate) static STM32F411RE: Memory = Memory {
+static STM32F411RE: Memory = Memory {
     flash: 0x0800_0000..0x0808_0000,
     settings: 0x0800_4000..0x0801_0000,
     code: 0x0801_0000..0x0808_0000,
@@ -46,7 +46,6 @@ pub(crate) struct Budget {
 /// Addresses and sizes of an image.
 #[derive(Debug)]
 pub(crate) struct Layout {
-    memory: &'static Memory,
     pub(crate) flash_bytes: u32,
     pub(crate) ram_bytes: u32,
     /// Load addresses of everything that is programmed.
@@ -60,15 +59,14 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// Reads an image for a chip.
+    /// Reads an image.
     ///
     /// # Errors
     /// Not a 32-bit little-endian ELF file, or a damaged one.
-    pub(crate) fn read(file: &[u8], memory: &'static Memory) -> object::Result<Self> {
+    pub(crate) fn read(file: &[u8]) -> object::Result<Self> {
         let elf = ElfFile32::<LittleEndian>::parse(file)?;
         let endian = elf.endian();
         let mut layout = Self {
-            memory,
             flash_bytes: 0,
             ram_bytes: 0,
             programmed: Vec::new(),
@@ -91,7 +89,7 @@ impl Layout {
             if header.sh_type(endian) != SHT_NOBITS {
                 layout.flash_bytes = layout.flash_bytes.saturating_add(length);
             }
-            if start >= memory.ram.start {
+            if start >= STM32F411RE.ram.start {
                 layout.ram_bytes = layout.ram_bytes.saturating_add(length);
             }
             match section.name()? {
@@ -125,7 +123,7 @@ impl Layout {
             code,
             stack: whole_stack,
             ..
-        } = self.memory;
+        } = &STM32F411RE;
         match self.vectors {
             None => found.push("no vector table: the chip would not boot".to_owned()),
             Some((place, stack, reset)) => {
@@ -180,10 +178,10 @@ impl Layout {
                 ));
             }
         }
-        if self.frame_bytes > self.memory.gap {
+        if self.frame_bytes > STM32F411RE.gap {
             found.push(format!(
                 "a frame of {} bytes steps over the {} bytes without memory below the stack",
-                self.frame_bytes, self.memory.gap
+                self.frame_bytes, STM32F411RE.gap
             ));
         }
         found
@@ -237,7 +235,6 @@ mod tests {
 
     fn sound() -> Layout {
         Layout {
-            memory: &STM32F411RE,
             flash_bytes: BUDGET.flash_bytes,
             ram_bytes: BUDGET.ram_bytes,
             programmed: vec![0x0800_0000..0x0800_0198, 0x0801_0000..0x0801_F000],
@@ -311,33 +308,9 @@ mod tests {
 
     #[test]
     fn what_is_not_an_image_is_refused() {
-        assert!(Layout::read(b"MZ, or so", &STM32F411RE).is_err());
+        assert!(Layout::read(b"MZ, or so").is_err());
         let this_program = std::fs::read(std::env::current_exe().unwrap()).unwrap();
-        assert!(Layout::read(&this_program, &STM32F411RE).is_err());
-    }
-
-    /// 128 KiB of flash, 40 KiB of RAM.
-    static SMALLER: Memory = Memory {
-        flash: 0x0800_0000..0x0802_0000,
-        settings: 0x0800_4000..0x0801_0000,
-        code: 0x0801_0000..0x0802_0000,
-        ram: 0x2000_5000..0x2000_A000,
-        stack: 0x2000_0000..0x2000_5000,
-        gap: 32 * 1024,
-    };
-
-    /// The same image on a chip with less memory.
-    #[test]
-    fn what_fits_one_chip_is_refused_for_a_smaller_one() {
-        let mut layout = sound();
-        layout.memory = &SMALLER;
-        let found = layout.objections(BUDGET).join("; ");
-        assert!(found.contains("stack starts at 0x2000f800"), "{found}");
-        layout.vectors = Some((0x0800_0000, 0x2000_5000, 0x0801_0001));
-        assert_eq!(layout.objections(BUDGET), Vec::<String>::new());
-        layout.programmed[1].end = 0x0802_0001;
-        let found = layout.objections(BUDGET).join("; ");
-        assert!(found.contains("outside of flash"), "{found}");
+        assert!(Layout::read(&this_program).is_err());
     }
 
     /// The addresses above must equal those of the linker script.

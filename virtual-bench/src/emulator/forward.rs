@@ -20,11 +20,6 @@ macro_rules! forward {
             rigless::device::Device::peek(&self.$inner, register, registers, now)
         }
     };
-    (@ $inner:ident reset) => {
-        fn reset(&mut self) {
-            rigless::device::Device::reset(&mut self.$inner);
-        }
-    };
     (@ $inner:ident read) => {
         fn read(
             &mut self,
@@ -35,9 +30,6 @@ macro_rules! forward {
             rigless::device::Device::read(&mut self.$inner, register, registers, context)
         }
     };
-    (@ $inner:ident write) => {
-        $crate::emulator::forward::forward!(@ $inner write(register: Self::Register, value: u64));
-    };
     (@ $inner:ident on_event) => {
         $crate::emulator::forward::forward!(@ $inner on_event(event: rigless::time::EventId));
     };
@@ -46,6 +38,12 @@ macro_rules! forward {
     };
     (@ $inner:ident on_refused) => {
         $crate::emulator::forward::forward!(@ $inner on_refused(token: u64));
+    };
+    (@ $inner:ident on_clock) => {
+        $crate::emulator::forward::forward!(@ $inner on_clock(hz: u64));
+    };
+    (@ $inner:ident on_access) => {
+        $crate::emulator::forward::forward!(@ $inner on_access(token: u64, value: u64));
     };
     (@ $inner:ident poll) => {
         $crate::emulator::forward::forward!(@ $inner poll());

@@ -5,7 +5,7 @@
 //! are applied in a context whose events lead nowhere. The emulator stops only for those that raise a request or an
 //! interrupt.
 
-use rigless::device::{Device, DeviceContext, RegisterFile, RequestChange};
+use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::tim2::Register;
 use rigless::soc::stm32f427::peripherals::tim::{General, Tim};
 use rigless::soc::{Bus, Cpu, Error, Peripheral};
@@ -243,7 +243,7 @@ fn is_noticed(high: bool, registers: &RegisterFile) -> bool {
 impl Device for Quiet {
     type Register = Register;
 
-    forward!(tim: layout, peek, on_refused, poll);
+    forward!(tim: layout, peek, on_refused, on_request, on_clock, on_access, poll);
 
     /// Reads the status without bringing the timer up to date: an edge of this very instruction may still be applied
     /// after it, with its own instant.
@@ -289,29 +289,6 @@ impl Device for Quiet {
         self.awaited = None;
         // The timer does not know this event, so bring it up to date instead.
         self.settle(registers, context);
-    }
-
-    fn on_request(
-        &mut self,
-        request: RequestChange,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_request(&mut self.tim, request, registers, context);
-    }
-
-    fn on_clock(&mut self, hz: u64, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        Device::on_clock(&mut self.tim, hz, registers, context);
-    }
-
-    fn on_access(
-        &mut self,
-        token: u64,
-        value: u64,
-        registers: &mut RegisterFile,
-        context: &mut DeviceContext<'_>,
-    ) {
-        Device::on_access(&mut self.tim, token, value, registers, context);
     }
 
     fn reset(&mut self) {

@@ -37,7 +37,7 @@ fn retrograde(args: &[&str]) -> String {
         .iter()
         .chain(args)
         .map(OsString::from);
-    let code = cli::run_on(line, &BenchPorts::default(), &mut out, &mut err, false);
+    let code = cli::run_on(line, &BenchPorts::default(), &mut out, &mut err, None);
     out.extend(err);
     let text = String::from_utf8_lossy(&out).into_owned();
     assert_eq!(code, 0, "{args:?}: {text}");

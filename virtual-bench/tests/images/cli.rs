@@ -46,7 +46,7 @@ fn retrograde(rig: &RigRun, arguments: &[&str]) -> (u8, String) {
         .iter()
         .chain(arguments)
         .map(std::ffi::OsString::from);
-    let code = cli::run_on(arguments, &connector, &mut out, &mut err, false);
+    let code = cli::run_on(arguments, &connector, &mut out, &mut err, None);
     out.extend(err);
     (code, String::from_utf8_lossy(&out).into_owned())
 }

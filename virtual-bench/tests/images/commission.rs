@@ -28,11 +28,12 @@ use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::RigBoard;
 use virtual_bench::boards::{capsule, rig};
 use virtual_bench::faults::When;
-use virtual_bench::hands::{BenchHands, HandsServer, Machine, Plug};
+use virtual_bench::hands::{BenchHands, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
 use virtual_bench::plants::wire::Fault;
+use virtual_bench::serve::Server;
 
 /// One machine with hands at it.
 struct Workshop {
@@ -118,7 +119,7 @@ fn retrograde(workshop: &Workshop, arguments: &[&str]) -> (u8, String) {
     let arguments = ["retrograde"].iter().chain(arguments).map(OsString::from);
     let places = ["--rig", "virtual", "--capsule", "virtual"].map(OsString::from);
     let line = arguments.chain(places);
-    let code = cli::run_on(line, workshop, &mut out, &mut err, false);
+    let code = cli::run_on(line, workshop, &mut out, &mut err, None);
     out.extend(err);
     (code, String::from_utf8_lossy(&out).into_owned())
 }
@@ -672,10 +673,10 @@ fn a_file_and_its_image_have_the_same_fingerprint() {
 #[test]
 fn hands_behind_a_port_do_what_they_are_asked() {
     let bench = rig_bench(short());
-    let server = HandsServer::listen(0).expect("a port");
+    let server = Server::listen(0).expect("a port");
     let place = format!("127.0.0.1:{}", server.port());
     let hands = BenchHands::new(Machine::Rig(bench.clone()), Plug::default()).served();
-    std::thread::spawn(move || server.serve(&hands));
+    std::thread::spawn(move || server.serve_hands(&hands));
     let mut hands = Remote::connect(&place).expect("they listen");
     let mut say = |_: &str| {};
     let mut watch = || Ok(false);
