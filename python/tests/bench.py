@@ -36,7 +36,7 @@ def missing() -> Optional[str]:
     folder = programs()
     for name in ("retrograde", "virtual-bench"):
         if not (folder / name).exists():
-            return f"no {name} in {folder}: `cargo build --workspace`, or RETROGRADE_PROGRAMS=FOLDER"
+            return f"no {name} in {folder}: `cargo build --workspace --ignore-rust-version`, or RETROGRADE_PROGRAMS=FOLDER"
     helps = subprocess.run([folder / "retrograde", "serve", "--help"], capture_output=True, check=False)
     return None if helps.returncode == 0 else f"{folder / 'retrograde'} has no `serve`: build it again"
 

@@ -54,8 +54,10 @@ def navigation(home):
 def on_files(files, config):
     """Takes every Markdown file that git knows or would add, and each file that one of them leads to."""
     git = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "*.md"]
-    known = subprocess.run(git, cwd=ROOT, check=True, capture_output=True, text=True).stdout.splitlines()
+    known = subprocess.run(git, cwd=ROOT, stdout=subprocess.PIPE, text=True).stdout.splitlines()
     pages = [page for page in known if (ROOT / page).is_file()]
+    if not pages:
+        raise PluginError("git knows no page here: run it in a checkout")
     led_to = [beside(page, target) for page in pages for target in LINK.findall((ROOT / page).read_text("utf-8"))]
     paths = sorted({*pages, *(path for path in led_to if (ROOT / path).is_file())})
     of_theme = [file for file in files if file.src_dir != config.docs_dir]

@@ -70,8 +70,9 @@ cargo xtask <command>
   setup             find or install a compiler for the STM32, and nothing else
   help              this text
 
-Nothing has to be installed before, except for what `mutants` and `fuzz` need. If the Rust in use has no ARM target,
-it is added with rustup or taken from Debian packages; each command says what it does.
+What has to be there: stable Rust and a C compiler; for `test` python3; for `lint` and `ci` also rustfmt, clippy, git and
+Python's venv; what `mutants` and `fuzz` need they say. If the Rust in use has no ARM target, it is added with rustup or
+taken from Debian packages; each command says what it does.
 ";
 
 fn main() -> ExitCode {

@@ -24,7 +24,12 @@ pub(crate) fn check() -> Result<()> {
     let mut git = Command::new("git");
     git.args(["ls-files", "*.md"]).current_dir(root());
     let mut pages = BTreeMap::new();
-    for name in lines_of(&mut git, "run it in a checkout of the repository")? {
+    let remedy = "run it in a checkout, with git; if that is somebody else's, git says above what it asks for";
+    let names = lines_of(&mut git, remedy)?;
+    if names.is_empty() {
+        return Err(Failure::new("git knows no page here", remedy));
+    }
+    for name in names {
         // A page that is deleted but not committed is reported where a link leads to it.
         if let Ok(text) = fs::read_to_string(root().join(&name)) {
             pages.insert(PathBuf::from(name), text);

@@ -4,6 +4,7 @@ use std::fmt;
 use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
+use std::sync::OnceLock;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -33,12 +34,13 @@ pub(crate) type Result<T> = std::result::Result<T, Failure>;
 
 /// Variables that change the output of a compiler. `cargo run` or the user's shell sets them for the host;
 /// an image must not depend on them.
-const STEERS_A_COMPILER: [&str; 14] = [
+const STEERS_A_COMPILER: [&str; 15] = [
     "CARGO",
     "CARGO_BUILD_RUSTC",
     "CARGO_BUILD_RUSTFLAGS",
     "CARGO_BUILD_TARGET",
     "CARGO_ENCODED_RUSTFLAGS",
+    "CARGO_INCREMENTAL",
     "CARGO_TARGET_DIR",
     "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_LINKER",
     "CARGO_TARGET_THUMBV7EM_NONE_EABIHF_RUSTFLAGS",
@@ -58,9 +60,18 @@ pub(crate) fn root() -> PathBuf {
     package.parent().unwrap_or(Path::new(".")).to_path_buf()
 }
 
-/// The folder that cargo builds in for the host.
+/// The folder that cargo builds in for the host, wherever that is set.
 pub(crate) fn target() -> PathBuf {
-    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root().join("target"), PathBuf::from)
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    let asked = || {
+        let mut cargo = host_cargo("metadata");
+        let told = output_of(cargo.args(["--no-deps", "--format-version", "1"]))?;
+        let (_, rest) = told.split_once("\"target_directory\":\"")?;
+        Some(PathBuf::from(rest.split('"').next()?))
+    };
+    FOLDER
+        .get_or_init(|| asked().unwrap_or_else(|| root().join("target")))
+        .clone()
 }
 
 /// A command of the cargo that runs this program, for the host.
@@ -155,7 +166,12 @@ pub(crate) fn errors_of(command: &mut Command, remedy: &str) -> (Vec<String>, Re
     };
     let mut lines = vec![];
     if let Some(errors) = child.stderr.take() {
-        for line in BufReader::new(errors).lines().map_while(io::Result::ok) {
+        // A test may print bytes that are no text.
+        for line in BufReader::new(errors)
+            .split(b'\n')
+            .map_while(io::Result::ok)
+        {
+            let line = String::from_utf8_lossy(&line).into_owned();
             eprintln!("{line}");
             lines.push(line);
         }
@@ -170,8 +186,8 @@ pub(crate) fn errors_of(command: &mut Command, remedy: &str) -> (Vec<String>, Re
 
 /// As [`run`], but kills the child if it takes longer than `limit`.
 pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -> Result<()> {
-    println!("$ {}", spelled(command));
     let text = spelled(command);
+    println!("$ {text}");
     let failure = |reason: String| Failure::new(format!("{text} {reason}"), remedy);
     let mut child = command
         .stdin(Stdio::null())
@@ -202,7 +218,8 @@ pub(crate) fn first_line(command: &mut Command) -> Option<String> {
 
 /// Whether cargo has a subcommand of this name, built in or installed.
 pub(crate) fn installed(subcommand: &str) -> bool {
-    output_of(&mut host_cargo("--list")).is_some_and(|list| {
+    let mut cargo = host_cargo("--list");
+    output_of(cargo.env("CARGO_TERM_COLOR", "never")).is_some_and(|list| {
         list.lines()
             .any(|line| line.split_whitespace().next() == Some(subcommand))
     })

@@ -61,7 +61,7 @@ fn prepared() -> Result<Command> {
     bench::accept_this_rust(&mut cargo);
     run(&mut cargo, "fix what the compiler reports above")?;
     let python = with_packages();
-    if !answers(&python) {
+    if !quiet(Command::new(&python).arg("--version")) {
         return Err(Failure::new(
             "there is no python3",
             "install Python 3.9 or newer: Debian's package is `python3`",
@@ -105,7 +105,7 @@ fn environment_in(folder: &Path) -> Option<PathBuf> {
     let python = folder.join("bin/python");
     let is_whole = || quiet(Command::new(&python).args(["-m", "pip", "--version"]));
     let made = || {
-        quiet(
+        succeeds(
             Command::new("python3")
                 .args(["-m", "venv", "--clear"])
                 .arg(folder),
@@ -118,19 +118,16 @@ fn environment_in(folder: &Path) -> Option<PathBuf> {
 pub(crate) fn provides(python: &Path, statement: &str, packages: &[impl AsRef<OsStr>]) -> bool {
     let has = || quiet(Command::new(python).args(["-c", statement]));
     let install = ["-m", "pip", "install", "--quiet", "--retries", "1"];
-    let installs = || quiet(Command::new(python).args(install).args(packages));
+    let installs = || succeeds(Command::new(python).args(install).args(packages));
     has() || (installs() && has())
 }
 
 fn quiet(command: &mut Command) -> bool {
-    let ended = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
-    ended.is_ok_and(|status| status.success())
+    succeeds(command.stdout(Stdio::null()).stderr(Stdio::null()))
 }
 
-fn answers(python: &Path) -> bool {
-    let mut version = Command::new(python);
-    version.arg("--version").stdout(Stdio::null());
-    version.status().is_ok_and(|status| status.success())
+fn succeeds(command: &mut Command) -> bool {
+    command.status().is_ok_and(|status| status.success())
 }
 
 #[cfg(test)]
@@ -149,7 +146,7 @@ mod tests {
         let python = bin.join("python");
         std::fs::write(&python, "#!/bin/sh\n[ \"$1\" = --version ]\n").expect("written");
         std::fs::set_permissions(&python, PermissionsExt::from_mode(0o755)).expect("set");
-        assert!(answers(&python));
+        assert!(quiet(Command::new(&python).arg("--version")));
         // None where there can be none.
         let made = environment_in(&folder);
         assert!(made.is_none_or(|python| quiet(Command::new(python).args(["-c", "import venv"]))));

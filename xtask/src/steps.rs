@@ -209,6 +209,9 @@ fn table(done: &[Done], all: Duration) -> String {
         if let Some(counts) = step.counts.filter(|counts| counts.failed > 0) {
             line += &format!("  {} of them failed", counts.failed);
         }
+        if let Some(counts) = step.counts.filter(|counts| counts.ignored > 0) {
+            line += &format!("  {} left out", counts.ignored);
+        }
         lines.push(line);
     }
     let tests: u32 = (done.iter().filter_map(|step| step.counts))

@@ -65,7 +65,7 @@ impl fmt::Display for Toolchain {
 fn crates() -> Vec<PathBuf> {
     let cargo_home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let sources = cargo_home
-        .or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".cargo")))
+        .or_else(|| Some(std::env::home_dir()?.join(".cargo")))
         .unwrap_or_default()
         .join("registry/src");
     // This program was built from these folders. Without them (vendored sources) the texts in the image are longer.

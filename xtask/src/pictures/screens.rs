@@ -151,10 +151,12 @@ fn program(name: &str) -> Command {
 }
 
 fn spawn(command: &mut Command) -> Result<Child> {
-    command
-        .stdin(Stdio::null())
-        .spawn()
-        .map_err(|why| Failure::new(format!("{command:?}: {why}"), "`cargo build --workspace`"))
+    command.stdin(Stdio::null()).spawn().map_err(|why| {
+        Failure::new(
+            format!("{command:?}: {why}"),
+            "`cargo build --workspace --ignore-rust-version`",
+        )
+    })
 }
 
 /// Starts a program and reads what it says until a line has each of these parts; those lines.
