@@ -2,7 +2,6 @@
 
 mod ack;
 mod actuation;
-mod already;
 mod calculation;
 mod campaign;
 mod capsule;
@@ -14,7 +13,6 @@ mod cycle;
 mod design;
 mod devices;
 mod doctor;
-mod ended;
 mod failure;
 mod fit;
 mod flash;
@@ -311,6 +309,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
     let at = At {
         terminal,
         single_keys: true,
+        environment: true,
         keyboard: keyboard::standard(),
     };
     ExitCode::from(run_in(args, connector, &mut out, &mut err, at))
@@ -320,33 +319,23 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
 #[must_use]
 pub fn is_virtual(args: &[OsString]) -> bool {
     let is_virtual = |given: &Given| given.address == Ok(Address::Virtual);
-    parsed(args).is_ok_and(|cli| [cli.rig, cli.capsule].iter().flatten().any(is_virtual))
+    parsed(args, true).is_ok_and(|cli| [cli.rig, cli.capsule].iter().flatten().any(is_virtual))
 }
 
-/// Runs one command line on these streams, without a keyboard. `terminal` allows a progress bar on standard error.
-/// Returns the exit code.
+/// Runs one command line on these streams, which are no terminal; a person at `keyboard` answers questions and may hold
+/// and resume a run. Reads no machine from the environment: a test must not reach the rig of whoever runs it. Returns
+/// the exit code.
 pub fn run_on(
     args: impl IntoIterator<Item = OsString>,
     connector: &dyn Connector,
     out: &mut dyn Write,
     err: &mut dyn Write,
-    terminal: bool,
-) -> u8 {
-    run_at(args, connector, out, err, terminal, None)
-}
-
-/// As [`run_on`], with a person at `keyboard` who answers questions and may hold and resume a run.
-pub fn run_at(
-    args: impl IntoIterator<Item = OsString>,
-    connector: &dyn Connector,
-    out: &mut dyn Write,
-    err: &mut dyn Write,
-    terminal: bool,
     keyboard: Option<Keyboard>,
 ) -> u8 {
     let at = At {
-        terminal,
+        terminal: false,
         single_keys: false,
+        environment: false,
         keyboard,
     };
     run_in(args, connector, out, err, at)
@@ -358,6 +347,8 @@ struct At {
     terminal: bool,
     /// The keyboard belongs to the process's terminal, so single keys can be read.
     single_keys: bool,
+    /// Variables may name machines.
+    environment: bool,
     keyboard: Option<Keyboard>,
 }
 
@@ -406,10 +397,10 @@ fn run_in(
 ) -> u8 {
     let beginning = Beginning::now();
     let args: Vec<OsString> = args.into_iter().collect();
-    let cli = match parsed(&args) {
+    let cli = match parsed(&args, at.environment) {
         Ok(cli) => cli,
         Err(error) => {
-            let error = without_environment(error, &args);
+            let error = without_variables(error, &args);
             let text = usage_text(&error);
             let text = visible::lines(&text);
             let wanted = !error.use_stderr();
@@ -449,8 +440,12 @@ fn run_in(
 
 /// Reads a command line. An empty variable counts as not set. An unreadable address is an error, except for a stop,
 /// which still goes to the other machine.
-fn parsed(args: &[OsString]) -> Result<Cli, clap::Error> {
-    let matches = command().try_get_matches_from(args)?;
+fn parsed(args: &[OsString], environment: bool) -> Result<Cli, clap::Error> {
+    let command = match environment {
+        true => command(),
+        false => without_environment(command()),
+    };
+    let matches = command.try_get_matches_from(args)?;
     let mut cli = Cli::from_arg_matches(&matches)?;
     for (name, given) in [("rig", &mut cli.rig), ("capsule", &mut cli.capsule)] {
         let by_variable = matches.value_source(name) == Some(ValueSource::EnvVariable);
@@ -470,17 +465,20 @@ fn parsed(args: &[OsString]) -> Result<Cli, clap::Error> {
     Ok(cli)
 }
 
+/// The command line without its variables.
+fn without_environment(command: clap::Command) -> clap::Command {
+    command
+        .mut_args(|argument| argument.env(Resettable::<OsStr>::Reset))
+        .mut_subcommands(without_environment)
+}
+
 /// Rebuilds a usage error so that arguments given by the environment are not shown as required.
-fn without_environment(error: clap::Error, args: &[OsString]) -> clap::Error {
+fn without_variables(error: clap::Error, args: &[OsString]) -> clap::Error {
     if error.kind() != ErrorKind::MissingRequiredArgument {
         return error;
     }
-    let mut command = command();
-    for place in ["rig", "capsule"] {
-        let reset = Resettable::<OsStr>::Reset;
-        command = command.mut_arg(place, |arg| arg.env(reset));
-    }
-    command.try_get_matches_from(args).err().unwrap_or(error)
+    let again = without_environment(command()).try_get_matches_from(args);
+    again.err().unwrap_or(error)
 }
 
 /// Machines whose addresses cannot be read, so that no stop reaches them.

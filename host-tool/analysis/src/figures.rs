@@ -148,6 +148,20 @@ pub(crate) struct Curve {
     pub(crate) points: Vec<(f64, f64)>,
 }
 
+pub(crate) fn curve(
+    label: impl Into<String>,
+    colour: RGBColor,
+    mark: Mark,
+    points: Vec<(f64, f64)>,
+) -> Curve {
+    Curve {
+        label: label.into(),
+        colour,
+        mark,
+        points,
+    }
+}
+
 /// One chart of a figure.
 pub(crate) struct Chart {
     pub(crate) x_label: &'static str,
@@ -266,12 +280,7 @@ pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
 }
 
 fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
-    Curve {
-        label: "planned".to_owned(),
-        colour: PLANNED,
-        mark: Mark::Line(8),
-        points,
-    }
+    curve("planned", PLANNED, Mark::Line(8), points)
 }
 
 /// Label of a machine's samples: those of a simulated one are not measured.
@@ -284,12 +293,7 @@ pub(crate) const fn sampled(origin: Origin) -> &'static str {
 }
 
 fn measured_curve(origin: Origin, points: Vec<(f64, f64)>) -> Curve {
-    Curve {
-        label: sampled(origin).to_owned(),
-        colour: MEASURED,
-        mark: Mark::Line(3),
-        points,
-    }
+    curve(sampled(origin), MEASURED, Mark::Line(3), points)
 }
 
 /// Seconds from `start_us`, negative before it.

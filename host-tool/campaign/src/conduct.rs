@@ -14,7 +14,6 @@ use client::identity::{IdentityRecord, Origin};
 use client::subject::Subject;
 use client::{Device, Homed, Observer, Pacer, Unobserved};
 use jiff::Timestamp;
-use protocol::capsule::CapsuleState;
 use protocol::rig::RigState;
 use protocol::settings::GetName;
 use protocol::system::{DeviceKind, Urgent};
@@ -229,13 +228,7 @@ impl Machines {
         }
         self.rig.wait_rest()?;
         if let Some(capsule) = &mut self.capsule
-            && matches!(
-                capsule.capsule_status()?.state,
-                CapsuleState::Referencing
-                    | CapsuleState::Checking
-                    | CapsuleState::Folding
-                    | CapsuleState::Unfolding
-            )
+            && client::moves(capsule.capsule_status()?.state)
         {
             capsule.urgent(Urgent::Stop)?;
             stopped.push("capsule");

@@ -160,9 +160,7 @@ impl Folder {
 
     /// Opens a folder for writing; it must match its manifest.
     fn open(folder: &Path, lock: Locked) -> Result<Self, CampaignError> {
-        let path = folder.join(manifest::NAME);
-        let manifest = read_manifest(folder)?
-            .ok_or_else(|| CampaignError::new(&path, "it is missing", RESTORE))?;
+        let manifest = manifest_of(folder)?;
         Ok(Self {
             _lock: lock,
             campaign: Campaign::read(folder)?,
@@ -188,9 +186,7 @@ impl Folder {
             return Err(not_a_campaign(folder, "there is no campaign in it"));
         }
         let lock = lock(folder)?;
-        let manifest = read_manifest(folder)?.ok_or_else(|| {
-            CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE)
-        })?;
+        let manifest = manifest_of(folder)?;
         let campaign = Campaign::read(folder)?;
         let read = |io| CampaignError::new(folder, io, RESTORE);
         let differences = Differences::between(folder, &manifest).map_err(read)?;
@@ -395,6 +391,12 @@ fn exists(folder: &Path) -> CampaignError {
         folder.display()
     );
     CampaignError::misuse(folder, "it exists already", remedy)
+}
+
+/// The manifest, without which nothing is written.
+fn manifest_of(folder: &Path) -> Result<Manifest, CampaignError> {
+    read_manifest(folder)?
+        .ok_or_else(|| CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE))
 }
 
 /// Times of the rows of both tables.

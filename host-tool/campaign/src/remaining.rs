@@ -15,9 +15,9 @@ const LATEST: usize = 15;
 /// Assumed time to clamp the rollers and read the caliper, s.
 const CLAMPING_S: f64 = 300.0;
 
-/// The remaining time, s, and whether it uses a measured pace.
+/// The remaining time, s, by the pace of the last trials once there is one.
 #[must_use]
-pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
+pub fn remaining_s(campaign: &Campaign) -> f64 {
     let (mut trials, mut moving_s) = (0.0, 0.0);
     let mut blocks = vec![];
     for trial in &campaign.state.trials {
@@ -43,16 +43,9 @@ pub fn remaining_s(campaign: &Campaign) -> (f64, bool) {
         })
     });
     let clampings = blocks.len() - usize::from(under_way && !blocks.is_empty());
-    let pauses = pauses_s(campaign);
-    let handling = median(pauses).unwrap_or(HANDLING_S);
-    let measured = handling != HANDLING_S;
-    let clamping = if measured {
-        CLAMPING_S.min(handling * 5.0)
-    } else {
-        CLAMPING_S
-    };
-    let left = moving_s + trials * handling + clampings as f64 * clamping;
-    (left, measured)
+    let handling = median(pauses_s(campaign)).unwrap_or(HANDLING_S);
+    let clamping = CLAMPING_S.min(handling * 5.0);
+    moving_s + trials * handling + clampings as f64 * clamping
 }
 
 /// The latest pauses between two runs of the same block.

@@ -36,7 +36,9 @@ pub const KEEP_ALIVE_US: u64 = 250_000;
 /// it may be setting up, or its computer may be busy.
 const OWNER_PATIENCE_US: u64 = 3_000_000;
 
-pub(crate) fn moves(state: CapsuleState) -> bool {
+/// Whether a capsule in this state moves.
+#[must_use]
+pub fn moves(state: CapsuleState) -> bool {
     matches!(
         state,
         CapsuleState::Referencing

@@ -35,4 +35,4 @@ pub use device::observer::{
     Begun, Both, Clock, Homed, Interrupt, Observer, Pace, Pacer, Progress, Unobserved,
 };
 pub use device::waiting::{Recorded, homing_limit_us, while_moving};
-pub use device::{Device, KEEP_ALIVE_US, matches};
+pub use device::{Device, KEEP_ALIVE_US, matches, moves};

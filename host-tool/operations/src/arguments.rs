@@ -1,13 +1,15 @@
 //! Arguments that several commands share. The server reads them from the body of a request.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use client::decimal::{DecimalError, Milli, Seconds, ShortSeconds};
+use jiff::Timestamp;
 use motion::run::MAX_CYCLES;
 use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
 use protocol::system::{DeviceKind, SetTelemetry};
+use trials::trial::Recording;
 
 /// Folder of all records, unless the user names another.
 pub const DATA_FOLDER: &str = "retrograde-data";
@@ -52,6 +54,20 @@ pub struct RecordArgs {
     /// A note that is kept with the trial.
     #[arg(long)]
     pub note: Option<String>,
+}
+
+impl RecordArgs {
+    /// The recording of a motion that begins now. The server has a folder of its own.
+    #[must_use]
+    pub fn recording(&self, folder: &Path, stem: &str, now: Timestamp) -> Recording {
+        Recording {
+            folder: folder.to_owned(),
+            stem: stem.to_owned(),
+            now,
+            note: self.note.clone(),
+            telemetry_ms: self.telemetry_ms,
+        }
+    }
 }
 
 fn telemetry_interval() -> RangedU64ValueParser<u16> {

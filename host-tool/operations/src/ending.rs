@@ -1,9 +1,9 @@
-//! Ends of the rig's motions, in words.
+//! Ends of motions, in words.
 
 use client::Device;
 use client::decimal;
 use protocol::rig::{self, RigState, RigStatus};
-use trials::trial::Status;
+use trials::trial::{Status, Trial};
 
 use crate::failure::Failure;
 
@@ -30,6 +30,22 @@ pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
         });
     }
     Ok(status)
+}
+
+/// Checks that a recorded motion ended as planned.
+///
+/// # Errors
+/// The trial is not complete.
+pub fn completed(action: &'static str, trial: &Trial, help: String) -> Result<(), Failure> {
+    if trial.status == Status::Complete {
+        return Ok(());
+    }
+    Err(Failure::Ended {
+        action,
+        status: trial.status,
+        reason: trial.error.clone(),
+        help,
+    })
 }
 
 /// The failure of a motion that ended early.

@@ -125,12 +125,11 @@ impl Panel {
     /// Whether something moves, according to the machine's last message.
     #[must_use]
     pub fn moves(&self) -> bool {
-        use protocol::capsule::CapsuleState::{Checking, Folding, Referencing, Unfolding};
         use protocol::rig::RigState::{Homing, Moving, Running, Stopping};
         let rig = self.rig.as_ref().map(|status| status.state);
         let capsule = self.capsule.as_ref().map(|status| status.state);
         matches!(rig, Some(Homing | Running | Moving | Stopping))
-            || matches!(capsule, Some(Referencing | Checking | Folding | Unfolding))
+            || capsule.is_some_and(client::moves)
     }
 
     /// Takes a sample; `missed` were lost before it.
@@ -311,16 +310,16 @@ pub fn run_text(status: &RigStatus) -> String {
     )
 }
 
-/// Approximate remaining time of the run, from its first stroke on.
+/// Approximate remaining time of the run, s; known from its first stroke on.
 #[must_use]
-pub fn left_text(status: &RigStatus, thousandths: u64) -> String {
+pub fn left_s(status: &RigStatus, thousandths: u64) -> Option<u64> {
     let all = u64::from(status.strokes) * 1_000;
     if thousandths < 1_000 || thousandths > all || status.state != protocol::rig::RigState::Running
     {
-        return String::new();
+        return None;
     }
     let left_us = status.elapsed_us.saturating_mul(all - thousandths) / thousandths;
-    format!(", about {} s left", left_us.div_ceil(1_000_000))
+    Some(left_us.div_ceil(1_000_000))
 }
 
 /// Short text of an event.

@@ -68,14 +68,9 @@ impl Target {
     /// Result of a stop of this machine.
     #[must_use]
     pub fn told(&self, result: Result<String, Failure>) -> Told {
-        let (delivery, why) = match &result {
-            Ok(_) => (Delivery::Stopped, String::new()),
-            Err(failure) => (delivery(failure), failure.to_string()),
-        };
-        let machine = match (&result, &self.address) {
-            (Ok(place), _) => place.clone(),
-            (Err(_), Some(address)) => format!("{} at {address}", self.name()),
-            (Err(_), None) => self.name().to_owned(),
+        let (machine, delivery, why) = match result {
+            Ok(place) => (place, Delivery::Stopped, String::new()),
+            Err(failure) => (self.to_string(), delivery(&failure), failure.to_string()),
         };
         Told {
             machine,
@@ -130,7 +125,10 @@ impl Need {
     }
 
     /// Refuses a command for the owner before anything is sent or recorded.
-    fn admit(self, device: &Device) -> Result<(), ClientError> {
+    ///
+    /// # Errors
+    /// Another process owns the line, and only the owner may send the command.
+    pub fn admit(self, device: &Device) -> Result<(), ClientError> {
         match (device.owner(), self.of_owner()) {
             (Some(owner), Some(request)) => Err(ClientError::Owned {
                 place: device.place(),

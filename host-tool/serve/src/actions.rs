@@ -60,13 +60,11 @@ impl Standing {
     /// State of an action that ended with this failure.
     fn of(failure: &Failure) -> Self {
         match failure {
-            Failure::Ended { status, .. } => match status {
-                trials::trial::Status::LinkLost => Self::LinkLost,
-                trials::trial::Status::Stopped => Self::Stopped,
-                trials::trial::Status::Faulted => Self::Faulted,
-                trials::trial::Status::Refused => Self::Refused,
-                _ => Self::Unknown,
-            },
+            // Has the exit code of a fault.
+            Failure::Ended {
+                status: trials::trial::Status::LinkLost,
+                ..
+            } => Self::LinkLost,
             failure => match failure.exit_code() {
                 REFUSED => Self::Refused,
                 STOPPED => Self::Stopped,

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use client::Interrupt;
 use client::address::Address;
 use client::door::lock::Doorway;
-use client::identity::{self, IdentityRecord, Origin, kind_name};
+use client::identity::{IdentityRecord, Origin, kind_name};
 use client::link::owner::StopMark;
 use jiff::Timestamp;
 use protocol::rig::RigStatus;
@@ -22,7 +22,7 @@ use crate::actions::{Action, Actions};
 use crate::orders::Work;
 use crate::stream::Stream;
 use operations::failure::Failure;
-use operations::panel::{Contact, Notice, Panel, event_text, in_run};
+use operations::panel::{Contact, Notice, Panel, event_text, in_run, left_s};
 use operations::stops::{Ask, Stops};
 
 /// Telemetry is sent to readers in batches of this length.
@@ -195,7 +195,7 @@ impl Board {
             actions: Actions::new(instance.clone()),
             instance,
             machines,
-            stream: Arc::new(Stream::new()),
+            stream: Arc::default(),
             changed: Notify::new(),
             out,
             campaign: Mutex::new(Value::Null),
@@ -396,11 +396,11 @@ fn fault_json(fault: Option<impl std::fmt::Display>) -> Value {
 fn identity_json(found: &Identity, place: &str) -> Value {
     let record = IdentityRecord::new(found, place);
     json!({
-        "device": kind_name(found.device),
-        "protocol": format!("{}.{}", found.protocol.major, found.protocol.minor),
-        "revision": identity::revision(&found.revision),
-        "reset_cause": identity::reset_cause(found.reset_cause),
-        "uid": found.uid.iter().map(|byte| format!("{byte:02x}")).collect::<String>(),
+        "device": record.device,
+        "protocol": record.protocol,
+        "revision": record.firmware,
+        "reset_cause": record.reset_cause,
+        "uid": record.uid,
         "record": record,
     })
 }
@@ -410,11 +410,7 @@ fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
     if !in_run(status) {
         return Value::Null;
     }
-    let all = u64::from(status.strokes) * 1_000;
-    let running = status.state == protocol::rig::RigState::Running;
-    let left_s = thousandths
-        .filter(|done| running && (1_000..=all).contains(done))
-        .map(|done| (status.elapsed_us.saturating_mul(all - done) / done).div_ceil(1_000_000));
+    let left_s = thousandths.and_then(|done| left_s(status, done));
     json!({
         "number": status.run,
         "stroke": status.stroke,

@@ -668,7 +668,8 @@ async fn order(
         kind: work.kind(),
         requested: work.requested(),
     };
-    let short = work.is_short();
+    // An order that anybody may send ends soon enough for the answer to wait for the end.
+    let short = !work.is_for_owner();
     let number = match board.actions.arrive(command, Timestamp::now()) {
         Arrival::Again(number) => number,
         Arrival::Contradiction => {

@@ -136,11 +136,6 @@ impl Work {
     pub fn is_for_owner(&self) -> bool {
         !matches!(self, Self::Hold | Self::Resume | Self::Acknowledge)
     }
-
-    /// Whether it ends soon enough for the answer to wait for the end.
-    pub fn is_short(&self) -> bool {
-        !self.is_for_owner()
-    }
 }
 
 /// A run from the body of `POST /api/v1/plan`.

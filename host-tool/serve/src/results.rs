@@ -3,7 +3,6 @@
 use operations::failure::Failure;
 use protocol::rig::RigStatus;
 use serde_json::{Value, json};
-use trials::trial::{Status, Trial};
 
 pub fn place(status: &RigStatus) -> Value {
     json!({ "position_um": status.position_um, "position_steps": status.position_steps })
@@ -15,15 +14,6 @@ pub fn files(csv: &std::path::Path, sidecar: &std::path::Path) -> Value {
             .map(|name| name.to_string_lossy().into_owned())
     };
     json!({ "csv": name(csv), "sidecar": name(sidecar) })
-}
-
-pub fn ended(action: &'static str, trial: &Trial, help: String) -> Option<Failure> {
-    (trial.status != Status::Complete).then(|| Failure::Ended {
-        action,
-        status: trial.status,
-        reason: trial.error.clone(),
-        help,
-    })
 }
 
 /// Failure of an order that arrives without a connection.

@@ -60,13 +60,6 @@ pub struct Stream {
 
 impl Default for Stream {
     fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl Stream {
-    /// An empty stream.
-    pub fn new() -> Self {
         Self {
             told: Mutex::default(),
             ring: broadcast::Sender::new(RING),
@@ -74,7 +67,9 @@ impl Stream {
             closed: watch::Sender::new(false),
         }
     }
+}
 
+impl Stream {
     /// Whether there are readers.
     pub fn is_read(&self) -> bool {
         self.ring.receiver_count() > 0
@@ -266,7 +261,7 @@ mod tests {
     #[test]
     fn a_reader_that_keeps_up_gets_everything_in_order() {
         run(async {
-            let stream = Arc::new(Stream::new());
+            let stream = Arc::<Stream>::default();
             stream.tell_samples(DeviceKind::Rig, vec![json!(0)]);
             let mut body = stream.body(|| json!({})).expect("a place");
             stream.tell_samples(DeviceKind::Rig, vec![json!(1), json!(2)]);
@@ -288,7 +283,7 @@ mod tests {
     #[test]
     fn what_happens_while_the_state_is_made_comes_after_it() {
         run(async {
-            let stream = Arc::new(Stream::new());
+            let stream = Arc::<Stream>::default();
             let first = || {
                 stream.tell("event", &json!("between"));
                 json!({})
@@ -302,7 +297,7 @@ mod tests {
     #[test]
     fn a_slow_reader_is_told_exactly_what_it_has_lost_and_holds_nobody_up() {
         run(async {
-            let stream = Arc::new(Stream::new());
+            let stream = Arc::<Stream>::default();
             let mut body = stream.body(|| json!({})).expect("a place");
             let all = RING as u64 + 100;
             for number in 0..all {
@@ -326,7 +321,7 @@ mod tests {
 
     #[test]
     fn readers_are_bounded_and_places_come_back() {
-        let stream = Arc::new(Stream::new());
+        let stream = Arc::<Stream>::default();
         let bodies: Vec<_> = (0..READERS).map(|_| stream.body(|| json!({}))).collect();
         assert!(bodies.iter().all(Option::is_some));
         assert!(stream.body(|| json!({})).is_none());

@@ -18,7 +18,7 @@ use operations::connector::Purpose;
 use operations::delivery::{Delivery, Told};
 use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
-use operations::places::{Places, Target};
+use operations::places::{Need, Places, Target};
 use operations::{ending, left, reached};
 use protocol::rig::{self, RigState, RigStatus};
 use protocol::settings::{GetSetting, SettingKey};
@@ -26,12 +26,11 @@ use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 use trials::experiment::{self, Actuation, ExperimentError};
-use trials::trial::{Recording, Status};
+use trials::trial::Status;
 
 use crate::board::{Board, Lease, Machine, Order};
 use crate::orders::Work;
-use crate::results::server_ends;
-use crate::results::{ended, files, lost, overtaken, place};
+use crate::results::{files, lost, overtaken, place, server_ends};
 use crate::worker::busy::{Busy, Pacing, held};
 
 /// Interval between status requests, us.
@@ -400,14 +399,8 @@ impl Worker<'_> {
     }
 
     fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<ActionResult, Failure> {
-        if work.is_for_owner()
-            && let Some(owner) = device.owner()
-        {
-            return Err(Failure::Client(ClientError::Owned {
-                place: device.place(),
-                request: work.kind(),
-                owner: Box::new(owner.clone()),
-            }));
+        if work.is_for_owner() {
+            Need::Own(work.kind()).admit(device)?;
         }
         let mut busy = Busy {
             board: self.board,
@@ -447,16 +440,6 @@ impl Worker<'_> {
         }
     }
 
-    fn recording(&self, stem: &str, args: &RecordArgs) -> Recording {
-        Recording {
-            folder: self.board.out.clone(),
-            stem: stem.to_owned(),
-            now: self.places.connector.now(),
-            note: args.note.clone(),
-            telemetry_ms: args.telemetry_ms,
-        }
-    }
-
     fn run(
         &self,
         rig: &mut Device,
@@ -476,14 +459,16 @@ impl Worker<'_> {
             let (_, pace, sent) = pacing.as_mut()?;
             (!std::mem::replace(sent, true)).then_some(*pace)
         }));
-        let trial = experiment::run(rig, run, &self.recording("run", record), &mut busy);
+        let now = self.places.connector.now();
+        let recording = record.recording(&self.board.out, "run", now);
+        let trial = experiment::run(rig, run, &recording, &mut busy);
         rig.set_pacer(Box::new(|| None));
         // Fail a hold that came too late for this run.
         let too_late = Failure::refused(
             "too late, the run has ended",
             "nothing is held; the state says where the rig is",
         );
-        busy.paced(|_| Err(&too_late));
+        busy.paced(Err(&too_late));
         let trial = trial?;
         let at = trial.sidecar.display();
         let way_on = match trial.trial.status {
@@ -491,7 +476,7 @@ impl Worker<'_> {
             _ => "a new run has to start at 0: home first",
         };
         let help = format!("the data is in {at}; {way_on}");
-        let failure = ended("the run", &trial.trial, help);
+        let failure = ending::completed("the run", &trial.trial, help).err();
         self.board
             .actions
             .update(action, |action| action.progress = Value::Null);
@@ -514,10 +499,11 @@ impl Worker<'_> {
         if let Some((status, _)) = reached::reached(kind, capsule)? {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
         }
-        let recording = self.recording(experiment::stem(kind), record);
+        let now = self.places.connector.now();
+        let recording = record.recording(&self.board.out, experiment::stem(kind), now);
         let trial = experiment::actuate(capsule, motion, &recording, &mut busy)?;
         let help = format!("the data is in {}", trial.sidecar.display());
-        let failure = ended(experiment::doing(kind), &trial.trial, help);
+        let failure = ending::completed(experiment::doing(kind), &trial.trial, help).err();
         self.board
             .actions
             .update(action, |action| action.progress = Value::Null);

@@ -5,18 +5,19 @@ use std::path::Path;
 use analysis::report::section::actuation_rows;
 use client::Device;
 use operations::arguments::RecordArgs;
+use operations::ending::completed;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
+use operations::reached::reached;
 use protocol::capsule::{ActuationKind, CapsuleState, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use trials::experiment::{self, Actuation};
 use trials::trial::Status;
 
-use crate::cli::ended::{completed, recording};
+use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::cli::trace::TraceFile;
-use crate::cli::{already, fresh};
 
 pub(crate) fn actuate(
     command: &'static str,
@@ -51,12 +52,16 @@ pub(crate) fn actuate(
     ) {
         fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     }
-    if let Some(result) = already::actuated(kind, &mut capsule, screen)? {
-        return Ok(result);
+    if let Some((status, name)) = reached(kind, &mut capsule)? {
+        screen.say(&format!(
+            "The capsule is {name} already; nothing moved and nothing was recorded."
+        ));
+        return Ok(json!({ "already": true, "status": status }));
     }
     screen.say(what);
     warn(kind, &mut capsule, screen)?;
-    let recording = recording(args, experiment::stem(kind), places);
+    let now = places.connector.now();
+    let recording = args.recording(&args.out, experiment::stem(kind), now);
     let trace = trace.map(TraceFile::create).transpose()?;
     let trial = match experiment::actuate(&mut capsule, motion, &recording, &mut screen.live()) {
         Ok(trial) => trial,
@@ -88,12 +93,7 @@ pub(crate) fn actuate(
     if let Some(Ok((path, readings))) = &traced {
         screen.say(&format!("  {}: {readings} ms", path.display()));
     }
-    completed(
-        experiment::doing(kind),
-        trial.trial.status,
-        trial.trial.error.as_ref(),
-        help,
-    )?;
+    completed(experiment::doing(kind), &trial.trial, help)?;
     let traced = traced.transpose()?.map(|(path, _)| path);
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
 }

@@ -77,11 +77,11 @@ impl<'a, 'b> Calculation<'a, 'b> {
         self.file(name, &bytes)
     }
 
-    /// Writes one file and creates the folder if necessary.
+    /// Writes one file, in place of an earlier one, and creates the folder if necessary.
     pub(crate) fn file(&mut self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
         let path = self.out.join(name);
         fs::create_dir_all(self.out).map_err(Failure::file(self.out))?;
-        write(&path, bytes)?;
+        fs::write(&path, bytes).map_err(Failure::file(&path))?;
         self.files.push(path);
         Ok(())
     }
@@ -96,11 +96,6 @@ impl<'a, 'b> Calculation<'a, 'b> {
         self.screen.say(&format!("files: {}", files.join(", ")));
         files
     }
-}
-
-/// Writes a file of a folder whose own files are replaced.
-pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    fs::write(path, bytes).map_err(Failure::file(path))
 }
 
 /// A single file that the user names. It may be a record by mistake, so an existing one is replaced with `force` only;

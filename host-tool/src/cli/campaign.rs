@@ -277,7 +277,7 @@ fn create(
             blocks => format!("{blocks} blocks"),
         },
         campaign.plan.seed,
-        time_text(remaining_s(campaign).0),
+        time_text(remaining_s(campaign)),
     ));
     screen.say(&format!("Folder: {}", out.display()));
     // Warn now: only a rig knows its limits, but most have these, and its refusal would come after an hour of readings.
@@ -539,7 +539,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
     match state.next() {
         None => lines.push("Nothing is left to do.".to_owned()),
         Some(next) => {
-            let (seconds, _) = remaining_s(campaign);
+            let seconds = remaining_s(campaign);
             lines.push(format!(
                 "Next: trial {}, {} {} {}; {}.",
                 next.planned.trial,
@@ -612,7 +612,7 @@ fn summary(campaign: &Campaign) -> Value {
         "origin": campaign.origin(),
         "conditions": conditions,
         "next": next,
-        "remaining_s": remaining_s(campaign).0,
+        "remaining_s": remaining_s(campaign),
     })
 }
 

@@ -64,10 +64,6 @@ impl Finding {
         }
     }
 
-    pub(crate) fn exit_code(&self) -> u8 {
-        self.exit_code
-    }
-
     /// The finding as a line for people.
     pub(crate) fn line(&self) -> String {
         let mut text = format!("{}: {}: {}", self.place, self.code, self.text);
@@ -308,7 +304,7 @@ struct Sick {
 
 impl CommandFailure for Sick {
     fn exit_code(&self) -> u8 {
-        let codes = self.findings.iter().map(Finding::exit_code);
+        let codes = self.findings.iter().map(|finding| finding.exit_code);
         // A missing machine outweighs a problem that a machine reports.
         codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
     }

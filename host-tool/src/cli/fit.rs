@@ -1,12 +1,10 @@
 //! `fit`: calibrates the body of the model from recorded trials, with its uncertainty.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use analysis::science::observations::{self, Trials, TrialsError};
 use analysis::science::posterior::{FORMAT, Posterior, SourceRecord};
-use analysis::science::series::Workers;
 use analysis::science::{charts, draws, model_file};
 use calibration::fit::{Fit, Settings, fit_watched};
 use calibration::observation::{Case, Kind, Observation};
@@ -22,7 +20,7 @@ use locomotion::model::{Model, Setting, Value as Given};
 use operations::failure::Failure;
 use serde_json::{Value, json};
 
-use crate::cli::calculation::write;
+use crate::cli::calculation::Calculation;
 use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
@@ -175,12 +173,10 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         .flat_map(|one| one.measured.iter().map(|measured| measured.observation))
         .collect();
     say_sources(&trials, args.uncertainty_mm, screen);
-    let workers = Workers::new(args.threads).map_err(|error| {
-        Failure::input(format!("no threads: {error}"), "use fewer: `--threads 1`")
-    })?;
-    let bar = waiting(screen.terminal);
+    let mut work = Calculation::new(&args.out, args.threads, screen)?;
+    let bar = waiting(work.screen.terminal);
     let watch = |table| bar.set_message(format!("table {table} of 3 or 4, the last take longest"));
-    let (found, bodies, checked) = workers.install(|| -> Result<_, Failure> {
+    let (found, bodies, checked) = work.install(|| -> Result<_, Failure> {
         let settings = Settings::full(args.seed);
         let found = fit_watched(&base, &observations, &settings, &watch).map_err(|error| {
             Failure::input(
@@ -195,11 +191,11 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     bar.finish_and_clear();
     let point = nearest(&bodies);
     let posterior = posterior(args, &trials, origin, &found, &bodies, point);
-    say_table(&found, screen);
-    say_checks(&checked, screen);
+    say_table(&found, work.screen);
+    say_checks(&checked, work.screen);
     let (figure, shown) =
-        workers.install(|| figure(&base, &checked, &bodies, args.seed, &posterior))?;
-    let prior = workers.install(|| {
+        work.install(|| figure(&base, &checked, &bodies, args.seed, &posterior))?;
+    let prior = work.install(|| {
         of_prior(
             &base,
             &found.conditions,
@@ -217,16 +213,21 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
     ];
     let of_draws = draws::files(&found, &prior, origin.name());
     files.extend(of_draws.map_err(Failure::file(&args.out))?);
-    let files = written(&args.out, &files)?;
-    screen.say(&format!(
-        "seed {}, {} draws\n{}\nfiles: {}\norigin of the displacements: {}",
+    for (name, bytes) in &files {
+        work.file(name, bytes)?;
+    }
+    work.screen.say(&format!(
+        "seed {}, {} draws\n{}",
         args.seed,
         found.draws.count(),
-        tables(&found),
-        files.join(", "),
+        tables(&found)
+    ));
+    let files = work.say_files();
+    work.screen.say(&format!(
+        "origin of the displacements: {}",
         origin.meaning()
     ));
-    say_verdict(&found, screen);
+    say_verdict(&found, work.screen);
     Ok(json!({
         "origin": origin.name(),
         "reliable": posterior.reliable,
@@ -244,16 +245,6 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         "sources": posterior.source,
         "files": files,
     }))
-}
-
-/// Writes files to a folder, which is created if necessary. Returns their paths.
-fn written(folder: &Path, files: &[(&str, Vec<u8>)]) -> Result<Vec<String>, Failure> {
-    fs::create_dir_all(folder).map_err(Failure::file(folder))?;
-    let one = |(name, bytes): &(&str, Vec<u8>)| {
-        let path = folder.join(name);
-        write(&path, bytes).map(|()| path.display().to_string())
-    };
-    files.iter().map(one).collect()
 }
 
 /// Says which displacements are used, and which are left out.

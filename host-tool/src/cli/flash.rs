@@ -15,7 +15,6 @@ use operations::arguments::MachineKind;
 use operations::connector::{Candidate, Purpose};
 use operations::failure::Failure;
 use operations::places::{Need, Places};
-use protocol::capsule::CapsuleState;
 use protocol::rig::{GetRigHealth, RigState};
 use protocol::system::{BuildProfile, DeviceKind, Identity};
 use serde_json::{Value, json};
@@ -182,10 +181,8 @@ fn motion(kind: DeviceKind, address: &Address, places: &Places<'_>) -> Option<St
             (!matches!(state, Faulted | Ready | Unhomed)).then(|| format!("{state:?}"))
         }
         DeviceKind::Capsule => {
-            use CapsuleState::{Checking, Folding, Referencing, Unfolding};
             let state = device.capsule_status().ok()?.state;
-            matches!(state, Checking | Folding | Referencing | Unfolding)
-                .then(|| format!("{state:?}"))
+            client::moves(state).then(|| format!("{state:?}"))
         }
     }
 }

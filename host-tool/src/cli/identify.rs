@@ -5,6 +5,7 @@ use trials::recorded::write_recorded;
 
 use client::{Device, Recorded, Unobserved};
 use operations::arguments::RecordArgs;
+use operations::ending::completed;
 use operations::failure::Failure;
 use operations::places::{Need, Places};
 use protocol::capsule::ActuationKind;
@@ -13,7 +14,6 @@ use serde_json::{Value, json};
 use trials::experiment;
 use trials::identify::{self, Estimate, Identified, REST_S};
 
-use crate::cli::ended::{completed, recording};
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
 use crate::cli::study::begin_unfolded;
@@ -85,18 +85,13 @@ fn motion(
     screen: &mut Screen<'_>,
 ) -> Result<RecordedMotion, Failure> {
     let stem = format!("identify-{}", experiment::stem(kind));
-    let recording = recording(args, &stem, places);
+    let recording = args.recording(&args.out, &stem, places.connector.now());
     let trial = experiment::actuate(capsule, kind, &recording, &mut screen.live())?;
     let help = format!(
         "the data is in {}; `retrograde info` shows the capsule's state",
         trial.sidecar.display()
     );
-    completed(
-        experiment::doing(kind),
-        trial.trial.status,
-        trial.trial.error.as_ref(),
-        help,
-    )?;
+    completed(experiment::doing(kind), &trial.trial, help)?;
     let (recorded, _) = fetch(capsule, &trial.record)?;
     Ok(RecordedMotion {
         csv: write_recorded(

@@ -1,7 +1,7 @@
 //! The keyboard: answers questions, and holds, resumes and stops a run.
 
 use std::io::{self, BufRead, BufReader, IsTerminal, Read};
-use std::sync::mpsc;
+use std::sync::mpsc::{self, Receiver};
 use std::thread;
 
 use client::{Pace, Pacer};
@@ -40,30 +40,29 @@ fn in_foreground(_: &io::Stdin) -> bool {
     true
 }
 
-/// Turns typed words and keys into requests.
-struct Keys {
-    typed: mpsc::Sender<Pace>,
-    hint: &'static str,
+/// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
+pub(crate) fn lines(keyboard: Keyboard) -> Receiver<String> {
+    let (typing, typed) = mpsc::channel();
+    thread::spawn(move || {
+        for line in keyboard.lines().map_while(Result::ok) {
+            if typing.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    typed
 }
 
-impl Keys {
-    /// Handles a word or a key; false if no run takes requests any more.
-    fn take(&self, word: &str) -> bool {
-        let pace = match word {
-            "h" | "H" => Pace::Hold,
-            "r" | "R" => Pace::Resume,
-            "s" | "S" => {
-                interrupt::press();
-                return true;
-            }
-            "" => return true,
-            _ => {
-                interrupt::tell(self.hint);
-                return true;
-            }
-        };
-        self.typed.send(pace).is_ok()
+/// The request that a word or a key makes of a run. Stops the run itself, and tells the hint if the word is none.
+pub(crate) fn pace(word: &str, hint: &str) -> Option<Pace> {
+    match word {
+        "h" | "H" => return Some(Pace::Hold),
+        "r" | "R" => return Some(Pace::Resume),
+        "s" | "S" => interrupt::press(),
+        "" => {}
+        _ => interrupt::tell(hint),
     }
+    None
 }
 
 /// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted: single keys
@@ -71,18 +70,19 @@ impl Keys {
 pub(crate) fn pacer(keyboard: Keyboard, single: bool) -> Pacer {
     let (typed, requests) = mpsc::channel();
     let hint = hint(single);
-    let keys = Keys { typed, hint };
     thread::spawn(move || {
+        // False if no run takes requests any more.
+        let take = |word: &str| pace(word, hint).is_none_or(|pace| typed.send(pace).is_ok());
         if single {
             for byte in keyboard.bytes().map_while(Result::ok) {
                 let key = char::from(byte).to_string();
-                if !keys.take(key.trim()) {
+                if !take(key.trim()) {
                     return;
                 }
             }
         } else {
             for line in keyboard.lines().map_while(Result::ok) {
-                if !keys.take(line.trim()) {
+                if !take(line.trim()) {
                     return;
                 }
             }

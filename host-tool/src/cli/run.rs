@@ -4,6 +4,7 @@ use analysis::report::section::actuation_rows;
 use client::{Device, decimal};
 use commissioning::warning;
 use operations::arguments::{DATA_FOLDER, RunArgs};
+use operations::ending::completed;
 use operations::failure::{FIND_THREAD, Failure};
 use operations::places::{Need, Places};
 use protocol::capsule::CapsuleState;
@@ -14,9 +15,8 @@ use trials::coordination::{self, Coordinated, Recordings, Shaping};
 use trials::cue::{Coordination, Cue};
 use trials::experiment::{self, ExperimentError, RunTrial, stem};
 use trials::plan;
-use trials::trial::{Status, Trial};
+use trials::trial::Status;
 
-use crate::cli::ended::{completed, recording};
 use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
@@ -93,13 +93,17 @@ pub(crate) fn run(
         screen.hint(keyboard::hint(single.is_some()));
         rig.set_pacer(keyboard::pacer(keyboard, single.is_some()));
     }
-    let of_run = recording(&args.record, "run", places);
+    let recording = |stem: &str| {
+        let now = places.connector.now();
+        args.record.recording(&args.record.out, stem, now)
+    };
+    let of_run = recording("run");
     let Some((mut capsule, shaping, cue)) = partner else {
         let trial = experiment::run(&mut rig, request, &of_run, &mut screen.live())?;
         drop(single);
         return ended(&request, &trial, screen);
     };
-    let of_actuation = recording(&args.record, stem(shaping.into()), places);
+    let of_actuation = recording(stem(shaping.into()));
     let recordings = Recordings {
         run: &of_run,
         actuation: &of_actuation,
@@ -141,8 +145,7 @@ pub(crate) fn run(
     let mut value = ran?;
     completed(
         stem(shaping.into()),
-        actuation.trial.status,
-        actuation.trial.error.as_ref(),
+        &actuation.trial,
         format!("the data is in {}", actuation.sidecar.display()),
     )?;
     if let Some(object) = value.as_object_mut() {
@@ -164,8 +167,7 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         trial.csv.display(),
         trial.sidecar.display(),
     ));
-    let Trial { status, error, .. } = &trial.trial;
-    let way_on = match status {
+    let way_on = match trial.trial.status {
         Status::Faulted => "once the cause is gone `retrograde ack rig`, then `retrograde home`",
         _ => "a new run has to start at 0: `retrograde home`",
     };
@@ -173,7 +175,7 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         "the data is in {}; `retrograde info` shows where the rig is; {way_on}",
         trial.sidecar.display()
     );
-    completed("the run", *status, error.as_ref(), help)?;
+    completed("the run", &trial.trial, help)?;
     Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
 }
 

@@ -435,7 +435,7 @@ impl Session<'_, '_> {
     /// Bands on the rig for each indentation: of the posterior if there is one, otherwise of the prior.
     fn rig_bands(&self, indentations_mm: &[f64]) -> Result<Bands, Failure> {
         let Some(cases) = bands::few(indentations_mm) else {
-            return Ok(Bands::none());
+            return Ok(Bands::default());
         };
         let Some(posterior) = &self.posterior else {
             let bodies = bands::bodies(&self.model, Words::Rig);
@@ -457,7 +457,7 @@ impl Session<'_, '_> {
     /// Prior bands in the tube for each pressure. Trials on the rig say nothing about the tube's wall.
     fn tube_bands(&self, pressures_pa: &[f64]) -> Result<Bands, Failure> {
         let Some(cases) = bands::few(pressures_pa) else {
-            return Ok(Bands::none());
+            return Ok(Bands::default());
         };
         let bodies = bands::bodies(&self.model, Words::Tube);
         let values = self

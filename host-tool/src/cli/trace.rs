@@ -79,14 +79,14 @@ impl TraceFile {
         })
     }
 
-    /// Removes the file of a motion that did not begin.
+    /// Removes the file, which has no whole recording.
     pub(crate) fn discard(self) {
-        // Ignore an error: a leftover empty file does no harm.
+        // Ignore an error: a leftover file does no harm, except that its name cannot be used again.
         let _ = fs::remove_file(&self.path);
     }
 
     /// Fetches the recording of the motion that has just ended. Returns its path and the number of readings. Removes
-    /// the file if there is no recording.
+    /// the file if there is no recording, or if it cannot be written whole.
     pub(crate) fn fill(
         self,
         capsule: &mut Device,
@@ -100,8 +100,12 @@ impl TraceFile {
                 return Err(failure);
             }
         };
-        force::write(self.file, &recorded.points, no_load_ma, capsule.origin())
-            .map_err(|error| RecordError::write(&self.path, error))?;
+        let written = force::write(&self.file, &recorded.points, no_load_ma, capsule.origin());
+        if let Err(error) = written {
+            let failure = RecordError::write(&self.path, error);
+            self.discard();
+            return Err(failure.into());
+        }
         Ok((self.path, recorded.points.len()))
     }
 }

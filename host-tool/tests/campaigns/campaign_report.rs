@@ -6,7 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
-use crate::support::tool::Memory;
+use crate::campaign::mm;
+use crate::support::tool::{Memory, device};
 use analysis::report::Existing;
 use analysis::report::campaign::{Written, report_folder, write};
 use analysis::report::campaign_band::BandSource;
@@ -19,12 +20,11 @@ use campaign::manifest;
 use campaign::plan::{Millimetres, Purpose};
 use campaign::readings::{Kind, Quantity, ReadingRow};
 use campaign::statistics::{FittedLine, Spread};
+use client::Unobserved;
 use client::identity::Origin;
-use client::{Device, Unobserved};
 use jiff::Timestamp;
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
-use simulated_machines::machine::{Script, link};
 use trials::experiment::{self, Shape};
 use trials::trial::Recording;
 
@@ -64,10 +64,6 @@ lubrication = "lubricated"
 indentation = "a3"
 repeats = 1
 "#;
-
-fn mm(text: &str) -> Millimetres {
-    text.parse().expect("a number")
-}
 
 /// Displacement of a trial of this campaign, um. No two are equal, and they are not on a line.
 fn displacement_um(trial: u32) -> i64 {
@@ -134,11 +130,6 @@ fn campaign(path: &Path) -> Folder {
     let mut folder = Folder::create(path, PLAN, Path::new("small.toml")).expect("made");
     let mut clock = Clock(0);
     read(&mut folder, &mut clock, 1, None, ["24.40", "24.38"]);
-    let device = |kind| {
-        let mut script = Script::new(kind);
-        script.ready = true;
-        Device::connect(link(script).0, kind, 5).expect("there")
-    };
     let (mut rig, mut capsule) = (device(DeviceKind::Rig), device(DeviceKind::Capsule));
     let order = folder.campaign().order.clone();
     let (mut set, mut block) = (1, 0);

@@ -19,7 +19,7 @@ use campaign::ledger::{AttemptOutcome, LedgerEvent, Source, Standing};
 use campaign::plan::Purpose;
 use campaign::verify::verify;
 use client::identity::Origin;
-use host_tool::cli::run_at;
+use host_tool::cli::run_on;
 use locomotion::roller::{Params, isolated_pass};
 use operations::connector::Connector;
 use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
@@ -765,12 +765,11 @@ pub fn converse(
     };
     let all = [&["retrograde", "campaign"], args, &AT].concat();
     let (mut out, mut err) = (shown.clone(), shown.clone());
-    let code = run_at(
+    let code = run_on(
         all.into_iter().map(Into::into),
         memory,
         &mut out,
         &mut err,
-        false,
         Some(Box::new(person)),
     );
     let missed = *missed.lock().expect("free");

@@ -2,9 +2,9 @@
 
 use std::sync::{Arc, Mutex};
 
+use crate::support::tool;
 use client::address::Address;
 use client::link::{Link, OpenError};
-use host_tool::cli::run_on;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
@@ -18,16 +18,11 @@ impl New {
     fn run(&self, args: &[&str]) -> (u8, String, String) {
         let folder = tempfile::tempdir().expect("a folder");
         let out = folder.path().to_str().expect("UTF-8");
-        let mut line = vec!["retrograde"];
-        line.extend(args);
+        let mut line = args.to_vec();
         if ["run", "fold", "unfold", "capsule"].contains(&args[2]) {
             line.extend(["--out", out]);
         }
-        let (mut out, mut err) = (vec![], vec![]);
-        let line = line.into_iter().map(Into::into);
-        let code = run_on(line, self, &mut out, &mut err, false);
-        let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-        (code, text(out), text(err))
+        tool::run(self, &line)
     }
 }
 

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use crate::support::tool::device;
 use analysis::report;
 use analysis::report::remark::Remark;
 use analysis::report::{Found, LeftOut};
@@ -46,15 +47,9 @@ fn recording(folder: &Path) -> Recording {
     }
 }
 
-fn ready(kind: DeviceKind) -> Device {
-    let mut script = Script::new(kind);
-    script.ready = true;
-    Device::connect(link(script).0, kind, 5).expect("there")
-}
-
 fn recorded_run(folder: &Path) -> RunTrial {
     experiment::run(
-        &mut ready(DeviceKind::Rig),
+        &mut device(DeviceKind::Rig),
         SHORT_RUN,
         &recording(folder),
         &mut Unobserved,
@@ -188,7 +183,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     let folder = tempfile::tempdir().expect("folder");
     let mut crash = Crash(folder.path(), 0);
     let run = experiment::run(
-        &mut ready(DeviceKind::Rig),
+        &mut device(DeviceKind::Rig),
         SHORT_RUN,
         &recording(folder.path()),
         &mut crash,
@@ -280,7 +275,7 @@ fn an_emergency_stop_behind_a_complete_run_is_no_contradiction() {
 #[test]
 fn a_record_that_a_killed_process_left_is_ended_without_a_contradiction() {
     let folder = tempfile::tempdir().expect("folder");
-    let mut rig = ready(DeviceKind::Rig);
+    let mut rig = device(DeviceKind::Rig);
     let recording = recording(folder.path());
     // An earlier run, whose events the rig keeps, too.
     rig.run(SHORT_RUN).expect("accepted");
@@ -421,7 +416,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
 #[test]
 fn what_the_telemetry_lacks_is_told_in_one_unit() {
     let folder = tempfile::tempdir().expect("folder");
-    let mut rig = ready(DeviceKind::Rig);
+    let mut rig = device(DeviceKind::Rig);
     let to = MoveTo {
         position_um: 10_000,
         speed_um_s: 5_000,
@@ -671,8 +666,8 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
 #[test]
 fn the_experiment_ends_at_the_first_step_that_is_not_complete() {
     let folder = tempfile::tempdir().expect("folder");
-    let mut rig = ready(DeviceKind::Rig);
-    let mut capsule = ready(DeviceKind::Capsule);
+    let mut rig = device(DeviceKind::Rig);
+    let mut capsule = device(DeviceKind::Capsule);
     // The operator stops the rig at the first stroke of the first run.
     let asked = std::sync::atomic::AtomicU32::new(0);
     rig.set_interrupt(Arc::new(move || {
@@ -719,7 +714,7 @@ fn positions_are_exact_to_the_nanometre() {
 fn a_recorder_makes_its_folder_and_says_running_at_once() {
     let folder = tempfile::tempdir().expect("folder");
     let recording = recording(&folder.path().join("a/b"));
-    let rig = ready(DeviceKind::Rig);
+    let rig = device(DeviceKind::Rig);
     let device = IdentityRecord::new(rig.identity().expect("known"), &rig.place());
     let action = Action::Actuation {
         actuation: ActuationKind::Fold,

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::support::tool::Memory;
+use crate::support::tool::{Memory, device};
 use analysis::report::{self, Damaged, Existing, Found};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
@@ -24,12 +24,6 @@ const RUN: Run = Run {
     ..PAPER_RUN
 };
 
-fn ready(kind: DeviceKind) -> Device {
-    let mut script = Script::new(kind);
-    script.ready = true;
-    Device::connect(link(script).0, kind, 5).expect("there")
-}
-
 fn recording(folder: &Path, stem: &str) -> Recording {
     Recording {
         folder: folder.to_owned(),
@@ -42,9 +36,9 @@ fn recording(folder: &Path, stem: &str) -> Recording {
 
 /// Sidecars of a run and a fold in a folder.
 fn trials(folder: &Path) -> [PathBuf; 2] {
-    let mut rig = ready(DeviceKind::Rig);
+    let mut rig = device(DeviceKind::Rig);
     let run = experiment::run(&mut rig, RUN, &recording(folder, "run"), &mut Unobserved);
-    let mut capsule = ready(DeviceKind::Capsule);
+    let mut capsule = device(DeviceKind::Capsule);
     let kind = ActuationKind::Fold;
     let fold = experiment::actuate(
         &mut capsule,

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use crate::support::tool::{self, Memory, ready};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
-use host_tool::cli::run_on;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::settings::SettingKey;
@@ -172,10 +171,7 @@ fn what_was_not_delivered_is_not_told_to_start_a_server() {
         &["--capsule", "virtual", "stop", "capsule"],
     ];
     for line in lines {
-        let args = std::iter::once("retrograde").chain(line.iter().copied());
-        let (mut out, mut err) = (vec![], vec![]);
-        let code = run_on(args.map(Into::into), &Ports, &mut out, &mut err, false);
-        let err = String::from_utf8(err).expect("UTF-8");
+        let (code, _, err) = tool::run(&Ports, line);
         assert_eq!(code, 8, "{err}");
         assert!(err.contains("NOT DELIVERED"), "{err}");
         assert!(err.contains("cut the motor supply NOW"), "{err}");
@@ -233,6 +229,25 @@ fn an_address_that_cannot_be_read_keeps_no_stop_from_the_other_machine() {
     }
 }
 
+/// A test that does not name both machines must not reach those of the person who runs it.
+#[test]
+fn no_test_reaches_a_machine_of_the_environment() {
+    let machine = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    machine.set_nonblocking(true).expect("set");
+    let place = format!("tcp:{}", machine.local_addr().expect("bound"));
+    let test = "stops::what_was_not_delivered_is_not_told_to_start_a_server";
+    let program = std::env::current_exe().expect("known");
+    let output = std::process::Command::new(program)
+        .args(["--exact", test])
+        .env("RETROGRADE_RIG", &place)
+        .env("RETROGRADE_CAPSULE", &place)
+        .output()
+        .expect("starts");
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(said.contains("1 passed"), "{said}");
+    assert!(machine.accept().is_err(), "it was sent a stop");
+}
+
 /// A variable that a script leaves empty says nothing.
 #[test]
 fn an_empty_variable_counts_as_not_set() {
@@ -269,10 +284,7 @@ fn a_machine_that_is_silent_on_tcp_has_not_confirmed() {
     let [rig, capsule] = mute
         .each_ref()
         .map(|mute| format!("tcp:{}", mute.local_addr().expect("bound")));
-    let line = ["retrograde", "--rig", &rig, "--capsule", &capsule, "estop"];
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line.map(Into::into), &Ports, &mut out, &mut err, false);
-    let out = String::from_utf8(out).expect("UTF-8");
+    let (code, out, _) = tool::run(&Ports, &["--rig", &rig, "--capsule", &capsule, "estop"]);
     assert_eq!(code, 7, "{out}");
     assert_eq!(out.matches("sent, NOT CONFIRMED").count(), 2, "{out}");
 }

@@ -321,6 +321,21 @@ fn a_faulted_machine_has_one_text_beside_its_state() {
     );
 }
 
+/// Regression: the keys ended in "...", though nothing of them was left out.
+#[test]
+fn a_terminal_that_is_too_small_shows_the_keys_whole() {
+    let now = Instant::now();
+    let shown = |size| text(&screen(&[running(now)], LOOK, size, now));
+    let keys = "h hold r resume s STOP e EMERGENCY STOP q leave";
+    for width in [47, 49, 60] {
+        let shown = shown((width, 20));
+        assert!(shown.lines().any(|row| row == keys), "{width}: {shown}");
+    }
+    // Less than the text needs: its last row says that there is more.
+    let shown = shown((20, 2));
+    assert!(shown.ends_with("..."), "{shown}");
+}
+
 /// The text without line breaks and frames.
 fn squeezed(text: &str) -> String {
     text.chars()

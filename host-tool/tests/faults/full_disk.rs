@@ -1,4 +1,5 @@
-//! A disk that fills up in the middle of a run: reported at once, and the rig's record of the run is not lost.
+//! A disk that fills up: in the middle of a run it is reported at once, and the rig's record of the run is not lost; a
+//! recording that does not fit leaves no part of its file.
 
 use crate::support::bench::{Bench, read, with_little_space};
 use protocol::system::DeviceKind;
@@ -41,4 +42,23 @@ fn a_disk_that_fills_in_mid_run_is_told_at_once_and_the_verdict_is_not_lost() {
     );
     // A full disk must not stop the rig.
     assert!(bench.urgent().is_empty());
+}
+
+/// Regression: a part of the file stayed, and the same command was refused because it was there.
+#[test]
+fn a_recording_that_does_not_fit_leaves_no_part_of_its_file() {
+    let bench = Bench::on_tcp(DeviceKind::Capsule);
+    let file = bench.folder.path().join("force.csv");
+    let path = file.to_str().expect("UTF-8");
+    // A few samples fit, and 2,800 readings do not.
+    let fold = ["fold", "--telemetry-ms", "1000", "--trace", path];
+    let (code, out, err) = read(
+        with_little_space(&bench.command(&fold), 8_192)
+            .output()
+            .expect("starts"),
+    );
+    assert_eq!(code, Some(1), "{out}{err}");
+    assert!(err.contains("force.csv"), "{err}");
+    assert_eq!(bench.trial()["status"], "complete");
+    assert!(!file.exists(), "{out}{err}");
 }

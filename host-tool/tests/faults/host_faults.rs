@@ -18,7 +18,7 @@ use campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
 use campaign::verify::verify;
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
-use host_tool::cli::run_at;
+use host_tool::cli::run_on;
 use jiff::{SignedDuration, Timestamp};
 use operations::connector::{Candidate, Connector, Purpose};
 use protocol::settings::SettingKey;
@@ -436,7 +436,7 @@ fn session(place: &Path, fault: Option<(Fault, u64)>) -> Session {
     let (mut out, mut err) = (vec![], vec![]);
     let code = catch_unwind(AssertUnwindSafe(|| {
         let args = args.iter().map(Into::into);
-        run_at(args, &computer, &mut out, &mut err, false, None)
+        run_on(args, &computer, &mut out, &mut err, None)
     }));
     let said = String::from_utf8_lossy(&[out, err].concat()).into_owned();
     until_nothing_is_written(place);

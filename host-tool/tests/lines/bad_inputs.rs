@@ -4,9 +4,9 @@
 use std::fmt::Write as _;
 
 use crate::support::bench::Bench;
+use crate::support::offline::retrograde;
 use client::Device;
 use client::address::Address;
-use host_tool::cli::run_on;
 use operations::connector::Ports;
 use operations::connector::{Connector as _, Purpose};
 use protocol::rig::{GetRigHealth, RigHealth, RigStatus, RunRecord};
@@ -624,14 +624,6 @@ const INPUTS: &[(&str, u8, &str, &str)] = &[
         "--image ELF",
     ),
 ];
-
-fn retrograde(args: &[&str]) -> (u8, String, String) {
-    let args = std::iter::once("retrograde").chain(args.iter().copied());
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(args.map(Into::into), &Ports, &mut out, &mut err, false);
-    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-    (code, text(out), text(err))
-}
 
 /// The rig's own counters.
 fn counters(rig: &str) -> (RigStatus, RunRecord, RigHealth) {

@@ -3,9 +3,8 @@
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
+use crate::support::offline::retrograde;
 use crate::support::others::{echo, instrument, other_baud, server, silent, ssh, web};
-use host_tool::cli::run_on;
-use operations::connector::Ports;
 
 #[test]
 fn each_other_end_is_named_with_what_to_do() {
@@ -29,11 +28,8 @@ fn each_other_end_is_named_with_what_to_do() {
     for (serve, says, remedy) in ends {
         let address = server(serve);
         let begin = Instant::now();
-        let line = ["retrograde", "--rig", &address, "info"];
-        let (mut out, mut err) = (vec![], vec![]);
-        let code = run_on(line.map(Into::into), &Ports, &mut out, &mut err, false);
+        let (code, _, err) = retrograde(&["--rig", &address, "info"]);
         let took = begin.elapsed();
-        let err = String::from_utf8(err).expect("UTF-8");
         assert_eq!(code, 4, "{says}: {err}");
         assert!(err.contains(says) && err.contains(remedy), "{says}: {err}");
         // Takes 0.8 s on an idle computer. The limit only makes sure that it ends by itself.

@@ -4,11 +4,10 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use crate::support::bench::Bench;
+use crate::support::offline::retrograde;
 use crate::support::others::{deaf, echo, instrument, other_baud, server, silent, ssh, web};
 use crate::support::signal::{Signal, kill};
 use crate::support::tool::{Memory, ready};
-use host_tool::cli::run_on;
-use operations::connector::Ports;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 use simulated_machines::machine::Script;
@@ -30,10 +29,8 @@ fn findings(out: &str) -> Vec<(String, String, String)> {
 }
 
 fn doctor(place: &str) -> (u8, Vec<(String, String, String)>) {
-    let (mut out, mut err) = (vec![], vec![]);
-    let line = ["retrograde", "--rig", place, "--json", "doctor"];
-    let code = run_on(line.map(Into::into), &Ports, &mut out, &mut err, false);
-    (code, findings(&String::from_utf8(out).expect("UTF-8")))
+    let (code, out, _) = retrograde(&["--rig", place, "--json", "doctor"]);
+    (code, findings(&out))
 }
 
 #[test]

@@ -131,7 +131,7 @@ impl Bay {
         let bench = Bench::on_tcp(kind);
         let program = bench.folder.path().join("probe-rs");
         let text = format!(
-            "#!/bin/sh\necho \"$@\" >> {}/told\n",
+            "#!/bin/sh\necho \"$@\" >> '{}/told'\n",
             bench.folder.path().display()
         );
         fs::write(&program, text).expect("written");

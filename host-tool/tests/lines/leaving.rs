@@ -2,7 +2,6 @@
 //! leaves in silence.
 
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader, Read};
 use std::net::TcpStream;
 use std::sync::atomic::Ordering;
 use std::thread;
@@ -10,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::stopping::{DEAD, SOON, Server, breakable, has_begun};
 use crate::support::bench::{Bench, read, ready};
-use crate::support::server::Killed;
+use crate::support::server::start_saying;
 use crate::support::signal::kill;
 use crate::support::tool::Memory;
 use protocol::system::{DeviceKind, Urgent};
@@ -29,21 +28,7 @@ fn deaf() -> Script {
 /// Starts a server that leaves its last words in a file.
 fn server(bench: &Bench) -> Server {
     let last_words = File::create(bench.folder.path().join("said")).expect("a file");
-    let mut child = bench
-        .command(&["serve", "--listen", "127.0.0.1:0"])
-        .stderr(last_words)
-        .spawn()
-        .expect("starts");
-    let mut out = BufReader::new(child.stdout.take().expect("piped"));
-    let mut url = String::new();
-    while !url.contains("#token=") {
-        url.clear();
-        assert_ne!(out.read_line(&mut url).expect("text"), 0, "no address");
-    }
-    thread::spawn(move || out.read_to_end(&mut vec![]));
-    let (at, token) = url.trim().split_once("/#token=").expect("an address");
-    let at = at.trim_start_matches("http://").to_owned();
-    Server::new((Killed(child), at, token.to_owned()))
+    Server::new(start_saying(bench, &[], last_words.into()))
 }
 
 /// Presses Ctrl-C in the server's terminal. Returns its exit code and last words.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::support::offline::retrograde;
+use crate::support::offline::{self, retrograde};
 use serde_json::Value;
 
 const MODEL: &str = "beam model, not validated against a rig";
@@ -22,10 +22,7 @@ fn crescent(folder: &Path, args: &[&str]) -> String {
 fn default_run() -> &'static (PathBuf, String) {
     static RUN: OnceLock<(PathBuf, String)> = OnceLock::new();
     RUN.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("crescent");
-        if folder.exists() {
-            fs::remove_dir_all(&folder).expect("the folder of the last run");
-        }
+        let folder = offline::folder("crescent", "default");
         let text = crescent(&folder, &[]);
         (folder, text)
     })

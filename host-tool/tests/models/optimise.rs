@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::support::offline::retrograde;
+use crate::support::offline::{self, retrograde};
 use locomotion::beam::crescent::{Shape, Wing};
 use locomotion::kinematics::Design;
 use serde_json::Value;
@@ -74,10 +74,7 @@ fn quick(folder: &Path) -> String {
 fn default_run() -> &'static (PathBuf, String) {
     static RUN: OnceLock<(PathBuf, String)> = OnceLock::new();
     RUN.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("optimise");
-        if folder.exists() {
-            fs::remove_dir_all(&folder).expect("the folder of the last run");
-        }
+        let folder = offline::folder("optimise", "default");
         let text = optimise(&folder, &[]);
         (folder, text)
     })

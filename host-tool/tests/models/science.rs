@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use crate::support::offline::retrograde;
+use crate::support::offline::{self, retrograde};
 use analysis::science::series::{self, TubeCase};
 use assert_cmd::Command;
 use locomotion::comparison;
@@ -33,10 +33,7 @@ fn simulate(folder: &Path, args: &[&str]) {
 fn everything() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("science");
-        if folder.exists() {
-            fs::remove_dir_all(&folder).expect("the folder of the last run");
-        }
+        let folder = offline::folder("science", "default");
         simulate(&folder, &["all"]);
         folder
     })

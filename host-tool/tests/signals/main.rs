@@ -12,7 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::signal::{Signal, kill};
-use host_tool::cli::run_at;
+use host_tool::cli::run_on;
 use operations::connector::Ports;
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::link::Peer;
@@ -201,12 +201,11 @@ fn a_key_holds_the_run_and_another_resumes_it() {
         lines: lines.into_iter(),
     }));
     let (mut out, mut err) = (vec![], vec![]);
-    let code = run_at(
+    let code = run_on(
         line.map(Into::into),
         &Ports,
         &mut out,
         &mut err,
-        false,
         Some(keyboard),
     );
     let (out, err) = (

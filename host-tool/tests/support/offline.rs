@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use host_tool::cli::run_on;
 use operations::connector::Ports;
+
+use crate::support::tool;
 
 /// An empty folder for the test `name` of the group `group`.
 pub fn folder(group: &str, name: &str) -> PathBuf {
@@ -23,9 +24,5 @@ pub fn text(path: &Path) -> &str {
 
 /// Exit code, standard output and standard error of `retrograde` with these arguments.
 pub fn retrograde(args: &[&str]) -> (u8, String, String) {
-    let line = ["retrograde"].iter().chain(args).map(Into::into);
-    let (mut out, mut err) = (vec![], vec![]);
-    let code = run_on(line, &Ports, &mut out, &mut err, false);
-    let text = |bytes| String::from_utf8(bytes).expect("UTF-8");
-    (code, text(out), text(err))
+    tool::run(&Ports, args)
 }

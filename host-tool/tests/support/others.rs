@@ -16,13 +16,9 @@ pub fn server(serve: fn(TcpStream)) -> String {
     address
 }
 
-pub fn read_on(mut stream: TcpStream) {
+pub fn silent(mut stream: TcpStream) {
     let mut bytes = [0; 256];
     while stream.read(&mut bytes).is_ok_and(|count| count > 0) {}
-}
-
-pub fn silent(stream: TcpStream) {
-    read_on(stream);
 }
 
 pub fn echo(mut stream: TcpStream) {
@@ -42,7 +38,7 @@ pub fn web(mut stream: TcpStream) {
 
 pub fn ssh(mut stream: TcpStream) {
     let _ = stream.write_all(b"SSH-2.0-OpenSSH_9.2p1\r\n");
-    read_on(stream);
+    silent(stream);
 }
 
 pub fn instrument(mut stream: TcpStream) {
@@ -52,12 +48,12 @@ pub fn instrument(mut stream: TcpStream) {
         }
         thread::sleep(Duration::from_millis(50));
     }
-    read_on(stream);
+    silent(stream);
 }
 
 pub fn other_baud(mut stream: TcpStream) {
     let _ = stream.write_all(&[0xE6, 0x80, 0x1E, 0xFE, 0x98].repeat(10));
-    read_on(stream);
+    silent(stream);
 }
 
 /// Sends like a machine and hears nothing.

@@ -18,12 +18,13 @@ impl Drop for Killed {
 
 /// Starts the server with more arguments, and reads its address and token.
 pub fn start(bench: &Bench, more: &[&str]) -> (Killed, String, String) {
+    start_saying(bench, more, Stdio::inherit())
+}
+
+/// The same with another place for what it says on standard error.
+pub fn start_saying(bench: &Bench, more: &[&str], stderr: Stdio) -> (Killed, String, String) {
     let args = [&["serve", "--listen", "127.0.0.1:0"], more].concat();
-    let mut child = bench
-        .command(&args)
-        .stderr(Stdio::inherit())
-        .spawn()
-        .expect("starts");
+    let mut child = bench.command(&args).stderr(stderr).spawn().expect("starts");
     let mut said = BufReader::new(child.stdout.take().expect("piped"));
     let mut url = String::new();
     while !url.contains("#token=") {

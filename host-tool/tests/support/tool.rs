@@ -2,9 +2,10 @@
 
 use std::sync::{Arc, Mutex};
 
+use client::Device;
 use client::address::Address;
 use client::link::{Link, OpenError};
-use host_tool::cli::run_at;
+use host_tool::cli::run_on;
 use host_tool::cli::screen::Keyboard;
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
@@ -28,16 +29,12 @@ impl Memory {
 
     /// Runs a command line without a keyboard. Returns exit code, output and errors.
     pub fn run(&self, args: &[&str]) -> (u8, String, String) {
-        self.run_with(args, None)
+        run_with(self, args, None)
     }
 
     /// Runs a command line with this typed at its keyboard.
     pub fn run_typed(&self, args: &[&str], typed: &'static str) -> (u8, String, String) {
-        self.run_with(args, Some(Box::new(typed.as_bytes())))
-    }
-
-    fn run_with(&self, args: &[&str], keyboard: Option<Keyboard>) -> (u8, String, String) {
-        run_with(self, args, keyboard)
+        run_with(self, args, Some(Box::new(typed.as_bytes())))
     }
 
     pub fn heard(&self) -> Vec<&'static str> {
@@ -61,7 +58,7 @@ fn run_with(
     let args = std::iter::once("retrograde").chain(args.iter().copied());
     let args = args.map(Into::into);
     let (mut out, mut err) = (vec![], vec![]);
-    let code = run_at(args, machines, &mut out, &mut err, false, keyboard);
+    let code = run_on(args, machines, &mut out, &mut err, keyboard);
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
     (code, text(out), text(err))
 }
@@ -109,4 +106,9 @@ pub fn ready(kind: DeviceKind) -> Script {
         ready: true,
         ..Script::new(kind)
     }
+}
+
+/// The client of such a machine.
+pub fn device(kind: DeviceKind) -> Device {
+    Device::connect(link(ready(kind)).0, kind, 5).expect("there")
 }

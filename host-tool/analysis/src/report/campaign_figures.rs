@@ -10,7 +10,8 @@ use trials::trial::{Action, RigSample, Screw};
 
 use crate::figures::palette::{BAND, DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
 use crate::figures::{
-    Chart, Curve, Figure, FigureError, Heading, Mark, Source, figure, planned, sampled, thinned,
+    Chart, Curve, Figure, FigureError, Heading, Mark, Source, curve, figure, planned, sampled,
+    thinned,
 };
 use crate::report::campaign_band::ModelBand;
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
@@ -19,15 +20,6 @@ use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_
 const EDGE: u32 = 48;
 /// Number of time intervals for which a run's figure shows the extremes.
 const STRETCHES: usize = 250;
-
-fn curve(label: impl Into<String>, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
-    Curve {
-        label: label.into(),
-        colour,
-        mark,
-        points,
-    }
-}
 
 /// Mean with one standard deviation up and down, as segments: the bar, its two ends and its middle.
 fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {

@@ -269,9 +269,7 @@ pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     let findings = verify::verify(folder)?.findings;
     let campaign = Campaign::read(folder)?;
     let manifest = read_manifest(folder)?.unwrap_or_default();
-    let manifest_sha256 = manifest::hash_file(&folder.join(manifest::NAME))
-        .map(|hash| manifest::hex(&hash))
-        .unwrap_or_default();
+    let manifest_sha256 = manifest::seal(folder).unwrap_or_default();
     let origin = campaign.origin().unwrap_or(Origin::Unknown);
     let mut evaluation = Evaluation {
         origin,

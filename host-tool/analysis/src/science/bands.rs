@@ -52,19 +52,10 @@ impl Bands {
             NORMAL.map(|z| values.iter().map(|mm| mm + deviation_mm * z).collect())
         };
         let all: Vec<Vec<f64>> = values.iter().zip(deviations_mm).flat_map(spread).collect();
-        Self::of(cases, &all).fitted(true)
-    }
-
-    /// The same bands, marked as those of a posterior.
-    #[must_use]
-    pub fn fitted(self, fitted: bool) -> Self {
-        Self { fitted, ..self }
-    }
-
-    /// No bands.
-    #[must_use]
-    pub fn none() -> Self {
-        Self::default()
+        Self {
+            fitted: true,
+            ..Self::of(cases, &all)
+        }
     }
 
     /// The band of a case.

@@ -9,7 +9,7 @@ use locomotion::beam::Validation;
 use plotters::style::RGBColor;
 
 use crate::figures::palette::{BAND, MEASURED as MODEL, PAPER, PLANNED as SECOND};
-use crate::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, figure};
+use crate::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, curve, figure};
 use crate::science::bands::Bands;
 use crate::science::crescent::{ForceRow, ThreadRow};
 use crate::science::design::{Curves, Maps};
@@ -22,15 +22,6 @@ use crate::science::series::{
 
 /// Most entries in the legend of a family; of a larger family it names only the first and the last.
 const LEGEND: usize = 12;
-
-fn curve(label: &str, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Curve {
-    Curve {
-        label: label.to_owned(),
-        colour,
-        mark,
-        points,
-    }
-}
 
 /// The prior band as an area, if it is known.
 fn band(points: Vec<(f64, f64)>) -> Option<Curve> {
@@ -253,7 +244,7 @@ pub fn comparison(
             .map(|row| (row.pressure_pa, row.displacement_mm))
             .collect();
         let label = format!("friction {friction:.2} (model)");
-        curve(&label, colour, Mark::Line(width), points)
+        curve(label, colour, Mark::Line(width), points)
     };
     // Draw the wide curve below the narrow one, so that both are visible: with a fixed friction ratio their values
     // are equal.
@@ -485,7 +476,7 @@ pub fn posterior(
             };
             let means = checks.iter().map(|one| at(&one.condition, 0.0));
             let ends = |one: &&Check| [-1.96, 1.96].map(|part| at(&one.condition, part));
-            curves.push(curve(&label, colour, Mark::Dots(7), means.collect()));
+            curves.push(curve(label, colour, Mark::Dots(7), means.collect()));
             let bars = checks.iter().flat_map(ends).collect();
             curves.push(curve("", colour, Mark::Segments(2), bars));
         }
@@ -578,7 +569,7 @@ pub fn designs(model: ModelName, per: Per, rows: &[DesignRow]) -> Result<String,
                         means,
                     ),
                     curve(
-                        &format!("{own_name} (model)"),
+                        format!("{own_name} (model)"),
                         PAPER,
                         Mark::Dots(10),
                         own_place,
@@ -589,7 +580,7 @@ pub fn designs(model: ModelName, per: Per, rows: &[DesignRow]) -> Result<String,
                 "overall length / mm",
                 "farther / % of bodies",
                 vec![curve(
-                    &format!("farther than {own_name} (model)"),
+                    format!("farther than {own_name} (model)"),
                     MODEL,
                     Mark::Dots(8),
                     beats.collect(),

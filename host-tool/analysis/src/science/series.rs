@@ -105,21 +105,13 @@ impl TubeRun {
 /// The paper's friction series: 0.08, 0.085 ... 0.20 at 7000 Pa.
 #[must_use]
 pub fn friction_cases() -> Vec<TubeCase> {
-    let case = |friction| TubeCase {
-        friction,
-        pressure_pa: FRICTION_SERIES_PA,
-    };
-    frictions().map(case).collect()
+    tube_cases(&frictions().collect::<Vec<_>>(), &[FRICTION_SERIES_PA])
 }
 
 /// The paper's pressure series: 3000, 3400 ... 7000 Pa at one friction.
 #[must_use]
 pub fn pressure_cases(friction: f64) -> Vec<TubeCase> {
-    let case = |pressure_pa| TubeCase {
-        friction,
-        pressure_pa,
-    };
-    pressures_pa().map(case).collect()
+    tube_cases(&[friction], &pressures_pa().collect::<Vec<_>>())
 }
 
 /// Every friction with every pressure; the pressure varies fastest.

@@ -27,7 +27,7 @@ impl Conduct<'_> {
         let campaign = self.folder.campaign();
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
-        let (left_s, _) = remaining::remaining_s(campaign);
+        let left_s = remaining::remaining_s(campaign);
         let mut checks = checks(
             planned,
             attempt,

@@ -63,12 +63,12 @@ impl Busy<'_> {
     }
 
     /// Reports the end of the hold or resume that is waiting for it.
-    pub(super) fn paced<'f>(&mut self, end: impl FnOnce(Pace) -> Result<Value, &'f Failure>) {
-        let Some((action, pace, _)) = held(&self.pacing).take() else {
+    pub(super) fn paced(&self, end: Result<Value, &Failure>) {
+        let Some((action, ..)) = held(&self.pacing).take() else {
             return;
         };
         let board = self.board;
-        match end(pace) {
+        match end {
             Ok(result) => board.ended(action, result, None),
             Err(failure) => {
                 // First the notice, so that no state after the end has the one before.
@@ -114,8 +114,7 @@ impl Observer for Busy<'_> {
         let waiting = held(&self.pacing).map(|(_, pace, _)| pace);
         match (event.what, waiting) {
             (What::Rig(RigEvent::Held { position_steps }), Some(Pace::Hold)) => {
-                let result = at(position_steps);
-                self.paced(|_| Ok(result));
+                self.paced(Ok(at(position_steps)));
             }
             (What::Rig(RigEvent::Resumed), Some(Pace::Resume)) => {
                 let steps = self
@@ -123,8 +122,7 @@ impl Observer for Busy<'_> {
                     .panel()
                     .rig
                     .map_or(0, |status| status.position_steps);
-                let result = at(steps);
-                self.paced(|_| Ok(result));
+                self.paced(Ok(at(steps)));
             }
             _ => {}
         }
@@ -196,7 +194,7 @@ impl Observer for Busy<'_> {
             impact: protocol::table::Impact::Pace,
             refusal: *refusal,
         });
-        self.paced(|_| Err(&failure));
+        self.paced(Err(&failure));
     }
 
     fn turn(&mut self, _now_us: u64, _clock: Option<client::Clock>) {

@@ -1,7 +1,6 @@
 //! Answers a campaign's questions: a person at the terminal, or the plan on the virtual bench.
 
-use std::io::BufRead;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
@@ -11,12 +10,13 @@ use campaign::plan::{CampaignPlan, Millimetres};
 use campaign::prompts::{Halt, Question};
 use campaign::readings::Quantity;
 use client::error::ClientError;
-use client::{Interrupt, Observer, Pace, Pacer};
+use client::{Interrupt, Observer, Pacer};
 use jiff::Timestamp;
 use operations::failure::Failure;
 use operations::interrupt;
 use operations::places::Places;
 
+use crate::cli::keyboard;
 use crate::cli::screen::{Keyboard, Screen};
 
 /// Interval between two polls of the keyboard.
@@ -34,17 +34,8 @@ pub(super) enum Who {
 }
 
 impl Who {
-    /// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
     pub(super) fn person(keyboard: Keyboard) -> Self {
-        let (typing, typed) = channel();
-        thread::spawn(move || {
-            for line in keyboard.lines().map_while(Result::ok) {
-                if typing.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        Self::Person(Arc::new(Mutex::new(typed)))
+        Self::Person(Arc::new(Mutex::new(keyboard::lines(keyboard))))
     }
 }
 
@@ -144,19 +135,7 @@ impl Desk for Counter<'_, '_> {
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
                 .try_recv();
-            match typed.ok()?.trim() {
-                "h" | "H" => Some(Pace::Hold),
-                "r" | "R" => Some(Pace::Resume),
-                "s" | "S" => {
-                    interrupt::press();
-                    None
-                }
-                "" => None,
-                _ => {
-                    interrupt::tell(crate::cli::keyboard::hint(false));
-                    None
-                }
-            }
+            keyboard::pace(typed.ok()?.trim(), keyboard::hint(false))
         }))
     }
 

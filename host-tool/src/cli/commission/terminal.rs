@@ -1,7 +1,6 @@
 //! The person at the terminal as the hands of a commissioning.
 
-use std::io::BufRead;
-use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, TryRecvError};
 use std::thread;
 use std::time::Duration;
 
@@ -11,6 +10,7 @@ use commissioning::halt::Halt;
 use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
 use commissioning::session::COLUMNS;
 
+use crate::cli::keyboard;
 use crate::cli::screen::Keyboard;
 
 /// Interval between two polls of the keyboard.
@@ -29,16 +29,8 @@ enum Answer {
 }
 
 impl Terminal {
-    /// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
     pub(super) fn new(keyboard: Keyboard, interrupt: Interrupt) -> Self {
-        let (typing, typed) = channel();
-        thread::spawn(move || {
-            for line in keyboard.lines().map_while(Result::ok) {
-                if typing.send(line).is_err() {
-                    return;
-                }
-            }
-        });
+        let typed = keyboard::lines(keyboard);
         Self { typed, interrupt }
     }
 

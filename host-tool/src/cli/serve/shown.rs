@@ -45,7 +45,7 @@ pub(crate) fn json(folder: &Path) -> Value {
     });
     let left = next
         .is_some()
-        .then(|| remaining::text(remaining::remaining_s(&campaign).0));
+        .then(|| remaining::text(remaining::remaining_s(&campaign)));
     json!({
         "name": campaign.plan.name,
         "folder": folder,

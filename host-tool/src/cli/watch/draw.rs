@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use client::{decimal, identity, visible};
-use operations::panel::{Contact, Notice, Panel, left_text, millimetres, run_text};
+use operations::panel::{Contact, Notice, Panel, left_s, millimetres, run_text};
 use protocol::capsule::{CapsuleState, CapsuleStatus};
 use protocol::rig::{RigState, RigStatus};
 use ratatui_core::buffer::Buffer;
@@ -128,12 +128,10 @@ impl Sheet<'_> {
 
     /// Writes a text over several rows, broken at words. Returns the number of rows.
     fn wrap(&mut self, y: u16, rows: u16, text: &str, tone: Tone) -> u16 {
-        let lines = visible::wrapped(text, self.area.width.into(), "");
-        let mut shown: Vec<_> = lines.into_iter().take(rows.into()).collect();
-        let cut: usize = shown.iter().map(|line| line.chars().count() + 1).sum();
-        if cut < text.chars().count()
-            && let Some(last) = shown.last_mut()
-        {
+        let mut shown = visible::wrapped(text, self.area.width.into(), "");
+        let is_cut = shown.len() > usize::from(rows);
+        shown.truncate(rows.into());
+        if is_cut && let Some(last) = shown.last_mut() {
             let kept = usize::from(self.area.width).saturating_sub(3);
             *last = last.chars().take(kept).collect::<String>() + "...";
         }
@@ -363,7 +361,9 @@ fn rig_panel(panel: &Panel, status: &RigStatus, at: Instant, sheet: &mut Sheet<'
         let width = sheet.area.width / 3;
         let all = u64::from(status.strokes) * 1_000;
         sheet.bar(0, 4, width, thousandths, all, Tone::Moving);
-        let text = format!("{}{}", run_text(status), left_text(status, thousandths));
+        let left = left_s(status, thousandths);
+        let left = left.map_or_else(String::new, |s| format!(", about {s} s left"));
+        let text = format!("{}{left}", run_text(status));
         sheet.put(width + 2, 4, &text, Tone::Plain);
     } else if status.run > 0 {
         let text = format!("no run; the last one was run {}", status.run);

@@ -99,20 +99,6 @@ fn an_order_that_a_stop_has_removed_was_certainly_not_sent() {
 }
 
 #[test]
-fn a_repeated_stop_keeps_its_number_and_another_gets_the_next() {
-    let (core, written) = core();
-    let other = Header { seq: 8, ..STOP };
-    for header in [STOP, STOP, other] {
-        core.stop(0, header, Urgent::Stop).expect("sent");
-    }
-    let numbers: Vec<_> = written
-        .try_iter()
-        .map(|frame| header(&frame).expect("a frame").seq)
-        .collect();
-    assert_eq!(numbers, [FIRST_SEQ, FIRST_SEQ, FIRST_SEQ + 1]);
-}
-
-#[test]
 fn a_question_that_waited_too_long_is_not_asked() {
     let (core, _written) = core();
     let (answers, answered) = channel();
