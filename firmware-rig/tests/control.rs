@@ -833,6 +833,8 @@ mod button {
         ] {
             bench.accepted(set(key, value));
         }
+        // A press sooner after the homing was meant to stop it.
+        bench.ticks(100);
         hold_down(&mut bench, 3);
         // The host is silent; the run still goes on to its end.
         bench.board().silence_us = u32::MAX;

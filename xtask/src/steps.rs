@@ -360,7 +360,7 @@ mod tests {
         assert_eq!(bad.outcome, Outcome::Failed);
         let table = table(&[bad], Duration::from_secs(99));
         for line in [
-            "host           FAILED        42       0.0  2 of them failed",
+            "host           FAILED        42       0.0  2 of them failed  3 left out",
             "all                          42      99.0  1 min 39 s",
             "     12.0  program 12 (host)",
             "      3.0  program 3 (host)",
