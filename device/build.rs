@@ -40,11 +40,17 @@ fn main() {
         "wiring",
     ] {
         println!("cargo:rerun-if-changed=../{part}/src");
+        println!("cargo:rerun-if-changed=../{part}/Cargo.toml");
     }
 }
 
 fn git(arguments: &[&str]) -> Option<String> {
-    let output = Command::new("git").args(arguments).output().ok()?;
+    let mut command = Command::new("git");
+    // Set within a hook; they may mean another folder.
+    for variable in ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"] {
+        command.env_remove(variable);
+    }
+    let output = command.args(arguments).output().ok()?;
     let text = String::from_utf8(output.stdout).ok()?;
     output.status.success().then(|| text.trim().to_owned())
 }

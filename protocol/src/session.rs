@@ -93,8 +93,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Without a session. The first session's number follows from `first` and the first nonce: pass the boot id, so
-    /// that a restarted device does not give the same program the same number again.
+    /// Without a session. The first session's number follows from `first`, which should be the boot id, and from the
+    /// first nonce: after a restart it is most likely another one than before.
     pub const fn new(first: u32) -> Self {
         Self {
             number: (first % 255) as u8 + 1,

@@ -10,8 +10,8 @@ use core::{
 use cortex_m_rt::ExceptionFrame;
 
 /// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
-/// `$outputs_off`, the image's safe state, before anything else. From then on no task and no interrupt runs that could
-/// switch an output on again: a processor fault has the highest priority, and a panic switches the interrupts off.
+/// `$outputs_off`, the image's safe state, before it keeps its last words. No task and no interrupt can switch an output
+/// on again: a panic switches the interrupts off first, and a processor fault has the highest priority.
 #[macro_export]
 macro_rules! last_resort {
     ($outputs_off:path) => {

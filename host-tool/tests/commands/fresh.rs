@@ -137,6 +137,7 @@ fn the_tool_hands_a_virtual_machine_to_the_bench_beside_it() {
         let output = Command::new(&tool)
             .args(args)
             .env("RETROGRADE_RIG", "virtual")
+            .env_remove("RETROGRADE_CAPSULE")
             .env("RETROGRADE_RUNTIME_DIR", folder.path().join("locks"))
             .output()
             .expect("started");

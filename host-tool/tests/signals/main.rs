@@ -72,6 +72,7 @@ fn signalled(
     let tool = Command::new(env!("CARGO_BIN_EXE_retrograde"))
         .args(["--rig", &address])
         .args(args)
+        .env_remove("RETROGRADE_CAPSULE")
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
