@@ -20,7 +20,7 @@ use device::{
 };
 use embedded_storage_async::nor_flash::NorFlash;
 use protocol::{
-    capsule::{CapsuleEvent, CapsuleFault, CapsuleState, CapsuleTelemetry},
+    capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
     error::Refusal,
     events::EventRing,
     settings::SettingKey,
@@ -149,11 +149,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
                 actuations: before.actuations.saturating_add(actuations),
                 energy_mj: before.energy_mj.saturating_add(energy_mj),
                 // An end that has wandered costs the reference, but the capsule is still folded.
-                folded: matches!(
-                    self.machine.state(),
-                    CapsuleState::Folded | CapsuleState::WasFolded
-                )
-                .then(|| self.machine.margin()),
+                folded: self.machine.is_folded().then(|| self.machine.margin()),
             });
             match unwritten {
                 false => self.ended = (0, 0),

@@ -276,6 +276,15 @@ impl Capsule {
         }
     }
 
+    /// It stands folded, as far as it knows. An emergency stop at rest does not unfold it.
+    pub fn is_folded(&self) -> bool {
+        match &self.mode {
+            Mode::Folded => true,
+            Mode::Unreferenced | Mode::Faulted(CapsuleFault::EStopFrame) => self.was_folded,
+            _ => false,
+        }
+    }
+
     /// The motor may be driven.
     pub fn is_moving(&self) -> bool {
         matches!(self.mode, Mode::Moving(_))
@@ -577,6 +586,17 @@ impl Capsule {
                         }
                     }
                     Spooling::Wind => {
+                        // It was felt here, and pulls alike unless it has failed on the way back. A motor that winds a
+                        // slack thread is braked at times, and tells nothing then: go on to where the way began.
+                        if let Some(felt_ma) = actuation.winding_ma {
+                            let least_ma = felt_ma.saturating_sub(self.no_load_ma) / 2;
+                            let is_there = counts.since(self.zero).thread() >= actuation.from;
+                            match load.excess_ma {
+                                None if !is_there => return Ok(()),
+                                Some(excess_ma) if excess_ma >= least_ma => {}
+                                _ => return Err(CapsuleFault::SlipOrBreak),
+                            }
+                        }
                         self.folded(now_us, actions);
                         return Ok(());
                     }

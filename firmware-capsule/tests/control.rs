@@ -505,6 +505,37 @@ fn calibrated_on(flash: &Flash) -> Vec<What> {
     device.told()
 }
 
+/// It is pressed before the end of the fold is in flash.
+#[test]
+fn an_emergency_stop_just_after_a_fold_does_not_unfold_it() {
+    let flash = Flash::blank();
+    calibrated_on(&flash);
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    let mut model = plant::Simulation::nominal().board;
+    let rest = |model: &mut plant::board::Board, device: &mut Device, ms: u32| {
+        (0..ms).for_each(|_| read_from(model, device));
+    };
+    rest(&mut model, &mut device, 1);
+    device.accepted(Request::Reference(Reference));
+    while device.state().0 == CapsuleState::Referencing {
+        read_from(&mut model, &mut device);
+    }
+    rest(&mut model, &mut device, 700);
+    device.accepted(Request::Fold(Fold));
+    while device.state().0 == CapsuleState::Folding {
+        read_from(&mut model, &mut device);
+    }
+    assert_eq!(device.state(), (CapsuleState::Folded, None));
+    rest(&mut model, &mut device, 300);
+    device.control.answer(Inbound::Urgent(Urgent::EStop));
+    rest(&mut model, &mut device, 700);
+    device.accepted(Request::Acknowledge(Acknowledge));
+    assert_eq!(device.state().0, CapsuleState::WasFolded);
+    let bytes = Flash::holding(flash.bytes());
+    let mut later = Device::start_on(bytes, FRESH, ResetCause::PowerOn);
+    assert_eq!(later.state().0, CapsuleState::WasFolded);
+}
+
 /// The totals show a calibration from where it is in force; the next start has to find that one.
 #[test]
 fn a_calibration_that_is_stopped_once_it_is_in_force_is_in_flash() {

@@ -142,6 +142,26 @@ fn ends_that_wander_take_the_reference_away() {
     assert!(sim.plant.extremes_mm().0 >= 0.0);
 }
 
+/// A count that may be too high ends no partial fold below what is doubted of it.
+#[test]
+fn a_partial_fold_respects_what_is_doubted() {
+    let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
+    for _ in 0..14 {
+        sim.run(Command::Fold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+        sim.run(Command::Unfold);
+        sim.board.miscount(50);
+    }
+    let least = PARTIAL_MARGIN.0;
+    match refusal(&mut sim, least) {
+        Some(Refusal::OutOfRange { min, .. }) => assert!(min > least as u64, "{min}"),
+        other => {
+            sim.settle();
+            panic!("{other:?}: {} mm", sim.plant.extremes_mm().0);
+        }
+    }
+}
+
 /// A healthy capsule folds the same way again and again.
 #[test]
 fn a_healthy_capsule_does_not_drift() {

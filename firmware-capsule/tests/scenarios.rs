@@ -761,6 +761,52 @@ fn a_check_of_a_folded_capsule_feels_its_thread_and_leaves_it_where_it_was() {
     );
 }
 
+/// The last part of a check winds back what it has paid out to feel the thread. A thread that fails there, under the
+/// growing load, left a capsule that was called folded.
+#[test]
+fn a_thread_that_fails_after_it_was_felt_is_no_folded_end() {
+    fn driven_mv(sim: &Simulation) -> i16 {
+        match sim.capsule.drive() {
+            Drive::Millivolts(millivolts) => millivolts,
+            _ => 0,
+        }
+    }
+    fn ticks_while(sim: &mut Simulation, goes_on: fn(&Simulation) -> bool) -> u32 {
+        let mut ticks = 0;
+        while goes_on(sim) {
+            sim.tick();
+            ticks += 1;
+        }
+        ticks
+    }
+    let faults = [
+        CapsuleFault::SlipOrBreak,
+        CapsuleFault::ThreadBroken,
+        CapsuleFault::SpoolSlip,
+    ];
+    let lifelike = (0..8).map(Parameters::lifelike);
+    for parameters in std::iter::once(Parameters::nominal()).chain(lifelike) {
+        let mut sim = Simulation::calibrated(parameters, 0);
+        sim.run(Command::Fold);
+        sim.order(Command::CheckFolded);
+        // It winds, pays out, and winds again.
+        ticks_while(&mut sim, |sim| driven_mv(sim) >= 0);
+        ticks_while(&mut sim, |sim| driven_mv(sim) <= 0);
+        let lasts_ms = ticks_while(&mut sim.clone(), |sim| sim.capsule.is_moving());
+        for defect in [Defect::Snap(0.0), Defect::Slip(4.0)] {
+            for percent in [20, 50, 80] {
+                let mut sim = sim.clone();
+                (0..lasts_ms * percent / 100).for_each(|_| drop(sim.tick()));
+                sim.plant.suffer(defect);
+                sim.settle();
+                let what = format!("{defect:?}, {percent} % of {lasts_ms} ms");
+                let fault = sim.capsule.fault().expect(&what);
+                assert!(faults.contains(&fault), "{what}: {fault:?}");
+            }
+        }
+    }
+}
+
 /// Grease, temperature and wear change the friction in the worm. That changes the current at the folded end, but not
 /// the end's position.
 #[test]

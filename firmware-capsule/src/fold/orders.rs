@@ -117,7 +117,9 @@ impl Capsule {
     /// Refuses a partial fold whose target is too close to an end, or is the present position.
     pub(super) fn may_stop_at(&self, target: Thread) -> Result<(), Refusal> {
         let Thread(end_um) = self.folded_end().unwrap_or_default();
-        let (min, max) = (super::PARTIAL_MARGIN.0, end_um - super::PARTIAL_MARGIN.0);
+        // The count may be too high by what is doubted: paid out to less, it would pass zero.
+        let min = self.doubt.0.max(super::PARTIAL_MARGIN.0);
+        let max = end_um - super::PARTIAL_MARGIN.0;
         if !(min..=max).contains(&target.0) {
             return Err(out_of_range(target, (Thread(min), Thread(max))));
         }
