@@ -592,7 +592,9 @@ impl Capsule {
                             let least_ma = felt_ma.saturating_sub(self.no_load_ma) / 2;
                             let is_there = counts.since(self.zero).thread() >= actuation.from;
                             match load.excess_ma {
-                                None if !is_there => return Ok(()),
+                                None if !is_there && now_us < actuation.deadline_us => {
+                                    return Ok(());
+                                }
                                 Some(excess_ma) if excess_ma >= least_ma => {}
                                 _ => return Err(CapsuleFault::SlipOrBreak),
                             }

@@ -115,7 +115,7 @@ enum Subcommand {
         capsule: Option<u16>,
         /// Also serve hands at each machine, for `retrograde commission --yes --hands`: on this port at the rig, on
         /// the next one at the capsule; 0 for free ones.
-        #[arg(long, value_name = "PORT")]
+        #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(..=65_534))]
         hands: Option<u16>,
     },
     /// Any command of the host tool, also behind the word `retrograde`, as its own `serve` has to be; which here also takes `--rig virtual` and `--capsule virtual`.
@@ -224,7 +224,7 @@ fn serve(rig: Option<u16>, capsule: Option<u16>, hands: Option<u16>) -> Result<(
         let bench = boards::capsule::start(Parameters::nominal())?;
         let plug = Plug::default();
         if let Some(port) = hands {
-            let port = if port == 0 { 0 } else { port.saturating_add(1) };
+            let port = if port == 0 { 0 } else { port + 1 };
             lend_hands(Machine::Capsule(bench.clone()), &plug, "capsule", port)?;
         }
         serving.push(serve_one(bench, "capsule", port, plug)?);
