@@ -276,15 +276,6 @@ impl Capsule {
         }
     }
 
-    /// It stands folded, as far as it knows. An emergency stop at rest does not unfold it.
-    pub fn is_folded(&self) -> bool {
-        match &self.mode {
-            Mode::Folded => true,
-            Mode::Unreferenced | Mode::Faulted(CapsuleFault::EStopFrame) => self.was_folded,
-            _ => false,
-        }
-    }
-
     /// The motor may be driven.
     pub fn is_moving(&self) -> bool {
         matches!(self.mode, Mode::Moving(_))
@@ -533,6 +524,7 @@ impl Capsule {
             return Err(CapsuleFault::SenseOrEncoder);
         }
         let may_have_slipped = self.may_have_slipped();
+        let pulls_as_felt = self.pulls_as_felt(now_us, &load);
         let Mode::Moving(actuation) = &mut self.mode else {
             return Ok(());
         };
@@ -586,20 +578,11 @@ impl Capsule {
                         }
                     }
                     Spooling::Wind => {
-                        // It was felt here, and pulls alike unless it has failed on the way back. A motor that winds a
-                        // slack thread is braked at times, and tells nothing then: go on to where the way began.
-                        if let Some(felt_ma) = actuation.winding_ma {
-                            let least_ma = felt_ma.saturating_sub(self.no_load_ma) / 2;
-                            let is_there = counts.since(self.zero).thread() >= actuation.from;
-                            match load.excess_ma {
-                                None if !is_there && now_us < actuation.deadline_us => {
-                                    return Ok(());
-                                }
-                                Some(excess_ma) if excess_ma >= least_ma => {}
-                                _ => return Err(CapsuleFault::SlipOrBreak),
-                            }
+                        match pulls_as_felt {
+                            Some(true) => self.folded(now_us, actions),
+                            Some(false) => return Err(CapsuleFault::SlipOrBreak),
+                            None => {}
                         }
-                        self.folded(now_us, actions);
                         return Ok(());
                     }
                 }

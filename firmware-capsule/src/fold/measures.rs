@@ -114,6 +114,24 @@ impl Capsule {
             && share.is_some_and(|share| share < SURE_PULL)
     }
 
+    /// Whether a thread that was felt, and has been wound back, pulls at least half as much as it did there; none while
+    /// that is not known. A motor that winds a slack thread is braked at times, and tells nothing then.
+    pub(super) fn pulls_as_felt(&self, now_us: u64, load: &Load) -> Option<bool> {
+        let Mode::Moving(actuation) = &self.mode else {
+            return Some(true);
+        };
+        let Some(felt_ma) = actuation.winding_ma else {
+            return Some(true);
+        };
+        let least_ma = felt_ma.saturating_sub(self.no_load_ma) / 2;
+        let goes_on = self.thread() < actuation.from && now_us < actuation.deadline_us;
+        match load.excess_ma {
+            Some(excess_ma) => Some(excess_ma >= least_ma),
+            None if goes_on => None,
+            None => Some(false),
+        }
+    }
+
     /// Scales the end force to the friction of this motion. The folded end is a place, but a current finds it, and
     /// that depends on the worm's friction and on anything else that scales the origami's force. If a fold feels half
     /// of the end force earlier than the calibration did, it may go on to more force without being called a jam. The

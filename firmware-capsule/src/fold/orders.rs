@@ -129,6 +129,15 @@ impl Capsule {
         Ok(())
     }
 
+    /// It stands folded, as far as it knows. An emergency stop at rest does not unfold it.
+    pub fn is_folded(&self) -> bool {
+        match &self.mode {
+            Mode::Folded => true,
+            Mode::Unreferenced | Mode::Faulted(CapsuleFault::EStopFrame) => self.was_folded,
+            _ => false,
+        }
+    }
+
     /// Believed position of the folded end.
     pub(super) fn folded_end(&self) -> Option<Thread> {
         let calibration = self.calibration.as_ref()?;
