@@ -113,6 +113,8 @@ pub enum World {
     Reset,
     /// A stop comes from another terminal.
     StopFrame,
+    /// A resume comes from another terminal.
+    Resume,
     /// The capsule's cell has this voltage from now on.
     Battery { mv: u16 },
 }

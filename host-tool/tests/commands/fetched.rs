@@ -110,14 +110,15 @@ fn what_goes_on_is_not_fetched() {
 #[test]
 fn a_run_of_the_button_is_fetched() {
     let script = Script {
-        world: button(100_000),
+        // A second after the homing, and more: a press before that was meant to stop it.
+        world: button(1_200_000),
         uid: VIRTUAL_UID,
         ..ready(DeviceKind::Rig)
     };
     let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
     let asked = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
     assert_eq!(asked, Err(Nothing::Yet));
-    rig.idle(45_000_000, &mut Unobserved).expect("there");
+    rig.idle(46_000_000, &mut Unobserved).expect("there");
     let asked = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
     let fetched = asked.expect("a run");
     assert_eq!(

@@ -8,7 +8,7 @@ use device::service::Answers;
 use device::service::Inbound;
 use firmware_rig::control::{self, Control};
 use firmware_rig::execution::Order;
-use firmware_rig::machine::{Event, Now};
+use firmware_rig::machine::{Command, Event, Now};
 use firmware_rig::settings::Settings;
 use motion::units::StepPosition;
 use protocol::rig::{GetRigStatus, Glitches, RigHardware, RigHealth, RigTelemetry};
@@ -290,6 +290,7 @@ impl Device for Rig {
             }
             World::Button { down } => self.control.rig().board.button_is_down = down,
             World::TimerStands => self.timer_stands = true,
+            World::Resume => self.control.event(Event::Command(&Command::Resume)),
             World::Reset | World::StopFrame | World::Battery { .. } => {
                 unreachable!("{event:?} is of the device or the capsule")
             }
