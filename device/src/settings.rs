@@ -1,7 +1,7 @@
 //! Settings as sent on the wire, and their store in flash, which also keeps the name and a machine's other records.
 //! The image interprets the values.
 
-use crate::store::{NAME_RECORD, StorageFailed, Store};
+use crate::store::{DEFAULTS_RECORD, NAME_RECORD, StorageFailed, Store};
 use embedded_storage_async::nor_flash::NorFlash;
 use heapless::String;
 use protocol::{
@@ -137,8 +137,8 @@ impl<F: NorFlash> SettingsStore<F> {
 
 impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// Reads the flash. The second value is false if the content cannot be used: it is not a log, or the values fail
-    /// `go_together` (a power cut during a reset to the defaults may cause this). The defaults are then in force. It is
-    /// also false if a single value cannot be used: then its default is in force.
+    /// `go_together`, as those of another firmware may. The defaults are then in force. It is also false if a single
+    /// value cannot be used: then its default is in force.
     ///
     /// Without a log the other records are dropped too: those that could be read may be years old.
     pub fn load_with(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
@@ -148,9 +148,10 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         // Whether the last record of each setting could not be used; a later record overrides an earlier one.
         let mut passed_over = [false; SettingKey::ALL.len()];
         let loaded = store.load(|number, record| match number {
-            NAME_RECORD => {
-                let text = core::str::from_utf8(record).unwrap_or_default();
-                name = text.try_into().unwrap_or_default();
+            NAME_RECORD => name = name_in(record),
+            DEFAULTS_RECORD => {
+                (values, name) = (Values::DEFAULT, name_in(record));
+                passed_over = [false; SettingKey::ALL.len()];
             }
             _ if R::NUMBERS.contains(&number) => records.load(number, record),
             _ => {
@@ -242,13 +243,13 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Restores the defaults of all values and of the name. The other records stay.
+    /// Restores the defaults of all values and of the name, with one record: a power cut leaves all of them as they
+    /// were, or none. The other records stay.
     ///
     /// # Errors
-    /// The flash is worn out; some values may have changed in it, none in force.
+    /// The flash is worn out. No value in force has changed.
     pub fn reset(&mut self) -> Result<(), StorageFailed> {
-        let is_log = self.found != Found::Noise;
-        if !is_log || self.save_defaults().is_err() || self.save(NAME_RECORD, &[]).is_err() {
+        if self.save(DEFAULTS_RECORD, &[]).is_err() {
             self.begin_anew()?;
         }
         self.found = Found::Settings;
@@ -270,11 +271,12 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// After a conflict, writes all defaults, which are in force. Otherwise the next start would find the conflict
-    /// again, or a single new value would end it and bring back the old values of the others.
+    /// After a conflict, writes the defaults, which are in force, and the name. Otherwise the next start would find the
+    /// conflict again, or a single new value would end it and bring back the old values of the others.
     fn end_conflict(&mut self) -> Result<(), StorageFailed> {
         if self.found == Found::Conflict {
-            self.save_defaults()?;
+            let name = self.name.clone();
+            self.save(DEFAULTS_RECORD, name.as_bytes())?;
             self.found = Found::Settings;
         }
         Ok(())
@@ -286,17 +288,6 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
             Some(_) => self.end_conflict(),
             None => Ok(()),
         }
-    }
-
-    fn save_defaults(&mut self) -> Result<(), StorageFailed> {
-        for key in SettingKey::of(R::KIND) {
-            let default = key.range().default;
-            // A value that is not in force is still in flash, where another firmware may load it.
-            if self.found != Found::Settings || self.values.get(key) != default {
-                self.save(key as u8, &Values::record(default))?;
-            }
-        }
-        Ok(())
     }
 
     /// Writes a record. First rewrites the old ones that would otherwise be dropped some day.
@@ -324,6 +315,12 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         let value = self.values.get(setting::<R>(number)?);
         Some(Values::record(value).into_iter().collect())
     }
+}
+
+/// The name in a record; empty if it is no text.
+fn name_in(record: &[u8]) -> String<MAX_NAME> {
+    let text = core::str::from_utf8(record).unwrap_or_default();
+    text.try_into().unwrap_or_default()
 }
 
 /// The setting in a record.

@@ -21,6 +21,9 @@ const SECTORS_END: u32 = SECTORS.end;
 pub const SECTOR: u32 = 16 * 1024;
 /// Number of the name's record; settings have theirs from 0.
 pub const NAME_RECORD: u8 = 0xF0;
+/// Number of the record after which all settings have their defaults. It holds the name. It needs no rewriting: the
+/// records that it overrides are older, so the log drops them before it.
+pub const DEFAULTS_RECORD: u8 = 0xF1;
 /// Bytes read at a time when checking that a sector is blank. Word by word, the calls take 40 ms at 16 MHz, in which
 /// no task runs.
 const LOOK: usize = 128;

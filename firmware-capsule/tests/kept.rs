@@ -210,7 +210,7 @@ fn a_cut_leaves_the_old_setting_or_the_new_one() {
     }
 }
 
-/// A power cut during a reset may leave values that break a rule together.
+/// Values of another firmware may break a rule together.
 #[test]
 fn settings_that_do_not_go_together_are_the_defaults() {
     let flash = Flash::blank();

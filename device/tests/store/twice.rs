@@ -49,17 +49,13 @@ fn cut(image: &[u8], change: Change, number: usize, cut: Cut) -> Option<Vec<u8>>
     (done.is_err() || flash.operations().len() > number).then(|| flash.bytes())
 }
 
-/// Each value and the name are those of before or of after.
+/// The content is that of before or of after.
 fn check(image: &[u8], before: &Content, change: Change, context: &str) -> Content {
     let found = Content::of(&start(&Flash::holding(image.to_vec())));
-    let after = change.on(before);
-    for key in SettingKey::ALL {
-        let value = found.values.get(key);
-        let is_left = value == before.values.get(key) || value == after.values.get(key);
-        assert!(is_left, "{context}: {} is {value}", key.name());
-    }
-    let is_left = found.name == before.name || found.name == after.name;
-    assert!(is_left, "{context}: {:?}", found.name);
+    assert!(
+        found == *before || found == change.on(before),
+        "{context}: {found:?}"
+    );
     found
 }
 
@@ -136,8 +132,8 @@ fn two_cuts_while_a_sector_is_dropped_lose_no_more_than_their_changes() {
 
 /// A reset that is cut, and done again; or another change after it.
 #[test]
-fn two_cuts_around_a_reset_leave_each_value_old_or_default() {
+fn two_cuts_around_a_reset_leave_everything_or_only_defaults() {
     for second in [Change::Reset, SMALL[0]] {
-        assert!(cut_twice(&young(), Change::Reset, second) > 1_000);
+        assert!(cut_twice(&young(), Change::Reset, second) > 100);
     }
 }
