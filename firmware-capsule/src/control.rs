@@ -131,31 +131,9 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         if at_us.saturating_sub(since_us) < STANDS_US || at_us < self.again_us {
             return;
         }
-        let mut failed = false;
-        if let Some(calibration) = self.calibrated {
-            let kept = Kept {
-                calibration: Some(calibration),
-                ..*self.store.records()
-            };
-            match self.store.keep(CALIBRATION, kept) {
-                Ok(()) => self.calibrated = None,
-                Err(StorageFailed) => failed = true,
-            }
-        }
-        let (actuations, energy_mj) = self.ended;
-        if actuations != 0 {
-            let before = self.store.records().totals;
-            let unwritten = self.keep_totals(Totals {
-                actuations: before.actuations.saturating_add(actuations),
-                energy_mj: before.energy_mj.saturating_add(energy_mj),
-                // An end that has wandered costs the reference, but the capsule is still folded.
-                folded: self.machine.is_folded().then(|| self.machine.margin()),
-            });
-            match unwritten {
-                false => self.ended = (0, 0),
-                true => failed = true,
-            }
-        }
+        // Both are tried, whatever becomes of the first.
+        let kept = [self.keep_calibration(), self.keep_totals()];
+        let failed = kept.contains(&Err(StorageFailed));
         if failed && self.again_us == 0 {
             self.emit(What::Capsule(CapsuleEvent::NotKept));
         }
@@ -166,29 +144,58 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         };
     }
 
-    /// Clears "folded" in flash before the motor turns, so that a power cut during the motion does not leave it set.
-    fn leave_folded(&mut self, actions: &Actions) {
-        let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
-        let totals = self.store.records().totals;
-        if totals.folded.is_none() || !actions.events.iter().any(starts) {
-            return;
-        }
-        let left = Totals {
-            folded: None,
-            ..totals
+    /// Writes the calibration in force, unless flash has it.
+    fn keep_calibration(&mut self) -> Result<(), StorageFailed> {
+        let Some(calibration) = self.calibrated else {
+            return Ok(());
         };
-        if self.keep_totals(left) {
-            self.emit(What::Capsule(CapsuleEvent::NotKept));
-        }
-    }
-
-    /// Writes the totals; true if that failed.
-    fn keep_totals(&mut self, totals: Totals) -> bool {
         let kept = Kept {
-            totals,
+            calibration: Some(calibration),
             ..*self.store.records()
         };
-        self.store.keep(TOTALS, kept).is_err()
+        self.store.keep(CALIBRATION, kept)?;
+        self.calibrated = None;
+        Ok(())
+    }
+
+    /// Writes the motions that have ended and whether the capsule is folded, unless flash has it. A fault at rest may
+    /// have withdrawn the fold; an end that has wandered costs the reference, but the capsule is still folded.
+    fn keep_totals(&mut self) -> Result<(), StorageFailed> {
+        let (actuations, energy_mj) = self.ended;
+        let before = self.store.records().totals;
+        self.write_totals(Totals {
+            actuations: before.actuations.saturating_add(actuations),
+            energy_mj: before.energy_mj.saturating_add(energy_mj),
+            folded: self.machine.is_folded().then(|| self.machine.margin()),
+        })?;
+        self.ended = (0, 0);
+        Ok(())
+    }
+
+    fn write_totals(&mut self, totals: Totals) -> Result<(), StorageFailed> {
+        let before = *self.store.records();
+        if totals == before.totals {
+            return Ok(());
+        }
+        self.store.keep(TOTALS, Kept { totals, ..before })
+    }
+
+    /// Before the motor is driven: a power cut during the motion must find the calibration in force, and no "folded".
+    /// The bridge sleeps or shorts the motor meanwhile, so nothing has to be watched.
+    fn begin_motion(&mut self, actions: &Actions) {
+        let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
+        if !actions.events.iter().any(starts) {
+            return;
+        }
+        // If it fails, it stays pending, and `keep` tells it.
+        let _ = self.keep_calibration();
+        let left = Totals {
+            folded: None,
+            ..self.store.records().totals
+        };
+        if self.write_totals(left).is_err() {
+            self.emit(What::Capsule(CapsuleEvent::NotKept));
+        }
     }
 
     fn watch_link(&mut self) {
@@ -262,7 +269,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
         };
         let executed = commands::execute(request, &mut self.machine, &context);
         if let Some(actions) = &executed.actions {
-            self.leave_folded(actions);
+            self.begin_motion(actions);
             self.perform(actions);
         }
         match executed.effect {

@@ -24,7 +24,7 @@ const SUPPLY_MV: RangeInclusive<u32> = 1_700..=3_600;
 pub const MOST_OFFSET_MA: u16 = 20;
 /// Sleep of the bridge after which a reading is the zero: the motor's current is gone, and the amplifier's filter
 /// (0.1 ms) has settled.
-const SETTLED_US: u64 = 10_000;
+pub const SETTLED_US: u64 = 10_000;
 
 /// Factory reading of the chip's reference.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -64,12 +64,26 @@ pub const FINE: i32 = 16;
 const HALF: i32 = FULL as i32 * FINE / 2;
 
 /// Measured zero of the shunt amplifier. Kept relative to the half, because it moves with the supply.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Zero {
     asleep_since_us: Option<u64>,
     /// Mean distance from the half, fine steps times [`AVERAGED`].
     offset: i32,
     readings: i32,
+    /// The last reading at rest was far from the mean.
+    has_jumped: bool,
+}
+
+impl Default for Zero {
+    /// The bridge has slept since the reset.
+    fn default() -> Self {
+        Self {
+            asleep_since_us: Some(0),
+            offset: 0,
+            readings: 0,
+            has_jumped: false,
+        }
+    }
 }
 
 /// Deviation from the mean that is not noise, fine steps: 10 mA.
@@ -100,11 +114,22 @@ impl Zero {
 
     fn average(&mut self, from_half: i32) {
         let step = from_half * AVERAGED - self.offset;
-        if step.abs() > JUMP * AVERAGED {
+        let jumps = self.readings > 0 && step.abs() > JUMP * AVERAGED;
+        // One reading may be wrong, two are the zero.
+        self.has_jumped = jumps && !self.has_jumped;
+        if self.has_jumped {
+            return;
+        }
+        if jumps {
             self.readings = 0;
         }
         self.readings = (self.readings + 1).min(AVERAGED);
         self.offset += step / self.readings;
+    }
+
+    /// The last reading at rest may be a new zero or a wrong one: the next one tells.
+    pub fn is_doubted(&self) -> bool {
+        self.has_jumped
     }
 
     /// Offset at the last settled readings, mA; 0 before the first.

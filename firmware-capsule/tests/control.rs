@@ -480,11 +480,17 @@ fn what_flash_did_not_take_is_tried_again_and_told_once() {
 
 /// A reading of a capsule of the model, a millisecond later.
 fn read_from(model: &mut plant::board::Board, device: &mut Device) {
+    read_with_offset(0, model, device);
+}
+
+/// The same, with a zero of the amplifier that is so much higher.
+fn read_with_offset(wrong_ma: i16, model: &mut plant::board::Board, device: &mut Device) {
     let drive = device.board().drives.last().copied().unwrap_or_default();
     device.board().now_us += 1_000;
     let now_us = device.board().now_us;
     model.run(drive, PERIODS_PER_MS);
-    let sample = model.sample(now_us, drive != Drive::Off);
+    let mut sample = model.sample(now_us, drive != Drive::Off);
+    sample.offset_ma += wrong_ma;
     device.control.read(now_us, sample);
 }
 
@@ -570,6 +576,59 @@ fn a_calibration_that_is_stopped_once_it_is_in_force_is_in_flash() {
         let flash = Flash::holding(device.flash.bytes());
         let mut later = Device::start_on(flash, FRESH, ResetCause::PowerOn);
         assert_eq!(totals(&mut later).calibration, in_force, "{urgent:?}");
+    }
+}
+
+/// A fold that follows at once would be judged, after a power cut in it, by the calibration before.
+#[test]
+fn a_calibration_is_in_flash_before_the_next_motion_begins() {
+    let flash = Flash::blank();
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    let mut model = plant::Simulation::nominal().board;
+    read_from(&mut model, &mut device);
+    device.accepted(Request::Calibrate(Calibrate));
+    while device.state().0 == CapsuleState::Referencing {
+        read_from(&mut model, &mut device);
+    }
+    assert_eq!(flash.operations(), []);
+    let in_force = totals(&mut device).calibration;
+    assert!(in_force.is_some());
+    device.accepted(Request::Fold(Fold));
+    let flash = Flash::holding(flash.bytes());
+    let mut later = Device::start_on(flash, FRESH, ResetCause::PowerOn);
+    assert_eq!(totals(&mut later).calibration, in_force);
+}
+
+/// The currents that judged the fold were wrong; nor does a reset make them right.
+#[test]
+fn a_fold_that_a_fault_at_rest_has_withdrawn_is_not_believed_after_a_reset() {
+    let flash = Flash::blank();
+    calibrated_on(&flash);
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    let mut model = plant::Simulation::nominal().board;
+    read_from(&mut model, &mut device);
+    for (order, moving) in [
+        (Request::Reference(Reference), CapsuleState::Referencing),
+        (Request::Fold(Fold), CapsuleState::Folding),
+    ] {
+        device.accepted(order);
+        while device.state().0 == moving {
+            read_from(&mut model, &mut device);
+        }
+    }
+    let state_after_a_reset = || {
+        let flash = Flash::holding(flash.bytes());
+        Device::start_on(flash, FRESH, ResetCause::PowerOn).state()
+    };
+    for (wrong_ma, state, after) in [
+        (0, CapsuleState::Folded, CapsuleState::WasFolded),
+        (15, CapsuleState::Faulted, CapsuleState::Unreferenced),
+    ] {
+        for _ in 0..700 {
+            read_with_offset(wrong_ma, &mut model, &mut device);
+        }
+        assert_eq!(device.state().0, state);
+        assert_eq!(state_after_a_reset(), (after, None), "{wrong_ma} mA");
     }
 }
 

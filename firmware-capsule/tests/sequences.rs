@@ -300,8 +300,8 @@ impl<'a> Watch<'a> {
             Reply::Accepted(response) => {
                 self.met.requests[place].0 += 1;
                 assert!(
-                    before.flash.len() == self.flash.operations().len() || drive == Drive::Off,
-                    "the flash was written while the bridge was awake"
+                    before.flash.len() == self.flash.operations().len() || driven(drive).is_none(),
+                    "the flash was written while the motor was driven"
                 );
                 self.carried_out(&request, &response);
                 None

@@ -90,6 +90,11 @@ impl DriveTrain {
         pins::power_sensors(false);
     }
 
+    /// The amplifier's zero needs another reading soon.
+    pub(crate) fn doubts_zero(&self) -> bool {
+        self.zero.is_doubted()
+    }
+
     /// Ticks per period for which the motor is shorted, so that the rest gives this voltage. Without a battery reading
     /// there is no drive.
     fn pause(&self, millivolts: i16) -> u16 {

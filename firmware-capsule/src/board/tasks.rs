@@ -28,6 +28,7 @@ use embassy_time::{Duration, Instant, Timer};
 use firmware_capsule::{
     control::{self, Control},
     fold::Drive,
+    sense::SETTLED_US,
 };
 use protocol::{
     capsule::CapsuleTelemetry,
@@ -46,7 +47,9 @@ const STALE_US: u64 = 20_000;
 /// the readings only, once two of them have shown that the motor stands.
 #[embassy_executor::task]
 pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
-    let mut next = Instant::now();
+    // The first reading has to measure the amplifier's zero: with a reading, motions may begin.
+    let mut next = Instant::from_micros(SETTLED_US);
+    Timer::at(next).await;
     let mut stale = false;
     let mut rested_at = None;
     loop {
@@ -76,7 +79,11 @@ pub(crate) async fn motor(mut drive_train: DriveTrain) -> ! {
         }
         rested_at = rests_at;
         next = if drive == Drive::Off {
-            now + CHECK_IN
+            now + if drive_train.doubts_zero() {
+                PERIOD
+            } else {
+                CHECK_IN
+            }
         } else {
             // Keep to the grid of the period; after a rest, begin a new one.
             (next + PERIOD).clamp(now, now + PERIOD)

@@ -129,11 +129,12 @@ impl Capsule {
         Ok(())
     }
 
-    /// It stands folded, as far as it knows. An emergency stop at rest does not unfold it.
+    /// It stands folded, as far as it knows. No fault at rest unfolds it, but all except an emergency stop cast doubt on
+    /// how the end was judged.
     pub fn is_folded(&self) -> bool {
         match &self.mode {
             Mode::Folded => true,
-            Mode::Unreferenced | Mode::Faulted(CapsuleFault::EStopFrame) => self.was_folded,
+            Mode::Unreferenced | Mode::Faulted(_) => self.was_folded,
             _ => false,
         }
     }
