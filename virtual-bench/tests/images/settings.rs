@@ -186,6 +186,44 @@ fn cut_within_a_change(
     *value = wanted + 1;
 }
 
+/// A part of a reset would be settings that nobody has chosen.
+#[test]
+fn a_cut_within_a_reset_leaves_all_values_or_none() {
+    let mut rig = rig();
+    let values = [
+        (SettingKey::PullOffUm, 2_000),
+        (SettingKey::SeekUmS, 12_000),
+        (SettingKey::FlagUm, 900),
+    ];
+    let mut left = [0, 0];
+    let cuts = [CutAt::Before, CutAt::Within, CutAt::After];
+    for (number, at) in (0..).flat_map(|number| cuts.map(|at| (number, at))) {
+        for (key, value) in values {
+            set(&mut rig, key, value).expect("accepted");
+        }
+        let done = operations(&rig);
+        rig.bench
+            .visit(move |visit| visit.cut_flash(at, done + number))
+            .expect("the bench runs");
+        rig.send(&FactoryReset.into_request(), 0);
+        rig.bench.advance_us(300_000).expect("the bench runs");
+        let cut = rig.bench.visit(|visit| visit.flash_is_cut());
+        if !cut.expect("the bench runs") {
+            break;
+        }
+        power_cycle(&mut rig);
+        let found = values.map(|(key, _)| get(&mut rig, key));
+        let defaults = values.map(|(key, _)| key.range().default);
+        assert!(
+            found == values.map(|(_, value)| value) || found == defaults,
+            "store {number} cut {at:?}: {found:?}\n{}",
+            rig.log()
+        );
+        left[usize::from(found == defaults)] += 1;
+    }
+    assert!(left[0] > 2 && left[1] > 0, "{left:?}");
+}
+
 /// A name that takes as much flash as the longest record.
 fn long_name(number: u32) -> Name {
     let name = format!("{number:024}").as_str().try_into();
