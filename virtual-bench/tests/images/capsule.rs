@@ -736,6 +736,23 @@ fn does_not_calibrate(capsule: &mut CapsuleRun) {
     assert_eq!(after.calibration, kept.calibration);
 }
 
+/// The power fails in a fold that was ordered as soon as the calibration had ended.
+#[test]
+fn a_calibration_outlives_a_power_cut_in_the_fold_after_it() {
+    let mut capsule = start_with(Parameters::nominal());
+    let accepted = capsule.device.call(Calibrate).expect("it is accepted");
+    let record = capsule.device.wait_actuation(&accepted, &mut Unobserved);
+    assert_eq!(record.expect("it ends").outcome, ActuationOutcome::Complete);
+    let in_force = capsule.device.call(GetCapsuleTotals).expect("an answer");
+    assert!(in_force.calibration.is_some());
+    capsule.device.fold().expect("folding is accepted");
+    capsule.idle(200_000);
+    capsule.power_cycle(2);
+    let found = capsule.device.call(GetCapsuleTotals).expect("an answer");
+    assert_eq!(found.calibration, in_force.calibration);
+    capsule.check_clean();
+}
+
 /// The recording matches the plant, reading by reading.
 #[test]
 fn a_fold_is_recorded_on_the_capsule() {
