@@ -753,6 +753,19 @@ fn a_calibration_outlives_a_power_cut_in_the_fold_after_it() {
     capsule.check_clean();
 }
 
+/// It comes before the end of the fold is in flash.
+#[test]
+fn an_emergency_stop_just_after_a_fold_leaves_it_folded() {
+    let mut capsule = referenced();
+    capsule.fold();
+    capsule.idle(200_000);
+    capsule.device.urgent(Urgent::EStop).expect("an answer");
+    capsule.rest();
+    capsule.power_cycle(2);
+    assert_eq!(capsule.state().0, CapsuleState::WasFolded);
+    capsule.check_clean();
+}
+
 /// The recording matches the plant, reading by reading.
 #[test]
 fn a_fold_is_recorded_on_the_capsule() {

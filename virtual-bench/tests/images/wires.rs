@@ -263,11 +263,14 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
     rig.idle(100_000);
     assert_eq!(rig.edge_count(), 0, "a touch of 5 ms is no press");
     press(&mut rig, 60_000);
-    // Homing, and the second after it, in which a press was meant to stop it.
-    rig.idle(3_500_000);
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!((status.state, rig.carriage()), (RigState::Ready, 0));
+    while rig.device.rig_status().expect("a status").state != RigState::Ready {
+        rig.idle(10_000);
+    }
+    assert_eq!(rig.carriage(), 0);
     let edges = rig.edge_count();
+    press(&mut rig, 60_000);
+    rig.idle(1_000_000);
+    assert_eq!(rig.edge_count(), edges, "it was meant to stop the homing");
     // It stays down: one run, not a second one.
     rig.act(Action::Button(true));
     rig.idle(5_000_000);
