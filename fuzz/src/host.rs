@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use crate::bench::{Bench, Opened, absent};
 use crate::command;
 use crate::server::{self, INSTANCE, Server};
+use client::Unobserved;
 use client::address::Address;
 use client::error::ClientError;
 use client::link::{Link, LinkError};
@@ -311,7 +312,7 @@ fn client(line: Line, kind: DeviceKind, acts: &[Act]) -> Result<(), ClientError>
             }
             Act::Idle(ms) => device.idle(u64::from(*ms) * 1_000, &mut seen)?,
             Act::Observe(ms) => device.observe(u64::from(*ms) * 1_000, &mut seen)?,
-            Act::Rest => drop(device.wait_rest()?),
+            Act::Rest => drop(device.wait_rest(&mut Unobserved)?),
             Act::Actuate(folds) => {
                 let accepted = match folds {
                     true => device.fold()?,

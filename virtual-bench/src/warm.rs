@@ -59,7 +59,7 @@ pub fn rig() -> Result<(), FigureError> {
     device.call(Jog { sense, speed_um_s })?;
     device.idle(100_000, &mut Unobserved)?;
     device.urgent(Urgent::Stop)?;
-    device.wait_rest()?;
+    device.wait_rest(&mut Unobserved)?;
     device.call(GetRigHealth)?;
     device.call(GetRigHardware)?;
     device.kept_events()?;

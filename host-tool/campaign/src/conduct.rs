@@ -226,7 +226,7 @@ impl Machines {
             self.rig.urgent(Urgent::Stop)?;
             stopped.push("rig");
         }
-        self.rig.wait_rest()?;
+        self.rig.wait_rest(&mut Unobserved)?;
         if let Some(capsule) = &mut self.capsule
             && client::moves(capsule.capsule_status()?.state)
         {

@@ -275,6 +275,25 @@ pub enum ClientError {
         seen: Option<LastSeen>,
     },
 
+    /// The machine has begun another run since, so it no longer has the record of this one.
+    #[error(
+        "{place} has the record of run {last}: that of run {run} is gone, and so is its outcome"
+    )]
+    #[diagnostic(
+        code(retrograde::record_gone),
+        help(
+            "somebody has pressed the start button since: this program was suspended, or the link was lost; `retrograde info` shows what the rig does now"
+        )
+    )]
+    RecordGone {
+        /// The machine's place, as the user named it.
+        place: String,
+        /// The run that was waited for.
+        run: u32,
+        /// The run of the record that the machine has.
+        last: u32,
+    },
+
     /// Homing ended without a position.
     #[error("homing did not find the position: {}", homing_failure(*fault, *link_lost))]
     #[diagnostic(

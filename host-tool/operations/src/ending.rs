@@ -1,7 +1,7 @@
 //! Ends of motions, in words.
 
-use client::Device;
 use client::decimal;
+use client::{Device, Unobserved};
 use protocol::rig::{self, RigState, RigStatus};
 use trials::trial::{Status, Trial};
 
@@ -13,7 +13,7 @@ use crate::failure::Failure;
 /// The run has ended meanwhile, or somebody else has resumed it.
 pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
     rig.call(rig::Hold)?;
-    let status = rig.wait_rest()?;
+    let status = rig.wait_rest(&mut Unobserved)?;
     if status.state == RigState::Running {
         return Err(Failure::refused(
             "the run was held, and goes on again: somebody else has resumed it",

@@ -482,6 +482,7 @@ pub fn client_code(error: &ClientError) -> u8 {
         ClientError::OutcomeUnknown { .. }
         | ClientError::StopUnconfirmed { .. }
         | ClientError::Silent { .. }
+        | ClientError::RecordGone { .. }
         | ClientError::WrongResponse { .. } => UNKNOWN,
         ClientError::Overdue { .. } => FAULT,
         ClientError::NotHomed { fault, link_lost } => {

@@ -20,7 +20,7 @@ use operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use operations::places::{Need, Places, Target};
 use operations::{ending, left, reached};
-use protocol::rig::{self, RigState, RigStatus};
+use protocol::rig::{self, RigState, RunOutcome};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
@@ -530,9 +530,11 @@ impl Worker<'_> {
             }
             accepted => accepted?,
         };
-        self.board.accepted(action, json!(accepted));
-        let status = self.until_rest(rig, busy)?;
-        if status.fault.is_some() || status.position_steps != accepted.to_steps {
+        let (outcome, status) = rig.wait_move(&accepted, busy)?;
+        self.board
+            .actions
+            .update(action, |action| action.progress = Value::Null);
+        if outcome != RunOutcome::Complete {
             return Ok(ActionResult {
                 result: place(&status),
                 files: Value::Null,
@@ -540,20 +542,6 @@ impl Worker<'_> {
             });
         }
         Ok(place(&status).into())
-    }
-
-    /// Waits until the carriage stands. The status requests also keep the rig's link time-out from expiring.
-    fn until_rest(&self, rig: &mut Device, busy: &mut Busy<'_>) -> Result<RigStatus, Failure> {
-        let silent = |error| while_moving("the motion", error);
-        loop {
-            let status = rig.rig_status().map_err(silent)?;
-            self.machine.panel().rig_status(&status, Instant::now());
-            if !matches!(status.state, RigState::Moving | RigState::Stopping) {
-                return Ok(status);
-            }
-            rig.observe(POLL_US, busy).map_err(silent)?;
-            busy.look();
-        }
     }
 
     /// Passes each renewal on to the rig once. Nothing else keeps the jog going, so that it ends by itself wherever
@@ -622,7 +610,7 @@ impl Worker<'_> {
         }
         *self.machine.lease() = None;
         rig.urgent(Urgent::Stop)?;
-        let status = self.until_rest(rig, busy)?;
+        let status = rig.wait_rest(busy)?;
         let emergency = rig.interrupted() == Some(Urgent::EStop);
         Ok(ActionResult {
             result: place(&status),

@@ -55,7 +55,7 @@ pub(crate) fn jog(
         }
     }
     rig.urgent(Urgent::Stop)?;
-    let status = rig.wait_rest()?;
+    let status = rig.wait_rest(&mut Unobserved)?;
     let step_um = status.lead_um.div_ceil(status.steps_per_rev.max(1));
     let at_the_end = match args.direction {
         Direction::Away => {

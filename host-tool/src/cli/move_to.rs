@@ -1,13 +1,13 @@
 //! `move`: moves the rig to a position.
 
-use client::decimal;
 use client::error::ClientError;
+use client::{Unobserved, decimal};
 use operations::arguments::MoveArgs;
 use operations::ending::{cut_short, millimetres};
 use operations::failure::Failure;
 use operations::places::{Need, Places};
 use operations::reached::is_there;
-use protocol::rig;
+use protocol::rig::{self, RunOutcome};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
@@ -35,7 +35,7 @@ pub(crate) fn move_to(
         }
         // The move may have begun; then it brakes.
         Err(ClientError::Interrupted { .. }) => {
-            let status = rig.wait_rest()?;
+            let status = rig.wait_rest(&mut Unobserved)?;
             return Err(cut_short("the move", &rig, &status));
         }
         accepted => accepted?,
@@ -46,8 +46,8 @@ pub(crate) fn move_to(
         decimal::seconds(accepted.stroke.duration_ticks),
         decimal::write(accepted.stroke.peak_um_s.into(), 3),
     ));
-    let status = rig.wait_rest()?;
-    if status.fault.is_some() || status.position_steps != accepted.to_steps {
+    let (outcome, status) = rig.wait_move(&accepted, &mut Unobserved)?;
+    if outcome != RunOutcome::Complete {
         return Err(cut_short("the move", &rig, &status));
     }
     screen.say(&format!("The carriage is at {} mm.", millimetres(&status)));

@@ -52,7 +52,7 @@ fn a_hold_that_somebody_else_has_ended_is_no_hold() {
     // held, and does nothing.
     for (world, code, text) in [
         (
-            vec![(55_000, World::Resume)],
+            vec![(51_000, World::Resume)],
             3,
             "the run was held, and goes on again",
         ),

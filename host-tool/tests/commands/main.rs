@@ -16,4 +16,5 @@ mod report;
 mod settings;
 mod stop_model;
 mod stops;
+mod suspended;
 mod watch_screen;

@@ -66,7 +66,7 @@ fn rig_in(state: RigState) -> Device {
     }
     if state == RigState::Held {
         rig.call(Hold).expect("accepted");
-        rig.wait_rest().expect("stands");
+        rig.wait_rest(&mut Unobserved).expect("stands");
     }
     assert_eq!(rig.rig_status().expect("a status").state, state);
     rig
@@ -232,7 +232,7 @@ fn a_run_is_not_offered_away_from_0() {
     let away = || {
         let mut rig = rig_in(RigState::Ready);
         press(&mut rig, "rig/move").expect("accepted");
-        rig.wait_rest().expect("stands");
+        rig.wait_rest(&mut Unobserved).expect("stands");
         rig
     };
     assert_eq!(

@@ -142,7 +142,7 @@ fn a_stroke_and_a_move_of_one_step_are_made_and_less_is_refused() {
     };
     for (position_um, steps) in [(2, 1), (0, 0)] {
         rig.device.call(move_to(position_um)).expect("accepted");
-        let status = rig.device.wait_rest().expect("it rests");
+        let status = rig.device.wait_rest(&mut Unobserved).expect("it rests");
         let found = (status.state, i64::from(status.position_steps));
         assert_eq!(found, (RigState::Ready, steps), "to {position_um} um");
         assert_eq!(rig.carriage(), steps, "to {position_um} um");

@@ -104,7 +104,7 @@ fn every_opening_of_the_loop_is_latched() {
         let accepted = rig.device.run(run).expect("accepted");
         rig.idle(100_000);
         rig.device.call(Hold).expect("it moves");
-        rig.device.wait_rest().expect("it rests");
+        rig.device.wait_rest(&mut Unobserved).expect("it rests");
         rig.act(Action::Disturb(Switch::EStop, width_ns));
         loop_is_latched(&mut rig, &format!("held, {width_ns} ns"));
         let record = rig.device.run_record().expect("a record");

@@ -1,6 +1,7 @@
 //! Moves the rollers to the start of a trial while the body is out of their way. In a plan with isolated passes the
 //! rollers stop at either end after a trial, and the body lies between the ends.
 
+use client::Unobserved;
 use client::error::ClientError;
 use protocol::error::Refusal;
 use protocol::rig::{Direction, MoveTo, RigState, RigStatus};
@@ -87,15 +88,15 @@ impl Conduct<'_> {
             position_um,
             speed_um_s: STAGE_UM_S,
         };
-        match self.machines.rig.call(to) {
-            Ok(_)
-            | Err(ClientError::Refused {
+        let rig = &mut self.machines.rig;
+        let status = match rig.call(to) {
+            Ok(accepted) => rig.wait_move(&accepted, &mut Unobserved)?.1,
+            Err(ClientError::Refused {
                 refusal: Refusal::AlreadyThere,
                 ..
-            }) => {}
+            }) => rig.rig_status()?,
             Err(error) => return Err(error.into()),
-        }
-        let status = self.machines.rig.wait_rest()?;
+        };
         let wanted = Screw::from(&status).steps(position_um);
         if status.position_steps != wanted || status.fault.is_some() {
             return Err(match self.machines.rig.interrupted() {

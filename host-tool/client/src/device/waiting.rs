@@ -19,6 +19,10 @@ const POLL_US: u64 = 50_000;
 /// Interval between reads of the record after an actuation has ended, us: several readings of the capsule.
 const BRAKING_US: u64 = 20_000;
 
+/// Longest time in which any rig brakes, us: from the highest speed with the least deceleration that it can be set to.
+const LONGEST_STOP_US: u64 = 1_000_000 * SettingKey::MaxSpeedUmS.range().max as u64
+    / SettingKey::StopAccelUmS2.range().min as u64;
+
 /// Time past the announced end after which an action is stopped as overdue, us.
 const OVERDUE_US: u64 = 3_000_000;
 /// Greatest factor by which a device's clock may be slower than the link's. An emulator on a busy computer may reach
@@ -141,7 +145,7 @@ impl Device {
     /// Waits until a run ends, however it ends, and returns the device's record of it.
     ///
     /// # Errors
-    /// [`ClientError::Overdue`], or as [`Device::call`].
+    /// [`ClientError::Overdue`], [`ClientError::RecordGone`], or as [`Device::call`].
     pub fn wait_run(
         &mut self,
         accepted: &RunAccepted,
@@ -176,6 +180,9 @@ impl Device {
                 });
             }
             let status = device.rig_status()?;
+            if status.run != accepted.run {
+                return Ok(ActionState::Ended);
+            }
             if status.state == RigState::Running && held_since_us.is_none() {
                 elapsed_us = status.elapsed_us.saturating_sub(paused_us).min(total_us);
             }
@@ -198,8 +205,16 @@ impl Device {
             })
         })?;
         let record = self.run_record()?;
-        if record.outcome != RunOutcome::Complete {
+        if record.run != accepted.run || record.outcome != RunOutcome::Complete {
             self.hand_out_the_last(observer);
+        }
+        // While this process was suspended, the start button may have begun another one.
+        if record.run != accepted.run {
+            return Err(ClientError::RecordGone {
+                place: self.place(),
+                run: accepted.run,
+                last: record.run,
+            });
         }
         Ok(record)
     }
@@ -223,7 +238,9 @@ impl Device {
         self.hand_out(observer);
     }
 
-    /// Waits until a move ends, successfully or not, and returns its result and the rig's status.
+    /// Waits until a move ends, successfully or not, and returns its result and the rig's status. It has arrived only if
+    /// nothing else has moved the carriage since: while this process was suspended, the rig may have stopped, and its
+    /// start button may have homed it.
     ///
     /// # Errors
     /// [`ClientError::Overdue`], or as [`Device::call`].
@@ -235,9 +252,18 @@ impl Device {
         observer.begun(&Begun::Move(*accepted));
         let begun_us = self.now_us();
         let total_us = accepted.stroke.duration_ticks.div_ceil(100);
-        let mut link_lost = false;
+        let (mut link_lost, mut last) = (false, None);
         self.wait("the move", total_us, observer, |device, event, observer| {
             link_lost |= event.is_some_and(|event| event.what == What::LinkLost);
+            last = event.map_or(last, |event| match event.what {
+                What::Rig(
+                    what @ (RigEvent::Moved { .. }
+                    | RigEvent::Stopped { .. }
+                    | RigEvent::Homed { .. }
+                    | RigEvent::RunStarted { .. }),
+                ) => Some(what),
+                _ => last,
+            });
             // Events only trigger an early check: an older one may still be in transit.
             let status = device.rig_status()?;
             observer.progress(&Progress::Run {
@@ -254,9 +280,10 @@ impl Device {
             ))
         })?;
         let status = self.rig_status()?;
+        let is_last = last.is_none_or(|last| matches!(last, RigEvent::Moved { .. }));
         let outcome = match status.fault {
             Some(fault) => RunOutcome::Faulted(fault),
-            None if status.position_steps == accepted.to_steps => RunOutcome::Complete,
+            None if is_last && status.position_steps == accepted.to_steps => RunOutcome::Complete,
             None if link_lost => RunOutcome::LinkLost,
             None => RunOutcome::Stopped,
         };
@@ -266,21 +293,16 @@ impl Device {
         Ok((outcome, status))
     }
 
-    /// Waits for the end of a move or a stop and returns the rig's status. Does not wait for the end of a run.
+    /// Waits until the carriage has braked and returns the rig's status. Does not wait for the end of a run.
     ///
     /// # Errors
-    /// As [`Device::call`].
-    pub fn wait_rest(&mut self) -> Result<RigStatus, ClientError> {
-        loop {
-            let status = self
-                .rig_status()
-                .map_err(|error| while_moving("the motion", error))?;
-            if !matches!(status.state, RigState::Moving | RigState::Stopping) {
-                return Ok(status);
-            }
-            self.idle(POLL_US, &mut Unobserved)
-                .map_err(|error| while_moving("the motion", error))?;
-        }
+    /// [`ClientError::Overdue`], or as [`Device::call`].
+    pub fn wait_rest(&mut self, observer: &mut dyn Observer) -> Result<RigStatus, ClientError> {
+        self.wait("the stop", LONGEST_STOP_US, observer, |device, _, _| {
+            let state = device.rig_status()?.state;
+            Ok(!matches!(state, RigState::Moving | RigState::Stopping))
+        })?;
+        self.rig_status()
     }
 
     /// Fetches the recording of the capsule's last actuation, after the actuation has ended: until then it grows.

@@ -295,11 +295,11 @@ impl Work<'_> {
     /// [`Halt`]
     pub fn try_to_go_to(&mut self, position_um: u32) -> Result<RigStatus, Halt> {
         let speed_um_s = 20_000.min(self.setting(SettingKey::MaxSpeedUmS));
-        self.device.call(MoveTo {
+        let accepted = self.device.call(MoveTo {
             position_um,
             speed_um_s,
         })?;
-        let status = self.device.wait_rest()?;
+        let (_, status) = self.device.wait_move(&accepted, &mut Unobserved)?;
         self.unless_left()?;
         Ok(status)
     }
