@@ -407,7 +407,7 @@ fn sit_down(
     }
     let who = match screen.keyboard.take() {
         _ if session.yes => Who::Nobody(Box::new(plan)),
-        Some(keyboard) => Who::person(keyboard),
+        Some(keyboard) => Who::person(keyboard, screen.single_keys),
         None => {
             return Err(admit(session, screen)
                 .err()

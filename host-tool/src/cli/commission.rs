@@ -189,7 +189,11 @@ fn hands(
             .unwrap_or_else(|| Box::new(Nobody)));
     }
     match screen.keyboard.take() {
-        Some(keyboard) => Ok(Box::new(Terminal::new(keyboard, interrupt::install()))),
+        Some(keyboard) => Ok(Box::new(Terminal::new(
+            keyboard,
+            screen.single_keys,
+            interrupt::install(),
+        ))),
         None => Err(Failure::refused(
             "commissioning needs somebody at a terminal, and there is none",
             "at a terminal, without `--json`; or `--yes`, which asks nobody and shows what needs no hand",

@@ -1,8 +1,9 @@
 //! The keyboard: answers questions, and holds, resumes and stops a run.
 
 use std::io::{self, BufRead, BufReader, IsTerminal, Read};
-use std::sync::mpsc::{self, Receiver};
+use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use client::{Pace, Pacer};
 use operations::interrupt;
@@ -40,17 +41,55 @@ fn in_foreground(_: &io::Stdin) -> bool {
     true
 }
 
-/// Reads lines until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
-pub(crate) fn lines(keyboard: Keyboard) -> Receiver<String> {
-    let (typing, typed) = mpsc::channel();
-    thread::spawn(move || {
-        for line in keyboard.lines().map_while(Result::ok) {
-            if typing.send(line).is_err() {
-                return;
+/// An Enter that comes sooner after a question was meant for the one before, or is the bounce of its key: nobody has
+/// read this one yet.
+const READ_FIRST: Duration = Duration::from_millis(500);
+
+/// Answer to an Enter that came too soon.
+pub(crate) const TOO_SOON: &str = "That Enter came before this could be read. Press it again.";
+
+/// A line that was typed.
+pub(crate) enum Line {
+    Text(String),
+    /// An Enter alone, before anybody can have read the question.
+    TooSoon,
+}
+
+/// The lines that a person types.
+pub(crate) struct Lines {
+    typed: Receiver<(Instant, String)>,
+    /// They come from a terminal, not from a file.
+    by_hand: bool,
+}
+
+impl Lines {
+    /// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
+    pub(crate) fn new(keyboard: Keyboard, by_hand: bool) -> Self {
+        let (typing, typed) = mpsc::channel();
+        thread::spawn(move || {
+            for line in keyboard.lines().map_while(Result::ok) {
+                if typing.send((Instant::now(), line)).is_err() {
+                    return;
+                }
             }
-        }
-    });
-    typed
+        });
+        Self { typed, by_hand }
+    }
+
+    /// The next line, whenever it was typed.
+    pub(crate) fn next(&self) -> Result<String, TryRecvError> {
+        self.typed.try_recv().map(|(_, line)| line)
+    }
+
+    /// The next line, as an answer to a question that was put at `asked`.
+    pub(crate) fn answer(&self, asked: Instant) -> Result<Line, TryRecvError> {
+        let (at, line) = self.typed.try_recv()?;
+        let is_soon = self.by_hand && at < asked + READ_FIRST;
+        Ok(match line.trim() {
+            "" if is_soon => Line::TooSoon,
+            _ => Line::Text(line),
+        })
+    }
 }
 
 /// The request that a word or a key makes of a run. Stops the run itself, and tells the hint if the word is none.

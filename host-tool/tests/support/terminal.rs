@@ -128,7 +128,15 @@ impl Terminal {
         }
     }
 
+    /// Presses keys as a person does, who reads a question before the Enter that answers it.
     pub fn press(&self, key: &str) {
+        if key == "\n" {
+            thread::sleep(Duration::from_millis(1_200));
+        }
+        self.press_at_once(key);
+    }
+
+    fn press_at_once(&self, key: &str) {
         let mut keys = &self.master;
         keys.write_all(key.as_bytes()).expect("typed");
     }

@@ -1,9 +1,9 @@
 //! Answers a campaign's questions: a person at the terminal, or the plan on the virtual bench.
 
-use std::sync::mpsc::{Receiver, TryRecvError};
+use std::sync::mpsc::TryRecvError;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use campaign::conduct::Desk;
 use campaign::plan::{CampaignPlan, Millimetres};
@@ -16,26 +16,23 @@ use operations::failure::Failure;
 use operations::interrupt;
 use operations::places::Places;
 
-use crate::cli::keyboard;
+use crate::cli::keyboard::{self, Line, Lines, TOO_SOON};
 use crate::cli::screen::{Keyboard, Screen};
 
 /// Interval between two polls of the keyboard.
 const TURN: Duration = Duration::from_millis(10);
 
-/// Lines that a person types. The pacer takes them during a run.
-type Lines = Arc<Mutex<Receiver<String>>>;
-
 /// Source of the answers.
 pub(super) enum Who {
-    /// A person.
-    Person(Lines),
+    /// A person. During a run the pacer takes the lines.
+    Person(Arc<Mutex<Lines>>),
     /// The plan, when no person is there.
     Nobody(Box<CampaignPlan>),
 }
 
 impl Who {
-    pub(super) fn person(keyboard: Keyboard) -> Self {
-        Self::Person(Arc::new(Mutex::new(keyboard::lines(keyboard))))
+    pub(super) fn person(keyboard: Keyboard, by_hand: bool) -> Self {
+        Self::Person(Arc::new(Mutex::new(Lines::new(keyboard, by_hand))))
     }
 }
 
@@ -98,6 +95,7 @@ impl Desk for Counter<'_, '_> {
             Who::Nobody(plan) => return Ok(by_plan(plan, question)),
             Who::Person(lines) => lines,
         };
+        let asked = Instant::now();
         loop {
             if (self.interrupt)().is_some() {
                 return Err(Halt::Left);
@@ -105,9 +103,10 @@ impl Desk for Counter<'_, '_> {
             let typed = lines
                 .lock()
                 .unwrap_or_else(PoisonError::into_inner)
-                .try_recv();
+                .answer(asked);
             match typed {
-                Ok(line) => return Ok(line),
+                Ok(Line::Text(line)) => return Ok(line),
+                Ok(Line::TooSoon) => self.screen.say(TOO_SOON),
                 Err(TryRecvError::Disconnected) => return Err(Halt::Left),
                 Err(TryRecvError::Empty) => {
                     thread::sleep(TURN);
@@ -131,10 +130,7 @@ impl Desk for Counter<'_, '_> {
         };
         let lines = Arc::clone(lines);
         Some(Box::new(move || {
-            let typed = lines
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .try_recv();
+            let typed = lines.lock().unwrap_or_else(PoisonError::into_inner).next();
             keyboard::pace(typed.ok()?.trim(), keyboard::hint(false))
         }))
     }

@@ -1,8 +1,8 @@
 //! The person at the terminal as the hands of a commissioning.
 
-use std::sync::mpsc::{Receiver, TryRecvError};
+use std::sync::mpsc::TryRecvError;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use client::visible::wrapped;
 use client::{Interrupt, decimal};
@@ -10,7 +10,7 @@ use commissioning::halt::Halt;
 use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
 use commissioning::session::COLUMNS;
 
-use crate::cli::keyboard;
+use crate::cli::keyboard::{Line, Lines, TOO_SOON};
 use crate::cli::screen::Keyboard;
 
 /// Interval between two polls of the keyboard.
@@ -18,31 +18,33 @@ const TURN: Duration = Duration::from_millis(20);
 
 /// A person who reads prompts and types.
 pub(super) struct Terminal {
-    typed: Receiver<String>,
+    typed: Lines,
     interrupt: Interrupt,
 }
 
 /// A line that was typed.
 enum Answer {
     Nothing,
+    TooSoon,
     Text(String),
 }
 
 impl Terminal {
-    pub(super) fn new(keyboard: Keyboard, interrupt: Interrupt) -> Self {
-        let typed = keyboard::lines(keyboard);
+    pub(super) fn new(keyboard: Keyboard, by_hand: bool, interrupt: Interrupt) -> Self {
+        let typed = Lines::new(keyboard, by_hand);
         Self { typed, interrupt }
     }
 
-    /// Reads the next line. `q`, the end of the input and Ctrl-C leave; `s` skips the step.
-    fn answer(&self) -> Result<Answer, Halt> {
+    /// Reads the next line after the prompt at `asked`. `q`, the end of the input and Ctrl-C leave; `s` skips the step.
+    fn answer(&self, asked: Instant) -> Result<Answer, Halt> {
         if (self.interrupt)().is_some() {
             return Err(Halt::Left);
         }
-        match self.typed.try_recv() {
+        match self.typed.answer(asked) {
             Err(TryRecvError::Empty) => Ok(Answer::Nothing),
             Err(TryRecvError::Disconnected) => Err(Halt::Left),
-            Ok(line) => match line.trim() {
+            Ok(Line::TooSoon) => Ok(Answer::TooSoon),
+            Ok(Line::Text(line)) => match line.trim() {
                 "q" => Err(Halt::Left),
                 "s" => Err(Halt::NotShown("skipped by the operator".to_owned())),
                 text => Ok(Answer::Text(text.to_owned())),
@@ -73,12 +75,15 @@ impl Hands for Terminal {
             )
         };
         say(hint);
+        let asked = Instant::now();
         loop {
             if watch()? {
                 return Ok(());
             }
-            match self.answer()? {
+            match self.answer(asked)? {
                 Answer::Text(text) if text == done => return Ok(()),
+                Answer::TooSoon if done.is_empty() => say(&format!("    {TOO_SOON}")),
+                Answer::TooSoon => {}
                 Answer::Text(text) if text.is_empty() => {}
                 Answer::Text(_) => say(hint),
                 Answer::Nothing => thread::sleep(TURN),
@@ -90,9 +95,11 @@ impl Hands for Terminal {
         let hint = "    The number and Enter; s and Enter skips the step, q and Enter leaves";
         prompt(reading_text(reading), say);
         say(hint);
+        let asked = Instant::now();
         loop {
-            match self.answer()? {
+            match self.answer(asked)? {
                 Answer::Nothing => thread::sleep(TURN),
+                Answer::TooSoon => {}
                 Answer::Text(text) if text.is_empty() => {}
                 // Millimetres and volts have three decimals here, so these are micrometres and millivolts, far below
                 // 2^63.
