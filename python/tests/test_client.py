@@ -263,6 +263,48 @@ class ClientTest(ServerTest):
             self.lab.rig.home()
         self.assertEqual([call.path for call in self.posts()], ["/api/v1/rig/home", "/api/v1/stop"])
 
+    def stop_meanwhile(self, at: str, then: Optional[Answer], machine: Optional[str] = None) -> None:
+        """Another thread stops while the server has the first request for this path, which gets this answer only then."""
+
+        def answer(call: Call) -> Optional[Answer]:
+            if call.path == at and not any(post.path == "/api/v1/stop" for post in self.posts()):
+                stop = threading.Thread(target=self.lab.stop, args=(machine,))
+                stop.start()
+                stop.join()
+                return then
+            if call.path == "/api/v1/stop":
+                return (200, {"ok": True, "machines": []})
+            if "/actions/" in call.path:
+                return (200, action("stopped"))
+            return STATE if call.method == "GET" else (200, action("complete"))
+
+        self.server.answer = answer
+        self.server.calls.clear()
+
+    def test_an_order_is_not_sent_after_a_stop_that_came_since_it_was_given(self) -> None:
+        rig, capsule = self.lab.rig, self.lab.capsule
+        orders: List[Callable[[], Any]] = [rig.home, rig.start_run, rig.resume, rig.acknowledge, capsule.fold]
+        for order in orders:
+            self.stop_meanwhile("/api/v1/state", STATE)
+            with self.subTest(order=order), self.assertRaisesRegex(retrograde.Stopped, "was not sent"):
+                order()
+            self.assertEqual([post.path for post in self.posts()], ["/api/v1/stop"])
+
+    def test_a_stop_of_the_other_machine_holds_no_order_back(self) -> None:
+        for at, then in [("/api/v1/state", STATE), ("/api/v1/rig/home", None)]:
+            self.stop_meanwhile(at, then, "capsule")
+            with self.subTest(at=at):
+                self.lab.rig.home()
+                self.assertEqual(self.posts()[-1].path, "/api/v1/rig/home")
+
+    def test_an_order_that_begins_although_a_stop_has_met_it_is_stopped_again(self) -> None:
+        # The stop may have overtaken it on the way to the server.
+        self.stop_meanwhile("/api/v1/rig/home", (202, action("under_way")))
+        with self.assertRaises(retrograde.Stopped):
+            self.lab.rig.home()
+        posts = [(post.path, post.body) for post in self.posts()]
+        self.assertEqual(posts, [("/api/v1/rig/home", {}), ("/api/v1/stop", {}), ("/api/v1/stop", {"machine": "rig"})])
+
     def test_a_busy_server_leaves_a_command_that_was_sent_unsure(self) -> None:
         answers: List[Optional[Answer]] = [None, (503, failure(4, "too many connections")), (202, action("complete"))]
         self.server.answer = lambda call: STATE if call.method == "GET" else answers.pop(0)

@@ -23,7 +23,7 @@ from http.client import HTTPConnection, HTTPException
 from typing import TYPE_CHECKING, Any, Callable, Dict, Generic, Iterator, List, Optional, Tuple, TypeVar, Union, cast
 
 from . import errors
-from .errors import NoMachine, NoServer, NotStopped, OutcomeUnknown, RetrogradeError, WrongRequest
+from .errors import NoMachine, NoServer, NotStopped, OutcomeUnknown, RetrogradeError, Stopped, WrongRequest
 from .stream import Stream
 from .types import (
     ActionData,
@@ -62,6 +62,7 @@ SAMPLE_S = 5.0
 # The server waits so long for the end of an action before it answers that it goes on, s.
 TURN_S = 1
 
+MACHINES = ("rig", "capsule")
 OVER = ("complete", "stopped", "link_lost", "faulted", "refused", "failed", "unknown")
 DO_NOW = "press the emergency stop button or cut the motor supply NOW"
 NO_SERVER = "start `retrograde serve`, or say where it is: connect('http://127.0.0.1:7080', token='...')"
@@ -127,7 +128,8 @@ class Lab:
         self._host = parts.hostname
         self._port = parts.port or 80
         self._token = token or in_address
-        self._stops = 0
+        # Each stop leaves a new mark here. An order that was given before it is not sent after it.
+        self._last_stop: Dict[str, object] = {machine: object() for machine in MACHINES}
         self.rig = Rig(self)
         self.capsule = Capsule(self)
 
@@ -207,7 +209,8 @@ class Lab:
         self._stop("/api/v1/estop", machine)
 
     def _stop(self, path: str, machine: Optional[str]) -> None:
-        self._stops += 1
+        for each in MACHINES if machine is None else (machine,):
+            self._last_stop[each] = object()
         body: Dict[str, object] = {} if machine is None else {"machine": machine}
         told = threading.Timer(WARN_S, _warn)
         told.daemon = True
@@ -305,12 +308,21 @@ class Lab:
     def _no_server(self, why: Exception) -> NoServer:
         return NoServer(f"{self.url} does not answer: {why}", NO_SERVER)
 
-    def _command(self, machine: str, name: str, body: Dict[str, object]) -> ActionData:
-        """Sends a command until it is answered; the server executes it once. Ctrl-C meanwhile stops the machine."""
+    def _command(self, machine: str, name: str, body: Dict[str, object], last_stop: Optional[object] = None) -> ActionData:
+        """Sends a command until it is answered; the server executes it once. Ctrl-C meanwhile stops the machine.
+
+        It is not sent once the machine was stopped after `last_stop`, which is the last one at this call unless it is given.
+        """
+        # Before the server is asked for anything: that may take its time.
+        last_stop = last_stop or self._last_stop[machine]
         # Of this moment: with a key of an earlier server nothing would be done.
         key = f"{self.state()['instance']}-{uuid.uuid4().hex}"
         try:
-            return self._sent(machine, name, body, key)
+            action = self._sent(machine, name, body, key, last_stop)
+            if self._last_stop[machine] is not last_stop and action["state"] not in OVER:
+                # That stop came to the server before this order, perhaps.
+                self.stop(machine)
+            return action
         except Exception:
             raise
         except BaseException:
@@ -318,14 +330,17 @@ class Lab:
             self.stop(machine)
             raise
 
-    def _sent(self, machine: str, name: str, body: Dict[str, object], key: str) -> ActionData:
+    def _sent(self, machine: str, name: str, body: Dict[str, object], key: str, last_stop: object) -> ActionData:
         until = time.monotonic() + PATIENCE_S
         unsure: Optional[str] = None
-        stops = self._stops
         while True:
-            if unsure is not None and self._stops != stops:
-                # Another thread has stopped a machine. A command that is sent again must not undo that.
+            if self._last_stop[machine] is not last_stop:
+                # By another thread. A command that is sent now, or sent again, must not undo that.
+                if unsure is None:
+                    raise Stopped(f"{machine}: {name} was not sent, because the {machine} was stopped first", "nothing was begun; order it again if it is still wanted")
                 raise OutcomeUnknown(f"{machine}: {name} was sent and not answered, and then stopped: {unsure}", "look at the machine")
+            if unsure is not None and time.monotonic() > until:
+                raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine")
             try:
                 status, answer = self._post(f"/api/v1/{machine}/{name}", body, key, ANSWER_S)
             except ConnectionRefusedError as why:
@@ -338,19 +353,13 @@ class Lab:
                 if status in (200, 202):
                     return cast(ActionData, answer["action"])
                 error = errors.of_answer(status, answer)
-                if status in (408, 503) and "action" not in answer and unsure is not None:
-                    # Nothing is known of the first one, which the server may be carrying out.
-                    unsure = str(error)
-                    if time.monotonic() <= until:
-                        time.sleep(0.2)
-                        continue
-                    raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine")
                 if status == 428 and unsure is not None:
                     # The server that got it first has ended since.
                     raise OutcomeUnknown(f"{machine}: {name} was sent, and then the server was started again", "look at the machine")
-                raise error
-            if time.monotonic() > until:
-                raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine") from None
+                if unsure is None or status not in (408, 503) or "action" in answer:
+                    raise error
+                # Nothing is known of the first one, which the server may be carrying out.
+                unsure = str(error)
             time.sleep(0.2)
 
 
