@@ -498,54 +498,139 @@ class ClientTest(ServerTest):
         self.assertEqual(self.lab.rows("run-1.csv"), [row])
 
 
-class StagingTest(ServerTest):
-    """bluesky's devices need no bluesky to be staged."""
+class StoppingTest(ServerTest):
+    """bluesky's devices need no bluesky to be staged, set and stopped."""
 
-    def stage(self, device: Any, order: str, machine: str, stop: Callable[[], Any]) -> None:
-        """Stages the device in a thread, as the RunEngine does, and stops it meanwhile."""
+    def stop_meanwhile(self, at: str, begin: Callable[[], Any], stop: Callable[[], Any]) -> List[str]:
+        """Begins something in a thread, as the RunEngine does, and stops it while the server has a request for `at`, or after that.
+
+        Gives the names of the exceptions that the beginning ends in.
+        """
         stopped = threading.Event()
+        ended: List[str] = []
 
         def answer(call: Call) -> Answer:
             if call.path == "/api/v1/stop":
                 stopped.set()
                 return (200, {"ok": True, "machines": []})
+            if call.path.endswith(at):
+                stopped.wait()
             if call.path == "/api/v1/state":
                 known: Dict[str, Any] = {"rig": {"homed": False}, "capsule": {"referenced": False}}
-                return (200, {"ok": True, "instance": INSTANCE, "machines": known})
+                return (200, {**STATE[1], "machines": known})
+            if call.method == "POST" and stopped.is_set():
+                return (409, failure(130, "it was stopped"))
             state = action("stopped" if stopped.is_set() else "under_way")
-            state["action"]["machine"] = machine
-            return (202, state) if call.path.endswith(order) else (200, state)
+            state["action"]["machine"] = "capsule" if "capsule" in call.path else "rig"
+            return (202 if call.method == "POST" else 200, state)
 
-        self.server.answer = answer
-        self.server.calls.clear()
-        ended: List[str] = []
-
-        def stage() -> None:
+        def begun() -> None:
             try:
-                device.stage()
+                status = begin()
+                if isinstance(status, bluesky.Status):
+                    status.wait(30)
             except retrograde.RetrogradeError as why:
                 ended.append(type(why).__name__)
 
-        thread = threading.Thread(target=stage)
+        self.server.answer = answer
+        self.server.calls.clear()
+        thread = threading.Thread(target=begun)
         thread.start()
-        until(lambda: any("/actions/" in call.path for call in list(self.server.calls)))
+        until(lambda: any(at in call.path for call in list(self.server.calls)))
         stop()
         # Without a stop it would go on for ever.
         sent = stopped.is_set()
         stopped.set()
         thread.join(30)
         self.assertTrue(sent, "no stop was sent")
-        self.assertEqual(ended, ["Stopped"])
-        self.assertEqual([post.body for post in self.posts() if post.path == "/api/v1/stop"], [{"machine": machine}])
+        return ended
 
     def test_what_stage_moves_is_stopped(self) -> None:
+        for device in (bluesky.Rig(self.lab), bluesky.Capsule(self.lab)):
+            ends: List[Callable[[], Any]] = [device.stop, lambda: device.stop(success=True), device.unstage]
+            for end in ends:
+                self.assertEqual(self.stop_meanwhile("/actions/", device.stage, end), ["Stopped"])
+                stops = [post.body for post in self.posts() if post.path == "/api/v1/stop"]
+                self.assertEqual(stops, [{"machine": device.name}])
+
+    def test_an_order_on_its_way_is_stopped(self) -> None:
         rig, capsule = bluesky.Rig(self.lab), bluesky.Capsule(self.lab)
-        ends: List[Callable[[], Any]] = [rig.stop, lambda: rig.stop(success=True), rig.unstage]
-        for end in ends:
-            self.stage(rig, "/rig/home", "rig", end)
-        ends = [capsule.stop, capsule.unstage]
-        for end in ends:
-            self.stage(capsule, "/capsule/reference", "capsule", end)
+        orders: List[Tuple[str, Any, Callable[[], Any]]] = [
+            ("/rig/home", rig, rig.stage),
+            ("/rig/move", rig, lambda: rig.set(5)),
+            ("/capsule/reference", capsule, capsule.stage),
+            ("/capsule/fold", capsule, lambda: capsule.set("folded")),
+        ]
+        for order, device, begin in orders:
+            ends: List[Callable[[], Any]] = [device.stop, lambda: device.stop(success=True), device.unstage]
+            for end in ends:
+                with self.subTest(order=order, end=ends.index(end)):
+                    self.assertEqual(self.stop_meanwhile(order, begin, end), ["Stopped"])
+                    posts = [(post.path, post.body) for post in self.posts()]
+                    self.assertEqual(posts, [(f"/api/v1{order}", mock.ANY), ("/api/v1/stop", {"machine": device.name})])
+
+    def test_a_stop_while_stage_looks_at_the_machine_keeps_it_from_moving(self) -> None:
+        for device in (bluesky.Rig(self.lab), bluesky.Capsule(self.lab)):
+            ends: List[Callable[[], Any]] = [device.stop, device.unstage]
+            for end in ends:
+                with self.subTest(device=device, end=ends.index(end)):
+                    self.assertEqual(self.stop_meanwhile("/state", device.stage, end), ["Stopped"])
+                    self.assertEqual([post.path for post in self.posts()], ["/api/v1/stop"])
+
+    def test_stage_that_moves_nothing_forgets_no_motion(self) -> None:
+        folds = action("under_way")
+        folds["action"]["machine"] = "capsule"
+        known: Answer = (200, {**STATE[1], "machines": {"capsule": {"referenced": True}}})
+        self.answers(
+            {
+                "/api/v1/state": known,
+                "/api/v1/capsule/fold": (202, folds),
+                "/api/v1/actions/abc123-1": (200, folds),
+                "/api/v1/stop": (200, {"ok": True, "machines": []}),
+            }
+        )
+        capsule = bluesky.Capsule(self.lab)
+        capsule.set("folded")
+        capsule.stage()
+        capsule.stop(success=True)
+        self.assertEqual([post.path for post in self.posts()], ["/api/v1/capsule/fold", "/api/v1/stop"])
+        folds["action"]["state"] = "stopped"
+
+    def test_a_run_whose_order_was_not_sent_before_the_stop_does_not_begin(self) -> None:
+        class Later:
+            """A status whose thread comes to run only when somebody waits for it."""
+
+            done = False
+
+            def __init__(self, work: Callable[[], Any]) -> None:
+                self.work = work
+
+            def exception(self, timeout: float) -> Optional[BaseException]:
+                self.done = True
+                try:
+                    self.work()
+                except retrograde.Stopped as why:
+                    return why
+                return None
+
+        self.answers({"/api/v1/stop": (200, {"ok": True, "machines": []}), "/api/v1/rig/run": (202, action("under_way"))})
+        rig = bluesky.Rig(self.lab)
+        with mock.patch.object(bluesky, "Status", Later):
+            rig.kickoff()
+            rig.stop()
+        self.assertEqual([post.path for post in self.posts()], ["/api/v1/stop"])
+
+    def test_a_device_that_moves_nothing_is_stopped_unless_a_plan_has_only_ended(self) -> None:
+        self.answers({"/api/v1/stop": (200, {"ok": True, "machines": []})})
+        for device in (bluesky.Rig(self.lab), bluesky.Capsule(self.lab)):
+            self.server.calls.clear()
+            # The page may have moved it.
+            device.stop()
+            self.assertEqual([(post.path, post.body) for post in self.posts()], [("/api/v1/stop", {"machine": device.name})])
+            self.server.calls.clear()
+            device.stop(success=True)
+            device.unstage()
+            self.assertEqual(self.server.calls, [])
 
 
 if __name__ == "__main__":

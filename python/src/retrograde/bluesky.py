@@ -23,9 +23,9 @@ from __future__ import annotations
 import datetime
 import threading
 import time
-from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple
+from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple, TypeVar
 
-from .client import Action, Lab
+from .client import Action, Lab, _run_body
 from .errors import RetrogradeError, Stopped
 from .types import RunOptions
 
@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 # Value and time stamp, as bluesky describes them.
 Reading = Any
+# An order may find that nothing has to be moved.
+Ordered = TypeVar("Ordered", bound=Optional[Action[Any]])
 # Description of a value: dtype, unit.
 Key = Tuple[str, str]
 # What the capsule can be told to be, and the command for it.
@@ -102,6 +104,31 @@ class Status:
         return self.done and self._exception is None
 
 
+class _Motion:
+    """The last motion that a device has ordered. Kept, so that `stop` and `unstage` in another thread find it."""
+
+    def __init__(self) -> None:
+        self._is_ordered = False
+        self._action: Optional[Action[Any]] = None
+
+    def begin(self, order: Callable[[], Ordered]) -> Ordered:
+        """Gives the order."""
+        # Before it is sent: its answer may take seconds.
+        self._is_ordered = True
+        try:
+            action = order()
+            # Where nothing has to be moved, what it ordered before may still be under way.
+            self._action = action or self._action
+            return action
+        finally:
+            self._is_ordered = False
+
+    @property
+    def is_under_way(self) -> bool:
+        """It is being ordered, or is not known to have ended."""
+        return self._is_ordered or self._action is not None and not self._action.is_over
+
+
 def _described(source: str, keys: Mapping[str, Key]) -> Dict[str, Any]:
     described: Dict[str, Any] = {}
     for name, (dtype, units) in keys.items():
@@ -130,7 +157,7 @@ class Rig:
         self._flown: Optional[Action[Any]] = None
         self._flight: Optional[Status] = None
         self._starting: Optional[Status] = None
-        self._moving: Optional[Action[Any]] = None
+        self._motion = _Motion()
         self._repeats = False
         self._target_mm: Optional[float] = None
         self._held = False
@@ -197,17 +224,23 @@ class Rig:
 
     def stage(self) -> List[Any]:
         """Homes the rig if it does not know its position, or does not stand at 0."""
-        if not self._rig.state().get("homed") or self.position:
-            self._repeats = False
-            # Kept, so that `stop` and `unstage` in another thread find it.
-            self._moving = homing = self._rig.start_home()
+        homing = self._motion.begin(self._start_home)
+        if homing is not None:
             homing.wait()
         return [self]
+
+    def _start_home(self) -> Optional[Action[Any]]:
+        # Before the rig is looked at: a stop from now on is one of the homing.
+        last_stop = self._rig._last_stop()
+        if self._rig.state().get("homed") and not self.position:
+            return None
+        self._repeats = False
+        return self._rig._start("home", last_stop=last_stop)
 
     def unstage(self) -> List[Any]:
         """Stops a run or a homing that is still under way: its plan was ended early. (The RunEngine itself stops only what was `set`.)"""
         self._resumed = False
-        if self._moving is not None and not self._moving.is_over:
+        if self._motion.is_under_way:
             self._rig.stop()
         if self._is_starting():
             self._rig.stop()
@@ -235,13 +268,13 @@ class Rig:
 
     def set(self, position_mm: float) -> Status:
         """Moves to a position, mm."""
-        self._target_mm = float(position_mm)
+        self._target_mm = target_mm = float(position_mm)
         self._repeats = False
-        self._moving = action = self._rig.start_move(self._target_mm)
+        moving = self._motion.begin(lambda: self._rig.start_move(target_mm))
 
         def end() -> None:
             try:
-                action.wait()
+                moving.wait()
             except Stopped:
                 # By the RunEngine: at a pause, after which it repeats the move, or at the end of the plan.
                 if not self._repeats:
@@ -256,10 +289,9 @@ class Rig:
 
     def stop(self, *, success: bool = False) -> None:
         """The RunEngine calls this with `success` at each pause and at each end, also after a failure: a move is stopped, a
-        run is left to `pause` or `unstage`. Without `success` a run is stopped, too."""
+        run is left to `pause` or `unstage`. Without `success` the rig is stopped, whatever this device knows of it."""
         flies = self._is_starting() or self._flown is not None and not self._flown.is_over
-        moves = self._moving is not None and not self._moving.is_over
-        if moves or flies and not success:
+        if not success or self._motion.is_under_way:
             self._repeats = success
             self._rig.stop()
         if flies and not success:
@@ -293,10 +325,12 @@ class Rig:
         """Starts the run; done when the rig has accepted it."""
         # After a pause the RunEngine repeats what it did since the last checkpoint. The run that was held goes on already.
         goes_on, self._resumed = self._resumed, False
+        # Of this moment: the order is given in another thread, later.
+        last_stop = self._rig._last_stop()
 
         def start() -> None:
             if not (goes_on and self._flown is not None and not self._flown.is_over):
-                self._flown = self._rig.start_run(**self._run)
+                self._flown = self._rig._start("run", _run_body(**self._run), last_stop)
 
         self._starting = Status(start)
         return self._starting
@@ -384,7 +418,7 @@ class Capsule:
         self.name = name
         self._lab = lab
         self._capsule = lab.capsule
-        self._moving: Optional[Action[Any]] = None
+        self._motion = _Motion()
         self._shape = ""
 
     @property
@@ -412,15 +446,22 @@ class Capsule:
 
     def stage(self) -> List[Any]:
         """References the capsule if it does not know its thread. It is unfolded then."""
-        if not self._capsule.state().get("referenced"):
-            # Kept, so that `stop` and `unstage` in another thread find it.
-            self._moving = referencing = self._capsule.start("reference")
+        referencing = self._motion.begin(self._start_reference)
+        if referencing is not None:
             referencing.wait()
         return [self]
 
+    def _start_reference(self) -> Optional[Action[Any]]:
+        # Before the capsule is looked at: a stop from now on is one of the reference.
+        last_stop = self._capsule._last_stop()
+        if self._capsule.state().get("referenced"):
+            return None
+        return self._capsule._start("reference", last_stop=last_stop)
+
     def unstage(self) -> List[Any]:
         """Stops what is still under way: its plan was ended early."""
-        self.stop()
+        if self._motion.is_under_way:
+            self._capsule.stop()
         return [self]
 
     def check_value(self, shape: str) -> None:
@@ -432,8 +473,8 @@ class Capsule:
         """Folds or unfolds."""
         self.check_value(shape)
         self._shape = shape
-        self._moving = action = self._capsule.start(SHAPES[shape])
-        return Status(action.wait)
+        moving = self._motion.begin(lambda: self._capsule.start(SHAPES[shape]))
+        return Status(moving.wait)
 
     def locate(self) -> Dict[str, str]:
         """What it was told to be, and its state."""
@@ -441,7 +482,6 @@ class Capsule:
         return {"setpoint": self._shape or state, "readback": state}
 
     def stop(self, *, success: bool = False) -> None:
-        """Stops what goes on."""
-        del success
-        if self._moving is not None and not self._moving.is_over:
+        """Stops what this device has ordered. Without `success` the capsule is stopped, whatever this device knows of it."""
+        if not success or self._motion.is_under_way:
             self._capsule.stop()

@@ -489,8 +489,12 @@ class _Machine:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self._lab!r}>"
 
-    def _start(self, command: str, body: Optional[Dict[str, object]] = None) -> Action[Any]:
-        return Action(self._lab, self._lab._command(self.name, command, body or {}))
+    def _last_stop(self) -> object:
+        """For `_start`: which stop is the last one now."""
+        return self._lab._last_stop[self.name]
+
+    def _start(self, command: str, body: Optional[Dict[str, object]] = None, last_stop: Optional[object] = None) -> Action[Any]:
+        return Action(self._lab, self._lab._command(self.name, command, body or {}, last_stop))
 
     def _state(self) -> Dict[str, Any]:
         machines = cast(Dict[str, Dict[str, Any]], self._lab.state()["machines"])
