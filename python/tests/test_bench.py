@@ -4,6 +4,7 @@ import threading
 import time
 import unittest
 from typing import Any, Dict
+from unittest import mock
 
 import retrograde
 
@@ -98,6 +99,13 @@ class MachinesTest(BenchTest):
         self.assertAlmostEqual(partly["thread_um"], 8_000, delta=150)
         self.assertEqual(capsule.unfold()["outcome"], "complete")
         self.assertIn("end_force_ma", [setting["name"] for setting in capsule.settings()])
+
+    def test_5_an_order_that_was_given_long_ago_is_refused(self) -> None:
+        # As if it had waited since then in a dead link.
+        given = {**self.lab.state(), "time_utc": "2026-01-02T03:04:05Z"}
+        with mock.patch.object(self.lab, "state", return_value=given):
+            with self.assertRaisesRegex(retrograde.Refused, "late"):
+                self.lab.rig.acknowledge()
 
     def test_5_the_stream_tells_the_rigs_samples(self) -> None:
         with self.lab.stream() as stream:

@@ -7,6 +7,7 @@ import os
 import pathlib
 import signal
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -90,7 +91,9 @@ def action(state: str, **more: Any) -> Dict[str, Any]:
     return {"ok": True, "action": {"id": "abc123-1", "machine": "rig", "kind": "home", "state": state, **more}}
 
 
-STATE: Answer = (200, {"ok": True, "instance": INSTANCE, "machines": {"rig": {"state": "ready"}}})
+# The server's clock is not this computer's.
+TIME_UTC, TIME_MS = "2026-01-02T03:04:05.678901234Z", "1767323045679"
+STATE: Answer = (200, {"ok": True, "instance": INSTANCE, "time_utc": TIME_UTC, "machines": {"rig": {"state": "ready"}}})
 
 
 class ServerTest(unittest.TestCase):
@@ -141,6 +144,30 @@ class ClientTest(ServerTest):
         self.lab.rig.run(cycles=1)
         keys = {post.headers["Idempotency-Key"] for post in self.posts()}
         self.assertEqual((len(self.posts()), len(keys)), (3, 1))
+
+    def test_an_order_says_when_it_was_given_each_time_it_is_sent(self) -> None:
+        later: Answer = (200, {**STATE[1], "time_utc": "2026-01-02T03:05:00Z"})
+        stopped: Answer = (200, {"ok": True, "machines": []})
+        self.answers({"/api/v1/state": [STATE, later], "/api/v1/rig/home": [None, (200, action("complete"))], "/api/v1/stop": stopped})
+        self.lab.rig.home()
+        # A stop is never late.
+        self.lab.stop()
+        self.assertEqual([post.headers.get("Retrograde-Sent") for post in self.posts()], [TIME_MS, TIME_MS, None])
+
+    @unittest.skipUnless(sys.platform == "linux", "no clock here is known to go on while the computer sleeps")
+    def test_an_order_is_not_sent_again_after_the_computer_has_slept(self) -> None:
+        clock = mock.Mock(return_value=0.0)
+
+        def answer(call: Call) -> Optional[Answer]:
+            if call.method == "GET":
+                return STATE
+            clock.return_value += 3600
+            return None
+
+        self.server.answer = answer
+        with mock.patch("time.clock_gettime", clock), mock.patch.object(client, "PATIENCE_S", 1), self.assertRaises(retrograde.OutcomeUnknown):
+            self.lab.rig.home()
+        self.assertEqual(len(self.posts()), 1)
 
     def test_two_commands_have_two_keys(self) -> None:
         self.answers({"/api/v1/rig/home": [(200, action("complete"))] * 2})

@@ -22,11 +22,12 @@ class Noted(retrograde.Lab):
         self.asked: Set[Tuple[str, str]] = set()
 
     def _once(
-        self, method: str, path: str, body: Optional[Dict[str, object]], key: Optional[str], timeout_s: float
+        self, method: str, path: str, body: Optional[Dict[str, object]], more: Dict[str, str], timeout_s: float
     ) -> Tuple[int, bytes]:
         self.asked.add((method, path.split("?")[0]))
         done = {"id": "1", "machine": "rig", "kind": "x", "state": "complete", "result": {}}
         answer: Dict[str, Any] = {"ok": True, "instance": "i", "machines": {"rig": {}, "capsule": {}}, "action": done}
+        answer["time_utc"] = "2026-11-23T03:00:00Z"
         answer.update({name: [] for name in ("actions", "records", "settings")})
         answer.update({name: {} for name in ("plan", "health")})
         return 200, json.dumps(answer).encode()

@@ -20,12 +20,11 @@ these: `stop()` of the device in another thread stops that, and so do the page a
 
 from __future__ import annotations
 
-import datetime
 import threading
 import time
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple, TypeVar
 
-from .client import Action, Lab, _run_body
+from .client import Action, Lab, _run_body, _wall
 from .errors import RetrogradeError, Stopped
 from .types import RunOptions
 
@@ -400,13 +399,6 @@ class Rig:
             values = (row["time_us"] / 1e6, float(row["position_mm"]), float(row["speed_mm_s"]), row["stroke"], row["missed"])
             data = dict(zip(self._flight_keys(), values))
             yield {"time": at, "data": data, "timestamps": {key: at for key in data}}
-
-
-def _wall(utc: str) -> float:
-    """Seconds since 1970 of a time as the server writes it."""
-    whole, _, rest = utc.rstrip("Z").partition(".")
-    moment = datetime.datetime.strptime(whole, "%Y-%m-%dT%H:%M:%S").replace(tzinfo=datetime.timezone.utc)
-    return moment.timestamp() + (float(f"0.{rest}") if rest else 0.0)
 
 
 class Capsule:

@@ -7,6 +7,7 @@ Waiting for the end of a motion that is interrupted, by Ctrl-C or an exception i
 from __future__ import annotations
 
 import csv
+import datetime
 import html
 import io
 import json
@@ -157,7 +158,7 @@ class Lab:
         """States, telemetry, events and actions as they come."""
         connection = self._connection(2 * ANSWER_S)
         try:
-            self._send(connection, "GET", "/api/v1/stream", None, None)
+            self._send(connection, "GET", "/api/v1/stream", None, {})
             return Stream(connection)
         except (OSError, HTTPException) as why:
             raise self._no_server(why) from None
@@ -236,7 +237,7 @@ class Lab:
             if left_s <= 0:
                 break
             try:
-                status, answer = self._post(path, body, None, min(STOP_S, left_s))
+                status, answer = self._post(path, body, {}, min(STOP_S, left_s))
             except (OSError, HTTPException, RetrogradeError) as problem:
                 why = str(problem)
                 continue
@@ -259,13 +260,11 @@ class Lab:
         return HTTPConnection(self._host, self._port, timeout=timeout_s)
 
     def _send(
-        self, connection: HTTPConnection, method: str, path: str, body: Optional[Dict[str, object]], key: Optional[str]
+        self, connection: HTTPConnection, method: str, path: str, body: Optional[Dict[str, object]], more: Dict[str, str]
     ) -> None:
-        headers = {}
+        headers = {**more}
         if self._token:
             headers["Authorization"] = f"Bearer {self._token}"
-        if key:
-            headers["Idempotency-Key"] = key
         content = None
         if body is not None:
             headers["Content-Type"] = "application/json"
@@ -273,20 +272,21 @@ class Lab:
         connection.request(method, path, content, headers)
 
     def _once(
-        self, method: str, path: str, body: Optional[Dict[str, object]], key: Optional[str], timeout_s: float
+        self, method: str, path: str, body: Optional[Dict[str, object]], more: Dict[str, str], timeout_s: float
     ) -> Tuple[int, bytes]:
+        """Asks the server once, with `more` headers."""
         connection = self._connection(timeout_s)
         try:
-            self._send(connection, method, path, body, key)
+            self._send(connection, method, path, body, more)
             response = connection.getresponse()
             return response.status, response.read()
         finally:
             connection.close()
 
     def _post(
-        self, path: str, body: Dict[str, object], key: Optional[str], timeout_s: float
+        self, path: str, body: Dict[str, object], more: Dict[str, str], timeout_s: float
     ) -> Tuple[int, Dict[str, object]]:
-        status, content = self._once("POST", path, body, key, timeout_s)
+        status, content = self._once("POST", path, body, more, timeout_s)
         return status, _decoded(content)
 
     def _asked(
@@ -294,7 +294,7 @@ class Lab:
     ) -> Tuple[int, bytes]:
         """A question, which changes nothing."""
         try:
-            return self._once(method, path, body, None, timeout_s)
+            return self._once(method, path, body, {}, timeout_s)
         except (OSError, HTTPException) as why:
             raise self._no_server(why) from None
 
@@ -315,10 +315,16 @@ class Lab:
         """
         # Before the server is asked for anything: that may take its time.
         last_stop = last_stop or self._last_stop[machine]
-        # Of this moment: with a key of an earlier server nothing would be done.
-        key = f"{self.state()['instance']}-{uuid.uuid4().hex}"
+        state = self.state()
+        more = {
+            # Of this moment: with a key of an earlier server nothing would be done.
+            "Idempotency-Key": f"{state['instance']}-{uuid.uuid4().hex}",
+            # By the server's clock, for this computer's may be wrong. The server refuses an order that has waited for more than
+            # 5 s, in a dead link or in a computer that slept.
+            "Retrograde-Sent": str(round(1e3 * _wall(state["time_utc"]))),
+        }
         try:
-            action = self._sent(machine, name, body, key, last_stop)
+            action = self._sent(machine, name, body, more, last_stop)
             if self._last_stop[machine] is not last_stop and action["state"] not in OVER:
                 # That stop came to the server before this order, perhaps.
                 self.stop(machine)
@@ -330,8 +336,8 @@ class Lab:
             self.stop(machine)
             raise
 
-    def _sent(self, machine: str, name: str, body: Dict[str, object], key: str, last_stop: object) -> ActionData:
-        until = time.monotonic() + PATIENCE_S
+    def _sent(self, machine: str, name: str, body: Dict[str, object], more: Dict[str, str], last_stop: object) -> ActionData:
+        until = _now() + PATIENCE_S
         unsure: Optional[str] = None
         while True:
             if self._last_stop[machine] is not last_stop:
@@ -339,10 +345,10 @@ class Lab:
                 if unsure is None:
                     raise Stopped(f"{machine}: {name} was not sent, because the {machine} was stopped first", "nothing was begun; order it again if it is still wanted")
                 raise OutcomeUnknown(f"{machine}: {name} was sent and not answered, and then stopped: {unsure}", "look at the machine")
-            if unsure is not None and time.monotonic() > until:
+            if unsure is not None and _now() > until:
                 raise OutcomeUnknown(f"{machine}: {name} was sent and not answered: {unsure}", "look at the machine")
             try:
-                status, answer = self._post(f"/api/v1/{machine}/{name}", body, key, ANSWER_S)
+                status, answer = self._post(f"/api/v1/{machine}/{name}", body, more, ANSWER_S)
             except ConnectionRefusedError as why:
                 if unsure is None:
                     raise self._no_server(why) from None
@@ -366,6 +372,20 @@ class Lab:
 def _warn() -> None:
     """Says on standard error what to do about a stop that is not confirmed."""
     print(f"retrograde: the stop is NOT YET CONFIRMED: {DO_NOW}", file=sys.stderr, flush=True)
+
+
+def _now() -> float:
+    """Seconds of a clock that on Linux goes on while the computer sleeps."""
+    if sys.platform == "linux":
+        return time.clock_gettime(time.CLOCK_BOOTTIME)
+    return time.monotonic()
+
+
+def _wall(utc: str) -> float:
+    """Seconds since 1970 of a time as the server writes it."""
+    whole, _, rest = utc.rstrip("Z").partition(".")
+    moment = datetime.datetime.strptime(whole, "%Y-%m-%dT%H:%M:%S").replace(tzinfo=datetime.timezone.utc)
+    return moment.timestamp() + (float(f"0.{rest}") if rest else 0.0)
 
 
 def _decoded(content: bytes) -> Dict[str, Any]:
@@ -654,7 +674,7 @@ class Jog:
                 return
             try:
                 body: Dict[str, object] = {"action": id, "n": number}
-                status, answer = self._rig._lab._post("/api/v1/rig/jog/renew", body, None, within_s)
+                status, answer = self._rig._lab._post("/api/v1/rig/jog/renew", body, {}, within_s)
             except (OSError, HTTPException, RetrogradeError) as why:
                 # The next one may come in time.
                 self.why = str(why)
