@@ -7,6 +7,7 @@ import os
 import pathlib
 import signal
 import socket
+import stat
 import sys
 import tempfile
 import threading
@@ -507,6 +508,63 @@ class ClientTest(ServerTest):
             lab = retrograde.connect()
         self.assertEqual(lab.url, self.url)
         self.assertEqual(self.server.calls[-1].headers["Authorization"], "Bearer " + "t" * 32)
+
+    @unittest.skipIf(sys.platform == "win32", "other users have no access to this folder there")
+    def test_a_server_is_found_only_in_what_is_this_users_alone(self) -> None:
+        self.answers({})
+        with tempfile.TemporaryDirectory() as parent:
+            folder = pathlib.Path(parent, "retrograde")
+            file = folder / "serve.json"
+            folder.mkdir(mode=0o700)
+            file.write_text(json.dumps({"url": self.url, "token": "t" * 32}))
+            linked, with_link = pathlib.Path(parent, "linked"), pathlib.Path(parent, "with-link")
+            linked.symlink_to(folder)
+            with_link.mkdir(mode=0o700)
+            (with_link / "serve.json").symlink_to(file)
+
+            def refused(where: pathlib.Path) -> str:
+                with mock.patch.dict(os.environ, {"RETROGRADE_RUNTIME_DIR": str(where)}):
+                    with self.assertRaises(retrograde.NoServer) as raised:
+                        retrograde.connect()
+                return str(raised.exception)
+
+            for where, what in [(linked, linked), (file, file), (with_link, with_link / "serve.json")]:
+                with self.subTest(where=where):
+                    self.assertRegex(refused(where), f"{what} is a link, or no (folder|file) .*remove it")
+            with self.subTest("of another user"), mock.patch("os.geteuid", return_value=os.geteuid() + 1):
+                self.assertRegex(refused(folder), f"{folder} belongs to another user .*RETROGRADE_RUNTIME_DIR")
+            for mode in (0o710, 0o701, 0o770, 0o755):
+                folder.chmod(mode)
+                with self.subTest(mode=oct(mode)):
+                    self.assertRegex(refused(folder), f"other users have access to {folder} .*chmod 700 {folder}")
+            # The token was sent nowhere.
+            self.assertEqual(self.server.calls, [])
+            folder.chmod(0o700)
+            with mock.patch.dict(os.environ, {"RETROGRADE_RUNTIME_DIR": str(folder)}):
+                self.assertEqual(retrograde.connect().url, self.url)
+
+    @unittest.skipIf(sys.platform == "win32", "other users have no access to this folder there")
+    def test_what_is_read_is_what_was_looked_at(self) -> None:
+        self.answers({})
+        with tempfile.TemporaryDirectory() as folder, mock.patch.dict(os.environ, {"RETROGRADE_RUNTIME_DIR": folder}):
+            file = pathlib.Path(folder, "serve.json")
+            file.write_text(json.dumps({"url": self.url, "token": "mine"}))
+            other = pathlib.Path(folder, "other")
+            other.write_text(json.dumps({"url": "http://127.0.0.1:1/", "token": "theirs"}))
+
+            def replaced(look: Callable[..., Any]) -> Callable[..., Any]:
+                def looked(*arguments: Any, **options: Any) -> Any:
+                    found = look(*arguments, **options)
+                    if not os.path.islink(file) and stat.S_ISREG(found.st_mode):
+                        file.unlink()
+                        file.symlink_to(other)
+                    return found
+
+                return looked
+
+            with mock.patch("os.stat", replaced(os.stat)), mock.patch("os.fstat", replaced(os.fstat)):
+                self.assertEqual(retrograde.connect().url, self.url)
+            self.assertTrue(file.is_symlink())
 
     def test_wrong_addresses_are_refused(self) -> None:
         for url in ["https://127.0.0.1:1/", "ftp://x", "http://", ""]:

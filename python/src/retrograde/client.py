@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import datetime
+import errno
 import html
 import io
 import json
@@ -76,7 +77,7 @@ def runtime_folder() -> pathlib.Path:
         return pathlib.Path(given)
     if sys.platform == "win32":
         return pathlib.Path(os.environ.get("LOCALAPPDATA", tempfile.gettempdir())) / "retrograde"
-    return pathlib.Path(f"/tmp/retrograde-{os.getuid()}")
+    return pathlib.Path(f"/tmp/retrograde-{os.geteuid()}")
 
 
 def connect(url: Optional[str] = None, token: Optional[str] = None) -> "Lab":
@@ -96,12 +97,40 @@ def connect(url: Optional[str] = None, token: Optional[str] = None) -> "Lab":
 def _found() -> Tuple[str, str]:
     file = runtime_folder() / "serve.json"
     try:
-        if sys.platform != "win32" and file.stat().st_uid != os.getuid():
-            raise NoServer(f"{file} belongs to another user", NO_SERVER)
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = json.loads(_read_own(file))
         return str(found["url"]), str(found["token"])
     except (OSError, ValueError, KeyError, TypeError) as why:
         raise NoServer(f"no server of this user was found: {why}", NO_SERVER) from None
+
+
+def _read_own(file: pathlib.Path) -> str:
+    """Reads a file of this user's, in a folder of this user's that is closed to others, as `retrograde serve` makes it."""
+    if sys.platform == "win32":
+        return file.read_text(encoding="utf-8")
+    folder = _open_own(file.parent, "folder", os.O_DIRECTORY)
+    try:
+        if os.fstat(folder).st_mode & 0o077:
+            raise NoServer(f"other users have access to {file.parent}", f"`chmod 700 {file.parent}`, then start `retrograde serve` again")
+        opened = _open_own(file, "file", within=folder)
+    finally:
+        os.close(folder)
+    with open(opened, encoding="utf-8") as text:
+        return text.read()
+
+
+def _open_own(path: pathlib.Path, kind: str, flags: int = 0, within: Optional[int] = None) -> int:
+    """Opens what belongs to this user. Follows no link: in /tmp anybody may have made one."""
+    try:
+        opened = os.open(path if within is None else path.name, os.O_RDONLY | os.O_NOFOLLOW | flags, dir_fd=within)
+    except OSError as why:
+        if why.errno in (errno.ELOOP, errno.ENOTDIR):
+            raise NoServer(f"{path} is a link, or no {kind}", "remove it, then start `retrograde serve` again") from None
+        raise
+    # Of what is open: the name may be another's a moment later.
+    if os.fstat(opened).st_uid != os.geteuid():
+        os.close(opened)
+        raise NoServer(f"{path} belongs to another user", "set RETROGRADE_RUNTIME_DIR to a folder of your own, for `retrograde serve`, too")
+    return opened
 
 
 def _number(name: str, value: Number) -> Union[int, float, str]:
