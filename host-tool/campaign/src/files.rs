@@ -7,7 +7,7 @@ pub const PLAN: &str = trials::trial::CAMPAIGN_PLAN;
 /// The trials in their order.
 pub const ORDER: &str = "order.csv";
 /// The ledger.
-pub const TRIALS: &str = "trials.csv";
+pub const TRIALS: &str = trials::trial::CAMPAIGN_LEDGER;
 /// The caliper's readings.
 pub const READINGS: &str = "readings.csv";
 /// Locked by the process that writes to the folder. The file is empty and not in the manifest.

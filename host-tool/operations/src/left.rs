@@ -10,7 +10,7 @@ use jiff::{SignedDuration, Timestamp};
 use protocol::capsule::ActuationOutcome;
 use protocol::rig::{RigState, RunOutcome};
 use protocol::system::DeviceKind;
-use trials::trial::{Action, CAMPAIGN_PLAN, Ending, Moved, Status, Trial};
+use trials::trial::{Action, CAMPAIGN_LEDGER, CAMPAIGN_PLAN, Ending, Moved, Status, Trial};
 
 /// A machine's clock may fall behind by this much: a virtual one loses time on a busy computer.
 const SLOW: SignedDuration = SignedDuration::from_secs(60);
@@ -24,12 +24,9 @@ pub fn end_record(device: &mut Device, now: Timestamp) -> Result<Option<String>,
     let Some(sidecar) = device.left_record() else {
         return Ok(None);
     };
-    // Skip campaigns: they complete their own records when they are resumed.
-    let is_campaign = |folder: &Path| folder.join(CAMPAIGN_PLAN).exists();
     let trial = Trial::read(&sidecar).ok();
     let trial = trial.filter(|trial| trial.status == Status::Running);
-    let Some(mut trial) = trial.filter(|_| !sidecar.ancestors().skip(1).take(3).any(is_campaign))
-    else {
+    let Some(mut trial) = trial.filter(|_| !is_of_a_campaign(&sidecar)) else {
         device.left_has_ended();
         return Ok(None);
     };
@@ -54,6 +51,15 @@ pub fn end_record(device: &mut Device, now: Timestamp) -> Result<Option<String>,
     };
     device.left_has_ended();
     Ok(Some(said))
+}
+
+/// Whether the record is one of a campaign, which completes its own when it is resumed: CAMPAIGN/trials/ATTEMPT/RECORD.
+fn is_of_a_campaign(sidecar: &Path) -> bool {
+    let has = |folder: &Path, name: &str| folder.join(name).exists();
+    sidecar
+        .ancestors()
+        .nth(3)
+        .is_some_and(|folder| has(folder, CAMPAIGN_PLAN) && has(folder, CAMPAIGN_LEDGER))
 }
 
 /// Whether this is the machine of the record, without a restart since. The number of starts begins at 1 after each
@@ -138,6 +144,20 @@ fn ending(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Regression: a plan in the project's folder kept the records of single runs "running" for ever.
+    #[test]
+    fn a_plan_near_a_record_makes_no_campaign() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let has = |name| std::fs::write(folder.path().join(name), "").expect("written");
+        let record = |below| is_of_a_campaign(&folder.path().join(below));
+        has(CAMPAIGN_PLAN);
+        for below in ["run.json", "retrograde-data/run.json", "a/b/run.json"] {
+            assert!(!record(below), "{below}");
+        }
+        has(CAMPAIGN_LEDGER);
+        assert!(record("trials/001-1/run.json"));
+    }
 
     #[test]
     fn a_machine_that_was_switched_on_since_is_not_the_one_of_the_record() {

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use client::Interrupt;
 use client::address::Address;
@@ -38,9 +38,18 @@ const SHOWN_EVENTS: usize = 12;
 pub struct Order {
     pub action: u64,
     pub work: Work,
-    pub at: Instant,
+    /// When it came, by a clock that may stand while the computer sleeps and by one that may be set.
+    pub at: (Instant, SystemTime),
     /// The last stop before this order: of this server, and of any process.
     pub after: (u64, StopMark),
+}
+
+impl Order {
+    /// How long it has waited, by the clock that says more.
+    pub fn waited(&self) -> Duration {
+        let (at, time) = self.at;
+        at.elapsed().max(time.elapsed().unwrap_or_default())
+    }
 }
 
 /// A jog that continues only while it is renewed.
@@ -450,5 +459,27 @@ fn sample_json(sample: &Telemetry, missed: u16, status: Option<&RigStatus>) -> V
             "drive_mv": sample.drive_mv,
             "missed": missed,
         }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `Instant` stands on Linux while the computer sleeps.
+    #[test]
+    fn an_order_waits_while_the_computer_sleeps() {
+        let hour = Duration::from_secs(3_600);
+        let came = |time| Order {
+            action: 1,
+            work: Work::Home,
+            at: (Instant::now(), time),
+            after: (0, StopMark::default()),
+        };
+        assert!(came(SystemTime::now() - hour).waited() >= hour);
+        assert!(
+            came(SystemTime::now() + hour).waited() < hour,
+            "it was set back"
+        );
     }
 }

@@ -5,7 +5,7 @@ use std::io::Read;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, TrySendError};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use axum::Router;
 use axum::body::{Body, Bytes, to_bytes};
@@ -683,7 +683,7 @@ async fn order(
             let order = Order {
                 action: number,
                 work,
-                at: Instant::now(),
+                at: (Instant::now(), SystemTime::now()),
                 after,
             };
             if is_late(headers) {

@@ -266,7 +266,7 @@ impl Worker<'_> {
     fn needs_line(&self, device: &mut Device, order: &Order) -> bool {
         device.owner().is_some()
             && order.work.is_for_owner()
-            && order.at.elapsed() < YIELDING
+            && order.waited() < YIELDING
             && device.want_line()
     }
 
@@ -310,11 +310,12 @@ impl Worker<'_> {
 
     /// Executes an order. An error means that the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
+        let waited = order.waited();
         let Order {
             action,
             work,
-            at,
             after: (stop, mark),
+            ..
         } = order;
         let stops = &self.machine.stops;
         let (_, last) = self.machine.last_stop();
@@ -323,11 +324,11 @@ impl Worker<'_> {
             self.board.ended(action, Value::Null, Some(&failure));
             return Ok(());
         }
-        if at.elapsed() > STALE {
+        if waited > STALE {
             let failure = Failure::refused(
                 format!(
                     "the order came too late: the server was busy with the line for {} s",
-                    at.elapsed().as_secs()
+                    waited.as_secs()
                 ),
                 "nothing was moved by this order; look at the machine, then again",
             );

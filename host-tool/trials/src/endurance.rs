@@ -280,6 +280,9 @@ impl Run {
         let failed = |error: &dyn ToString| RecordError::write(&self.csv, error.to_string());
         self.writer.serialize(row).map_err(|error| failed(&error))?;
         self.writer.flush().map_err(|error| failed(&error))?;
+        // The summary must not count a pair that a power cut takes.
+        let synced = self.writer.get_ref().sync_data();
+        synced.map_err(|error| failed(&error))?;
         self.pairs.push(row);
         self.endurance.done = row.pair;
         self.endurance.drift = Drifts::of(&self.pairs);
@@ -300,7 +303,10 @@ fn over_the_slack(capsule: &mut Device, actuation: u32) -> Result<Vec<[f64; 3]>,
     let mut from = 0;
     loop {
         let part = capsule.call(GetTrace { from })?;
-        if part.actuation != actuation || usize::from(part.total) >= KEPT_TRACE_POINTS {
+        // A device that says no end keeps nobody here.
+        let is_endless = from as usize > KEPT_TRACE_POINTS;
+        if part.actuation != actuation || usize::from(part.total) >= KEPT_TRACE_POINTS || is_endless
+        {
             return Ok(vec![]);
         }
         for (time_ms, point) in (from..).zip(&part.points) {

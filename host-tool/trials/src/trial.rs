@@ -28,6 +28,8 @@ use crate::writer::{Appender, Writer};
 
 /// A folder that contains this file belongs to a campaign. The campaign completes its own records.
 pub const CAMPAIGN_PLAN: &str = "plan.toml";
+/// Name of its ledger there.
+pub const CAMPAIGN_LEDGER: &str = "trials.csv";
 
 /// Version of the sidecar's format; incremented when a field changes its meaning or its name.
 pub const FORMAT: u32 = 2;

@@ -22,6 +22,9 @@ fn is_end(event: &Event) -> bool {
     )
 }
 
+/// Most events that are kept until an earlier one has come, more than a device keeps. Others are fetched later.
+const MOST_EARLY: usize = 256;
+
 /// Maximum number of successive fetches. Fetching all that the device keeps takes 11; more events may come meanwhile.
 const MOST_PIECES: usize = 1_000;
 
@@ -92,7 +95,9 @@ impl Device {
 
     pub(crate) fn note_event(&mut self, event: Event) {
         // The largest index belongs to no event: asking from there returns none.
-        if event.index >= self.next_event && event.index != u32::MAX {
+        let is_new = event.index >= self.next_event && event.index != u32::MAX;
+        let is_next = event.index == self.next_event;
+        if is_new && (is_next || self.early.len() < MOST_EARLY) {
             self.early.insert(event.index, event);
         }
         while let Some(event) = self.early.remove(&self.next_event) {
@@ -122,5 +127,29 @@ impl Device {
             }
         }
         Err(self.endless())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::device::waiting::tests::At;
+
+    /// Regression: a device that left out one event took all memory with later ones.
+    #[test]
+    fn a_device_that_leaves_out_an_event_takes_no_memory() {
+        let mut device = Device::new(Box::new(At(0)), 1);
+        let event = |index| Event {
+            index,
+            time_us: 0,
+            what: What::LinkLost,
+        };
+        (1..100_000).for_each(|index| device.note_event(event(index)));
+        assert_eq!(device.early.len(), MOST_EARLY);
+        device.note_event(event(0));
+        assert_eq!(
+            (device.early.len(), device.events.len()),
+            (0, MOST_EARLY + 1)
+        );
     }
 }

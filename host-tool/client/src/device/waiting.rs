@@ -566,12 +566,12 @@ impl Device {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::link::{Link, LinkError};
 
     /// A link whose clock shows this, us.
-    struct At(u64);
+    pub struct At(pub u64);
 
     impl Link for At {
         fn place(&self) -> String {
