@@ -57,6 +57,10 @@ pub enum Question<'a> {
     Stroke {
         /// The trial.
         planned: &'a Planned,
+        /// The attempt.
+        attempt: u32,
+        /// Number of trials of the campaign.
+        of: usize,
         /// Number of the stroke, from 1.
         number: usize,
         /// Number of strokes.
@@ -70,6 +74,8 @@ pub enum Question<'a> {
         planned: &'a Planned,
         /// The attempt.
         attempt: u32,
+        /// Number of trials of the campaign.
+        of: usize,
         /// The modelled value, on the virtual bench.
         model: Option<Millimetres>,
     },
@@ -102,30 +108,41 @@ impl Question<'_> {
             }
             Self::Ready { checks, .. } => checks.clone(),
             Self::Stroke {
+                planned,
+                attempt,
+                of,
                 number,
                 count,
                 model,
-                ..
             } => {
                 let way = match number % 2 {
                     1 => "antegrade",
                     _ => "returning",
                 };
-                vec![match model {
+                let asked = match model {
                     None => format!(
                         "Displacement since the beginning after stroke {number} of {count} ({way}), mm, + headward:"
                     ),
                     Some(model) => format!(
                         "Displacement after stroke {number} of {count} by the model: {model} mm (not a measurement)."
                     ),
-                }]
+                };
+                vec![heading(planned, *attempt, *of), asked]
             }
-            Self::Displacement { model, .. } => vec![match model {
-                None => "Displacement of the tail, mm, + headward:".to_owned(),
-                Some(model) => {
-                    format!("Displacement by the model: {model} mm (not a measurement).")
-                }
-            }],
+            Self::Displacement {
+                planned,
+                attempt,
+                of,
+                model,
+            } => {
+                let asked = match model {
+                    None => "Displacement of the tail, mm, + headward:".to_owned(),
+                    Some(model) => {
+                        format!("Displacement by the model: {model} mm (not a measurement).")
+                    }
+                };
+                vec![heading(planned, *attempt, *of), asked]
+            }
         }
     }
 
@@ -243,16 +260,9 @@ fn length(text: &str) -> Answer {
     }
 }
 
-/// Check-list before a trial.
-#[must_use]
-pub fn checks(
-    planned: &Planned,
-    attempt: u32,
-    of: usize,
-    camera_file: Option<&str>,
-    passes: Option<Passes>,
-) -> Vec<String> {
-    let mut lines = vec![format!(
+/// The trial that a question is about: after a correction, displacements of several may be missing.
+fn heading(planned: &Planned, attempt: u32, of: usize) -> String {
+    format!(
         "Trial {} of {of}{}: {}, {}, {}, repeat {}.",
         planned.trial,
         match attempt {
@@ -263,7 +273,19 @@ pub fn checks(
         planned.lubrication.name(),
         doing(planned.purpose, planned.shape),
         planned.repeat,
-    )];
+    )
+}
+
+/// Check-list before a trial.
+#[must_use]
+pub fn checks(
+    planned: &Planned,
+    attempt: u32,
+    of: usize,
+    camera_file: Option<&str>,
+    passes: Option<Passes>,
+) -> Vec<String> {
+    let mut lines = vec![heading(planned, attempt, of)];
     lines.push(match planned.lubrication {
         Lubrication::Dry => "  [ ] the walls are dry".to_owned(),
         Lubrication::Lubricated => "  [ ] soapy water is on both walls, anew".to_owned(),

@@ -557,7 +557,10 @@ fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
                     "",
                 ),
                 ("Trial 1 of 3", ""),
-                ("after stroke 1 of 2 (antegrade)", "9.5"),
+                (
+                    "Trial 1 of 3: a5, dry, unfolded, repeat 1.\nDisplacement since the beginning after stroke 1 of 2 (antegrade)",
+                    "9.5",
+                ),
                 ("after stroke 2 of 2 (returning)", "200"),
                 ("the plan allows -130 to 130", "9.2"),
                 ("Displacement of the tail", "10.5"),

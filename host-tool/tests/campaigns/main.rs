@@ -3,6 +3,7 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod attempts;
 mod campaign;
 mod campaign_report;
 mod campaign_run;

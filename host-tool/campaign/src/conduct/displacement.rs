@@ -26,6 +26,7 @@ impl Conduct<'_> {
         let question = Question::Displacement {
             planned,
             attempt,
+            of: self.folder.campaign().order.len(),
             model: modelled.as_ref().map(|modelled| modelled.value),
         };
         let Some(answer) = self.ask(&question)? else {

@@ -26,6 +26,8 @@ impl Conduct<'_> {
     ) -> Result<Then, Broken> {
         let question = Question::Stroke {
             planned,
+            attempt,
+            of: self.folder.campaign().order.len(),
             number,
             count,
             model: modelled.as_ref().map(|modelled| modelled.value),
