@@ -187,8 +187,8 @@ fn unfolds(record: &Trial) -> bool {
     )
 }
 
-/// Why these records, with their files' names, do not make an attempt complete. The capsule is unfolded after a complete
-/// one, so an unfolding does not count.
+/// Why these records, with their files' names, do not make an attempt complete. A record has an error beside a complete
+/// motion if it was not recorded whole. The capsule is unfolded after a complete attempt, so an unfolding does not count.
 pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Option<String> {
     if !records.iter().any(|(name, _)| is_motion(name)) {
         return Some("there is no record of it".to_owned());
@@ -200,7 +200,11 @@ pub(crate) fn incomplete(planned: &Planned, records: &[(String, Trial)]) -> Opti
     let counts = records.iter().filter(|(_, record)| !unfolds(record));
     let other = |(name, record): &(String, Trial)| {
         let says = AttemptOutcome::from(record.status);
-        (says != AttemptOutcome::Complete).then(|| format!("{name} says {}", says.name()))
+        match &record.error {
+            _ if says != AttemptOutcome::Complete => Some(format!("{name} says {}", says.name())),
+            Some(error) => Some(format!("{name} says that {error}")),
+            None => None,
+        }
     };
     counts.filter_map(other).next()
 }

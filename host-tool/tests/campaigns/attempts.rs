@@ -1,5 +1,15 @@
 //! Which trial a question and an answer are about, and which attempts count.
 
+use std::fs;
+
+use campaign::contents::Campaign;
+use campaign::files::TRIALS;
+use campaign::folder::Folder;
+use campaign::ledger::{AttemptOutcome, Standing};
+use campaign::manifest;
+use serde_json::Value;
+
+use crate::campaign::{at, campaign, findings};
 use crate::campaign_run::{converse, machines, path, place, whole};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 
@@ -63,4 +73,44 @@ fn each_displacement_is_asked_for_by_the_name_of_its_trial() {
         counted.expect("counts").value.um
     });
     assert_eq!(um, [5_100, 4_200, 5_300]);
+}
+
+/// Lists the files of a folder as they are now.
+fn forge(folder: &std::path::Path) {
+    let forged = manifest::of_folder(folder).expect("read");
+    fs::write(folder.join(manifest::NAME), forged.text()).expect("written");
+}
+
+/// Regression: the record of a run on a full disk is complete by the machine's account and lacks telemetry. It counted
+/// if the tool was killed before it had written the end of the attempt.
+#[test]
+fn a_record_that_is_not_whole_completes_no_attempt() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    let read = Campaign::read(&path).expect("a campaign");
+    let sidecar = read.run_sidecar(3, 1).expect("a record");
+    let text = fs::read_to_string(&sidecar).expect("text");
+    let mut record: Value = serde_json::from_str(&text).expect("JSON");
+    let error = "the telemetry was not recorded whole: no space";
+    record["error"] = error.into();
+    fs::write(&sidecar, record.to_string()).expect("written");
+    forge(&path);
+    let name = sidecar.file_name().expect("a name").to_string_lossy();
+    let says =
+        format!("trials/003-1: {TRIALS} says that it was completed, and {name} says that {error}");
+    assert_eq!(findings(&path), [says]);
+
+    let ledger = fs::read_to_string(path.join(TRIALS)).expect("text");
+    let began = ledger.find(",began,3,1,").expect("a row");
+    let end = ledger[began..].find('\n').expect("a whole row") + began + 1;
+    fs::write(path.join(TRIALS), &ledger[..end]).expect("written");
+    forge(&path);
+    let (folder, told) = Folder::resume(&path, at(99), &mut |_| true).expect("a crash");
+    assert_eq!(told, ["003-1: the tool ended within it: lost"]);
+    let trial = folder.campaign().state.trial(3).expect("there");
+    assert_eq!(trial.attempts[0].outcome, Some(AttemptOutcome::Lost));
+    assert_eq!(trial.standing(), Standing::Open);
+    drop(folder);
+    assert_eq!(findings(&path), [""; 0]);
 }
