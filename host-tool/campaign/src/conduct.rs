@@ -296,7 +296,13 @@ impl<'a> Conduct<'a> {
     ///
     /// # Errors
     /// [`Broken`].
-    pub fn carry_out(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
+    pub fn carry_out(&mut self, attempts: Option<u32>) -> Result<Ending, Broken> {
+        let ended = self.go_on(attempts);
+        self.tell_folded();
+        ended
+    }
+
+    fn go_on(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
         loop {
             let Some(next) = self.folder.campaign().state.next() else {
                 return Ok(Ending::Through);

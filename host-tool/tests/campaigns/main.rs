@@ -9,6 +9,7 @@ mod campaign_report;
 mod campaign_run;
 mod clock;
 mod counting;
+mod folded;
 mod gone;
 mod guests;
 #[cfg(unix)]

@@ -1,5 +1,6 @@
 //! The displacement of a completed trial: asks the operator or a model, and handles other answers.
 
+use client::Device;
 use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 
@@ -57,7 +58,7 @@ impl Conduct<'_> {
             (Answer::Enter | Answer::Yes | Answer::Again, None) => {
                 self.desk.say("  the displacement is needed here");
             }
-            (answer, _) => self.instead(planned, attempt, answer)?,
+            (answer, _) => return self.instead(planned, attempt, answer),
         }
         Ok(Then::Look)
     }
@@ -73,8 +74,9 @@ impl Conduct<'_> {
         planned: &Planned,
         attempt: u32,
         answer: Answer,
-    ) -> Result<(), Broken> {
+    ) -> Result<Then, Broken> {
         let trial = planned.trial;
+        let mut ends = false;
         match answer {
             Answer::Undo => {
                 let campaign = self.folder.campaign();
@@ -86,9 +88,9 @@ impl Conduct<'_> {
                     self.row(LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)))?;
                     self.desk
                         .say("  what was said of the last stroke is taken back");
-                    return Ok(());
+                } else {
+                    self.undo()?;
                 }
-                self.undo()?;
             }
             Answer::Repeat(reason) => {
                 let row =
@@ -97,18 +99,21 @@ impl Conduct<'_> {
                 self.desk.say(&format!(
                     "  attempt {attempt} does not count; the trial is done again"
                 ));
+                ends = true;
             }
             Answer::Skip(reason) => {
                 self.row(LedgerRow::of(LedgerEvent::Skipped, trial, None).saying(Some(reason)))?;
                 self.desk.say(&format!(
                     "  trial {trial} is skipped; undo takes it in again"
                 ));
+                ends = true;
             }
             Answer::Exclude(reason) => {
                 let row =
                     LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
                 self.desk.say(&format!("  trial {trial} is excluded"));
+                ends = true;
             }
             Answer::Note(text) => self.note(trial, text)?,
             Answer::Camera(_) | Answer::Clamp => {
@@ -121,7 +126,10 @@ impl Conduct<'_> {
             | Answer::Quit
             | Answer::Unclear(_) => self.desk.say("  the displacement is needed here"),
         }
-        Ok(())
+        if ends {
+            return self.unfold_after(planned, attempt);
+        }
+        Ok(Then::Look)
     }
 
     /// The modelled displacement: after a stroke, or of the whole trial.
@@ -158,7 +166,7 @@ impl Conduct<'_> {
         })
     }
 
-    /// Unfolds the capsule after the body has been measured, so that the thread does not stay under tension.
+    /// Unfolds the capsule at the end of a fold trial, so that the thread does not stay under tension.
     fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let campaign = self.folder.campaign();
         let began = |row: &&LedgerRow| row.event == LedgerEvent::Began;
@@ -168,24 +176,44 @@ impl Conduct<'_> {
             campaign.rows.iter().rfind(began).is_some_and(|row| {
                 (row.trial, row.attempt) == (Some(planned.trial), Some(attempt))
             });
-        if planned.shape != Form::Unfolded
-            && is_last
-            && let Some(capsule) = &mut self.machines.capsule
-            && capsule.capsule_status()?.state == CapsuleState::Folded
-        {
-            let folder = self
-                .folder
-                .campaign()
-                .attempt_folder(planned.trial, attempt);
-            let unfolded = self.actuate(ActuationKind::Unfold, &folder);
-            self.folder.seal_attempt(planned.trial, attempt)?;
-            match unfolded {
-                Err(broken) if broken.outcome() == AttemptOutcome::Stopped => {
-                    return Ok(Then::Leave);
-                }
-                unfolded => unfolded?,
+        let folder = campaign.attempt_folder(planned.trial, attempt);
+        let capsule = self.machines.capsule.as_mut();
+        let Some(capsule) = capsule.filter(|_| planned.shape != Form::Unfolded && is_last) else {
+            return Ok(Then::Look);
+        };
+        match capsule.capsule_status() {
+            Ok(status) if status.state == CapsuleState::Folded => {}
+            Ok(_) => return Ok(Then::Look),
+            // The trial has ended all the same, and the next one may need no capsule.
+            Err(error) => {
+                self.gone = true;
+                self.desk.say(&format!(
+                    "  {error}; was the capsule left folded? Its thread pulls: `retrograde unfold`"
+                ));
+                return Ok(Then::Look);
             }
         }
-        Ok(Then::Look)
+        let unfolded = self.actuate(ActuationKind::Unfold, &folder);
+        self.folder.seal_attempt(planned.trial, attempt)?;
+        match unfolded {
+            Err(broken) if broken.outcome() == AttemptOutcome::Stopped => Ok(Then::Leave),
+            unfolded => unfolded.map(|()| Then::Look),
+        }
+    }
+
+    /// Tells that the capsule is left folded: its thread pulls until somebody unfolds it.
+    pub(super) fn tell_folded(&mut self) {
+        let capsule = self.machines.capsule.as_mut();
+        let Some(Ok(status)) = capsule.map(Device::capsule_status) else {
+            return;
+        };
+        let how = match status.state {
+            CapsuleState::Folded => "`retrograde unfold`",
+            CapsuleState::WasFolded => "`retrograde capsule check`, then `retrograde unfold`",
+            _ => return,
+        };
+        self.desk.say(&format!(
+            "The capsule is folded still, and its thread pulls: {how}."
+        ));
     }
 }

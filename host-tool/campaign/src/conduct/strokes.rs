@@ -59,7 +59,7 @@ impl Conduct<'_> {
                     }
                 }
             }
-            (answer, _) => self.instead(planned, attempt, answer)?,
+            (answer, _) => return self.instead(planned, attempt, answer),
         }
         Ok(Then::Look)
     }

@@ -1,0 +1,184 @@
+//! The capsule after a fold trial: it is unfolded whatever the answer is, or somebody is told that it is folded still.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use campaign::ledger::Standing;
+use client::address::Address;
+use client::link::{Link, LinkError, OpenError};
+use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Log, Script, link};
+
+use crate::campaign_run::{converse, machines, path, place, whole};
+use crate::support::plan::{PAPER, changed};
+
+/// A plan of an unfolded trial and a folded one, which is the last.
+fn fold_test() -> String {
+    let short = [
+        ("cycles = 5", "cycles = 1"),
+        ("duration_s = 40", "duration_s = 8"),
+        ("telemetry_ms = 10 ", "telemetry_ms = 50 "),
+        ("count = 5", "count = 1"),
+        ("seed = 20221", "seed = 1"),
+    ];
+    let plan = changed(PAPER, &short);
+    let (before, series) = plan.split_once("[series]").expect("there");
+    let (_, after) = series.split_once("\n\n").expect("a blank line");
+    format!("{before}{after}")
+}
+
+/// The answers up to the displacement of the folded trial.
+const UP_TO_THE_FOLDED_ONE: [(&str, &str); 7] = [
+    ("rollers OFF", ""),
+    ("Reading 1 of 1: D", "24.4"),
+    ("Clamp both rollers", ""),
+    ("Reading 1 of 1: i", "14.3"),
+    ("it will be unfolded", ""),
+    ("Displacement of the tail", "30"),
+    ("it will be folded now", ""),
+];
+
+fn session(
+    bench: &dyn Connector,
+    lines: &[(&'static str, &'static str)],
+) -> (u8, String, tempfile::TempDir) {
+    let place = place(&fold_test());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let lines = [&UP_TO_THE_FOLDED_ONE[..], lines].concat();
+    let (code, shown) = converse(bench, &["run", &plan, "--out", &out], lines);
+    (code, shown, place)
+}
+
+/// Regression: only a displacement unfolded it.
+#[test]
+fn whatever_ends_a_fold_trial_unfolds_the_capsule() {
+    for (answer, standing) in [
+        ("-60", Standing::Done),
+        ("exclude the wall was torn", Standing::Excluded),
+        ("skip", Standing::Skipped),
+        ("repeat it slipped", Standing::Open),
+    ] {
+        let memory = machines(None);
+        let mut lines = vec![("Displacement of the tail", answer)];
+        if standing == Standing::Open {
+            lines.push(("Trial 2 of 2, attempt 2", "q"));
+        }
+        let (code, shown, place) = session(&memory, &lines);
+        assert_eq!(
+            code,
+            if standing == Standing::Open { 130 } else { 0 },
+            "{shown}"
+        );
+        let heard = memory.heard();
+        let unfolds = heard.iter().filter(|heard| **heard == "Unfold").count();
+        assert_eq!(unfolds, 1, "{answer}: {shown}");
+        assert!(!shown.contains("folded still"), "{answer}: {shown}");
+        let campaign = whole(&path(&place, "c"));
+        let folded = campaign.state.trial(2).expect("there");
+        assert_eq!(folded.standing(), standing, "{shown}");
+        let files = std::fs::read_dir(campaign.attempt_folder(2, 1)).expect("there");
+        let mut names = files.map(|file| file.expect("a file").file_name());
+        assert!(names.any(|name| name.to_string_lossy().starts_with("unfold-")));
+    }
+}
+
+/// Whoever leaves before the body is measured leaves the capsule folded.
+#[test]
+fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
+    let memory = machines(None);
+    let (code, shown, _place) = session(&memory, &[("Displacement of the tail", "q")]);
+    assert_eq!(code, 130, "{shown}");
+    assert!(!memory.heard().contains(&"Unfold"), "{shown}");
+    let told = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
+    assert!(shown.contains(told), "{shown}");
+}
+
+/// The line of a capsule that is unplugged once the record of the fold was fetched.
+struct Line {
+    link: Box<dyn Link>,
+    log: Arc<Mutex<Log>>,
+}
+
+impl Line {
+    fn is_after_the_fold(&self) -> bool {
+        let log = self.log.lock().expect("free");
+        // The telemetry is switched off once the record is there.
+        let mut heard = log.heard.iter();
+        heard.any(|heard| *heard == "GetActuationRecord")
+            && heard.any(|heard| *heard == "SetTelemetry")
+    }
+
+    fn in_order(&self) -> Result<(), LinkError> {
+        if !self.is_after_the_fold() {
+            return Ok(());
+        }
+        Err(LinkError::Lost {
+            place: self.link.place(),
+            why: "it was unplugged".to_owned(),
+        })
+    }
+}
+
+impl Link for Line {
+    fn place(&self) -> String {
+        self.link.place()
+    }
+    fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.in_order()?;
+        self.link.send(bytes)
+    }
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.in_order()?;
+        self.link.receive(buffer, deadline_us)
+    }
+}
+
+struct Bench;
+
+impl Connector for Bench {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let mut script = Script::new(kind);
+        // The fold is its first actuation.
+        script.ready = kind == DeviceKind::Capsule;
+        let (link, log) = link(script);
+        Ok(match kind {
+            DeviceKind::Rig => link,
+            DeviceKind::Capsule => Box::new(Line { link, log }),
+        })
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// Regression: the session ended with an error instead.
+#[test]
+fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
+    let (code, shown, place) = session(&Bench, &[("Displacement of the tail", "-60")]);
+    assert_eq!(code, 0, "{shown}");
+    let told = "was the capsule left folded? Its thread pulls: `retrograde unfold`";
+    assert!(shown.contains(told), "{shown}");
+    assert!(shown.contains("2 of 2 trials count"), "{shown}");
+    let report = path(&place, "c/report/report.html");
+    assert!(Path::new(&report).is_file());
+}
