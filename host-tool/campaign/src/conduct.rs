@@ -9,6 +9,8 @@ mod stage;
 mod strokes;
 mod trial;
 
+use std::iter;
+
 use client::error::ClientError;
 use client::identity::{IdentityRecord, Origin};
 use client::subject::Subject;
@@ -236,6 +238,20 @@ impl Machines {
         Ok(stopped)
     }
 
+    /// The strongest stop since the last call, once the machines have confirmed it. It counts for older orders only,
+    /// so later ones are sent again.
+    fn take_stop(&mut self) -> Result<Option<Urgent>, ClientError> {
+        let mut strongest = None;
+        for device in iter::once(&mut self.rig).chain(&mut self.capsule) {
+            if let Some(urgent) = device.interrupted() {
+                device.settle()?;
+                device.forget_stop();
+                strongest = strongest.max(Some(urgent));
+            }
+        }
+        Ok(strongest)
+    }
+
     fn keep_alive(&mut self) -> Result<(), ClientError> {
         let kept = self.rig.idle(COMPANY_US, &mut Unobserved);
         if let Some(capsule) = &mut self.capsule {
@@ -304,6 +320,10 @@ impl<'a> Conduct<'a> {
 
     fn go_on(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
         loop {
+            // A stop since the last question is older than the next one.
+            if !self.gone && matches!(self.heed_stop()?, Then::Leave) {
+                return Ok(Ending::Left);
+            }
             let Some(next) = self.folder.campaign().state.next() else {
                 return Ok(Ending::Through);
             };
@@ -317,13 +337,6 @@ impl<'a> Conduct<'a> {
                 match self.set_up(&planned)? {
                     Then::Go => match self.stage(&planned)? {
                         Then::Go => match self.ask_ready(&planned, number + 1)? {
-                            Then::Go if !self.is_reached()? => Then::Look,
-                            // While the check-list waited, another program may have moved the rollers.
-                            Then::Go if !self.is_staged(&planned)? => {
-                                self.desk
-                                    .say("  the rollers no longer stand where they have to");
-                                Then::Look
-                            }
                             Then::Go => {
                                 attempts = attempts.map(|left| left - 1);
                                 self.attempt(&planned, number + 1)?
@@ -393,6 +406,24 @@ impl<'a> Conduct<'a> {
     }
 
     // Questions.
+
+    /// Tells of a stop that came since the last call: what was ordered before it does not begin. Without a person there
+    /// is nobody to order it again.
+    fn heed_stop(&mut self) -> Result<Then, Broken> {
+        let Some(urgent) = self.machines.take_stop()? else {
+            return Ok(Then::Go);
+        };
+        self.desk.say(match urgent {
+            Urgent::Stop => "  a stop came meanwhile: nothing begins before Enter at a check-list",
+            Urgent::EStop => {
+                "  an emergency stop came meanwhile: nothing begins before `retrograde ack`"
+            }
+        });
+        Ok(match self.desk.is_person() {
+            true => Then::Look,
+            false => Then::Leave,
+        })
+    }
 
     /// Asks until the answer is clear. None: the operator leaves.
     fn ask(&mut self, question: &Question<'_>) -> Result<Option<Answer>, Broken> {

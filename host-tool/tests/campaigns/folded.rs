@@ -8,7 +8,7 @@ use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
-use protocol::system::DeviceKind;
+use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Log, Script, link};
 
 use crate::campaign_run::{converse, machines, path, place, whole};
@@ -95,29 +95,37 @@ fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
     assert!(shown.contains(told), "{shown}");
 }
 
-/// The line of a capsule that is unplugged once the record of the fold was fetched.
+/// What happens to the capsule's line.
+#[derive(Clone, Copy)]
+enum Mishap {
+    Unplugged,
+    Stopped,
+}
+
+/// The line of a capsule to which something happens once it has heard a request after the record of its fold was
+/// fetched.
 struct Line {
     link: Box<dyn Link>,
     log: Arc<Mutex<Log>>,
+    after: &'static str,
+    mishap: Option<Mishap>,
 }
 
 impl Line {
-    fn is_after_the_fold(&self) -> bool {
+    fn is_over(&self) -> bool {
         let log = self.log.lock().expect("free");
-        // The telemetry is switched off once the record is there.
         let mut heard = log.heard.iter();
-        heard.any(|heard| *heard == "GetActuationRecord")
-            && heard.any(|heard| *heard == "SetTelemetry")
+        heard.any(|heard| *heard == "GetActuationRecord") && heard.any(|heard| *heard == self.after)
     }
 
     fn in_order(&self) -> Result<(), LinkError> {
-        if !self.is_after_the_fold() {
-            return Ok(());
+        match self.mishap {
+            Some(Mishap::Unplugged) if self.is_over() => Err(LinkError::Lost {
+                place: self.link.place(),
+                why: "it was unplugged".to_owned(),
+            }),
+            _ => Ok(()),
         }
-        Err(LinkError::Lost {
-            place: self.link.place(),
-            why: "it was unplugged".to_owned(),
-        })
     }
 }
 
@@ -136,9 +144,35 @@ impl Link for Line {
         self.in_order()?;
         self.link.receive(buffer, deadline_us)
     }
+    fn stopped(&mut self) -> Option<Urgent> {
+        let stopped = matches!(self.mishap, Some(Mishap::Stopped)) && self.is_over();
+        stopped.then_some(Urgent::Stop)
+    }
+    fn forget_stop(&mut self) {
+        self.mishap = None;
+    }
 }
 
-struct Bench;
+struct Bench {
+    mishap: Mishap,
+    after: &'static str,
+    heard: Mutex<Option<Arc<Mutex<Log>>>>,
+}
+
+impl Bench {
+    fn new(mishap: Mishap, after: &'static str) -> Self {
+        Self {
+            mishap,
+            after,
+            heard: Mutex::default(),
+        }
+    }
+
+    fn has_unfolded(&self) -> bool {
+        let log = self.heard.lock().expect("free").clone().expect("a capsule");
+        log.lock().expect("free").heard.contains(&"Unfold")
+    }
+}
 
 impl Connector for Bench {
     fn open(
@@ -152,10 +186,16 @@ impl Connector for Bench {
         // The fold is its first actuation.
         script.ready = kind == DeviceKind::Capsule;
         let (link, log) = link(script);
-        Ok(match kind {
-            DeviceKind::Rig => link,
-            DeviceKind::Capsule => Box::new(Line { link, log }),
-        })
+        if kind == DeviceKind::Rig {
+            return Ok(link);
+        }
+        *self.heard.lock().expect("free") = Some(Arc::clone(&log));
+        Ok(Box::new(Line {
+            link,
+            log,
+            after: self.after,
+            mishap: Some(self.mishap),
+        }))
     }
 
     fn candidates(&self) -> Vec<Candidate> {
@@ -171,14 +211,47 @@ impl Connector for Bench {
     }
 }
 
+/// The last request of an attempt that folds the capsule, and the first one of its end.
+const LAST: &str = "SetTelemetry";
+const END: &str = "GetCapsuleStatus";
+
 /// Regression: the session ended with an error instead.
 #[test]
 fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
-    let (code, shown, place) = session(&Bench, &[("Displacement of the tail", "-60")]);
+    let bench = Bench::new(Mishap::Unplugged, LAST);
+    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
     assert_eq!(code, 0, "{shown}");
-    let told = "was the capsule left folded? Its thread pulls: `retrograde unfold`";
+    let told = "was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`";
     assert!(shown.contains(told), "{shown}");
     assert!(shown.contains("2 of 2 trials count"), "{shown}");
     let report = path(&place, "c/report/report.html");
     assert!(Path::new(&report).is_file());
+}
+
+/// Regression: a stop of the capsule within the run, older than the displacement, ended the session after it.
+#[test]
+fn a_stop_before_the_displacement_was_asked_for_keeps_no_capsule_folded() {
+    let bench = Bench::new(Mishap::Stopped, LAST);
+    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    assert_eq!(code, 0, "{shown}");
+    let told = shown.find("a stop came meanwhile").expect(&shown);
+    assert!(shown[told..].contains("Unfold the capsule."), "{shown}");
+    assert!(bench.has_unfolded());
+    whole(&path(&place, "c"));
+}
+
+#[test]
+fn a_stop_while_the_displacement_is_asked_for_leaves_the_capsule_and_tells_of_it() {
+    let bench = Bench::new(Mishap::Stopped, END);
+    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    assert_eq!(code, 0, "{shown}");
+    let stays = "the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`";
+    let left = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
+    for told in ["a stop came meanwhile", stays, left] {
+        assert!(shown.contains(told), "{told}: {shown}");
+    }
+    assert!(!bench.has_unfolded());
+    let campaign = whole(&path(&place, "c"));
+    let folded = campaign.state.trial(2).expect("there");
+    assert_eq!(folded.standing(), Standing::Done);
 }

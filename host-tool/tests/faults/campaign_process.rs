@@ -303,3 +303,57 @@ fn a_stop_in_a_pass_does_not_count_and_the_body_comes_out_before_the_next() {
     assert_eq!(outcomes()[2..], [Some(AttemptOutcome::Faulted)]);
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
 }
+
+/// Waits until a session has shown a text so many times.
+fn shows(session: &Terminal, text: &str, times: usize) {
+    let begin = Instant::now();
+    while session.text().matches(text).count() < times {
+        let shown = session.text();
+        assert!(begin.elapsed() < Duration::from_secs(60), "{text}: {shown}");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// Regression: an attempt began and was stopped by a stop that was older than Enter, and the session ended.
+#[test]
+fn a_stop_while_a_question_waits_is_told_and_stops_no_later_attempt() {
+    let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);
+    let text = plan(&[("count = 5", "count = 1")]);
+    std::fs::write(bench.folder.path().join("plan.toml"), text).expect("written");
+    let run = ["campaign", "run", "plan.toml", "--out", "c"];
+    let session = Terminal::start(bench.command(&run), 120, 60);
+    let answer = |wanted: &str, times: usize, line: &str| {
+        shows(&session, wanted, times);
+        session.press(line);
+    };
+    let stop = || {
+        let (code, _, err) = bench.retrograde(&["stop", "rig"]);
+        assert_eq!(code, Some(0), "{err}");
+    };
+    answer("rollers OFF", 1, "\n");
+    answer("Reading 1 of 1: D", 1, "24.4\n");
+    answer("Clamp both rollers", 1, "\n");
+    answer("Reading 1 of 1: i", 1, "14.3\n");
+    // While the check-list waits: it is shown again, and its Enter counts.
+    shows(&session, "Enter begins", 1);
+    stop();
+    session.press("\n");
+    let told = "a stop came meanwhile: nothing begins before Enter at a check-list";
+    shows(&session, told, 1);
+    answer("Enter begins", 2, "\n");
+    // While the displacement waits: its answer counts, and so does Enter at the check-list that follows.
+    shows(&session, "Displacement of the tail", 1);
+    stop();
+    session.press("4.5\n");
+    shows(&session, told, 2);
+    answer("Enter begins", 3, "\n");
+    answer("Displacement of the tail", 2, "q\n");
+    assert_eq!(session.ends_restored(), Some(130));
+    let folder = bench.folder.path().join("c");
+    assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
+    let campaign = Campaign::read(&folder).expect("a campaign");
+    for (trial, standing) in [(1, Standing::Done), (2, Standing::Unmeasured)] {
+        let state = campaign.state.trial(trial).expect("there");
+        assert_eq!((state.attempts.len(), state.standing()), (1, standing));
+    }
+}

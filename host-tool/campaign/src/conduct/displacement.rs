@@ -188,10 +188,18 @@ impl Conduct<'_> {
             Err(error) => {
                 self.gone = true;
                 self.desk.say(&format!(
-                    "  {error}; was the capsule left folded? Its thread pulls: `retrograde unfold`"
+                    "  {error}; was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`"
                 ));
                 return Ok(Then::Look);
             }
+        }
+        // A stop that came while the question waited is younger than the question.
+        let then = self.heed_stop()?;
+        if !matches!(then, Then::Go) {
+            self.desk.say(
+                "  the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`",
+            );
+            return Ok(then);
         }
         let unfolded = self.actuate(ActuationKind::Unfold, &folder);
         self.folder.seal_attempt(planned.trial, attempt)?;

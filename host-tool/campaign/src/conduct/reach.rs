@@ -4,7 +4,7 @@ use client::Device;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
-use crate::conduct::{Broken, Conduct, Connect, Machines};
+use crate::conduct::{Broken, Conduct, Connect, Machines, Then};
 
 /// Facts that are not compared: they differ after each start of the machine, or are a remark of the tool.
 const PASSING: [&str; 3] = ["boot_id", "reset_cause", "commissioning"];
@@ -30,13 +30,26 @@ impl Machines {
 }
 
 impl Conduct<'_> {
+    /// Whether something may move after Enter: the machines answer, and no stop came while the question waited.
+    pub(super) fn may_move(&mut self) -> Result<Then, Broken> {
+        if !self.is_reached()? {
+            return Ok(Then::Look);
+        }
+        // A stop is noticed with the next frame.
+        self.machines.rig.rig_status()?;
+        if let Some(capsule) = &mut self.machines.capsule {
+            capsule.capsule_status()?;
+        }
+        self.heed_stop()
+    }
+
     /// Whether the machines answer. A machine that was gone while a question waited gets a new session if the same one
     /// is back; homing is then needed again, as in a new session of the tool.
     ///
     /// # Errors
     /// Another machine answers, or one with another image or other settings: the records of this session would mix
     /// them.
-    pub(super) fn is_reached(&mut self) -> Result<bool, Broken> {
+    fn is_reached(&mut self) -> Result<bool, Broken> {
         if !self.gone {
             return Ok(true);
         }

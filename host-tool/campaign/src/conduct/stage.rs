@@ -30,8 +30,9 @@ impl Conduct<'_> {
                 return Ok(Then::Look);
             }
         }
-        if !self.is_reached()? {
-            return Ok(Then::Look);
+        match self.may_move()? {
+            Then::Go => {}
+            then => return Ok(then),
         }
         let begins_um = self.begins_um(planned);
         match self.drive_to(planned.block, begins_um) {

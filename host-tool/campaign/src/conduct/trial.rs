@@ -47,7 +47,7 @@ impl Conduct<'_> {
         let campaign = self.folder.campaign();
         let last = campaign.state.last_measured(&campaign.rows);
         match answer {
-            Answer::Enter | Answer::Yes => return Ok(Then::Go),
+            Answer::Enter | Answer::Yes => return self.may_begin(planned),
             Answer::Undo => self.undo()?,
             Answer::Exclude(reason) => match last {
                 None => self.desk.say("  no trial is done yet"),
@@ -95,6 +95,17 @@ impl Conduct<'_> {
             }
         }
         Ok(Then::Look)
+    }
+
+    /// Whether the trial can still begin when Enter is pressed: its check-list may have waited for hours.
+    fn may_begin(&mut self, planned: &Planned) -> Result<Then, Broken> {
+        let then = self.may_move()?;
+        if matches!(then, Then::Go) && !self.is_staged(planned)? {
+            self.desk
+                .say("  the rollers no longer stand where they have to");
+            return Ok(Then::Look);
+        }
+        Ok(then)
     }
 
     fn camera_for(&self, trial: u32, attempt: u32) -> Option<String> {
