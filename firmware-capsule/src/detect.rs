@@ -75,6 +75,8 @@ const SURGE_MA: i32 = 22;
 const BEFORE_SURGE: usize = 10;
 /// Minimum speed at which the loss of a fifth exceeds rounding, counts/s.
 const SLOW_CPS_AT_LEAST: i32 = 3_000;
+/// Two successive readings have to show that loss, us: rounding and the encoder's phase together reach it in one.
+const MET_DEBOUNCE_US: u64 = 500;
 /// Readings within which the ordered current must not have fallen.
 const ORDERED_READINGS: usize = 20;
 /// Readings without a count after which a motor at the end force is suspected of a lost encoder.
@@ -174,6 +176,7 @@ pub struct Detector {
     sagged_mv: u16,
     silence: Debounce,
     end_force: Debounce,
+    met: Debounce,
     rise: Debounce,
     long_rise: Debounce,
 }
@@ -197,6 +200,7 @@ impl Detector {
             sagged_mv: COLLAPSED_MV,
             silence: Debounce::default(),
             end_force: Debounce::default(),
+            met: Debounce::default(),
             rise: Debounce::default(),
             long_rise: Debounce::default(),
         }
@@ -364,13 +368,14 @@ impl Detector {
         let rise_from_half = rise_from(&mut self.rise, settings.rise_start_ma);
         let long_rise_from = rise_from(&mut self.long_rise, settings.rise_start_ma / 2);
         let met = pulls(settings.met_ma) && self.meets_something();
+        let met = self.met.update(now_us, counts, met, MET_DEBOUNCE_US);
         let slowed = self.is_slowed();
         Load {
             end_force: self
                 .end_force
                 .update(now_us, counts, end_force, LOAD_DEBOUNCE_US)
                 .is_some()
-                || met,
+                || met.is_some(),
             excess_ma,
             pull_ma: excess_ma.map(|excess_ma| excess_ma.saturating_sub(accelerating_ma)),
             rise_from: rise_from_half,
