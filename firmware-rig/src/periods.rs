@@ -28,6 +28,9 @@ const LAST_PULSE: u64 = 1_000;
 const TAIL: u64 = 1_000;
 /// Longest total of repeated rounds, 0.8 ms: a queued period cannot be recalled.
 const LONGEST_REPETITION: u32 = 80_000;
+/// After an interval longer than this, 100 ms, a stop may drop the step that is announced. A quicker one is still made
+/// and ends with a braking step, so that a stop near a stroke's end does not come to rest a step or two before it.
+const SLOW_STEP: u64 = 10_000_000;
 
 /// Most rounds that the 8-bit repetition counter can play.
 const MOST_EQUAL: u32 = 1 << 8;
@@ -227,20 +230,27 @@ impl Periods {
         self.last_step
     }
 
-    /// Decelerates to rest after the periods given out so far. Between two strokes, or before the first step, no step
-    /// follows at all.
+    /// Decelerates to rest after the periods given out so far. Between two strokes, before the first step, or where
+    /// the next step is long in coming and needs no braking, no step follows at all.
     pub fn stop(&mut self, deceleration: Acceleration) {
         match self.after {
             After::Ended | After::Guarded | After::End => {}
             After::Turn => self.end_here(),
             After::StrokeEnd { .. } => self.stopping = true,
-            // The first step of a stroke is only announced: drop it.
-            After::Pulse if self.times.emitted().0 <= 1 => self.end_here(),
+            // The next step is only announced: drop it.
+            After::Pulse if self.times.emitted().0 <= 1 || self.stands(deceleration) => {
+                self.end_here();
+            }
             After::Pulse => {
                 self.stopping = true;
                 self.times.stop(deceleration);
             }
         }
+    }
+
+    /// The steps are so slow that the carriage as good as stands between two of them.
+    fn stands(&self, deceleration: Acceleration) -> bool {
+        self.times.interval().0 > SLOW_STEP && self.times.rests_within_a_step(deceleration)
     }
 
     fn end_here(&mut self) {

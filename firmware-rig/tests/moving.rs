@@ -6,7 +6,11 @@ use firmware_rig::{
     machine::{Command, Event},
     settings::Settings,
 };
-use motion::{axis::Direction, units::Steps};
+use motion::{
+    axis::Direction,
+    run::{RunPlan, RunRequest, Timing},
+    units::{Micrometres, Steps},
+};
 use protocol::system::DeviceKind;
 use protocol::{
     error::Refusal,
@@ -342,6 +346,128 @@ mod homing {
             let present = Err(Refusal::CauseStillPresent);
             assert_eq!(rig.command(Command::Acknowledge), present);
             assert!(!rig.moving());
+        }
+    }
+}
+
+/// Steps of seconds: the next one does not come any more.
+mod slow_steps {
+    use super::*;
+    use simulated_machines::carriage::ring::Ahead;
+
+    /// Rest comes within this time of the order: 9.2 ms of prepared steps, and control's round of 10 ms.
+    const SOON: u64 = 25 * MS;
+
+    /// 50 mm a turn and whole steps: 0.25 mm each, at 25 um/s every 10 s.
+    fn coarse() -> Settings {
+        settings(&[(SettingKey::LeadUm, 50_000), (SettingKey::Microsteps, 1)])
+    }
+
+    fn moving(settings: &Settings, um_s: u32) -> Rig {
+        let mut rig = Rig::homed_with(*settings, Ahead::Slots);
+        let target = settings.axis.position_um(Micrometres(2_000)).unwrap();
+        let speed = settings.speed(um_s).unwrap();
+        rig.command(Command::MoveTo { target, speed }).unwrap();
+        rig.pulses(3);
+        rig
+    }
+
+    #[test]
+    fn a_stop_and_a_silent_host_end_a_slow_move_at_once() {
+        let orders: [fn(&mut Rig); 2] = [
+            |rig| rig.command(Command::Stop).unwrap(),
+            |rig| rig.event(Event::LinkSilent),
+        ];
+        for (settings, um_s) in [(SETTINGS, 1), (SETTINGS, 10), (coarse(), 25)] {
+            for order in orders {
+                for wait in [0, 100 * MS] {
+                    let mut rig = moving(&settings, um_s);
+                    run_for(&mut rig, wait);
+                    let (now, place) = (rig.now, rig.place);
+                    order(&mut rig);
+                    rig.finish();
+                    let took = rig.now - now;
+                    assert!(took <= SOON, "{took} at {um_s} um/s");
+                    assert_eq!((rig.place, rig.ring.counted), (place, place));
+                    assert_eq!(rig.machine.state(), RigState::Ready);
+                    // The position is exact: it goes on from there, and back to 0.
+                    let home = settings.axis.position(Steps(0)).unwrap();
+                    let speed = settings.speed(1_000).unwrap();
+                    let back = Command::MoveTo {
+                        target: home,
+                        speed,
+                    };
+                    rig.command(back).unwrap();
+                    rig.finish();
+                    assert_eq!((rig.fault(), rig.place, rig.ring.counted), (None, 0, 0));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_slow_jog_ends_with_its_dead_man() {
+        for (settings, um_s) in [(SETTINGS, 1), (coarse(), 25)] {
+            let mut rig = Rig::homed_with(settings, Ahead::Slots);
+            let direction = Direction::Away;
+            // From near the far end, because a slow jog over the whole stroke would be too slow.
+            let far = settings.axis.far();
+            let near = Steps(settings.axis.stroke_steps().0 - 8);
+            let target = settings.axis.position(near).unwrap();
+            let speed = settings.speed(40_000).unwrap();
+            rig.command(Command::MoveTo { target, speed }).unwrap();
+            rig.finish();
+            let speed = settings.speed(um_s).unwrap();
+            while rig.place < far.signed().0 - 5 {
+                rig.command(Command::Jog { direction, speed }).unwrap();
+                run_for(&mut rig, 200 * MS);
+            }
+            let (renewed, place) = (rig.now, rig.place);
+            rig.command(Command::Jog { direction, speed }).unwrap();
+            rig.finish();
+            let took = rig.now - renewed;
+            assert!(took <= 300 * MS + SOON, "{took} at {um_s} um/s");
+            assert_eq!((rig.place, rig.ring.counted), (place, place));
+            assert_eq!(rig.machine.state(), RigState::Ready);
+        }
+    }
+
+    /// Held between two slow steps and resumed: each step once, and the record has all of them.
+    #[test]
+    fn a_slow_run_is_held_at_once_and_goes_on() {
+        let settings = coarse();
+        let request = RunRequest {
+            cycles: 1,
+            stroke_um: 2_000,
+            timing: Timing::Speeds {
+                forward_um_s: 100,
+                return_um_s: 100,
+                accel_um_s2: 1_000_000,
+            },
+            far_dwell_us: 0,
+            home_dwell_us: 0,
+            start_delay_us: 0,
+        };
+        let plan = RunPlan::solve(&settings.axis, &settings.limits, &request).unwrap();
+        for pulses in 1..16 {
+            let mut rig = Rig::homed_with(settings, Ahead::Slots);
+            let link_loss = LinkLossPolicy::Stop;
+            rig.command(Command::Run { plan, link_loss }).unwrap();
+            rig.pulses(pulses);
+            run_for(&mut rig, 300 * MS);
+            let now = rig.now;
+            rig.command(Command::Hold).unwrap();
+            rig.finish();
+            assert!(rig.now - now <= SOON, "{} at {pulses}", rig.now - now);
+            assert_eq!((rig.pulses, rig.machine.state()), (pulses, RigState::Held));
+            rig.command(Command::Resume).unwrap();
+            rig.finish();
+            let record = rig.machine.record();
+            assert_eq!((rig.fault(), rig.place, rig.pulses), (None, 0, 16));
+            assert_eq!((record.outcome, record.holds), (RunOutcome::Complete, 1));
+            assert_eq!((record.commanded_edges, record.counted_edges), (16, 16));
+            assert_eq!((record.edges_timed, record.strokes), (16, 2));
+            assert_eq!(record.worst_interval_error_ticks, 0);
         }
     }
 }

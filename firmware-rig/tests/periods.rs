@@ -230,14 +230,23 @@ proptest! {
         for _ in 0..(at * f64::from(items)) as u32 {
             walk.next();
         }
-        // A stop before the first pulse of a stroke lets no pulse follow; within it, at most the stroke's rest.
+        // A stop before the first pulse of a stroke, or before a slow one, lets no pulse follow; within it, at most the
+        // stroke's rest.
         let left = if walk.pulses == 0 {
             0
         } else {
             let during = |(start, profile, _): &&(u64, StrokeProfile, Direction)| {
                 (start + 1..=start + profile.duration().0).contains(&walk.last_pulse)
             };
-            strokes.iter().find(during).unwrap().1.steps().0 - walk.pulses
+            let profile = strokes.iter().find(during).unwrap().1;
+            let mut announced = StepTimes::new(profile);
+            announced.nth(walk.pulses as usize);
+            let is_slow = announced.interval() > Ticks(10_000_000);
+            if is_slow && announced.rests_within_a_step(deceleration) {
+                0
+            } else {
+                profile.steps().0 - walk.pulses
+            }
         };
         let end = walk.periods.cursor();
         walk.periods.stop(deceleration);

@@ -171,6 +171,12 @@ impl StepTimes {
         &self.profile
     }
 
+    /// Whether this deceleration brings the speed of the last step to rest within one step.
+    #[must_use]
+    pub fn rests_within_a_step(&self, deceleration: Acceleration) -> bool {
+        deceleration.steps_to_rest(self.interval) <= 1
+    }
+
     /// Brakes from the speed of the last step to rest on a whole step, with at most this deceleration. The iterator
     /// then yields the steps of the braking ramp.
     ///
