@@ -185,7 +185,7 @@ pub struct Actions {
     /// Carry them out in this order.
     pub list: heapless::Vec<Action, 6>,
     /// The command was refused. Then nothing has changed and there is nothing to do, with one exception: a resume that
-    /// finds the carriage moved since the hold latches a fault.
+    /// finds the carriage moved since the hold, or a run or move from 0 that finds the flag closed, latches a fault.
     pub refusal: Option<Refusal>,
 }
 

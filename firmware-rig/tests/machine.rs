@@ -497,11 +497,11 @@ mod running {
 
     #[test]
     fn the_far_limit_ends_a_run() {
-        // The carriage was pushed 5 mm away from home by hand.
+        // The carriage is pushed 5 mm away from home by hand.
         let mut rig = Rig::homed(SETTINGS);
-        rig.place += 4_000;
         rig.command(run(&SETTINGS, 1, 130_000, LinkLossPolicy::Stop))
             .unwrap();
+        rig.place += 4_000;
         rig.events.clear();
         rig.finish();
         assert_eq!(rig.place, 104_801);
@@ -889,12 +889,14 @@ mod table {
             TickLate,
             Home,
             Run,
+            RunOffFlag,
             Hold,
             Resume,
             ResumeElsewhere,
             JogSame,
             JogOther,
             MoveTo,
+            MoveOffFlag,
             Button,
             ButtonNoPlan,
             Stop,
@@ -927,11 +929,11 @@ mod table {
     fn inputs_of_command(command: &Command) -> &'static [Input] {
         match command {
             Command::Home => &[Home],
-            Command::Run { .. } => &[Run],
+            Command::Run { .. } => &[Run, RunOffFlag],
             Command::Hold => &[Hold],
             Command::Resume => &[Resume, ResumeElsewhere],
             Command::Jog { .. } => &[JogSame, JogOther],
-            Command::MoveTo { .. } => &[MoveTo],
+            Command::MoveTo { .. } => &[MoveTo, MoveOffFlag],
             Command::Button(_) => &[Button, ButtonNoPlan],
             Command::Stop => &[Stop],
             Command::EStop => &[EStop],
@@ -991,12 +993,12 @@ mod table {
     fn command(input: Input) -> Command {
         match input {
             Home => Command::Home,
-            Run => run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop),
+            Run | RunOffFlag => run(&SETTINGS, 1, 10_000, LinkLossPolicy::Stop),
             Hold => Command::Hold,
             Resume | ResumeElsewhere => Command::Resume,
             JogSame => jog(Direction::Away),
             JogOther => jog(Direction::Home),
-            MoveTo => move_to(2_000),
+            MoveTo | MoveOffFlag => move_to(2_000),
             Button => Command::Button(Some(plan(&SETTINGS, 1, 10_000, 40_000))),
             ButtonNoPlan => Command::Button(None),
             Stop => Command::Stop,
@@ -1166,12 +1168,20 @@ mod table {
         position + i32::from(input == ResumeElsewhere)
     }
 
+    /// The flag is open at 0, where that matters.
+    fn inputs(start: Start, input: Input) -> RigInputs {
+        match input {
+            Run | JogSame | JogOther | MoveTo | Button if start == Ready => ON_FLAG,
+            _ => CLOSED,
+        }
+    }
+
     /// The next state and the actions, or the refusal.
     fn outcome(start: Start, input: Input) -> String {
         let mut machine = reach(start);
         let before = machine.fault();
         let (time_us, event) = sample(input);
-        let now = now(time_us, position(start, input), CLOSED);
+        let now = now(time_us, position(start, input), inputs(start, input));
         let actions = machine.step(&now, event);
         let after = match machine.fault() {
             Some(fault) if before.is_none() => format!("{fault:?}"),
@@ -1285,7 +1295,17 @@ mod table {
     const TICKS_IN_TIME: &[Input] = &[TickInTime, TickAtDeadline];
     /// Ticks past a jog's deadline, which is earlier.
     const TICKS_LATE: &[Input] = &[TickAtDeadline, TickLate];
-    const MOVES: &[Input] = &[Home, Run, JogSame, JogOther, MoveTo];
+    const MOVES: &[Input] = &[
+        Home,
+        Run,
+        RunOffFlag,
+        JogSame,
+        JogOther,
+        MoveTo,
+        MoveOffFlag,
+    ];
+    const RUNS: &[Input] = &[Run, RunOffFlag];
+    const MOVES_TO: &[Input] = &[MoveTo, MoveOffFlag];
     const RESUMES: &[Input] = &[Resume, ResumeElsewhere];
     const BUTTONS: &[Input] = &[Button, ButtonNoPlan];
 
@@ -1368,20 +1388,22 @@ mod table {
         (&[Ready], &[Home], "Homing Start -8000..0"),
         (&[ReadyOut], &[Home], "Homing Start -8000..4000"),
         (&[Ready], &[Run], "Running Start RunStarted 0..104000"),
-        (
-            &[ReadyOut],
-            &[Run],
-            "Ready: NotAtHome { position_um: 5000 }",
-        ),
+        (&[ReadyOut], RUNS, "Ready: NotAtHome { position_um: 5000 }"),
         (&[Ready], &[JogSame], "Moving Start 0..104000"),
         (&[Ready], &[JogOther], "Ready: AlreadyThere"),
         (&[Ready], &[MoveTo], "Moving Start 0..2000"),
+        // At 0 the flag has to be open.
+        (
+            &[Ready],
+            &[RunOffFlag, MoveOffFlag],
+            "LostSteps { residual_steps: -800 }: RigFaulted(LostSteps { residual_steps: -800 })",
+        ),
         (&[ReadyOut], &[JogSame], "Moving Start 4000..104000"),
         (&[ReadyOut], &[JogOther], "Moving Start 0..4000"),
-        (&[ReadyOut], &[MoveTo], "Moving Start 2000..4000"),
+        (&[ReadyOut], MOVES_TO, "Moving Start 2000..4000"),
         (
             &[Unhomed],
-            &[Run, JogSame, JogOther, MoveTo],
+            &[Run, RunOffFlag, JogSame, JogOther, MoveTo, MoveOffFlag],
             "Unhomed: NotHomed",
         ),
         (HOMING, MOVES, "Homing: RigBusy(Homing)"),
@@ -1391,7 +1413,7 @@ mod table {
         (&[Jogging], &[JogSame], "Moving"),
         (
             &[Jogging],
-            &[Home, Run, JogOther, MoveTo],
+            &[Home, Run, RunOffFlag, JogOther, MoveTo, MoveOffFlag],
             "Moving: RigBusy(Moving)",
         ),
         (STOPPING, MOVES, "Stopping: RigBusy(Stopping)"),
@@ -1646,6 +1668,7 @@ mod table {
         match input {
             Home | Button | ButtonNoPlan if start == Unhomed => true,
             Home | Run | JogSame | JogOther | MoveTo => READY.contains(&start),
+            MoveOffFlag => start == ReadyOut,
             Button | ButtonNoPlan => READY.contains(&start) || HELD.contains(&start),
             Resume => HELD.contains(&start),
             _ => BY_HOST.contains(&start) && FINE_ENDS.contains(&input),

@@ -350,6 +350,66 @@ mod homing {
     }
 }
 
+/// At 0 the flag is open. A flag that is closed there says that the carriage is elsewhere.
+mod a_closed_flag_at_0 {
+    use super::*;
+
+    const LOST: RigFault = RigFault::LostSteps {
+        residual_steps: -800,
+    };
+
+    /// At "0", 30 mm away from it: that much was lost on the way back.
+    fn lost() -> Rig {
+        let mut rig = rig_at(48_000);
+        rig.command(move_to(0, 20_000)).unwrap();
+        rig.pulses(10_000);
+        rig.slipping = 24_000;
+        rig.finish();
+        assert_eq!((rig.place, rig.ring.counted), (24_000, 0));
+        rig
+    }
+
+    #[test]
+    fn starts_nothing_but_homing() {
+        let run = run(&SETTINGS, 2, 60_000, LinkLossPolicy::Stop);
+        let orders = [run, move_to(8_000, 10_000), jog(Direction::Away, 10_000)];
+        for order in orders {
+            let mut rig = lost();
+            assert_eq!(rig.command(order), Err(Refusal::RigFaulted(LOST)));
+            assert_eq!((rig.fault(), rig.moving()), (Some(LOST), false));
+            assert!(!rig.machine.homed());
+            rig.command(Command::Acknowledge).unwrap();
+            rig.command(Command::Home).unwrap();
+            rig.finish();
+            assert_eq!((rig.place, rig.ring.counted), (0, 0));
+            rig.command(order).unwrap();
+        }
+        // The button, too.
+        let mut rig = lost();
+        let now = rig.look();
+        let actions = press_button(&mut rig.machine, &Values::DEFAULT, &now);
+        assert_eq!(actions.refusal, Some(Refusal::RigFaulted(LOST)));
+        assert_eq!(rig.fault(), Some(LOST));
+    }
+
+    /// Within the ledger's tolerance of 0, the flag may be open or closed there.
+    #[test]
+    fn says_nothing_where_the_flag_lies_within_the_tolerance() {
+        for (limit, starts) in [(4, true), (3, false)] {
+            // 4 steps per mm, the flag at 1 mm.
+            let settings = settings(&[
+                (SettingKey::LeadUm, 50_000),
+                (SettingKey::Microsteps, 1),
+                (SettingKey::LedgerLimitSteps, limit),
+            ]);
+            let mut rig = Rig::homed(settings);
+            rig.stuck_flag = Some(false);
+            let run = run(&settings, 1, 20_000, LinkLossPolicy::Stop);
+            assert_eq!(rig.command(run).is_ok(), starts, "{limit}");
+        }
+    }
+}
+
 /// Steps of seconds: the next one does not come any more.
 mod slow_steps {
     use super::*;

@@ -81,6 +81,7 @@ impl Machine {
         if now.inputs.far_limit {
             return Err(Refusal::FarLimitOpen);
         }
+        self.refuse_where_lost(now, actions)?;
         let run = self.record.run + 1;
         self.record = RunRecord {
             run,
@@ -103,6 +104,25 @@ impl Machine {
         self.run_path(Path::Run(plan), actions);
         actions.emit(RigEvent::RunStarted { run });
         Ok(())
+    }
+
+    /// Refuses to start at a position 0 where the flag is closed: on the way here, at least the steps from 0 to the
+    /// flag's edge were lost. Latches that fault.
+    pub(super) fn refuse_where_lost(
+        &mut self,
+        now: &Now,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        let flag = self.settings.flag;
+        let tolerated = flag.distance_to(StepPosition::HOME).0 <= self.settings.ledger_limit_steps;
+        if now.position != StepPosition::HOME || now.inputs.home_flag || tolerated {
+            return Ok(());
+        }
+        let fault = RigFault::LostSteps {
+            residual_steps: now.position.since(flag),
+        };
+        self.latch(fault, actions);
+        Err(Refusal::RigFaulted(fault))
     }
 
     /// Starts a path of the run, within the configured stroke.
