@@ -622,6 +622,7 @@ impl Machine {
                         if end == PathEnd::Complete {
                             self.complete(actions);
                         } else {
+                            self.count_stroke_at_rest(counted, actions);
                             self.end_run(outcome, actions);
                             self.state = State::Ready;
                         }

@@ -413,6 +413,33 @@ mod running {
         assert_eq!(rig.events, [stroke(0)]);
     }
 
+    /// A stop in the ramp of a stroke's end comes to rest with its last step: the stroke is complete.
+    #[test]
+    fn a_stop_that_ends_with_a_stroke_counts_it() {
+        let stops: [(fn(&mut Rig), RunOutcome); 2] = [
+            (
+                |rig| rig.command(Command::Stop).unwrap(),
+                RunOutcome::Stopped,
+            ),
+            (|rig| rig.event(Event::LinkSilent), RunOutcome::LinkLost),
+        ];
+        for (stop, outcome) in stops {
+            for strokes in 1..=4 {
+                let mut rig = started(LinkLossPolicy::Stop);
+                let pulses = u64::from(strokes) * 8_000;
+                rig.pulses(pulses - 10);
+                stop(&mut rig);
+                rig.finish();
+                assert_eq!(rig.pulses, pulses);
+                assert_record(&rig, outcome, strokes);
+                let mut events: Vec<_> = (0..strokes).map(stroke).collect();
+                let position_steps = rig.ring.counted;
+                events.extend([ended(outcome), RigEvent::Stopped { position_steps }]);
+                assert_eq!(rig.events, events);
+            }
+        }
+    }
+
     #[test]
     fn a_silent_host_stops_or_not_as_declared() {
         let mut rig = started(LinkLossPolicy::Stop);
@@ -1603,7 +1630,14 @@ mod table {
         ),
         (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
         (&[StopMove], FINE_ENDS, "Ready Stopped"),
-        (&[StopRun, StopMet], STOPPED, "Ready RunEnded Stopped"),
+        (&[StopRun], STOPPED, "Ready RunEnded Stopped"),
+        (
+            &[StopMet],
+            &[StoppedFar, StoppedNear, StoppedAtLimit, StoppedBehind],
+            "Ready RunEnded Stopped",
+        ),
+        // It came to rest with the last step of a stroke.
+        (&[StopMet], &[Stopped], "Ready StrokeDone RunEnded Stopped"),
         // The stop came after the last step: the run is complete.
         (
             &[StopRun, StopMet],

@@ -327,25 +327,32 @@ impl Machine {
         if let Some(fault) = self.lost_at_rest(position, missed) {
             return self.latch(fault, actions);
         }
-        if end == PathEnd::Complete || self.record.strokes == self.strokes {
+        let is_last = self.run.is_some_and(|run| run.stroke + 1 == self.strokes);
+        if end == PathEnd::Complete
+            || self.record.strokes == self.strokes
+            || is_last && self.stroke_is_complete(position)
+        {
             return self.complete(actions);
         }
-        if self.stroke_is_complete(position)
-            && let Some(run) = &mut self.run
-        {
-            let stroke = run.stroke;
-            run.begin_stroke(stroke + 1);
-            if stroke + 1 == self.strokes {
-                return self.complete(actions);
-            }
-            self.record.strokes = stroke + 1;
-            self.emit_stroke_done(stroke, actions);
-        }
+        self.count_stroke_at_rest(position, actions);
         self.record.holds += 1;
         self.state = State::Held;
         actions.emit(RigEvent::Held {
             position_steps: position.0,
         });
+    }
+
+    /// Counts the stroke in progress if a stop or hold has come to rest with its last step: execution reports only
+    /// strokes that another one follows.
+    pub(super) fn count_stroke_at_rest(&mut self, position: StepPosition, actions: &mut Actions) {
+        if self.stroke_is_complete(position)
+            && let Some(run) = &mut self.run
+        {
+            let stroke = run.stroke;
+            run.begin_stroke(stroke + 1);
+            self.record.strokes = stroke + 1;
+            self.emit_stroke_done(stroke, actions);
+        }
     }
 
     pub(super) fn complete(&mut self, actions: &mut Actions) {
