@@ -115,6 +115,16 @@ impl Path {
         }
     }
 
+    /// Tick of its last step.
+    pub fn last_tick(&self) -> u64 {
+        let last = match self {
+            Path::Move { .. } => 0,
+            Path::Run(plan) | Path::Rest { plan, .. } => plan.strokes().saturating_sub(1),
+        };
+        self.stroke(last)
+            .map_or(0, |(start, profile, _)| start + profile.duration().0)
+    }
+
     /// Start, profile and direction of a stroke; none after the last one.
     fn stroke(&self, index: u32) -> Option<(u64, StrokeProfile, Direction)> {
         match self {

@@ -12,8 +12,9 @@ use motion::{
 use protocol::{
     error::Refusal,
     rig::{LinkLossPolicy, RigEvent, RigFault, RigState, RunOutcome},
+    settings::SettingKey,
 };
-use simulated_machines::carriage::{Rig, flag_edge, plan};
+use simulated_machines::carriage::{Rig, flag_edge, plan, settings};
 
 const SETTINGS: Settings = Settings::REFERENCE;
 
@@ -51,6 +52,12 @@ fn stand(rig: &mut Rig) {
 
 /// Checks that the run went as planned, apart from the holds.
 fn assert_complete(rig: &Rig, plan: &RunPlan, holds: u32) {
+    assert_eq!(rig.machine.record().holds, holds);
+    assert_complete_and_resumed(rig, plan, holds);
+}
+
+/// The same, where a last hold may have come too late to be resumed.
+fn assert_complete_and_resumed(rig: &Rig, plan: &RunPlan, resumed: u32) {
     assert_eq!(rig.fault(), None);
     assert_eq!(rig.machine.state(), RigState::Ready);
     assert_eq!((rig.place, rig.ring.counted), (0, 0));
@@ -62,7 +69,7 @@ fn assert_complete(rig: &Rig, plan: &RunPlan, holds: u32) {
     assert_eq!(record.counted_edges, plan.edges());
     assert_eq!((record.min_steps, record.worst_residual_steps), (0, 0));
     assert_eq!(record.max_steps as u32, plan.forward().steps().0);
-    assert_eq!(record.holds, holds);
+    assert!((resumed..=resumed + 1).contains(&record.holds));
     assert_eq!(record.plan_hash, plan.hash());
     let strokes: Vec<_> = rig
         .events
@@ -78,7 +85,7 @@ fn assert_complete(rig: &Rig, plan: &RunPlan, holds: u32) {
     let all: Vec<_> = (0..plan.strokes()).map(|stroke| (stroke, 0)).collect();
     assert_eq!(strokes, all, "each stroke is reported once");
     let count = |wanted: RigEvent| rig.events.iter().filter(|event| **event == wanted).count();
-    assert_eq!(count(RigEvent::Resumed), holds as usize);
+    assert_eq!(count(RigEvent::Resumed), resumed as usize);
     let (run, outcome) = (1, RunOutcome::Complete);
     assert_eq!(count(RigEvent::RunEnded { run, outcome }), 1);
 }
@@ -138,6 +145,48 @@ fn a_run_held_anywhere_completes_as_planned() {
     }
     // Between the strokes, and where a ramp ended there by itself.
     assert!(held_at_an_end >= 10, "{held_at_an_end}");
+}
+
+/// A hold that comes too late to stop before the run's end counts if it changed the times, and only then. With and
+/// without a hold before it.
+#[test]
+fn a_late_hold_counts_if_it_changed_the_times() {
+    let gentle = settings(&[(SettingKey::StopAccelUmS2, 100_000)]);
+    let mut seen = [0; 2];
+    for early in [1, 10, 100, 159, 165, 200, 500, 1_000, 1_500] {
+        for before in [false, true] {
+            let plan = plan(&gentle, 1, 5_000, 20_000);
+            let mut rig = Rig::homed(gentle);
+            let link_loss = LinkLossPolicy::Stop;
+            rig.command(Command::Run { plan, link_loss }).unwrap();
+            let mut ticks = plan.total().0;
+            if before {
+                rig.pulses(1_000);
+                hold(&mut rig);
+                rig.command(Command::Resume).unwrap();
+                // The same without the late one.
+                let mut other = Rig::homed(gentle);
+                other.command(Command::Run { plan, link_loss }).unwrap();
+                other.pulses(1_000);
+                hold(&mut other);
+                other.command(Command::Resume).unwrap();
+                other.finish();
+                ticks = other.machine.record().ticks;
+            }
+            rig.pulses(plan.edges() - early - rig.pulses);
+            hold(&mut rig);
+            let record = rig.machine.record();
+            let changed = record.ticks != ticks;
+            seen[usize::from(changed)] += 1;
+            assert_eq!(
+                (record.outcome, rig.pulses),
+                (RunOutcome::Complete, plan.edges())
+            );
+            let holds = u32::from(before) + u32::from(changed);
+            assert_eq!(record.holds, holds, "{early} steps before the end");
+        }
+    }
+    assert!(seen.iter().all(|times| *times >= 4), "{seen:?}");
 }
 
 /// In the start delay, and in every piece of a dwell: before the turn and after it.
@@ -205,7 +254,7 @@ fn a_run_held_again_and_again_completes_as_planned() {
             rig.command(Command::Resume).unwrap();
         }
         assert!(holds >= 3, "{every}: {holds}");
-        assert_complete(&rig, &plan, holds);
+        assert_complete_and_resumed(&rig, &plan, holds);
     }
 }
 

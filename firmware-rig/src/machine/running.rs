@@ -39,6 +39,8 @@ pub(super) struct ActiveRun {
     pub(super) link_loss: LinkLossPolicy,
     /// Stroke in progress, from 0.
     stroke: u32,
+    /// The record's ticks at the run's end if no other hold or stop comes.
+    end_ticks: u64,
     /// The flag has opened in this stroke. Only the first edge counts: contacts bounce.
     flag_met: bool,
 }
@@ -99,6 +101,7 @@ impl Machine {
             plan,
             link_loss,
             stroke: 0,
+            end_ticks: 0,
             flag_met: false,
         });
         self.run_path(Path::Run(plan), actions);
@@ -129,6 +132,9 @@ impl Machine {
     fn run_path(&mut self, path: Path, actions: &mut Actions) {
         self.state = State::Running;
         self.recording = true;
+        if let Some(run) = &mut self.run {
+            run.end_ticks = self.record.ticks + path.last_tick();
+        }
         let window = self.settings.axis.stroke_window();
         self.start_path(path, window, actions);
     }
@@ -327,11 +333,16 @@ impl Machine {
         if let Some(fault) = self.lost_at_rest(position, missed) {
             return self.latch(fault, actions);
         }
-        let is_last = self.run.is_some_and(|run| run.stroke + 1 == self.strokes);
+        let (is_last, is_late) = self.run.map_or((false, false), |run| {
+            let is_late = run.end_ticks != self.record.ticks;
+            (run.stroke + 1 == self.strokes, is_late)
+        });
         if end == PathEnd::Complete
             || self.record.strokes == self.strokes
             || is_last && self.stroke_is_complete(position)
         {
+            // Too late to stop before the end, but its brake may have changed the run's times.
+            self.record.holds += u32::from(is_late);
             return self.complete(actions);
         }
         self.count_stroke_at_rest(position, actions);
