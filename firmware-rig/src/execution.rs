@@ -326,6 +326,9 @@ impl Execution {
         // The pulses are not cut now, so they were not cut at the update above. A cut may come later in this round:
         // then the periods play on without pulses until the ring is halted.
         self.passed = self.before_the_last(ring.waiting_pulses());
+        if ring.waiting_pulses() == 0 {
+            self.passed_tick = self.periods.last_step();
+        }
         if mailbox.take_stop() || (!self.stopped && self.misses_edges(ring)) {
             self.stopped = true;
             self.periods.stop(self.stop_accel);

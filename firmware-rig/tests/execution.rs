@@ -449,6 +449,26 @@ fn a_cut_path_reports_what_left() {
     }
 }
 
+/// The step before a slow one is longer ago than the ring remembers.
+#[test]
+fn a_cut_between_slow_steps_reports_the_last_ones_time() {
+    // 10 steps, 0.5 s apart.
+    let profile = StrokeProfile::from_parts(Steps(10), Ticks(600_000_000), Ticks(100_000_000));
+    let path = Path::Move {
+        profile: profile.unwrap(),
+        direction: Direction::Away,
+    };
+    for before in [1_000 * MS, 100 * MS, 7 * MS, 5 * MS, MS, MS / 10] {
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        bench.run_for(bench.plan[6].at - before - bench.carriage.now);
+        bench.carriage.cut();
+        let (end, report) = bench.finish();
+        let last = bench.trace().last().unwrap().at - bench.began;
+        assert_eq!((end, report.last_tick), (PathEnd::Cut, last), "{before}");
+        assert_eq!(report.commanded, StepPosition(bench.carriage.place));
+    }
+}
+
 /// Whether an edge is missing at the end of a path is asked where every step has left, and only there: a cut path has
 /// steps that never left.
 #[test]

@@ -50,10 +50,6 @@ pub struct Slots {
     pub driver_on: bool,
     /// Pulses that were queued and then cut, since the start.
     pub cut: u64,
-    /// Length of the path from its start to the end of the last queued period, ticks.
-    path_ticks: u64,
-    /// Due times of the latest queued pulses, ticks from the start of the path.
-    due: VecDeque<u64>,
     /// Pulses that were queued after the playing period when the ring was halted.
     queued_at_halt: u32,
     /// The jumper to the capture input is fitted.
@@ -62,9 +58,6 @@ pub struct Slots {
     line: Timeline,
     timing: EdgeTiming,
 }
-
-/// Due times that the ring remembers: more pulses than it can hold.
-const REMEMBERED: usize = 65_536;
 
 /// The start of a round of the timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,8 +90,6 @@ impl Slots {
             pulse_ticks: 0,
             driver_on: false,
             cut: 0,
-            path_ticks: 0,
-            due: VecDeque::new(),
             queued_at_halt: 0,
             captures: true,
             captured: Vec::new(),
@@ -197,16 +188,9 @@ impl Slots {
                 interval: period.ticks,
                 steps: rounds,
             }]);
-            let start = self.path_ticks;
-            let rounds = 0..u64::from(rounds);
-            self.due
-                .extend(rounds.map(|round| start + round * u64::from(period.ticks)));
-            let forgotten = self.due.len().saturating_sub(REMEMBERED);
-            self.due.drain(..forgotten);
         } else {
             self.line.extend_by_pause(period.ticks);
         }
-        self.path_ticks += u64::from(period.ticks) * u64::from(rounds);
     }
 
     /// Slots that wait to be played; negative while the last one plays and after it.
@@ -220,8 +204,6 @@ impl Ring for Slots {
     fn clear(&mut self, pulse_ticks: u16) {
         self.halt();
         self.pulse_ticks = pulse_ticks;
-        self.path_ticks = 0;
-        self.due.clear();
         self.captured.clear();
         self.line.clear();
         self.timing.clear();
@@ -271,8 +253,7 @@ impl Ring for Slots {
     }
 
     fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32> {
-        let last = self.due.len().checked_sub(1 + unemitted as usize)?;
-        Some((self.path_ticks - self.due[last]) as u32)
+        self.line.ticks_since_last_pulse(unemitted)
     }
 
     fn has_played_out(&self) -> bool {
