@@ -266,11 +266,11 @@ pub struct RunRecord {
     /// Largest residual of the position ledger at the home flag.
     pub worst_residual_steps: i32,
     /// Fewest timer periods left in the queue at any time; 0 would be an underrun. None if every path of the run was
-    /// queued as a whole.
+    /// queued as a whole, or each of its strokes.
     pub min_queue: Option<u16>,
     /// False pulses on home flag and far limit that were filtered out.
     pub glitches: u32,
-    /// Number of holds.
+    /// Number of holds. One that came too late to stop before the run's end counts if it changed the run's times.
     pub holds: u32,
     /// Fingerprint of the image, as in [`RigHealth`].
     pub image_hash: u32,
