@@ -32,6 +32,8 @@ pub static MOTION_WAKE: Signal<Raw, ()> = Signal::new();
 pub static SNAPSHOT: Mutex<Raw, Cell<Option<Snapshot>>> = Mutex::new(Cell::new(None));
 /// Position by the generator, steps. Set by motion.
 pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
+/// Changes of the position that were no motion, all together, steps. Set by control where it sets the counter.
+pub static POSITION_SHIFT: AtomicI32 = AtomicI32::new(0);
 /// Stroke in progress, from 0. Set by motion.
 pub static STROKE: AtomicU32 = AtomicU32::new(0);
 /// False pulses on home flag and far limit. Set by the switch interrupt.

@@ -19,7 +19,7 @@
 
 use super::{
     captures::Captures,
-    channels::{self, DMA_ERRORS, INTERVALS, TIMER_RESETS},
+    channels::{self, DMA_ERRORS, INTERVALS, POSITION_SHIFT, TIMER_RESETS},
     clock::clock_failed,
     pins,
 };
@@ -441,7 +441,15 @@ pub fn counted() -> StepPosition {
 
 /// Sets the read-back counter. Only while no pulse can come.
 pub fn set_counted(position: StepPosition) {
+    let shift = position.0.wrapping_sub(counted().0);
+    POSITION_SHIFT.fetch_add(shift, Ordering::Relaxed);
     TIM2.cnt().write_value(position.0 as u32);
+}
+
+/// Position by the read-back counter as if it had never been set: its changes are motion.
+pub fn travelled() -> StepPosition {
+    let shift = POSITION_SHIFT.load(Ordering::Relaxed);
+    StepPosition(counted().0.wrapping_sub(shift))
 }
 
 /// The E-stop loop opened, or the clock security broke the timer; the hardware has already cleared MOE.

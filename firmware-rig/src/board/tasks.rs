@@ -198,21 +198,19 @@ pub async fn receive(uart: RingBufferedUartRx<'static>, identity: Identity) -> !
 /// Lowest priority, as often as the host asked for.
 #[embassy_executor::task]
 pub async fn telemetry() -> ! {
-    let mut last = (Instant::now(), step_generator::counted());
+    let mut last = (Instant::now(), step_generator::travelled());
     telemetry::run(|now| {
         let (before, from) = last;
-        let position = step_generator::counted();
-        last = (now, position);
+        let to = step_generator::travelled();
+        last = (now, to);
         let snapshot = SNAPSHOT.lock(|snapshot| snapshot.get())?;
         let elapsed_us = now.saturating_duration_since(before).as_micros();
         Some(Telemetry::Rig(RigTelemetry {
             time_us: now.as_micros(),
             state: snapshot.state,
-            position_steps: position.0,
+            position_steps: step_generator::counted().0,
             commanded_steps: COMMANDED.load(Ordering::Relaxed),
-            speed_um_s: snapshot
-                .axis
-                .mean_speed_um_s(position.since(from), elapsed_us),
+            speed_um_s: snapshot.axis.mean_speed_um_s(to.since(from), elapsed_us),
             stroke: STROKE.load(Ordering::Relaxed),
             residual_steps: snapshot.residual_steps,
             inputs: pins::inputs(),

@@ -4,15 +4,44 @@ use client::Unobserved;
 use client::error::ClientError;
 
 use crate::common::{
-    Dice, LIMIT_NS, Recorder, exact, execute, faulted, homed, paper, quick, quickly_homed, rig,
-    trials,
+    Dice, LIMIT_NS, Recorder, exact, execute, faulted, home_quickly, homed, paper, quick,
+    quickly_homed, rig, rig_with, trials,
 };
 use protocol::{
     error::{Field, Refusal},
     rig::{LinkLossPolicy, MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
     system::Urgent,
+    table::Telemetry,
 };
-use virtual_bench::{faults::When, plants::rig::Action, verdicts::Verdict};
+use virtual_bench::{
+    faults::When,
+    plants::rig::{Action, RigOptions},
+    verdicts::Verdict,
+};
+
+/// The position is set anew where the flag is found, between two samples of the telemetry. That is no motion.
+#[test]
+fn telemetry_shows_no_impossible_speed_while_homing() {
+    let mut rig = rig_with(RigOptions {
+        carriage: 8_000,
+        ..RigOptions::default()
+    });
+    home_quickly(&mut rig);
+    rig.device.set_telemetry(20).expect("telemetry");
+    let accepted = rig.device.home().expect("accepted");
+    let mut recorder = Recorder::default();
+    let homed = rig.device.wait_homing(&accepted, &mut recorder);
+    homed.unwrap_or_else(|error| panic!("{error}\n{}", rig.log()));
+    assert!(recorder.samples.len() > 20, "{}", recorder.samples.len());
+    for sample in &recorder.samples {
+        let Telemetry::Rig(sample) = sample else {
+            panic!("{sample:?} of a rig");
+        };
+        // It seeks with 40 mm/s.
+        assert!(sample.speed_um_s.unsigned_abs() <= 41_000, "{sample:?}");
+    }
+    rig.check_clean(0);
+}
 
 /// The paper's experiment: 5 cycles of 130 mm in 40 s.
 #[test]
