@@ -1,6 +1,11 @@
 //! Wires the rig's image: who is started, with what. Who runs at which priority is the table in this package's README.
 
-use crate::board::{channels::HOME_FLAG_OPEN, pins, step_generator::StepGenerator, tasks};
+use crate::board::{
+    channels::{FAR_LIMIT_OPEN, HOME_FLAG_OPEN},
+    pins,
+    step_generator::StepGenerator,
+    tasks,
+};
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{
@@ -26,7 +31,9 @@ async fn main(spawner: Spawner) {
     let left = retained::start();
     let board = pins::init();
     start::forget_catches();
-    HOME_FLAG_OPEN.store(pins::inputs().home_flag, Ordering::Relaxed);
+    let inputs = pins::inputs();
+    HOME_FLAG_OPEN.store(inputs.home_flag, Ordering::Relaxed);
+    FAR_LIMIT_OPEN.store(inputs.far_limit, Ordering::Relaxed);
     let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);
     defmt::info!("rig, start {=u32}, {}", left.boot_id, cause);

@@ -42,6 +42,8 @@ pub static GLITCHES: [Glitches; 2] = [const { Glitches::new() }; 2];
 pub static SWITCH_FILTER_US: AtomicU32 = AtomicU32::new(SettingKey::SwitchFilterUs.range().default);
 /// Filtered state of the home flag. Set at the start and by the switch interrupt.
 pub static HOME_FLAG_OPEN: AtomicBool = AtomicBool::new(false);
+/// Filtered state of the far limit. Set at the start and by the switch interrupt.
+pub static FAR_LIMIT_OPEN: AtomicBool = AtomicBool::new(false);
 
 /// Captured intervals by their error. Set by motion.
 pub static INTERVALS: CapturedIntervals = CapturedIntervals::new();

@@ -121,7 +121,9 @@ fn EXTI9_5() {
     // A masked line sets its pending bit all the same.
     let pending = pac::exti::regs::Lines(EXTI.pr(0).read().0 & EXTI.imr(0).read().0);
     if pending.line(FAR_LINE) {
-        let level = settle(FAR_LINE, 1, false, || pins::inputs().far_limit);
+        let before = channels::FAR_LIMIT_OPEN.load(Ordering::Relaxed);
+        let level = settle(FAR_LINE, 1, before, || pins::inputs().far_limit);
+        channels::FAR_LIMIT_OPEN.store(level.unwrap_or(before), Ordering::Relaxed);
         // A contact without a level counts as open: the safe side.
         if level.unwrap_or(true) && pins::direction() == Direction::Away {
             let armed = step_generator::is_armed();

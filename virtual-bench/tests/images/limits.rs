@@ -8,7 +8,7 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{Direction, Jog, MoveTo, RigFault, RunOutcome},
+    rig::{Direction, GetRigHealth, Jog, MoveTo, RigFault, RunOutcome},
 };
 use virtual_bench::{
     faults::When,
@@ -153,6 +153,20 @@ fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
         .check(LIMIT_NS)
         .unwrap_or_else(|why| panic!("{why}"));
     assert_eq!(u64::from(record.glitches), 2 * each);
+    rig.check_clean(0);
+}
+
+/// A switch that is pressed and released for good is no disturbance.
+#[test]
+fn a_far_limit_that_is_pressed_by_hand_is_no_false_pulse() {
+    let mut rig = quickly_homed();
+    let before = rig.device.call(GetRigHealth).expect("it answers").far_limit;
+    for open in [true, false, true, false, true, false] {
+        rig.act(Action::Stick(Switch::Far, Some(open)));
+        rig.idle(20_000);
+    }
+    let after = rig.device.call(GetRigHealth).expect("it answers").far_limit;
+    assert_eq!((after.count, after.masked), (before.count, before.masked));
     rig.check_clean(0);
 }
 
