@@ -75,6 +75,47 @@ fn each_displacement_is_asked_for_by_the_name_of_its_trial() {
     assert_eq!(um, [5_100, 4_200, 5_300]);
 }
 
+/// Regression: it left the trial out that was corrected last.
+#[test]
+fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
+    let place = place(&one_block());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(None);
+    let begin = [
+        ("Trial 1 of 10", "exclude torn"),
+        ("no trial is done yet", ""),
+        ("Displacement of the tail", "4.1"),
+        ("Trial 2 of 10", ""),
+        ("Displacement of the tail", "4.2"),
+        ("Trial 3 of 10", "q"),
+    ];
+    let lines = [&UP_TO_THE_TRIALS[..], &begin].concat();
+    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
+    assert_eq!(code, 130, "{shown}");
+    let (code, _, err) = memory.run(&["campaign", "edit", &out, "displacement", "1", "4"]);
+    assert_eq!(code, 0, "{err}");
+    let lines = vec![
+        ("Trial 3 of 10", "exclude the wall was torn"),
+        (
+            "trial 2 is excluded; undo takes it in again",
+            "exclude torn",
+        ),
+        ("trial 2 is excluded already", ""),
+        ("Displacement of the tail", "repeat it slipped"),
+        // Neither this attempt nor the trial before it.
+        ("Trial 3 of 10, attempt 2", "exclude torn"),
+        ("trial 3 does not count anyway", "q"),
+    ];
+    let (code, shown) = converse(&memory, &["run", &out], lines);
+    assert_eq!(code, 130, "{shown}");
+    let campaign = whole(&out);
+    let standings = [1, 2, 3].map(|trial| campaign.state.trial(trial).expect("there").standing());
+    assert_eq!(
+        standings,
+        [Standing::Done, Standing::Excluded, Standing::Open]
+    );
+}
+
 /// Lists the files of a folder as they are now.
 fn forge(folder: &std::path::Path) {
     let forged = manifest::of_folder(folder).expect("read");

@@ -16,7 +16,7 @@ use trials::trial::{RecordError, Recording, Status, json as json_text};
 
 use crate::conduct::{Broken, Conduct, Then};
 use crate::form::Form;
-use crate::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing};
+use crate::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
 use crate::order::{Planned, doing};
 use crate::plan::{Millimetres, Purpose};
 use crate::prompts::{Answer, Question, camera_file, checks};
@@ -44,29 +44,10 @@ impl Conduct<'_> {
         let Some(answer) = self.ask(&question)? else {
             return Ok(Then::Leave);
         };
-        let campaign = self.folder.campaign();
-        let last = campaign.state.last_measured(&campaign.rows);
         match answer {
             Answer::Enter | Answer::Yes => return self.may_begin(planned),
             Answer::Undo => self.undo()?,
-            Answer::Exclude(reason) => match last {
-                None => self.desk.say("  no trial is done yet"),
-                Some((trial, attempt)) => {
-                    let row = LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt))
-                        .saying(Some(reason));
-                    if campaign.state.trial(trial).map(|trial| trial.standing())
-                        == Some(Standing::Done)
-                    {
-                        self.row(row)?;
-                        self.desk.say(&format!(
-                            "  trial {trial} is excluded; undo takes it in again"
-                        ));
-                    } else {
-                        self.desk
-                            .say(&format!("  trial {trial} is excluded already"));
-                    }
-                }
-            },
+            Answer::Exclude(reason) => self.exclude_last(reason)?,
             Answer::Skip(reason) => {
                 self.row(
                     LedgerRow::of(LedgerEvent::Skipped, planned.trial, None).saying(Some(reason)),
@@ -78,7 +59,7 @@ impl Conduct<'_> {
                 ));
             }
             Answer::Note(text) => self.note(planned.trial, text)?,
-            Answer::Camera(_) if campaign.plan.metadata.camera == "none" => {
+            Answer::Camera(_) if self.folder.campaign().plan.metadata.camera == "none" => {
                 self.desk.say(
                     "  the plan says `camera = \"none\"`, so no file is noted; `note TEXT` keeps a remark",
                 );
@@ -95,6 +76,35 @@ impl Conduct<'_> {
             }
         }
         Ok(Then::Look)
+    }
+
+    /// Excludes the trial of the latest attempt. A displacement that was corrected since may be of any other one.
+    fn exclude_last(&mut self, reason: String) -> Result<(), Broken> {
+        let campaign = self.folder.campaign();
+        let ended = |row: &&LedgerRow| row.event == LedgerEvent::Ended;
+        let latest = campaign.rows.iter().rfind(ended);
+        let Some((trial, attempt)) = latest.and_then(|row| row.trial.zip(row.attempt)) else {
+            self.desk.say("  no trial is done yet");
+            return Ok(());
+        };
+        let standing = campaign.state.trial(trial).map(TrialState::standing);
+        match standing {
+            Some(Standing::Done) => {
+                let row = LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt));
+                self.row(row.saying(Some(reason)))?;
+                self.desk.say(&format!(
+                    "  trial {trial} is excluded; undo takes it in again"
+                ));
+            }
+            Some(Standing::Excluded) => {
+                self.desk
+                    .say(&format!("  trial {trial} is excluded already"));
+            }
+            _ => self.desk.say(&format!(
+                "  trial {trial} does not count anyway; `campaign edit ... exclude` names another one"
+            )),
+        }
+        Ok(())
     }
 
     /// Whether the trial can still begin when Enter is pressed: its check-list may have waited for hours.
