@@ -372,6 +372,7 @@ fn the_model_finds_what_each_mend_mends() {
 #[test]
 fn the_table_of_the_manual_names_tests_that_exist() {
     let tests = [
+        include_str!("../faults/campaign_process.rs"),
         include_str!("../lines/leaving.rs"),
         include_str!("../lines/stopping.rs"),
         include_str!("../signals/main.rs"),
@@ -403,5 +404,5 @@ fn the_table_of_the_manual_names_tests_that_exist() {
         assert!(is_there, "{name}");
         count += 1;
     }
-    assert_eq!(count, 22);
+    assert_eq!(count, 23);
 }
