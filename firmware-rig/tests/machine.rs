@@ -416,7 +416,8 @@ mod running {
     /// A stop in the ramp of a stroke's end comes to rest with its last step: the stroke is complete.
     #[test]
     fn a_stop_that_ends_with_a_stroke_counts_it() {
-        let stops: [(fn(&mut Rig), RunOutcome); 2] = [
+        type Stop = fn(&mut Rig);
+        let stops: [(Stop, RunOutcome); 2] = [
             (
                 |rig| rig.command(Command::Stop).unwrap(),
                 RunOutcome::Stopped,
