@@ -268,6 +268,8 @@ fn bounds(verdict: &mut Verdict, draws: &Draws) {
             ("lower", low, unknown.shape.quantile(0.0))
         };
         if share > AT_BOUND {
+            // Rounding has taken something from a bound such as 0.2.
+            let bound = (bound * 1e9).round() / 1e9;
             let sentence = format!(
                 "{} lies at the {end} end of its prior, {bound}, with {:.0} % of the draws in the last twentieth of it: the \
                  prior decides, not the trials",

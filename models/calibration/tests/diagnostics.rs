@@ -4,7 +4,7 @@
 use calibration::chance::{normal, stream};
 use calibration::diagnostics::{bulk_ess, r_hat, tail_ess};
 use calibration::prior::UNKNOWNS;
-use calibration::sampler::{Draws, Mixing};
+use calibration::sampler::{Draws, Effort, Mixing, Place};
 use std::collections::BTreeSet;
 
 /// Chains that any program can reproduce: a linear congruential generator drives an autoregression.
@@ -200,4 +200,42 @@ fn quantiles_need_all_three_numbers() {
         };
         assert_eq!(one.is_enough(), enough, "{one:?}");
     }
+}
+
+/// A program that reads the draws tells chains and steps by these numbers.
+#[test]
+fn a_draw_knows_its_ensemble_its_walker_and_its_step() {
+    let point = |number: usize| [number as f64, 0.0, 0.0, 0.0];
+    let draws = Draws {
+        walkers: 2,
+        ensembles: vec![(0..6).map(point).collect(), (6..12).map(point).collect()],
+        accepted: 1.0,
+    };
+    assert_eq!(draws.count(), 12);
+    for (number, (place, found)) in draws.all().enumerate() {
+        let expected = Place {
+            ensemble: number / 6,
+            chain: number / 6 * 2 + number % 2,
+            draw: number % 6 / 2,
+        };
+        assert_eq!((place, *found), (expected, point(number)));
+    }
+}
+
+#[test]
+fn an_effort_that_only_locates_keeps_no_more_than_it_needs() {
+    let few = Effort {
+        steps: 7,
+        ..Effort::FULL
+    };
+    let many = Effort {
+        steps: 501,
+        ..Effort::FULL
+    };
+    assert_eq!((few.quick().steps, few.quick().doublings), (7, 0));
+    assert_eq!((many.quick().steps, many.quick().doublings), (500, 0));
+    assert_eq!(many.quick().walkers, Effort::FULL.walkers);
+    let text = Effort::FULL.text();
+    assert!(text.starts_with("4 ensembles of 24 walkers"), "{text}");
+    assert!(text.contains("6 stages of 20 steps from 256"), "{text}");
 }

@@ -293,3 +293,20 @@ fn strokes_with_a_shared_offset_cover_the_truth() {
     let usual = if full { 0.85..=0.95 } else { 0.74..=1.0 };
     assert!(usual.contains(&coverage[1]), "{coverage:?}");
 }
+
+/// One reading tells the first stroke and a net; a later stroke is the difference of two.
+#[test]
+fn a_later_stroke_has_the_errors_of_two_readings() {
+    for (kind, expected_mm) in [
+        (Kind::Stroke { number: 1 }, 0.5),
+        (Kind::Stroke { number: 2 }, 0.5 * 2f64.sqrt()),
+        (Kind::Stroke { number: 9 }, 0.5 * 2f64.sqrt()),
+        (Kind::After { strokes: 3 }, 0.5),
+        (Kind::Net { cycles: 4 }, 0.5),
+        (Kind::AntegradePass, 0.5),
+        (Kind::ReturningPass, 0.5),
+    ] {
+        let found_mm = kind.uncertainty_mm(0.5);
+        assert!((found_mm - expected_mm).abs() < 1e-12, "{kind}: {found_mm}");
+    }
+}
