@@ -338,4 +338,19 @@ mod tests {
         assert_ne!(one, other);
         assert_ne!(one[..16], one[16..]);
     }
+
+    #[test]
+    fn a_plan_only_calculates() {
+        assert_eq!(demand(&Method::POST, "/api/v1/plan"), Demand::Look);
+    }
+
+    /// Differences must add up and not cancel each other.
+    #[test]
+    fn texts_are_the_same_only_if_each_byte_is() {
+        assert!(is_same(b"token", b"token"));
+        for other in ["tokem", "otken", "toke", "token1", "", "TOKEN", "tnken"] {
+            assert!(!is_same(b"token", other.as_bytes()), "{other}");
+        }
+        assert!(!is_same(b"ab", b"ba"));
+    }
 }

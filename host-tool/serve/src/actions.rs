@@ -364,4 +364,39 @@ mod tests {
         assert_eq!(actions.latest(DeviceKind::Rig)["id"], "i-1");
         assert!(actions.are_over(DeviceKind::Rig));
     }
+
+    #[test]
+    fn an_action_that_failed_says_in_which_way() {
+        use trials::trial::Status;
+        let ended = |status| Failure::Ended {
+            action: "the run",
+            status,
+            reason: None,
+            help: String::new(),
+        };
+        for (failure, standing) in [
+            (ended(Status::LinkLost), "link_lost"),
+            (ended(Status::Faulted), "faulted"),
+            (ended(Status::Stopped), "stopped"),
+            (ended(Status::Refused), "refused"),
+            (ended(Status::Unknown), "unknown"),
+            (Failure::refused("no", "wait"), "refused"),
+            (Failure::input("no", "mend it"), "failed"),
+        ] {
+            assert_eq!(Standing::of(&failure).name(), standing, "{failure}");
+        }
+    }
+
+    #[test]
+    fn every_change_of_an_action_is_told() {
+        let actions = Actions::new("i".to_owned());
+        actions.arrive(command("a", 1), Timestamp::UNIX_EPOCH);
+        let mut changes = actions.changes();
+        for _ in 0..3 {
+            let before = *changes.borrow_and_update();
+            actions.update(1, |_| {});
+            assert!(changes.has_changed().expect("open"));
+            assert_ne!(*changes.borrow(), before);
+        }
+    }
 }

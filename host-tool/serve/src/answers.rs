@@ -80,3 +80,43 @@ pub fn status(exit_code: u8) -> StatusCode {
 pub fn failed(failure: &Failure) -> Response {
     answer(status(failure.exit_code()), &failure.json())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_exit_code_has_a_status_of_its_own_kind() {
+        for (code, expected) in [
+            (failure::DONE, 200),
+            (failure::USAGE, 400),
+            (failure::REFUSED, 409),
+            (failure::FAULT, 409),
+            (failure::STOPPED, 409),
+            (failure::NO_DEVICE, 503),
+            (failure::MISMATCH, 502),
+            (failure::NOT_DELIVERED, 502),
+            (failure::UNKNOWN, 504),
+            (u8::MAX, 500),
+        ] {
+            assert_eq!(status(code).as_u16(), expected, "{code}");
+        }
+    }
+
+    #[test]
+    fn who_may_not_is_told_apart_from_who_asks_wrongly() {
+        let runtime = tokio::runtime::Builder::new_current_thread();
+        let runtime = { runtime }.build().expect("a runtime");
+        for (status, code) in [
+            (StatusCode::UNAUTHORIZED, "retrograde::denied"),
+            (StatusCode::FORBIDDEN, "retrograde::denied"),
+            (StatusCode::BAD_REQUEST, "retrograde::request"),
+            (StatusCode::CONFLICT, "retrograde::request"),
+        ] {
+            let body = axum::body::to_bytes(bad(status, "no", "mend it").into_body(), 1_000);
+            let text = runtime.block_on(body).expect("short");
+            let value: Value = serde_json::from_slice(&text).expect("JSON");
+            assert_eq!(value["error"]["code"], code);
+        }
+    }
+}

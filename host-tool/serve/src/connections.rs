@@ -223,4 +223,35 @@ mod tests {
         drop(busy);
         assert!(enter(&all, true, 1).iter().all(|place| !place.is_for_stops));
     }
+
+    #[test]
+    fn the_connection_whose_place_is_needed_is_ended_and_no_other() {
+        let runtime = tokio::runtime::Builder::new_current_thread();
+        let runtime = { runtime }.build().expect("a runtime");
+        let all: Arc<Connections> = Arc::default();
+        let places = enter(&all, true, MOST[0]);
+        let tasks: Vec<_> = (places.iter())
+            .map(|place| {
+                let task = runtime.spawn(std::future::pending::<()>());
+                all.ended_by(place.number(), task.abort_handle());
+                task
+            })
+            .collect();
+        places[0].does(Doing::Answering);
+        let more = enter(&all, true, 1);
+        assert!(is_there(&more[0]) && !is_there(&places[1]));
+        runtime.block_on(tokio::task::yield_now());
+        for (number, task) in tasks.iter().enumerate() {
+            assert_eq!(task.is_finished(), number == 1, "{number}");
+        }
+    }
+
+    #[test]
+    fn a_place_that_is_left_is_free_and_the_others_stay() {
+        let all: Arc<Connections> = Arc::default();
+        let mut places = enter(&all, true, 3);
+        drop(places.remove(1));
+        assert!(places.iter().all(is_there));
+        assert_eq!(all.table().entries.len(), 2);
+    }
 }

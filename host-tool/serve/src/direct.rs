@@ -231,3 +231,20 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn questions_are_bounded_and_each_answer_makes_room_for_one() {
+        let questions = Questions::default();
+        let mut asked: Vec<_> = (0..QUESTIONS).map(|_| Counted::take(&questions)).collect();
+        assert!(asked.iter().all(Option::is_some));
+        assert!(Counted::take(&questions).is_none());
+        drop(asked.pop());
+        asked.push(Counted::take(&questions));
+        assert!(asked.iter().all(Option::is_some));
+        assert!(Counted::take(&questions).is_none());
+    }
+}

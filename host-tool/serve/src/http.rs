@@ -762,34 +762,4 @@ async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_records_are_handed_out() {
-        for good in ["run-20260131T120000Z.csv", "fold-20260131T120000Z-2.json"] {
-            assert!(is_record(good), "{good}");
-        }
-        for bad in [
-            "../secret.json",
-            "a/b.csv",
-            "..csv",
-            ".x.json",
-            "run.svg",
-            "",
-            "a\\b.csv",
-            "a%2f.csv",
-        ] {
-            assert!(!is_record(bad), "{bad}");
-        }
-    }
-
-    #[test]
-    fn this_computer_is_known_by_both_ends() {
-        let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
-        assert!(is_here(at("127.0.0.1:5"), None));
-        assert!(is_here(at("[::ffff:127.0.0.1]:5"), None));
-        assert!(is_here(at("10.0.0.5:5"), Some(at("10.0.0.5:7080"))));
-        assert!(!is_here(at("10.0.0.6:5"), Some(at("10.0.0.5:7080"))));
-    }
-}
+mod tests;

@@ -501,4 +501,28 @@ mod tests {
         );
         assert!(elsewhere.contains("nothing is encrypted"), "{elsewhere}");
     }
+
+    #[test]
+    fn a_browser_on_this_computer_finds_a_server_that_listens_everywhere() {
+        for (at, expected) in [
+            ("0.0.0.0:7080", "http://127.0.0.1:7080/"),
+            ("[::]:7080", "http://[::1]:7080/"),
+            ("192.0.2.7:7080", "http://192.0.2.7:7080/"),
+            ("[2001:db8::7]:7080", "http://[2001:db8::7]:7080/"),
+        ] {
+            assert_eq!(url(at.parse().expect("an address")), expected);
+        }
+    }
+
+    /// A path that cannot be read is no invitation to write a token there.
+    #[test]
+    fn a_token_is_made_only_where_there_is_no_file() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let why = token_of(folder.path()).expect_err("a folder").to_string();
+        assert!(why.contains(&folder.path().display().to_string()), "{why}");
+        let file = folder.path().join("token");
+        let shortest = "a".repeat(LEAST_TOKEN);
+        private(&file, &shortest).expect("written");
+        assert_eq!(token_of(&file).expect("long enough"), shortest);
+    }
 }

@@ -381,4 +381,66 @@ mod tests {
         };
         assert_eq!((run, record.note.as_deref()), (PAPER_RUN, Some(note)));
     }
+
+    #[test]
+    fn what_was_requested_is_shown_with_the_units_of_the_machine() {
+        for (machine, name, body, shown) in [
+            (
+                DeviceKind::Rig,
+                "move",
+                json!({ "position_mm": 12.5, "speed_mm_s": 3 }),
+                json!({ "position_um": 12_500, "speed_um_s": 3_000 }),
+            ),
+            (
+                DeviceKind::Capsule,
+                "fold",
+                json!({ "thread_mm": 5 }),
+                json!({ "thread_um": 5_000 }),
+            ),
+            (DeviceKind::Capsule, "fold", json!({}), json!({})),
+            (DeviceKind::Rig, "home", json!({}), json!({})),
+        ] {
+            let requested = read(machine, name, body).expect(name).requested();
+            let object = shown.as_object().expect("an object");
+            for (field, value) in object {
+                assert_eq!(requested[field], *value, "{name} {field}: {requested}");
+            }
+            assert_eq!(requested == json!({}), object.is_empty(), "{requested}");
+        }
+        let run = read(DeviceKind::Rig, "run", json!({})).expect("good");
+        assert_eq!(run.requested(), json!(PAPER_RUN));
+        let jog = read(DeviceKind::Rig, "jog", json!({ "direction": "away" })).expect("good");
+        let Work::Jog(to) = &jog else {
+            panic!("a jog");
+        };
+        assert_eq!(jog.requested(), json!(to));
+    }
+
+    #[test]
+    fn a_hold_a_resume_and_an_acknowledgement_pass_another_owner() {
+        for (name, is_for_owner) in [
+            ("hold", false),
+            ("resume", false),
+            ("ack", false),
+            ("home", true),
+            ("run", true),
+        ] {
+            let work = read(DeviceKind::Rig, name, json!({})).expect(name);
+            assert_eq!(work.is_for_owner(), is_for_owner, "{name}");
+        }
+    }
+
+    #[test]
+    fn a_missing_field_is_named_and_a_null_is_one() {
+        for (body, remedy) in [
+            (json!({}), "the field `position_mm` is missing"),
+            (json!({ "position_mm": "x" }), "correct the value"),
+        ] {
+            let failure = read(DeviceKind::Rig, "move", body).expect_err("refused");
+            assert!(failure.remedy().contains(remedy), "{}", failure.remedy());
+        }
+        let body = json!({ "stroke_mm": null, "note": null });
+        let work = read(DeviceKind::Rig, "run", body).expect("as if it were not there");
+        assert_eq!(work.requested(), json!(PAPER_RUN));
+    }
 }

@@ -42,6 +42,8 @@ pub fn server_ends() -> Failure {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use operations::failure::NO_DEVICE;
 
     use super::*;
@@ -54,5 +56,12 @@ mod tests {
             failure.in_one_line(),
             "nothing was sent, there is no contact: it is away; plug it in"
         );
+    }
+
+    #[test]
+    fn files_are_named_without_their_folder() {
+        let (csv, sidecar) = (Path::new("/out/run-1.csv"), Path::new("/out/run-1.json"));
+        let expected = json!({ "csv": "run-1.csv", "sidecar": "run-1.json" });
+        assert_eq!(files(csv, sidecar), expected);
     }
 }

@@ -329,4 +329,27 @@ mod tests {
         assert!(stream.body(|| json!({})).is_some());
         assert!(!stream.is_read());
     }
+
+    #[test]
+    fn a_place_that_comes_back_is_one_place() {
+        let stream = Arc::<Stream>::default();
+        let mut bodies: Vec<_> = (0..READERS).map(|_| stream.body(|| json!({}))).collect();
+        drop(bodies.pop());
+        bodies.push(stream.body(|| json!({})));
+        assert!(bodies.iter().all(Option::is_some));
+        assert!(stream.body(|| json!({})).is_none());
+    }
+
+    #[test]
+    fn a_reader_ends_with_the_server() {
+        run(async {
+            let stream = Arc::<Stream>::default();
+            let mut body = stream.body(|| json!({})).expect("a place");
+            let _greeting = read(&mut body, 1).await;
+            stream.close();
+            let next =
+                std::future::poll_fn(|context| std::pin::Pin::new(&mut body).poll_frame(context));
+            assert!(next.await.is_none());
+        });
+    }
 }
