@@ -382,3 +382,6 @@ impl Link for Gone {
         Err(self.lost())
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -580,4 +580,23 @@ mod tests {
         let left = fs::read_dir(place.path().join("new")).expect("there");
         assert_eq!(left.count(), 1);
     }
+
+    #[test]
+    fn a_part_names_the_file_that_it_was_about_to_replace() {
+        let part = part_of(Path::new("run.csv"));
+        assert_eq!(of_part(part.to_str().expect("UTF-8")), Some("run.csv"));
+        let random = "0123456789abcdef";
+        for (name, of) in [
+            (format!("a.b.{random}{PART}"), Some("a.b")),
+            (format!("a.{random}"), None),
+            (format!(".{random}{PART}"), None),
+            (format!("a.{random}0{PART}"), None),
+            (format!("a.{}{PART}", &random[1..]), None),
+            (format!("a.{}g{PART}", &random[1..]), None),
+            (format!("{random}{PART}"), None),
+            (PART.to_owned(), None),
+        ] {
+            assert_eq!(of_part(&name), of, "{name}");
+        }
+    }
 }

@@ -192,3 +192,53 @@ pub struct Homed {
     /// Time from the acceptance of the request to the end, us.
     pub duration_us: u64,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Names of what was told.
+    #[derive(Default)]
+    struct Told(Vec<&'static str>);
+
+    impl Observer for Told {
+        fn event(&mut self, _: &Event) {
+            self.0.push("event");
+        }
+        fn progress(&mut self, _: &Progress) {
+            self.0.push("progress");
+        }
+        fn unrecorded(&mut self, _: &str) {
+            self.0.push("unrecorded");
+        }
+        fn turn(&mut self, _: u64, _: Option<Clock>) {
+            self.0.push("turn");
+        }
+    }
+
+    #[test]
+    fn two_observers_are_told_the_same() {
+        let (mut one, mut other) = (Told::default(), Told::default());
+        let mut both = Both(&mut one, &mut other);
+        both.unrecorded("the disk is full");
+        both.progress(&Progress::Actuation {
+            elapsed_us: 1,
+            at_most_us: 2,
+            thread_um: 3,
+            current_ma: 4,
+        });
+        both.turn(5, None);
+        assert_eq!(one.0, ["unrecorded", "progress", "turn"]);
+        assert_eq!(one.0, other.0);
+    }
+
+    #[test]
+    fn a_clock_is_behind_by_no_more_than_two_exchanges_show() {
+        let then = Clock::of(100, 50, 120);
+        assert_eq!(then.ahead_us, (50, 70));
+        let now = Clock::of(1_100, 950, 1_130);
+        assert_eq!((now.ahead_us, now.behind_us(then)), ((150, 180), 80));
+        assert_eq!(then.behind_us(now), 0);
+        assert_eq!(Clock::of(0, u64::MAX, 1).ahead_us, (1, 2));
+    }
+}

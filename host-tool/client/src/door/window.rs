@@ -122,3 +122,64 @@ impl Link for Window {
         self.yields
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use protocol::system::Urgent;
+
+    use super::*;
+
+    /// A window, and the owner's side of it.
+    fn opened() -> (Window, Stream, Doorway, tempfile::TempDir) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = Doorway::new(folder.path().to_owned(), "one", "there".to_owned());
+        let lock = doorway.claim().expect("possible").expect("free");
+        let (listener, owner_file) = lock.listen().expect("a door");
+        let owner = std::thread::spawn(move || {
+            let mut guest = listener.accept().expect("a guest");
+            read_line(&mut guest, LONGEST_LINE).expect("a greeting");
+            let welcome = Welcome {
+                retrograde_door: VERSION,
+                owner: owner_file.owner,
+                yields: false,
+                full: true,
+            };
+            let line = serde_json::to_string(&welcome).expect("text") + "\n";
+            guest.write_all(line.as_bytes()).expect("connected");
+            guest
+        });
+        let window = Window::open(&doorway, Duration::from_secs(10)).expect("welcome");
+        (window, owner.join().expect("no panic"), doorway, folder)
+    }
+
+    #[test]
+    fn orders_are_overtaken_by_a_stop_that_came_after_them() {
+        let (mut window, _owner, doorway, _folder) = opened();
+        assert!(!window.is_overtaken());
+        doorway.mark_stop(Urgent::Stop);
+        assert!(window.is_overtaken());
+        window.ordered_at(Doorway::last_stops(Some(&doorway)));
+        assert!(!window.is_overtaken());
+    }
+
+    #[test]
+    fn bytes_pass_both_ways_until_the_owner_has_ended() {
+        let (mut window, mut owner, ..) = opened();
+        assert_eq!(window.place(), "there");
+        assert!(window.is_full() && !window.want_line());
+        window.start -= Duration::from_secs(2);
+        assert!(window.now_us() >= 2_000_000);
+        let mut buffer = [0; 16];
+        window.send(b"there").expect("connected");
+        owner.read_exact(&mut buffer[..5]).expect("connected");
+        owner.write_all(b"back").expect("connected");
+        let later_us = window.now_us() + 60_000_000;
+        let received = window.receive(&mut buffer, later_us);
+        assert_eq!((received.ok(), &buffer[..4]), (Some(4), &b"back"[..]));
+        // Nothing has come, which is no error.
+        assert_eq!(window.receive(&mut buffer, 0).ok(), Some(0));
+        drop(owner);
+        let gone = window.receive(&mut buffer, later_us).expect_err("gone");
+        assert!(matches!(gone, LinkError::OwnerGone { .. }), "{gone}");
+    }
+}

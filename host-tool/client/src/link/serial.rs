@@ -291,10 +291,95 @@ mod tests {
         );
     }
 
+    /// A port, and the end where a machine would be.
+    #[cfg(target_os = "linux")]
+    fn plugged_in() -> (String, fs::File) {
+        use rustix::pty::{OpenptFlags, openpt, ptsname, unlockpt};
+        let machine = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).expect("a terminal");
+        unlockpt(&machine).expect("mine");
+        let path = ptsname(&machine, vec![]).expect("a name");
+        (path.into_string().expect("UTF-8"), machine.into())
+    }
+
     #[cfg(target_os = "linux")]
     #[test]
-    fn the_group_of_a_file_has_a_name() {
-        let group = group("/dev/null").expect("there is /dev/null");
-        assert!(!group.is_empty());
+    fn bytes_pass_both_ways_until_the_port_is_gone() {
+        use std::io::{Read, Write};
+        let (path, mut machine) = plugged_in();
+        let mut port = Serial::open(&path, DEFAULT_BAUD).expect("a port");
+        assert_eq!(port.place(), path);
+        port.start -= Duration::from_secs(2);
+        assert!(port.now_us() >= 2_000_000, "{}", port.now_us());
+        let mut buffer = [0; 16];
+        port.send(b"there").expect("connected");
+        machine.read_exact(&mut buffer[..5]).expect("connected");
+        assert_eq!(&buffer[..5], b"there");
+        machine.write_all(b"back").expect("connected");
+        let later_us = port.now_us() + 60_000_000;
+        let mut back: Vec<u8> = vec![];
+        while back.len() < 4 {
+            let count = port.receive(&mut buffer, later_us).expect("connected");
+            assert!(count > 0);
+            back.extend(&buffer[..count]);
+        }
+        assert_eq!(back, b"back");
+        // Nothing has come, which is no error.
+        assert_eq!(port.receive(&mut buffer, 0).ok(), Some(0));
+        drop(machine);
+        let lost = port.receive(&mut buffer, later_us).expect_err("gone");
+        assert!(lost.to_string().contains(&path), "{lost}");
+    }
+
+    /// The reason why a path cannot be opened as a port, if the system says this.
+    #[cfg(target_os = "linux")]
+    fn reason(path: &str, kind: ErrorKind) -> OpenError {
+        explain(path, &serialport::Error::new(kind, ""))
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_path_that_is_no_port_is_told_from_a_port_that_fails() {
+        let (port, _machine) = plugged_in();
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        let file = file.path().to_str().expect("UTF-8");
+        for (path, expected) in [
+            (&*port, Reason::Other),
+            (file, Reason::NoPort),
+            ("/dev", Reason::NoPort),
+            ("/dev/null", Reason::NoPort),
+            ("/dev/retrograde-no-such-port", Reason::Absent),
+        ] {
+            let found = reason(path, ErrorKind::Unknown);
+            assert_eq!(found.reason, expected, "{found:?}");
+            assert_eq!(is_a_device(path), expected == Reason::Other, "{path}");
+        }
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn who_may_not_open_a_port_learns_which_group_to_join() {
+        use std::os::unix::fs::{MetadataExt, chown};
+        let forbidden =
+            |path: &str| reason(path, ErrorKind::Io(io::ErrorKind::PermissionDenied)).remedy;
+        let file = tempfile::NamedTempFile::new().expect("a file");
+        if file.as_file().metadata().expect("there").gid() == 0 {
+            // The administrator, who may give it away.
+            chown(file.path(), None, Some(1)).expect("given away");
+        }
+        let path = file.path().to_str().expect("UTF-8");
+        let stat = std::process::Command::new("stat")
+            .args(["-c", "%G", path])
+            .output();
+        let group = String::from_utf8(stat.expect("it runs").stdout).expect("UTF-8");
+        let join = format!("usermod -aG {} $USER", group.trim());
+        assert!(
+            forbidden(path).contains(&join),
+            "{join}: {}",
+            forbidden(path)
+        );
+        let alone = forbidden("/dev/null");
+        assert!(alone.contains("the administrator alone"), "{alone}");
+        let missing = forbidden("/dev/retrograde-no-such-port");
+        assert_eq!(missing, "give your user read and write access to the port");
     }
 }

@@ -122,3 +122,68 @@ pub(crate) fn nothing_yet(kind: ErrorKind) -> bool {
         ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted
     )
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::net::TcpListener;
+
+    /// A connection that began two seconds ago, and its other end.
+    fn connected() -> (Tcp, TcpStream) {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let at = listener.local_addr().expect("an address").to_string();
+        let mut link = Tcp::open_within(&at, WRITE).expect("it listens");
+        assert_eq!(link.place(), format!("tcp:{at}"));
+        link.start -= Duration::from_secs(2);
+        (link, listener.accept().expect("connected").0)
+    }
+
+    #[test]
+    fn bytes_pass_both_ways_until_the_other_end_closes() {
+        let (mut link, mut other) = connected();
+        let mut buffer = [0; 16];
+        link.send(b"there").expect("connected");
+        other.read_exact(&mut buffer[..5]).expect("connected");
+        assert_eq!(&buffer[..5], b"there");
+        other.write_all(b"back").expect("connected");
+        let later_us = link.now_us() + 60_000_000;
+        let mut received = |deadline_us| link.receive(&mut buffer, deadline_us).ok();
+        assert_eq!(received(later_us), Some(4));
+        // Nothing has come, which is no error.
+        assert_eq!(received(0), Some(0));
+        assert_eq!(&buffer[..4], b"back");
+        drop(other);
+        let lost = link.receive(&mut buffer, later_us).expect_err("closed");
+        assert_eq!(lost.to_string(), link.lost(CLOSED).to_string());
+        assert!(lost.to_string().contains(&link.place()), "{lost}");
+    }
+
+    #[test]
+    fn its_clock_began_with_the_connection() {
+        let (link, _other) = connected();
+        let at_us = link.now_us();
+        assert!(at_us >= 2_000_000, "{at_us}");
+    }
+
+    #[test]
+    fn a_wait_is_neither_endless_nor_longer_than_a_minute() {
+        for (now_us, deadline_us, wait_ms) in [
+            (5_000_000, 5_250_000, 250),
+            (5_000_000, 5_000_000, 1),
+            (5_000_000, 0, 1),
+            (0, u64::MAX, 60_000),
+        ] {
+            assert_eq!(timeout(now_us, deadline_us), Duration::from_millis(wait_ms));
+        }
+    }
+
+    #[test]
+    fn an_address_without_a_listener_is_unreachable() {
+        let free = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let at = free.local_addr().expect("an address").to_string();
+        drop(free);
+        let error = Tcp::open_within(&at, WRITE).expect_err("nobody listens");
+        assert_eq!(error.reason, Reason::Unreachable);
+        assert_eq!(error.place, format!("tcp:{at}"));
+    }
+}

@@ -303,3 +303,32 @@ fn a_question_without_an_answer_is_not_called_unseen() {
     assert!(core.question(now).is_none());
     assert!(told.try_recv().is_err(), "nothing is known of it");
 }
+
+/// An order that was not written must not count as sent.
+#[test]
+fn a_line_that_is_closed_takes_nothing() {
+    let error = Closed.write(b"x").expect_err("closed");
+    assert_eq!(error.kind(), io::ErrorKind::NotConnected);
+}
+
+#[test]
+fn a_line_that_is_lost_ends_its_guests_and_says_why_to_its_owner() {
+    let (core, _written) = core();
+    let (shut, ended) = channel();
+    let admit = || {
+        let shut = shut.clone();
+        let (frames, _) = sync_channel(1);
+        core.admit(Box::new(move || shut.send(()).expect("heard")), frames)
+    };
+    assert!(admit().is_some());
+    core.arrived(b"last");
+    core.lost("the cable".to_owned());
+    core.lost("another reason".to_owned());
+    assert_eq!(ended.try_iter().count(), 2);
+    assert!(admit().is_none());
+    // The owner reads to the end first.
+    let mut buffer = [0; 8];
+    assert_eq!(core.receive(&mut buffer, Instant::now()), Ok(4));
+    let lost = core.receive(&mut buffer, Instant::now());
+    assert_eq!(lost, Err("the cable".to_owned()));
+}

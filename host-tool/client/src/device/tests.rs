@@ -1,0 +1,314 @@
+//! The host beside a line that is dead, and beside a machine that answers as it is told.
+
+use std::sync::{Arc, Mutex};
+
+use protocol::error::WireError;
+use protocol::frame::{Deframer, Header, Kind, encode};
+use protocol::rig;
+use protocol::session::{Decision, Session};
+use protocol::settings::Setting;
+use protocol::system::{BuildProfile, Done, Events, LastWords, ResetCause, Revision, What};
+use protocol::table::{Reply, Request};
+
+use super::*;
+
+/// A line on which nothing comes.
+struct Quiet;
+
+impl Link for Quiet {
+    fn place(&self) -> String {
+        "there".to_owned()
+    }
+    fn now_us(&self) -> u64 {
+        7
+    }
+    fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+        Ok(())
+    }
+    fn receive(&mut self, _: &mut [u8], _: u64) -> Result<usize, LinkError> {
+        Ok(0)
+    }
+}
+
+#[test]
+fn a_line_that_was_given_up_is_like_a_pulled_cable() {
+    let mut device = Device::new(Box::new(Quiet), 1);
+    device.hang_up();
+    assert_eq!((device.place(), device.now_us()), ("there".to_owned(), 7));
+    let sent = device.link.send(b"x").map(|()| 0);
+    for result in [sent, device.link.receive(&mut [0; 8], 9)] {
+        let said = result.expect_err("lost").to_string();
+        assert!(
+            said.contains("there") && said.contains("given up"),
+            "{said}"
+        );
+    }
+}
+
+/// Most lines have no other owner, and nobody who wants them.
+#[test]
+fn a_line_that_says_nothing_else_belongs_to_this_process_alone() {
+    let mut line = Quiet;
+    assert!(line.owner().is_none() && line.question().is_none());
+    assert!(!line.want_line() && !line.is_line_wanted());
+    assert!(!line.is_overtaken() && line.stopped().is_none());
+    assert_eq!(line.left_record(), None);
+}
+
+/// What a machine does with a request; none is silence.
+type Answers = fn(&Request) -> Option<Reply>;
+
+/// A machine that answers as it is told, in time that passes when the host waits.
+struct Machine {
+    session: Session,
+    deframer: Deframer,
+    unread: VecDeque<u8>,
+    now_us: u64,
+    answers: Arc<Mutex<Answers>>,
+    stops: bool,
+    owner: Option<Owner>,
+}
+
+impl Machine {
+    fn say(&mut self, session: u8, seq: u16, reply: &Reply) {
+        let header = Header {
+            kind: Kind::Reply,
+            session,
+            seq,
+        };
+        let frame = encode(header, reply).expect("fits");
+        self.unread.extend(frame.iter());
+    }
+}
+
+const IDENTITY: Identity = Identity {
+    device: DeviceKind::Rig,
+    protocol: VERSION,
+    schema_key: SCHEMA_KEY,
+    uid: [7; 12],
+    revision: Revision {
+        commit: 1,
+        dirty: false,
+    },
+    profile: BuildProfile::Firmware,
+    boot_id: 1,
+    reset_cause: ResetCause::PowerOn,
+    session: 0,
+};
+
+impl Link for Machine {
+    fn place(&self) -> String {
+        "there".to_owned()
+    }
+
+    fn now_us(&self) -> u64 {
+        self.now_us
+    }
+
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        for byte in bytes {
+            let Some(frame) = self.deframer.push(*byte) else {
+                continue;
+            };
+            let decision = self.session.receive(&frame);
+            match decision {
+                Decision::Greet { session, seq } => {
+                    let hello = Response::Hello(Identity {
+                        session,
+                        ..IDENTITY
+                    });
+                    self.say(session, seq, &Reply::Accepted(hello));
+                }
+                Decision::Execute { request, ticket } => {
+                    let answers = *self.answers.lock().expect("no panic");
+                    if let Some(reply) = answers(&request) {
+                        self.say(ticket.session, ticket.seq, &reply);
+                    }
+                }
+                Decision::Urgent {
+                    urgent,
+                    session,
+                    seq,
+                } if self.stops => {
+                    self.say(session, seq, &Reply::Urgent(urgent));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        if self.unread.is_empty() {
+            self.now_us = self.now_us.max(deadline_us);
+        }
+        let count = buffer.len().min(self.unread.len());
+        for (slot, byte) in buffer.iter_mut().zip(self.unread.drain(..count)) {
+            *slot = byte;
+        }
+        Ok(count)
+    }
+
+    fn owner(&self) -> Option<&Owner> {
+        self.owner.as_ref()
+    }
+
+    fn left_record(&self) -> Option<PathBuf> {
+        Some("/left.json".into())
+    }
+}
+
+/// What every machine says to a host that has just come.
+fn usual(request: &Request) -> Option<Reply> {
+    Some(Reply::Accepted(match request {
+        Request::GetEvents(_) => Response::GetEvents(events(5, 5, &[])),
+        Request::GetSetting(asked) => Response::GetSetting(Setting {
+            key: asked.key,
+            value: 1_000,
+        }),
+        Request::KeepAlive(_) => Response::KeepAlive(Done),
+        _ => return None,
+    }))
+}
+
+fn events(oldest: u32, next: u32, indices: &[u32]) -> Events {
+    let event = |index: &u32| Event {
+        index: *index,
+        time_us: 0,
+        what: What::Acknowledged,
+    };
+    Events {
+        oldest,
+        next,
+        events: indices.iter().map(event).collect(),
+    }
+}
+
+/// A host that is connected to a machine, and how that answers from now on.
+fn connected(stops: bool, owner: Option<Owner>) -> (Device, Arc<Mutex<Answers>>) {
+    let answers = Arc::new(Mutex::new(usual as Answers));
+    let machine = Machine {
+        session: Session::new(1),
+        deframer: Deframer::new(),
+        unread: VecDeque::new(),
+        now_us: 1_000,
+        answers: Arc::clone(&answers),
+        stops,
+        owner,
+    };
+    let device = Device::connect(Box::new(machine), DeviceKind::Rig, 9).expect("it answers");
+    (device, answers)
+}
+
+#[test]
+fn the_last_words_of_a_machine_are_its_own() {
+    let (mut device, answers) = connected(true, None);
+    *answers.lock().expect("no panic") = |request| match request {
+        Request::GetLastWords(_) => Some(Reply::Accepted(Response::GetLastWords(LastWords {
+            text: "panicked".try_into().expect("fits"),
+        }))),
+        other => usual(other),
+    };
+    assert_eq!(device.last_words().expect("answered"), "panicked");
+    assert_eq!(device.rejected_frames(), 0);
+    assert_eq!(device.left_record(), Some("/left.json".into()));
+}
+
+#[test]
+fn events_that_the_machine_has_dropped_are_counted_and_the_others_delivered_once() {
+    let (mut device, answers) = connected(true, None);
+    let indices = |device: &mut Device| -> Vec<u32> {
+        let found = device.take_events().expect("answered");
+        found.iter().map(|event| event.index).collect()
+    };
+    // The next one, 5, is the oldest that there is.
+    *answers.lock().expect("no panic") = |request| match request {
+        Request::GetEvents(from) => {
+            let all: Vec<u32> = (from.from..7).collect();
+            Some(Reply::Accepted(Response::GetEvents(events(5, 7, &all))))
+        }
+        other => usual(other),
+    };
+    assert_eq!(indices(&mut device), [5, 6]);
+    assert_eq!(device.take_lost_events(), 0);
+    // Of 7 to 19 the machine keeps the last five, and sends two at a time.
+    *answers.lock().expect("no panic") = |request| match request {
+        Request::GetEvents(from) => {
+            let first = from.from.max(15);
+            let some: Vec<u32> = (first..20).take(2).collect();
+            Some(Reply::Accepted(Response::GetEvents(events(15, 20, &some))))
+        }
+        other => usual(other),
+    };
+    assert_eq!(indices(&mut device), [15, 16, 17, 18, 19]);
+    assert_eq!(device.take_lost_events(), 8);
+    assert_eq!(device.take_lost_events(), 0);
+    assert!(indices(&mut device).is_empty());
+}
+
+/// A machine that says nothing to a question may be moving, if it was when it last spoke.
+#[test]
+fn silence_is_worse_from_a_machine_that_moves() {
+    for (moves, expected) in [(true, "Silent"), (false, "NoReply")] {
+        let (mut device, answers) = connected(true, None);
+        *answers.lock().expect("no panic") = if moves {
+            |request| match request {
+                Request::Resume(_) => Some(Reply::Accepted(Response::Resume(Done))),
+                other => usual(other),
+            }
+        } else {
+            |request| match request {
+                Request::Resume(_) => Some(Reply::Wire(WireError::Malformed)),
+                other => usual(other),
+            }
+        };
+        let resumed = device.call(rig::Resume);
+        match resumed {
+            Ok(Done) => assert!(moves),
+            Err(ClientError::Rejected { request, error, .. }) => {
+                assert!(!moves);
+                assert_eq!((request, error), ("Resume", WireError::Malformed));
+            }
+            Err(other) => panic!("{other:?}"),
+        }
+        *answers.lock().expect("no panic") = |_| None;
+        let error = device.keep_alive().expect_err("silent");
+        let found = format!("{error:?}");
+        assert!(found.starts_with(expected), "{found}");
+    }
+}
+
+#[test]
+fn an_owner_that_is_busy_is_named() {
+    let owner = Owner::this_process();
+    let (mut device, answers) = connected(true, Some(owner.clone()));
+    device.ask_once(true);
+    *answers.lock().expect("no panic") = |_| Some(Reply::Wire(WireError::Stale));
+    let before_us = device.now_us();
+    let error = device.keep_alive().expect_err("busy");
+    let ClientError::OwnerBusy {
+        request, owner: by, ..
+    } = error
+    else {
+        panic!("{error:?}");
+    };
+    assert_eq!((request, by), ("KeepAlive", owner.to_string()));
+    // It is not asked again and again.
+    assert!(device.now_us() - before_us < OWNER_PATIENCE_US);
+}
+
+#[test]
+fn a_stop_that_is_not_confirmed_is_said_also_while_an_answer_is_awaited() {
+    let (mut device, answers) = connected(false, None);
+    *answers.lock().expect("no panic") = |_| None;
+    device.post(rig::GetRigStatus).expect("sent");
+    device.set_interrupt(Arc::new(|| Some(Urgent::Stop)));
+    let later_us = device.now_us() + 60_000_000;
+    let error = device.attend(later_us, &mut observer::Unobserved);
+    let error = error.expect_err("no confirmation");
+    assert!(
+        matches!(error, ClientError::StopUnconfirmed { .. }),
+        "{error:?}"
+    );
+    assert!(!device.is_posted());
+}
