@@ -201,3 +201,113 @@ impl Observer for Busy<'_> {
         self.look();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{SyncSender, sync_channel};
+    use std::time::Instant;
+
+    use client::address::Address;
+    use protocol::system::DeviceKind;
+
+    use super::*;
+    use crate::actions::{Arrival, RequestedAction};
+    use jiff::Timestamp;
+
+    fn board() -> (Board, SyncSender<Order>, Receiver<Order>) {
+        let (orders, received) = sync_channel(8);
+        let machine = Machine::new(DeviceKind::Rig, Address::Virtual, orders.clone());
+        let board = Board::new("i".to_owned(), vec![machine], "/nowhere".into());
+        (board, orders, received)
+    }
+
+    fn arrived(board: &Board, key: &str, kind: &'static str) -> u64 {
+        let action = RequestedAction {
+            key: key.to_owned(),
+            print: [0; 32],
+            machine: DeviceKind::Rig,
+            kind,
+            requested: Value::Null,
+        };
+        match board.actions.arrive(action, Timestamp::UNIX_EPOCH) {
+            Arrival::New(number) => number,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn busy<'a>(
+        board: &'a Board,
+        orders: &'a Receiver<Order>,
+        action: u64,
+        kind: &'static str,
+    ) -> Busy<'a> {
+        Busy {
+            board,
+            machine: &board.machines[0],
+            orders,
+            action,
+            kind,
+            pacing: Pacing::default(),
+        }
+    }
+
+    #[test]
+    fn while_a_run_goes_on_one_hold_is_taken_and_nothing_else() {
+        for (kind, taken) in [("run", true), ("home", false)] {
+            let (board, orders, received) = board();
+            let action = arrived(&board, "a", kind);
+            let mut busy = busy(&board, &received, action, kind);
+            let mut numbers = vec![];
+            for (key, work) in [
+                ("b", Work::Home),
+                ("c", Work::Hold),
+                ("d", Work::Resume),
+                ("e", Work::Hold),
+            ] {
+                let number = arrived(&board, key, work.kind());
+                numbers.push(number);
+                let order = Order {
+                    action: number,
+                    work,
+                    at: Instant::now(),
+                    after: Default::default(),
+                };
+                orders.send(order).expect("room");
+            }
+            busy.turn(0, None);
+            let ended = numbers.iter().map(|number| {
+                let action = board.actions.get(*number).expect("known");
+                action.standing.is_over()
+            });
+            assert_eq!(ended.collect::<Vec<_>>(), [true, !taken, true, true]);
+            let expected = taken.then_some((numbers[1], Pace::Hold, false));
+            assert_eq!(*held(&busy.pacing), expected);
+        }
+    }
+
+    #[test]
+    fn how_far_an_action_is_and_that_it_is_not_recorded_is_shown() {
+        let (board, _orders, received) = board();
+        let action = arrived(&board, "a", "run");
+        let mut busy = busy(&board, &received, action, "run");
+        busy.progress(&Progress::Run {
+            elapsed_us: 1,
+            total_us: 2,
+            stroke: 3,
+            strokes: 4,
+            position_um: 5,
+            held: true,
+        });
+        let shown = board.actions.get(action).expect("known").progress;
+        assert_eq!(
+            shown,
+            json!({
+                "elapsed_us": 1, "total_us": 2, "stroke": 3, "strokes": 4, "position_um": 5,
+                "held": true,
+            })
+        );
+        busy.unrecorded("the disk is full");
+        let notice = format!("{:?}", board.machines[0].panel().notice);
+        assert!(notice.contains("the disk is full"), "{notice}");
+    }
+}
