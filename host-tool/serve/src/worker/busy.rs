@@ -269,7 +269,7 @@ mod tests {
                 let order = Order {
                     action: number,
                     work,
-                    at: Instant::now(),
+                    at: (Instant::now(), std::time::SystemTime::now()),
                     after: Default::default(),
                 };
                 orders.send(order).expect("room");
