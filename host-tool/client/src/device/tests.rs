@@ -4,11 +4,13 @@ use std::sync::{Arc, Mutex};
 
 use protocol::error::WireError;
 use protocol::frame::{Deframer, Header, Kind, encode};
-use protocol::rig;
+use protocol::rig::{self, RigEvent, RigInputs, RigState, RigTelemetry};
 use protocol::session::{Decision, Session};
 use protocol::settings::Setting;
-use protocol::system::{BuildProfile, Done, Events, LastWords, ResetCause, Revision, What};
-use protocol::table::{Reply, Request};
+use protocol::system::{
+    BuildProfile, Done, Events, KeepAlive, LastWords, ResetCause, Revision, What,
+};
+use protocol::table::{Endpoint, Reply, Request};
 
 use super::*;
 
@@ -67,6 +69,8 @@ struct Machine {
     answers: Arc<Mutex<Answers>>,
     stops: bool,
     owner: Option<Owner>,
+    /// Questions of another process.
+    questions: Arc<Mutex<Vec<Question>>>,
 }
 
 impl Machine {
@@ -156,6 +160,10 @@ impl Link for Machine {
     fn left_record(&self) -> Option<PathBuf> {
         Some("/left.json".into())
     }
+
+    fn question(&mut self) -> Option<Question> {
+        self.questions.lock().expect("no panic").pop()
+    }
 }
 
 /// What every machine says to a host that has just come.
@@ -195,6 +203,7 @@ fn connected(stops: bool, owner: Option<Owner>) -> (Device, Arc<Mutex<Answers>>)
         answers: Arc::clone(&answers),
         stops,
         owner,
+        questions: Arc::default(),
     };
     let device = Device::connect(Box::new(machine), DeviceKind::Rig, 9).expect("it answers");
     (device, answers)
@@ -311,4 +320,185 @@ fn a_stop_that_is_not_confirmed_is_said_also_while_an_answer_is_awaited() {
         "{error:?}"
     );
     assert!(!device.is_posted());
+}
+
+#[test]
+fn a_machine_that_promises_events_and_sends_none_is_not_asked_for_ever() {
+    let (mut device, answers) = connected(true, None);
+    *answers.lock().expect("no panic") = |request| match request {
+        Request::GetEvents(_) => Some(Reply::Accepted(Response::GetEvents(events(5, 9, &[])))),
+        other => usual(other),
+    };
+    assert_eq!(device.take_events().expect("answered"), []);
+}
+
+/// Of the events only those that say that it stands.
+#[test]
+fn an_event_that_is_no_end_leaves_a_machine_moving() {
+    let resumed = |request: &Request| match request {
+        Request::Resume(_) => Some(Reply::Accepted(Response::Resume(Done))),
+        other => usual(other),
+    };
+    let stopped = What::Rig(RigEvent::Stopped { position_steps: 0 });
+    for (what, moves) in [(What::Acknowledged, true), (stopped, false)] {
+        let (mut device, answers) = connected(true, None);
+        *answers.lock().expect("no panic") = resumed;
+        device.call(rig::Resume).expect("resumed");
+        let index = device.next_event;
+        device.note_event(Event {
+            index,
+            time_us: 0,
+            what,
+        });
+        assert_eq!(device.moves, moves, "{what:?}");
+        // An event that has been delivered is not delivered again.
+        device.note_event(Event {
+            index,
+            time_us: 0,
+            what,
+        });
+        assert_eq!(device.events.len(), 1);
+    }
+}
+
+#[test]
+fn samples_are_taken_once_and_in_order() {
+    let (mut device, _answers) = connected(true, None);
+    let sample = |time_us| {
+        Telemetry::Rig(RigTelemetry {
+            time_us,
+            state: RigState::Ready,
+            position_steps: 1,
+            commanded_steps: 2,
+            speed_um_s: 3,
+            stroke: 4,
+            residual_steps: 5,
+            inputs: RigInputs {
+                home_flag: false,
+                far_limit: false,
+                estop_loop: false,
+            },
+        })
+    };
+    device.telemetry.extend([(0, sample(1)), (7, sample(2))]);
+    assert_eq!(device.take_telemetry(), [(0, sample(1)), (7, sample(2))]);
+    assert_eq!(device.take_telemetry(), []);
+}
+
+#[test]
+fn an_order_for_the_owner_of_the_line_is_not_sent() {
+    let owner = Owner::this_process();
+    let (mut device, answers) = connected(true, Some(owner.clone()));
+    *answers.lock().expect("no panic") = |request| panic!("{request:?}");
+    let error = device.call(rig::Home).expect_err("another's");
+    let ClientError::Owned {
+        request, owner: by, ..
+    } = error
+    else {
+        panic!("{error:?}");
+    };
+    assert_eq!((request, *by), ("Home", owner));
+}
+
+/// A command that the stop has cancelled ends when the stop is confirmed, and not before.
+#[test]
+fn a_command_that_a_stop_cancels_ends_with_the_confirmation() {
+    for is_posted in [false, true] {
+        let (mut device, answers) = connected(true, None);
+        *answers.lock().expect("no panic") = |_| None;
+        // The operator stops when the order is out.
+        let looks = Arc::new(Mutex::new(0));
+        device.set_interrupt(Arc::new(move || {
+            let mut looks = looks.lock().expect("no panic");
+            *looks += 1;
+            (*looks > 3).then_some(Urgent::Stop)
+        }));
+        let error = if is_posted {
+            device.post(rig::Home).expect("sent");
+            let later_us = device.now_us() + 60_000_000;
+            device.attend(later_us, &mut observer::Unobserved).err()
+        } else {
+            device.call(rig::Home).err()
+        };
+        assert!(
+            matches!(error, Some(ClientError::Interrupted { request: "Home" })),
+            "{error:?}"
+        );
+        assert!(!device.urgent_pending && !device.commanding);
+    }
+}
+
+#[test]
+fn a_question_of_another_process_waits_for_a_session_and_for_a_stop() {
+    let questions: Arc<Mutex<Vec<Question>>> = Arc::default();
+    let (answer, answered) = std::sync::mpsc::channel();
+    questions.lock().expect("no panic").push(Question::new(
+        KeepAlive.into_request(),
+        move |reply| {
+            answer.send(reply).expect("heard");
+        },
+    ));
+    let machine = Machine {
+        session: Session::new(1),
+        deframer: Deframer::new(),
+        unread: VecDeque::new(),
+        now_us: 0,
+        answers: Arc::new(Mutex::new(usual as Answers)),
+        stops: true,
+        owner: None,
+        questions: Arc::clone(&questions),
+    };
+    let mut device = Device::new(Box::new(machine), 1);
+    device.serve().expect("nothing to do yet");
+    // The stop goes first, also before the session.
+    device.urgent_pending = true;
+    device.serve().expect("nothing to do yet");
+    assert_eq!(answered.try_iter().count(), 0);
+    device.urgent_pending = false;
+    device.hello(9).expect("it answers");
+    device.serve().expect("answered");
+    let reply = Reply::Accepted(Response::KeepAlive(Done));
+    assert_eq!(answered.try_iter().collect::<Vec<_>>(), [Some(reply)]);
+}
+
+/// A line on which this comes, and then nothing more.
+struct Says(&'static [u8]);
+
+impl Link for Says {
+    fn place(&self) -> String {
+        "there".to_owned()
+    }
+    fn now_us(&self) -> u64 {
+        0
+    }
+    fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
+        Ok(())
+    }
+    fn receive(&mut self, buffer: &mut [u8], _: u64) -> Result<usize, LinkError> {
+        let said = std::mem::take(&mut self.0);
+        if said.is_empty() {
+            return Err(LinkError::Lost {
+                place: self.place(),
+                why: "closed".to_owned(),
+            });
+        }
+        buffer[..said.len()].copy_from_slice(said);
+        Ok(said.len())
+    }
+}
+
+#[test]
+fn another_server_that_closes_the_connection_is_told_from_a_line_that_breaks() {
+    for (said, is_told) in [
+        (&b"HTTP/1.1 400 Bad Request\r\n"[..], true),
+        (b"SSH-2.0-OpenSSH_9.2\r\n", true),
+        (b"READY\r\n", true),
+        (b"", false),
+        (b"\x01\x82\xf3\x04", false),
+    ] {
+        let error = Device::new(Box::new(Says(said)), 1).hello(1);
+        let error = error.expect_err("no machine");
+        let found = matches!(error, ClientError::NoAnswer { .. });
+        assert_eq!(found, is_told, "{error:?}");
+    }
 }
