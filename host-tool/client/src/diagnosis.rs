@@ -138,8 +138,24 @@ mod tests {
             ),
             (&[0xF3; 30], Sign::Noise(30)),
             (b"abc", Sign::Noise(3)),
+            (b"123456789\x01", Sign::Text("123456789".to_owned())),
+            (b"12345678\x01\x02", Sign::Noise(10)),
         ] {
             assert_eq!(sign(bytes), expected, "{bytes:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_there_is_said_in_words() {
+        for (sign, said) in [
+            (Sign::Silence, "nothing comes"),
+            (Sign::Echo, "comes back"),
+            (Sign::Deaf, "does not hear"),
+            (Sign::Web, "a web server"),
+            (Sign::Ssh, "an SSH server"),
+            (Sign::Noise(7), "7 bytes"),
+        ] {
+            assert!(sign.to_string().contains(said), "{sign}");
         }
     }
 

@@ -482,6 +482,17 @@ mod tests {
         assert_eq!(fs::read_to_string(&file).expect("again"), first.text);
         let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
         assert!(lock.modified().expect("a time") > UNIX_EPOCH);
+        // Another server has replaced the file, and renews it itself.
+        fs::write(&file, "another").expect("written");
+        first.lock.set_modified(UNIX_EPOCH).expect("set");
+        first.renew();
+        assert_eq!(fs::read_to_string(&file).expect("there"), "another");
+        let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
+        assert_eq!(lock.modified().expect("a time"), UNIX_EPOCH);
+        fs::write(&file, &first.text).expect("written");
+        first.renew();
+        let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
+        assert!(lock.modified().expect("a time") > UNIX_EPOCH);
         drop(first);
         assert!(!file.exists());
         drop(ServerFile::within(folder.path(), &json!({"url": "third"})).expect("free again"));
@@ -520,6 +531,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let why = token_of(folder.path()).expect_err("a folder").to_string();
         assert!(why.contains(&folder.path().display().to_string()), "{why}");
+        assert!(!why.contains("exists"), "it was tried: {why}");
         let file = folder.path().join("token");
         let shortest = "a".repeat(LEAST_TOKEN);
         private(&file, &shortest).expect("written");

@@ -337,7 +337,7 @@ mod tests {
         drop(bodies.pop());
         bodies.push(stream.body(|| json!({})));
         assert!(bodies.iter().all(Option::is_some));
-        assert!(stream.body(|| json!({})).is_none());
+        assert!(stream.body(|| json!({})).is_none() && stream.is_read());
     }
 
     #[test]

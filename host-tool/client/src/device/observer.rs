@@ -211,6 +211,9 @@ mod tests {
         fn unrecorded(&mut self, _: &str) {
             self.0.push("unrecorded");
         }
+        fn refused(&mut self, _: Pace, _: &Refusal) {
+            self.0.push("refused");
+        }
         fn turn(&mut self, _: u64, _: Option<Clock>) {
             self.0.push("turn");
         }
@@ -227,8 +230,9 @@ mod tests {
             thread_um: 3,
             current_ma: 4,
         });
+        both.refused(Pace::Hold, &Refusal::NotAtHome { position_um: 1 });
         both.turn(5, None);
-        assert_eq!(one.0, ["unrecorded", "progress", "turn"]);
+        assert_eq!(one.0, ["unrecorded", "progress", "refused", "turn"]);
         assert_eq!(one.0, other.0);
     }
 

@@ -503,6 +503,19 @@ mod tests {
     }
 
     #[test]
+    fn a_door_is_open_while_its_owner_listens() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = doorway(folder.path(), "one");
+        let lock = doorway.claim().expect("possible").expect("free");
+        lock.announce().expect("possible");
+        assert!(!doorway.is_open());
+        let listening = lock.listen().expect("a door");
+        assert!(doorway.is_open());
+        drop((listening, lock));
+        assert!(!doorway.is_open());
+    }
+
+    #[test]
     fn a_mark_that_is_cleaned_away_is_no_stop() {
         let folder = tempfile::tempdir().expect("a folder");
         let doorway = doorway(folder.path(), "one");
