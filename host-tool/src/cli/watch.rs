@@ -5,6 +5,7 @@ pub mod draw;
 mod feed;
 pub mod terminal;
 
+use std::cell::Cell;
 use std::io::{self, IsTerminal};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
@@ -127,6 +128,7 @@ pub(crate) fn watch(
                 shared,
                 leaving: &leaving,
                 paces: receiver,
+                met: Cell::new(0),
             };
             scope.spawn(move || feed.follow());
         }

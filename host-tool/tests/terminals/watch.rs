@@ -145,6 +145,11 @@ fn a_stop_that_is_confirmed_when_it_is_repeated_is_one() {
     terminal.wait_for("NOT CONFIRMED");
     terminal.press("s");
     terminal.wait_for("stop confirmed");
+    // The connection that comes back meets the mark of that stop, which is no other terminal's.
+    terminal.wait_for("this program owns the line");
+    thread::sleep(Duration::from_millis(500));
+    let shown = terminal.text();
+    assert!(shown.contains("stop confirmed"), "{shown}");
     terminal.press("q");
     assert_eq!(terminal.ends_restored(), Some(0));
 }

@@ -1,5 +1,6 @@
 //! Keeps one machine's panel up to date on a thread of its own, and sends the orders of the keys.
 
+use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -172,6 +173,9 @@ pub(crate) struct Feed<'a> {
     pub(crate) leaving: &'a AtomicBool,
     /// Holds and resumptions ordered by keys.
     pub(crate) paces: Receiver<Pace>,
+    /// Number of the last stop of this program that a connection has met. A new connection meets the mark of one that
+    /// was confirmed over a line of its own.
+    pub(crate) met: Cell<u64>,
 }
 
 impl Feed<'_> {
@@ -300,11 +304,12 @@ impl Feed<'_> {
         // The stop that was sent may be older or weaker than the last one ordered.
         let stops = &self.shared.stops;
         let (unconfirmed, asked) = stops.with(|stops| (stops.unconfirmed(), stops.asked()));
+        let is_own = self.met.replace(asked) < asked;
         if let Some(urgent) = unconfirmed {
             device.urgent(urgent)?;
             self.shared.confirmed(urgent, asked);
             self.shared.tell(confirmed(urgent));
-        } else if let Some(urgent) = device.interrupted() {
+        } else if let Some(urgent) = device.interrupted().filter(|_| !is_own) {
             let notice = format!("{} from another terminal", stops::name(urgent));
             self.shared.tell(Notice::Done(notice));
         }
