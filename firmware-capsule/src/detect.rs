@@ -272,7 +272,7 @@ impl Detector {
         if lasts(&mut self.driver, driver_fault, DRIVER_DEBOUNCE_US) {
             return Err(Trip::Driver);
         }
-        if self.is_open(along_ma, battery_mv) {
+        if self.is_open(along_ma, battery_mv, ordered_ma.is_some()) {
             return Err(Trip::SenseLost);
         }
         let over = along_ma > OVER_CURRENT_MA as i16 || along_ma < -MOST_BRAKING_MA;
@@ -332,11 +332,12 @@ impl Detector {
         mean_ma.is_some_and(|mean_ma| mean_ma.unsigned_abs() < NOTHING_MA.into())
     }
 
-    /// The amplifier's output is open and lies at 0 V, which reads as a current that no motor draws. While winding,
-    /// it is against the drive. While paying out, the battery does not sag as it would under a real one.
-    fn is_open(&self, along_ma: i16, battery_mv: u16) -> bool {
+    /// The amplifier's output is open and lies at 0 V, which reads as a current that no motor draws. While winding, it
+    /// is against the drive; a motor that is not `driven` forwards, but against a blow, may draw one. While paying out,
+    /// the battery does not sag as it would under a real one.
+    fn is_open(&self, along_ma: i16, battery_mv: u16, driven: bool) -> bool {
         match self.spooling {
-            Spooling::Wind => along_ma < -RAIL_MA,
+            Spooling::Wind => driven && along_ma < -RAIL_MA,
             Spooling::PayOut => {
                 along_ma > RAIL_MA && self.rest_mv.saturating_sub(battery_mv) < SHORT_SAG_MV
             }
