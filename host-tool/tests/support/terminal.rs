@@ -15,7 +15,7 @@ use rustix::termios::{Termios, Winsize, tcgetattr, tcsetwinsize};
 use crate::support::signal::{Signal, kill};
 
 /// Time after which even a slow computer has shown it.
-const SOON: Duration = Duration::from_secs(60);
+const SOON: Duration = Duration::from_secs(120);
 
 /// Time that a program's last output may take to the screen after its end.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
@@ -35,6 +35,8 @@ pub struct Terminal {
     /// All bytes that the program has written.
     pub bytes: Arc<Mutex<Vec<u8>>>,
     before: Termios,
+    /// Times that Enter was pressed again.
+    pressed_again: usize,
     pub child: Child,
 }
 
@@ -61,6 +63,7 @@ impl Terminal {
             screen,
             bytes,
             before,
+            pressed_again: 0,
             child,
         }
     }
@@ -91,6 +94,7 @@ impl Terminal {
             if shown.contains(text) {
                 return shown;
             }
+            self.press_again_if_asked();
             let ended = self.child.try_wait().expect("a child");
             if ended.is_some() {
                 last.get_or_insert_with(Instant::now);
@@ -136,6 +140,20 @@ impl Terminal {
         self.press_at_once(key);
     }
 
+    /// Presses Enter again where the program asks for it: on a busy computer its question may appear long before the
+    /// program is ready for the answer.
+    fn press_again_if_asked(&mut self) {
+        const AGAIN: &[u8] = b"Press it again.";
+        let bytes = self.bytes.lock().expect("free");
+        let asked = bytes.windows(AGAIN.len());
+        let asked = asked.filter(|part| *part == AGAIN).count();
+        drop(bytes);
+        if asked > self.pressed_again {
+            self.pressed_again = asked;
+            self.press("\n");
+        }
+    }
+
     fn press_at_once(&self, key: &str) {
         let mut keys = &self.master;
         keys.write_all(key.as_bytes()).expect("typed");
@@ -155,6 +173,7 @@ impl Terminal {
             if let Some(status) = self.child.try_wait().expect("a child") {
                 break status;
             }
+            self.press_again_if_asked();
             assert!(begin.elapsed() < SOON, "does not end:\n{}", self.text());
             thread::sleep(Duration::from_millis(5));
         };
