@@ -495,13 +495,12 @@ impl Machine {
         let State::Faulted(fault) = self.state else {
             return Err(Refusal::NothingToAcknowledge);
         };
-        let present = match fault {
-            RigFault::EStopLoop if inputs.estop_loop => true,
+        // An open loop is the next fault, whatever this one was.
+        let present = inputs.estop_loop
             // Cannot be acknowledged. When the clock comes, the rig resets by itself.
-            RigFault::ClockMissing => true,
+            || fault == RigFault::ClockMissing
             // The carriage cannot be at both ends: the switches' cable is unplugged, whatever the fault was.
-            _ => inputs.home_flag && inputs.far_limit,
-        };
+            || inputs.home_flag && inputs.far_limit;
         // Wait for the old path's report: it must not be taken for the next path's.
         if present || self.path {
             return Err(Refusal::CauseStillPresent);

@@ -14,6 +14,10 @@ use protocol::{
 
 /// Ticks of 10 ns per microsecond.
 const TICKS_PER_US: u32 = (TICK_HZ / 1_000_000) as u32;
+/// Largest distance between the places where the home flag closes and opens. Light barriers have 0.05 mm, lever
+/// switches up to 0.8 mm; a stroke that turns within it meets no edge on its way home.
+const FLAG_HYSTERESIS: Micrometres = Micrometres(1_000);
+
 /// Settings of a rig. Lengths in um, speeds in um/s, accelerations in um/s2.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
@@ -138,6 +142,32 @@ impl Settings {
             link_timeout_us: get(values, Key::LinkTimeoutMs) as u64 * 1_000,
             dead_man_us: get(values, Key::DeadManMs) as u64 * 1_000,
         })
+    }
+
+    /// Whether the step times of homing's longest moves can be calculated exactly. On the finest axes the slowest
+    /// speeds have none.
+    pub fn homing_has_profiles(&self) -> bool {
+        let flag = self.flag.distance_to(StepPosition::HOME).0;
+        let moves = [
+            (flag + self.overtravel.0, self.locate_um_s * 2),
+            (
+                self.axis.stroke_steps().0 + self.overtravel.0,
+                self.seek_um_s,
+            ),
+            (2 * self.pull_off.0, self.locate_um_s),
+        ];
+        moves.into_iter().all(|(distance, speed_um_s)| {
+            let speed = self.axis.speed(speed_um_s).ok();
+            let profile = speed
+                .map(|speed| StrokeProfile::from_speed(Steps(distance), speed, self.homing_accel));
+            profile.is_some_and(|profile| profile.is_ok())
+        })
+    }
+
+    /// Steps beyond the flag's edge from which a carriage has certainly closed the flag: see [`FLAG_HYSTERESIS`].
+    pub fn closes_the_flag_after(&self) -> Steps {
+        let hysteresis = self.axis.steps_within(FLAG_HYSTERESIS);
+        Steps(hysteresis.map_or(u32::MAX, |steps| steps.0))
     }
 
     /// Converts the speed of a jog or a move.

@@ -31,9 +31,12 @@ async fn main(spawner: Spawner) {
     let left = retained::start();
     let board = pins::init();
     start::forget_catches();
-    let inputs = pins::inputs();
-    HOME_FLAG_OPEN.store(inputs.home_flag, Ordering::Relaxed);
-    FAR_LIMIT_OPEN.store(inputs.far_limit, Ordering::Relaxed);
+    // No edge may come between the look and the store: its interrupt would know better.
+    cortex_m::interrupt::free(|_| {
+        let inputs = pins::inputs();
+        HOME_FLAG_OPEN.store(inputs.home_flag, Ordering::Relaxed);
+        FAR_LIMIT_OPEN.store(inputs.far_limit, Ordering::Relaxed);
+    });
     let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);
     defmt::info!("rig, start {=u32}, {}", left.boot_id, cause);

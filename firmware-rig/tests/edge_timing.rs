@@ -123,7 +123,7 @@ proptest! {
     fn what_comes_as_planned_is_right(all in any_periods(), start: u32) {
         let edges = edges(&all);
         let count = edges.iter().map(Vec::len).sum::<usize>() as u32;
-        let expected = Timed { edges: count, worst_error_ticks: 0 };
+        let expected = Timed { edges: count.into(), worst_error_ticks: 0 };
         prop_assert_eq!(timed(&all, &edges, start), expected);
     }
 
@@ -138,7 +138,7 @@ proptest! {
         let edge = &mut edges[period][nth];
         // The first one is a step's time behind the start, and no closer.
         *edge = if later { *edge + ticks } else { edge.wrapping_sub(ticks) };
-        let expected = Timed { edges: count as u32, worst_error_ticks: ticks as u32 };
+        let expected = Timed { edges: count as u64, worst_error_ticks: ticks as u32 };
         prop_assert_eq!(timed(&all, &edges, start), expected);
     }
 
@@ -209,13 +209,13 @@ fn what_came_before_counts_no_more() {
 /// No interval ends at an edge that does not come, so the last one is looked for at the end.
 #[test]
 fn a_last_step_without_an_edge_is_the_worst_error() {
-    for (edges, worst) in [(0, 0), (1, u32::MAX), (5, u32::MAX), (6, 0)] {
+    for (edges, worst) in [(0_u32, 0), (1, u32::MAX), (5, u32::MAX), (6, 0)] {
         let mut timing = Watch::default();
         timing.expect(steps(100, 3));
         timing.expect(steps(100, 1));
         timing.compare((0..edges).map(|edge| 1_000 + edge * 100));
         let expected = Timed {
-            edges,
+            edges: edges.into(),
             worst_error_ticks: worst,
         };
         assert_eq!(timing.timing.timed_whole(&timing.line), expected);

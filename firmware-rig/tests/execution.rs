@@ -182,7 +182,7 @@ impl Bench {
         assert_eq!(self.carriage.mail.commanded, self.carriage.place);
         assert_eq!(self.carriage.ring.cut, 0, "every queued pulse has left");
         // Each edge came at its planned time, whatever was ordered meanwhile.
-        let edges = self.trace().len() as u32;
+        let edges = self.trace().len() as u64;
         let worst_error_ticks = 0;
         assert_eq!(
             report.timed,
@@ -484,7 +484,7 @@ fn a_last_step_without_an_edge_is_told_of_a_whole_path() {
         }
         let (end, report) = bench.finish();
         let worst_error_ticks = if cut { 0 } else { u32::MAX };
-        let edges = bench.plan.len() as u32 - 2;
+        let edges = bench.plan.len() as u64 - 2;
         let expected = Timed {
             edges,
             worst_error_ticks,

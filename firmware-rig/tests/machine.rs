@@ -1,5 +1,6 @@
 //! The state machine: homing, runs, and the table of every pair of state and input.
 
+use device::settings::Values;
 use firmware_rig::{
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
@@ -15,6 +16,7 @@ use protocol::{
         HomingPhase, LinkLossPolicy, RigEvent, RigFault, RigInputs, RigState, RunOutcome,
         RunRecord, Switch,
     },
+    settings::SettingKey,
 };
 use simulated_machines::carriage::{
     CLOSED, IMAGE_HASH, Pulse, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
@@ -31,6 +33,55 @@ mod homing {
         rig.command(Command::Home).unwrap();
         rig.finish();
         rig
+    }
+
+    /// A pulse that outlasts the filter, from noise or from a hand, is not the flag: the carriage has braked into the
+    /// flag if it was. The zero was up to 6 mm off.
+    #[test]
+    fn a_flag_that_closes_again_is_not_found() {
+        let mut machine = Machine::new(SETTINGS, None, IMAGE_HASH);
+        machine.step(&now(1, 0, CLOSED), Event::Command(&Command::Home));
+        machine.step(&now(2, 0, CLOSED), flag_edge(true, -50));
+        machine.step(&now(3, 0, CLOSED), flag_edge(false, -55));
+        let at_rest = now(4, -60, CLOSED);
+        machine.step(&at_rest, path_ended(PathEnd::Stopped, -60, -60));
+        let not_found = |phase| Some(RigFault::FlagNotFound(phase));
+        assert_eq!(machine.fault(), not_found(HomingPhase::Seek));
+        assert!(!machine.homed());
+        // In the measuring pass.
+        let mut rig = Rig::new(SETTINGS, 2_000);
+        rig.command(Command::Home).unwrap();
+        while rig.windows.len() < 3 {
+            rig.step();
+        }
+        let place = rig.ring.counted - 10;
+        let machine = &mut rig.machine;
+        machine.step(&now(2, place, CLOSED), flag_edge(true, place));
+        machine.step(&now(3, place, CLOSED), flag_edge(false, place));
+        let at_rest = now(4, place, CLOSED);
+        machine.step(&at_rest, path_ended(PathEnd::Stopped, place, place));
+        assert_eq!(machine.fault(), not_found(HomingPhase::Locate));
+    }
+
+    /// It failed half way, as a flag that is not found.
+    #[test]
+    fn is_refused_on_an_axis_that_is_too_fine_for_its_speed() {
+        let mut values = Values::DEFAULT;
+        for (key, value) in [
+            (SettingKey::LeadUm, 500),
+            (SettingKey::FullSteps, 400),
+            (SettingKey::Microsteps, 256),
+            (SettingKey::SeekUmS, 100),
+            (SettingKey::LocateUmS, 100),
+        ] {
+            values = values.with(key, value).unwrap();
+        }
+        let fine = Settings::new(&values).unwrap();
+        let mut machine = Machine::new(fine, None, IMAGE_HASH);
+        let actions = machine.step(&now(1, 0, CLOSED), Event::Command(&Command::Home));
+        assert_eq!(actions.refusal, Some(Refusal::TooSlow));
+        assert!(actions.list.is_empty());
+        assert_eq!(machine.state(), RigState::Unhomed);
     }
 
     /// A noisy flag may be found and closed again; with an open far limit there is no way away from it.
@@ -643,11 +694,12 @@ mod running {
         assert_eq!(back(6, 801), (1, -4));
     }
 
-    /// A stroke that ends within the ledger's tolerance of the flag need not meet it.
+    /// A switch closes up to a millimetre beyond the place where it opens: a stroke that turns before it has closed meets
+    /// no edge.
     #[test]
-    fn a_stroke_has_to_meet_the_flag_if_it_reaches_beyond_it() {
-        // 1 mm and 8 steps; one step more.
-        for (stroke_um, steps, complete) in [(1_010, 808, true), (1_012, 809, false)] {
+    fn a_stroke_has_to_meet_the_flag_if_it_reaches_well_beyond_it() {
+        // 1 mm, 1 mm of hysteresis and 8 steps; one step more.
+        for (stroke_um, steps, complete) in [(2_010, 1_608, true), (2_012, 1_609, false)] {
             let mut rig = Rig::homed(SETTINGS);
             rig.command(run(&SETTINGS, 1, stroke_um, LinkLossPolicy::Stop))
                 .unwrap();

@@ -8,7 +8,7 @@ use crate::timeline::{Mark, REMEMBERED, Timeline};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timed {
     /// Edges that were captured and compared.
-    pub edges: u32,
+    pub edges: u64,
     /// Largest difference between a captured interval and the planned one; [`u32::MAX`] after an edge without a step or
     /// a step without an edge.
     pub worst_error_ticks: u32,
@@ -146,7 +146,7 @@ impl EdgeTiming {
         if additional > 0 {
             self.timed.worst_error_ticks = u32::MAX;
         }
-        self.timed.edges = self.timed.edges.wrapping_add(instants.len() as u32);
+        self.timed.edges += instants.len() as u64;
         // `differ` has already subtracted the intervals that are off. No interval ends at an additional edge.
         let intervals = instants.len().wrapping_sub(additional) as u32;
         self.intervals.exact = self.intervals.exact.wrapping_add(intervals);

@@ -2,7 +2,7 @@
 
 use super::channels::CHECK_INS;
 use crate::supervision::{CHECK_IN_MS, Client};
-use embassy_stm32::{peripherals, wdg::IndependentWatchdog};
+use embassy_stm32::{pac, peripherals, wdg::IndependentWatchdog};
 use embassy_time::{Duration, Ticker};
 
 /// Longest time between two check-ins of a client.
@@ -17,6 +17,12 @@ pub fn check_in(client: Client) {
     CHECK_INS.note(client);
 }
 
+/// Lets the watchdog count while a debugger halts the processor. OpenOCD freezes it at each attach (DBG_IWDG_STOP), and
+/// only a power cut takes that back: a halt would leave a motor driven.
+fn count_while_halted() {
+    pac::DBGMCU.apb1fz().modify(|w| w.set_iwdg(false));
+}
+
 /// Starts the watchdog and feeds it for ever; calls `each_round` every 150 ms.
 pub async fn run(
     mut watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
@@ -26,6 +32,7 @@ pub async fn run(
     let mut ticker = Ticker::every(ROUND);
     loop {
         ticker.next().await;
+        count_while_halted();
         if CHECK_INS.complete() {
             watchdog.pet();
         }

@@ -64,6 +64,8 @@ impl Watch {
         EXTI.imr(0).modify(|w| w.set_line(self.line, false));
         self.masked_at_us.store(now_us(), Ordering::Relaxed);
         self.is_masked.store(true, Ordering::Release);
+        // Motion's next round may be 4 ms away: it has to come when the mask ends.
+        channels::MOTION_WAKE.signal(());
         count_within(&self.masked_since_us, &self.maskings, 100_000) > MASKINGS_PER_100_MS
     }
 
@@ -109,7 +111,17 @@ fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 
     number + 1
 }
 
-/// Unmasks noisy lines whose time is over. Called every 10 ms, and every 4 ms while something moves.
+/// Time after which motion has to look at the switches: for ever, or until a mask ends.
+pub fn look_within_us() -> u32 {
+    let masked = |watch: &Watch| watch.is_masked.load(Ordering::Relaxed);
+    if WATCHES.iter().any(masked) {
+        MASKED_US
+    } else {
+        u32::MAX
+    }
+}
+
+/// Unmasks noisy lines whose time is over. Motion calls it in each round, control every 10 ms.
 pub fn tend() {
     WATCHES.iter().for_each(Watch::unmask_when_due);
 }

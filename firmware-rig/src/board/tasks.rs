@@ -53,7 +53,8 @@ pub async fn motion(mut generator: StepGenerator) -> ! {
     let mut motion = MotionTask::default();
     loop {
         check_in(Client::Motion);
-        let wait = Duration::from_micros(motion.pace().within_us().into());
+        let within_us = motion.pace().within_us().min(switches::look_within_us());
+        let wait = Duration::from_micros(within_us.into());
         // Run a round after a time-out as well as after a wake-up.
         let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
         switches::tend();

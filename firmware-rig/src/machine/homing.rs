@@ -59,6 +59,9 @@ impl Machine {
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
         self.refuse_unless_at_rest(&now.inputs)?;
+        if !self.settings.homing_has_profiles() {
+            return Err(Refusal::TooSlow);
+        }
         let homing = Homing {
             phase: if now.inputs.home_flag {
                 HomingPhase::Clear
@@ -118,7 +121,7 @@ impl Machine {
         });
         let end = position.moved(direction, Steps(distance));
         let (Some(profile), Some(end)) = (profile, end) else {
-            // Happens only with settings that the validator refuses.
+            // Never happens: `home` has checked the longest moves.
             return self.latch(RigFault::FlagNotFound(homing.phase), actions);
         };
         self.state = State::Homing(homing);
@@ -158,6 +161,10 @@ impl Machine {
             // The next move goes away from home.
             HomingPhase::Seek | HomingPhase::Locate if now.inputs.far_limit => {
                 Some(RigFault::FarLimit)
+            }
+            // The carriage has braked into the flag, which is open there: an edge of anything else would shift the zero.
+            phase @ (HomingPhase::Seek | HomingPhase::Locate) if !homing.flag_open => {
+                Some(RigFault::FlagNotFound(phase))
             }
             HomingPhase::Seek | HomingPhase::Locate | HomingPhase::ToZero => None,
         };

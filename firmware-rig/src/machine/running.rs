@@ -258,12 +258,14 @@ impl Machine {
         });
     }
 
-    /// Checks that the flag is open at the end of a stroke towards home that began beyond it. If not, steps were lost:
-    /// at least the distance from here to the flag's edge.
+    /// Checks that the flag has opened in a stroke towards home that began where it was certainly closed. If not, steps
+    /// were lost: at least the distance from here to the flag's edge.
     pub(super) fn missed_flag(&self, counted: StepPosition) -> Option<RigFault> {
         let flag = self.settings.flag;
         let from = flag.distance_to(StepPosition::HOME).0;
-        let from = from.saturating_add(self.settings.ledger_limit_steps);
+        let from = from
+            .saturating_add(self.settings.ledger_limit_steps)
+            .saturating_add(self.settings.closes_the_flag_after().0);
         let on_the_way_home = self.run.is_some_and(|run| {
             run.plan.forward().steps().0 > from && !run.flag_met && run.goes_home()
         });
@@ -299,7 +301,7 @@ impl Machine {
         let queues = [self.record.min_queue, report.min_queue];
         self.record.min_queue = queues.into_iter().flatten().min();
         let timed = report.timed;
-        self.record.edges_timed += u64::from(timed.edges);
+        self.record.edges_timed += timed.edges;
         let worst = &mut self.record.worst_interval_error_ticks;
         *worst = timed.worst_error_ticks.max(*worst);
         self.track(report.commanded, report.counted);
