@@ -63,6 +63,47 @@ mod homing {
         assert_eq!(machine.fault(), not_found(HomingPhase::Locate));
     }
 
+    /// A pulse in the measuring pass that lasts until the carriage stands.
+    #[test]
+    fn passes_that_meet_the_flag_at_two_places_have_not_found_it() {
+        for (off, fault) in [
+            (80, None),
+            (-80, None),
+            (81, Some(RigFault::FlagNotFound(HomingPhase::Locate))),
+            (-81, Some(RigFault::FlagNotFound(HomingPhase::Locate))),
+        ] {
+            let mut rig = Rig::new(SETTINGS, 2_000);
+            rig.command(Command::Home).unwrap();
+            while rig.windows.len() < 3 {
+                rig.step();
+            }
+            // The simulated counter began at 0, at 2,000 steps from home; the flag's edge is at 800.
+            let place = -1_200 + off;
+            let machine = &mut rig.machine;
+            machine.step(&now(2, place, CLOSED), flag_edge(true, place));
+            let rest = place - 5;
+            machine.step(
+                &now(3, rest, CLOSED),
+                path_ended(PathEnd::Stopped, rest, rest),
+            );
+            assert_eq!(machine.fault(), fault, "{off}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_acknowledged_while_the_loop_is_open() {
+        let mut machine = Machine::new(SETTINGS, Some(RigFault::Underrun), IMAGE_HASH);
+        let open = RigInputs {
+            estop_loop: true,
+            ..CLOSED
+        };
+        let acknowledge = Event::Command(&Command::Acknowledge);
+        let actions = machine.step(&now(1, 0, open), acknowledge);
+        assert_eq!(actions.refusal, Some(Refusal::CauseStillPresent));
+        let actions = machine.step(&now(2, 0, CLOSED), acknowledge);
+        assert_eq!((actions.refusal, machine.fault()), (None, None));
+    }
+
     /// It failed half way, as a flag that is not found.
     #[test]
     fn is_refused_on_an_axis_that_is_too_fine_for_its_speed() {

@@ -209,7 +209,7 @@ impl fmt::Display for RigFault {
             ),
             RigFault::FlagNotFound(phase) => write!(
                 f,
-                "homing ({phase}): the home flag did not change within the allowed travel: check that the carriage moves and the flag's switch works",
+                "homing ({phase}): the home flag was not found within the allowed travel, or closed again or opened elsewhere: check that the carriage moves, and the flag's switch and wire",
             ),
             RigFault::HomingTimeout(phase) => write!(
                 f,

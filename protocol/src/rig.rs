@@ -340,7 +340,7 @@ pub enum RigFault {
     EStopFrame,
     /// The far limit opened while the carriage was moving away from home (or its wire is cut).
     FarLimit,
-    /// Homing: the flag did not change within the allowed travel.
+    /// Homing: the flag was not found within the allowed travel, or closed again or opened elsewhere.
     FlagNotFound(HomingPhase),
     /// Homing: the flag stayed actuated over the whole pull-off.
     FlagStuck,

@@ -215,6 +215,19 @@ impl<W: Wiring> Visit<'_, W> {
         value.ok().map(|value| value as u32)
     }
 
+    /// Writes the peripheral register at `address`, as a debugger does through the bus.
+    pub fn set_register(&mut self, address: u32, value: u32) {
+        let at = self.stop.at;
+        let mcu = self.session.mcu();
+        let written = mcu.write(
+            at,
+            u64::from(address),
+            rigless::soc::Width::W32,
+            value.into(),
+        );
+        written.expect("a register");
+    }
+
     /// The word at `address` in memory; `None` if there is no memory.
     pub fn word(&mut self, address: u32) -> Option<u32> {
         let word = self.host.read(u64::from(address), rigless::soc::Width::W32);

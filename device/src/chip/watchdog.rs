@@ -20,7 +20,7 @@ pub fn check_in(client: Client) {
 /// Lets the watchdog count while a debugger halts the processor. OpenOCD freezes it at each attach (DBG_IWDG_STOP), and
 /// only a power cut takes that back: a halt would leave a motor driven.
 fn count_while_halted() {
-    pac::DBGMCU.apb1fz().modify(|w| w.set_iwdg(false));
+    pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(false));
 }
 
 /// Starts the watchdog and feeds it for ever; calls `each_round` every 150 ms.

@@ -5,12 +5,15 @@ use crate::periods::Path;
 use motion::{
     axis::Direction,
     trapezoid::StrokeProfile,
-    units::{StepPosition, Steps, Window},
+    units::{Micrometres, StepPosition, Steps, Window},
 };
 use protocol::{
     error::Refusal,
     rig::{HomingPhase, LinkLossPolicy, RigEvent, RigFault},
 };
+
+/// Largest distance between the places where a switch opens in two passes: several times what a sound one scatters.
+const FLAG_SCATTER: Micrometres = Micrometres(100);
 
 /// Homing in progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -139,6 +142,18 @@ impl Machine {
         });
     }
 
+    /// Whether both passes have met the flag at the same place, as far as a run would tolerate or a switch may scatter.
+    fn passes_agree(&self, homing: &Homing) -> bool {
+        let scatter = self.settings.axis.steps_within(FLAG_SCATTER);
+        let within = scatter
+            .map_or(0, |steps| steps.0)
+            .max(self.settings.ledger_limit_steps);
+        match (homing.seek, homing.locate) {
+            (Some(seek), Some(locate)) => locate.since(seek).unsigned_abs() <= within,
+            _ => true,
+        }
+    }
+
     pub(super) fn homing_move_ended(
         &mut self,
         now: &Now,
@@ -164,6 +179,10 @@ impl Machine {
             }
             // The carriage has braked into the flag, which is open there: an edge of anything else would shift the zero.
             phase @ (HomingPhase::Seek | HomingPhase::Locate) if !homing.flag_open => {
+                Some(RigFault::FlagNotFound(phase))
+            }
+            // A longer pulse than that.
+            phase @ HomingPhase::Locate if !self.passes_agree(&homing) => {
                 Some(RigFault::FlagNotFound(phase))
             }
             HomingPhase::Seek | HomingPhase::Locate | HomingPhase::ToZero => None,

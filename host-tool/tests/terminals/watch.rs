@@ -17,7 +17,7 @@ fn watch(bench: &Bench) -> Terminal {
     Terminal::start(bench.command(&["watch"]), 80, 24)
 }
 
-const SLOW: [&str; 6] = ["--cycles", "1", "--stroke-mm", "130", "--duration-s", "60"];
+const SLOW: [&str; 6] = ["--cycles", "1", "--stroke-mm", "130", "--duration-s", "600"];
 
 #[test]
 fn a_run_of_another_process_is_seen_held_resumed_and_stopped_by_keys() {

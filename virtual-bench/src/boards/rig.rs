@@ -202,7 +202,10 @@ impl Wiring for RigBoard {
             pads.output(SYNC).unwrap_or(false)
         };
         self.sync(sync, now_ns);
-        self.rig.turn(pads.output(DIR).unwrap_or(false), now_ns);
+        match pads.output(DIR) {
+            Some(away) => self.rig.turn(away, now_ns),
+            None => self.rig.let_go_of_direction(now_ns),
+        }
         // While nothing drives EN, a pull-up keeps the driver off. Without a pull-up the driver's own resistor switches
         // it on.
         let enable_high = pads.output(ENABLE).unwrap_or(self.rig.pulls_enable_up());

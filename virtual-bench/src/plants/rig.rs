@@ -537,6 +537,14 @@ impl Rig {
         self.armed = armed;
     }
 
+    /// Nothing drives DIR any more, as after a reset: its pull-down makes it low. That is no order to turn, and no pulse
+    /// comes before the firmware drives it again.
+    pub fn let_go_of_direction(&mut self, at_ns: u64) {
+        if std::mem::take(&mut self.away) {
+            self.turned_ns = Some(at_ns);
+        }
+    }
+
     /// DIR changed: high is away from home.
     pub fn turn(&mut self, away: bool, at_ns: u64) {
         if away == self.away {

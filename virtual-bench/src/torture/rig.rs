@@ -458,10 +458,9 @@ impl Victim for Judge {
         if self.last.carriage != 0 {
             return Err(format!("{}, but at {}", request.name(), self.last.carriage));
         }
-        // A reset within a pulse releases DIR at once, and a wrong flag leads to the end of travel.
+        // A wrong flag leads to the end of travel.
         let found = self.last.violations;
         let excused = Violations {
-            dir_hold: found.dir_hold.min(self.restarts),
             stalled: if self.flag_was_wrong {
                 found.stalled
             } else {

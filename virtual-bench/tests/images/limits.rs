@@ -8,7 +8,7 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{Direction, GetRigHealth, Jog, MoveTo, RigFault, RunOutcome},
+    rig::{Direction, GetRigHealth, HomingPhase, Jog, MoveTo, RigFault, RunOutcome},
 };
 use virtual_bench::{
     faults::When,
@@ -58,19 +58,86 @@ fn a_far_limit_that_opens_on_the_way_home_ends_the_run_at_the_turn() {
     rig.check_clean(0);
 }
 
-/// A noisy flag is found on the way and is closed again when the carriage stands. From there a homing goes away from home.
+/// A step of the second pass of a quick homing from 8,000 steps: that pass begins 1 mm before the flag, after the 7,200
+/// steps of the first one, its brake, and the way back.
+const IN_THE_LOCATING_PASS: u64 = 10_200;
+
+/// A pulse that outlasts the filter, in either pass; over when the carriage stands, or later.
 #[test]
-fn a_homing_does_not_go_toward_a_far_limit_that_opened_in_it() {
-    for (pass, edge) in [("seek", 4_000), ("locate", 5_700)] {
+fn a_false_flag_is_no_reference() {
+    for (pass, edge, for_ns) in [
+        (HomingPhase::Seek, 4_000, 60_000),
+        (HomingPhase::Locate, IN_THE_LOCATING_PASS, 60_000),
+        (HomingPhase::Locate, IN_THE_LOCATING_PASS, 40_000_000),
+    ] {
         let mut rig = rig_with(RigOptions {
             carriage: 8_000,
             ..RigOptions::default()
         });
         home_quickly(&mut rig);
         rig.look(move |rig| {
-            if pass == "locate" {
-                rig.plan(When::Edge(3_000), Action::Disturb(Switch::Home, 60_000));
+            rig.plan(When::Edge(edge), Action::Disturb(Switch::Home, for_ns));
+        });
+        let accepted = rig.device.home().expect("accepted");
+        let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
+        let status = rig.device.rig_status().expect("it answers");
+        let fault = Some(RigFault::FlagNotFound(pass));
+        assert_eq!(status.fault, fault, "{ended:?}");
+        assert!(!status.homed);
+        rig.check_clean(0);
+    }
+}
+
+/// Noise has masked the line, and then the limit really opens.
+#[test]
+fn a_masked_far_limit_ends_the_pulses_within_2_ms() {
+    let mut dice = Dice(0x5EED_0005);
+    let mut rig = quickly_homed();
+    let mut longest_ns = 0;
+    for trial in 0..10 {
+        // In the cruise, where motion has the least to do.
+        let number = rig.edge_count() as u64 + dice.roll(20_000..80_000);
+        rig.look(move |rig| {
+            for noise in 0..6 {
+                let edge = When::Edge(number + noise * 2);
+                rig.plan(edge, Action::Disturb(Switch::Far, 5_000));
             }
+            rig.plan(
+                When::Edge(number + 12),
+                Action::Stick(Switch::Far, Some(true)),
+            );
+        });
+        faulted(
+            &mut rig,
+            paper(1),
+            RigFault::FarLimit,
+            &format!("trial {trial}"),
+        );
+        let edges = rig.edges(number as usize + 11);
+        let opened = edges.iter().next().expect("the edge of the fault").at_ns;
+        let last = edges.iter().next_back().expect("the last edge").at_ns;
+        longest_ns = longest_ns.max(last - opened);
+        rig.act(Action::Stick(Switch::Far, None));
+        rig.device.acknowledge().expect("it can be acknowledged");
+        rig.home();
+    }
+    assert!(
+        longest_ns > STOP_LIMIT_NS,
+        "it was never masked: {longest_ns}"
+    );
+    assert!(longest_ns < 2_000_000, "{longest_ns} ns");
+}
+
+/// A noisy flag is found on the way and is closed again when the carriage stands. From there a homing goes away from home.
+#[test]
+fn a_homing_does_not_go_toward_a_far_limit_that_opened_in_it() {
+    for (pass, edge) in [("seek", 4_000), ("locate", IN_THE_LOCATING_PASS)] {
+        let mut rig = rig_with(RigOptions {
+            carriage: 8_000,
+            ..RigOptions::default()
+        });
+        home_quickly(&mut rig);
+        rig.look(move |rig| {
             rig.plan(When::Edge(edge), Action::Disturb(Switch::Home, 60_000));
             rig.plan(When::Edge(edge), Action::Stick(Switch::Far, Some(true)));
         });

@@ -46,6 +46,8 @@ const GPIOB_OSPEEDR: u32 = 0x4002_0408;
 const DBGMCU_CR: u32 = 0xE004_2004;
 const DBGMCU_APB1_FZ: u32 = 0xE004_2008;
 const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
+/// DBG_IWDG_STOP, in DBGMCU_APB1_FZ.
+const IWDG_STOPS: u32 = 1 << 12;
 
 fn state(rig: &mut RigRun) -> RigState {
     rig.device.rig_status().expect("a status").state
@@ -543,6 +545,24 @@ fn a_debugger_finds_the_chip_as_it_should() {
     assert_eq!(register(&capsule, DBGMCU_CR), 0, "it sleeps");
     assert_eq!(register(&capsule, DBGMCU_APB1_FZ), 0);
     assert_eq!(register(&capsule, DBGMCU_APB2_FZ), 0);
+}
+
+/// A debugger that attaches freezes the watchdog while the core is halted, until a power cut. A halt would then leave a
+/// motor driven.
+#[test]
+fn a_debugger_does_not_stop_the_watchdog_for_long() {
+    fn attached<W: Wiring>(bench: &Bench<W>) -> u32 {
+        // OpenOCD's target file for the STM32F4 sets both watchdogs' bits.
+        const WATCHDOGS_STOP: u32 = 0x1800;
+        bench
+            .visit(|visit| visit.set_register(DBGMCU_APB1_FZ, WATCHDOGS_STOP))
+            .expect("the bench runs");
+        assert_eq!(register(bench, DBGMCU_APB1_FZ), WATCHDOGS_STOP);
+        bench.advance_us(200_000).expect("the bench runs");
+        register(bench, DBGMCU_APB1_FZ) & IWDG_STOPS
+    }
+    assert_eq!(attached(&rig().bench), 0, "the rig's");
+    assert_eq!(attached(&started_capsule()), 0, "the capsule's");
 }
 
 fn refused(rig: &mut RigRun, request: impl Endpoint) {
