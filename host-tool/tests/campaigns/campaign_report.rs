@@ -17,7 +17,7 @@ use campaign::contents::Campaign;
 use campaign::folder::Folder;
 use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use campaign::manifest;
-use campaign::plan::{Millimetres, Purpose};
+use campaign::plan::{Lubrication, Millimetres, Purpose};
 use campaign::readings::{Kind, Quantity, ReadingRow};
 use campaign::statistics::{FittedLine, Spread};
 use client::Unobserved;
@@ -830,6 +830,71 @@ fn figures_show_the_trials_beside_each_other_and_what_is_the_same_once() {
     let (dry, wet) = (dots(&figure7, "#C06A10"), dots(&figure7, "#1F5AA8"));
     assert!(dry.len() > 1 && dry.is_disjoint(&wet), "{dry:?} {wet:?}");
     assert!(page.contains("residual / µm") && !page.contains("/ um"));
+    // The caption names the line that is drawn: that of the clampings, as in the table.
+    let caption = page.split("<figcaption>").nth(1).expect("a caption");
+    let caption = caption.split("</figcaption>").next().expect("its end");
+    assert!(
+        caption.contains("least squares through the means of the clampings")
+            && !caption.contains("through all dots"),
+        "{caption}"
+    );
+}
+
+/// An x coordinate of an SVG as a number of its axis, by the numbers below the plot.
+fn on_axis(svg: &str, x: f64) -> f64 {
+    let attribute = |tag: &str, name: &str| {
+        let rest = tag.split(&format!(" {name}=\"")).nth(1)?;
+        rest.split('"').next()?.parse::<f64>().ok()
+    };
+    let parts = svg.split("<text").skip(1);
+    let ticks = parts.filter_map(|part| {
+        let (tag, text) = part.split_once('>')?;
+        let number: f64 = text.split_once('<')?.0.trim().parse().ok()?;
+        Some((attribute(tag, "y")?, attribute(tag, "x")?, number))
+    });
+    let ticks: Vec<_> = ticks.collect();
+    let lowest = ticks.iter().map(|tick| tick.0).fold(f64::MIN, f64::max);
+    let below: Vec<_> = ticks.iter().filter(|tick| tick.0 == lowest).collect();
+    let (_, x0, from) = below[0];
+    let (_, x1, to) = below[below.len() - 1];
+    assert!(x1 > x0, "{ticks:?}");
+    from + (to - from) * (x - x0) / (x1 - x0)
+}
+
+/// A dot at 1.00 mm stood at 0.96 although nothing else was there.
+#[test]
+fn dots_stand_at_their_indentation_if_no_others_do() {
+    let (_place, path) = made();
+    let mut clock = Clock(100_000);
+    let (mut folder, _) = Folder::resume(&path, clock.now(), &mut |_| true).expect("a campaign");
+    for planned in folder.campaign().order.clone() {
+        let is_dry_a1 = planned.lubrication == Lubrication::Dry && planned.indentation == "a1";
+        if is_dry_a1 && ![5, 14].contains(&planned.trial) {
+            let attempt = Some(if planned.trial == 2 { 2 } else { 1 });
+            let row = LedgerRow::of(LedgerEvent::Excluded, planned.trial, attempt);
+            let row = row.saying(Some("for this figure".to_owned()));
+            folder
+                .append(row, clock.now(), Origin::Board)
+                .expect("written");
+        }
+    }
+    drop(folder);
+    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let svg = fs::read_to_string(report_folder(&path).join("figure7.svg")).expect("a figure");
+    let places = |colour| -> Vec<f64> {
+        let dots = dots(&svg, colour).into_iter();
+        dots.map(|x| on_axis(&svg, x.parse().expect("a number")))
+            .collect()
+    };
+    let (dry, wet) = (places("#C06A10"), places("#1F5AA8"));
+    let is_at = |all: &[f64], a_mm: f64| all.iter().any(|x| (x - a_mm).abs() < 0.02);
+    assert!(is_at(&wet, 0.99), "alone at a1: {wet:?}");
+    assert!(
+        !is_at(&wet, 2.995) && !is_at(&dry, 2.995),
+        "{dry:?} {wet:?}"
+    );
+    let page = fs::read_to_string(report_folder(&path).join("report.html")).expect("a page");
+    assert!(page.contains("Dots that would lie on each other stand beside their indentation"));
 }
 
 /// A telephone shows 102 trials as 102 lines, and paper none of them, unless the reader opens them.

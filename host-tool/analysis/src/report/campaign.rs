@@ -22,9 +22,10 @@ use miette::Diagnostic;
 use serde::Serialize;
 use trials::trial::RecordError;
 
-use crate::figures::Figure;
-use crate::report::campaign_band::{BandSource, FITTED_BAND, ModelBand, band};
-use crate::report::campaign_figures::{carriage, figure7, figure8, passes, run_over_plan};
+use crate::report::campaign_band::{BandSource, FITTED_BAND, band};
+use crate::report::campaign_figures::{
+    Captioned, carriage, figure7, figure8, passes, run_over_plan,
+};
 use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, not_written, page};
@@ -147,7 +148,7 @@ pub fn write(
         figure8: Drawings::of(figure8(&evaluation))?,
         passes: Drawings::of(passes(&evaluation))?,
     };
-    let html = html(&evaluation, &figures, band.as_ref())?;
+    let html = html(&evaluation, &figures)?;
     let failed = |name: &str| {
         let path = into.join(name);
         move |io: io::Error| not_written(&path, &io)
@@ -220,19 +221,20 @@ pub fn write(
     })
 }
 
-/// A figure in its two formats.
+/// A figure in its two formats, with its caption.
 struct Drawings {
     svg: String,
     pdf: Vec<u8>,
+    caption: String,
 }
 
 impl Drawings {
-    fn of(figure: Option<Figure>) -> Result<Option<Self>, ReportError> {
-        let Some(figure) = figure else {
+    fn of(drawn: Option<Captioned>) -> Result<Option<Self>, ReportError> {
+        let Some(Captioned { figure, caption }) = drawn else {
             return Ok(None);
         };
         let (svg, pdf) = (figure.svg()?, figure.pdf()?);
-        Ok(Some(Self { svg, pdf }))
+        Ok(Some(Self { svg, pdf, caption }))
     }
 }
 
@@ -242,14 +244,7 @@ struct Figures {
     passes: Option<Drawings>,
 }
 
-/// Explains why dots are not exactly at their indentation.
-const BESIDE: &str = "Conditions of one indentation stand beside each other, dry on the left.";
-
-fn html(
-    evaluation: &Evaluation,
-    figures: &Figures,
-    band: Option<&ModelBand>,
-) -> Result<String, ReportError> {
+fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportError> {
     let plan = &evaluation.campaign.plan;
     let title = format!("Campaign {}", plan.name);
     let mut trials = vec![];
@@ -258,12 +253,6 @@ fn html(
             trials.push(trial(evaluation, row, parts)?);
         }
     }
-    let of_series = format!(
-        "Each dot is a trial, each bar the mean of a condition with one standard deviation up and down. The line is that of least \
-         squares through all dots, the pale area of its colour its band of 95 % confidence, by the scatter of the clampings' \
-         means about a line: all trials of a clamping share its error. {BESIDE} {}",
-        band.map_or("", |band| &band.meaning)
-    );
     let body = html! {
         (origin_banner(evaluation))
         h1 { (title) (page::tag(evaluation.origin)) }
@@ -271,22 +260,18 @@ fn html(
         (summary(evaluation))
         section {
             h2 { "Displacement over indentation" }
-            (figure(figures.figure7.as_ref().map(|figure| &*figure.svg), "No trial of the series counts yet: no figure.", &of_series))
+            (drawn(figures.figure7.as_ref(), "No trial of the series counts yet: no figure."))
             (conditions(evaluation, &[Purpose::Series], None))
             (lines(evaluation))
         }
         section {
             h2 { "Folded against unfolded" }
-            (figure(figures.figure8.as_ref().map(|figure| &*figure.svg), "No trial of the fold test counts yet: no figure.",
-                "The displacement is read at the beginning, where it is zero, and at the end: the straight lines join the two and say nothing of the way between. \
-                 Below, the carriage in the first trial of each shape."))
+            (drawn(figures.figure8.as_ref(), "No trial of the fold test counts yet: no figure."))
             (conditions(evaluation, &[Purpose::FoldTest], Some("shape")))
         }
         @if plan.passes.is_some() { section {
             h2 { "Isolated passes" }
-            (figure(figures.passes.as_ref().map(|figure| &*figure.svg), "No isolated pass counts yet: no figure.",
-                "Each dot is one stroke of the rollers over a body that they met at rest, each bar the mean of a condition with one standard deviation up and down. \
-                 Antegrade is from head to tail, returning from tail to head. Conditions of one indentation stand beside each other."))
+            (drawn(figures.passes.as_ref(), "No isolated pass counts yet: no figure."))
             (conditions(evaluation, &[Purpose::AntegradePass, Purpose::ReturningPass], Some("pass")))
         } }
         section { h2 { "Left out" } (left_out(evaluation)) }
@@ -357,6 +342,12 @@ fn figure(svg: Option<&str>, otherwise: &str, caption: &str) -> Markup {
             None => p { (otherwise) },
         }
     }
+}
+
+/// A figure of the campaign, or the words that stand for it.
+fn drawn(drawings: Option<&Drawings>, otherwise: &str) -> Markup {
+    let caption = drawings.map_or("", |drawings| &drawings.caption);
+    figure(drawings.map(|drawings| &*drawings.svg), otherwise, caption)
 }
 
 fn condition_key(row: &ConditionRow) -> String {

@@ -14,7 +14,7 @@ use crate::figures::{
     thinned,
 };
 use crate::report::campaign_band::ModelBand;
-use crate::report::evaluation::{ConditionRow, Evaluation, Part, deviations, run_of};
+use crate::report::evaluation::{Evaluation, LINE, LINE_BAND, Part, deviations, run_of};
 
 /// Points of a band's edge.
 const EDGE: u32 = 48;
@@ -36,29 +36,96 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
     ]
 }
 
-/// Room between conditions at the same indentation, mm: enough that dots do not lie on each other.
-fn room_mm(evaluation: &Evaluation, purposes: &[Purpose]) -> f64 {
-    let walls = [Lubrication::Dry, Lubrication::Lubricated];
-    let of = |purpose: &Purpose| walls.map(|wall| evaluation.points(*purpose, wall)).concat();
-    let depths = purposes.iter().flat_map(of).map(|(a_mm, _)| a_mm);
-    let (least, most) = depths.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-    if least < most {
-        0.04 * (most - least)
-    } else {
-        0.08
+/// A figure with the caption that says what was drawn in it.
+pub struct Captioned {
+    /// The figure.
+    pub figure: Figure,
+    /// Its caption.
+    pub caption: String,
+}
+
+/// Explains the dots and bars of a condition.
+const BARS: &str = "each bar the mean of a condition with one standard deviation up and down.";
+
+/// Walls and purpose: what stands at an indentation in a colour of its own.
+type Kind = (Purpose, Lubrication);
+
+/// Places of dots over indentation. Those of two kinds that would lie on each other stand beside their indentation,
+/// all others at theirs.
+struct Places {
+    dots: Vec<(Kind, f64)>,
+    /// Distance between neighbours that stand beside their indentation, mm.
+    room_mm: f64,
+    /// Whether any dot stands beside its indentation.
+    any_beside: bool,
+}
+
+impl Places {
+    /// Share of the room within which dots of two kinds touch.
+    const TOUCHING: f64 = 0.4;
+
+    fn of(evaluation: &Evaluation, purposes: &[Purpose]) -> Self {
+        let walls = [Lubrication::Dry, Lubrication::Lubricated];
+        let kinds = purposes
+            .iter()
+            .flat_map(|purpose| walls.map(|wall| (*purpose, wall)));
+        let of = |kind: Kind| {
+            let points = evaluation.points(kind.0, kind.1).into_iter();
+            points.map(move |(a_mm, _)| (kind, a_mm))
+        };
+        let dots: Vec<_> = kinds.flat_map(of).collect();
+        let depths = dots.iter().map(|dot| dot.1);
+        let (least, most) = depths.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
+        let room_mm = if least < most {
+            0.04 * (most - least)
+        } else {
+            0.08
+        };
+        let mut places = Self {
+            dots,
+            room_mm,
+            any_beside: false,
+        };
+        places.any_beside = (places.dots.iter()).any(|(kind, a_mm)| places.is_shared(*kind, *a_mm));
+        places
+    }
+
+    /// Whether a dot of another kind touches one of this kind at an indentation.
+    fn is_shared(&self, kind: Kind, a_mm: f64) -> bool {
+        let near = Self::TOUCHING * self.room_mm;
+        let mut others = self.dots.iter().filter(|(other, _)| *other != kind);
+        others.any(|(_, other_mm)| (other_mm - a_mm).abs() <= near)
+    }
+
+    /// Where a dot of a kind stands, if its kind steps aside by a number of rooms.
+    fn x(&self, kind: Kind, a_mm: f64, aside: f64) -> f64 {
+        match self.is_shared(kind, a_mm) {
+            true => a_mm + aside * self.room_mm,
+            false => a_mm,
+        }
+    }
+
+    /// What a caption says of them.
+    fn caption(&self) -> &'static str {
+        match self.any_beside {
+            true => {
+                " Dots that would lie on each other stand beside their indentation, dry on the left."
+            }
+            false => "",
+        }
     }
 }
 
-/// Dots and bars of a condition's trials, this far beside their indentation.
+/// Dots and bars of a kind's trials, which steps aside by a number of rooms where it is not alone.
 fn dots_and_bars(
     evaluation: &Evaluation,
-    (purpose, lubrication): (Purpose, Lubrication),
+    kind: Kind,
     (label, colour, size): (&str, RGBColor, i32),
-    (aside_mm, room_mm): (f64, f64),
+    (places, aside): (&Places, f64),
 ) -> Option<[Curve; 2]> {
-    let beside = |(x, y)| (x + aside_mm, y);
+    let (purpose, lubrication) = kind;
     let points: Vec<_> = (evaluation.points(purpose, lubrication).into_iter())
-        .map(beside)
+        .map(|(a_mm, y)| (places.x(kind, a_mm, aside), y))
         .collect();
     if points.is_empty() {
         return None;
@@ -68,19 +135,24 @@ fn dots_and_bars(
         .iter()
         .filter(|row| row.purpose == purpose && row.lubrication == lubrication && row.n > 0);
     let label = format!("{label}, n = {}", points.len());
-    let bars = bars(rows, 0.2 * room_mm).into_iter().map(beside).collect();
+    let bars = rows.filter_map(|row| {
+        let (a_mm, mean, sd) = (row.indentation_mm?.0, row.mean_mm?.0, row.sd_mm?.0);
+        let x = places.x(kind, a_mm, aside);
+        Some(bar(x, mean, sd, 0.2 * places.room_mm))
+    });
     Some([
         curve(label, colour, Mark::Dots(size), points),
-        curve("", colour, Mark::Segments(4), bars),
+        curve("", colour, Mark::Segments(4), bars.flatten().collect()),
     ])
 }
 
 /// Displacement against indentation, with the model's band behind it if there is one; none without a trial that
 /// counts.
 #[must_use]
-pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figure> {
+pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Captioned> {
     let mut curves = vec![];
-    let room = room_mm(evaluation, &[Purpose::Series]);
+    let mut caption = format!("Each dot is a trial, {BARS}");
+    let places = Places::of(evaluation, &[Purpose::Series]);
     for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
         let points = evaluation.points(Purpose::Series, lubrication);
         if points.is_empty() {
@@ -119,7 +191,7 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
         let condition = (Purpose::Series, lubrication);
         let look = (lubrication.name(), colour, 7);
         curves.extend(
-            dots_and_bars(evaluation, condition, look, (aside * room, room))
+            dots_and_bars(evaluation, condition, look, (&places, aside))
                 .into_iter()
                 .flatten(),
         );
@@ -127,8 +199,17 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
     if curves.is_empty() {
         return None;
     }
+    let is_drawn = |mark: fn(&Mark) -> bool| curves.iter().any(|curve| mark(&curve.mark));
+    if is_drawn(|mark| matches!(mark, Mark::Line(_))) {
+        let band = is_drawn(|mark| *mark == Mark::Backdrop);
+        let band = if band { LINE_BAND } else { "" };
+        caption.push_str(&format!(" {LINE}{band}."));
+    }
+    caption.push_str(places.caption());
     // Insert first, so that the band is behind those of the lines.
     if let Some(band) = band {
+        caption.push(' ');
+        caption.push_str(&band.meaning);
         curves.insert(
             0,
             curve(band.label, BAND, Mark::Backdrop, band.outline.clone()),
@@ -142,14 +223,15 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Figu
     };
     let title = "Fig. 7: displacement over indentation";
     let heading = Heading::new(title, Source::Records(evaluation.origin));
-    Some(Figure::new(heading, vec![chart]))
+    let figure = Figure::new(heading, vec![chart]);
+    Some(Captioned { figure, caption })
 }
 
 /// Displacement by an isolated pass over indentation, both ways; none without a trial that counts.
 #[must_use]
-pub fn passes(evaluation: &Evaluation) -> Option<Figure> {
+pub fn passes(evaluation: &Evaluation) -> Option<Captioned> {
     let mut curves = vec![];
-    let room = room_mm(
+    let places = Places::of(
         evaluation,
         &[Purpose::AntegradePass, Purpose::ReturningPass],
     );
@@ -165,7 +247,7 @@ pub fn passes(evaluation: &Evaluation) -> Option<Figure> {
         let condition = (purpose, lubrication);
         let look = (label.as_str(), colour, size);
         curves.extend(
-            dots_and_bars(evaluation, condition, look, (aside * room, room))
+            dots_and_bars(evaluation, condition, look, (&places, aside))
                 .into_iter()
                 .flatten(),
         );
@@ -180,23 +262,19 @@ pub fn passes(evaluation: &Evaluation) -> Option<Figure> {
         curves,
     };
     let heading = Heading::new("Isolated passes", Source::Records(evaluation.origin));
-    Some(Figure::new(heading, vec![chart]))
-}
-
-/// Bars of all conditions that have a standard deviation.
-fn bars<'a>(rows: impl Iterator<Item = &'a ConditionRow>, half_width: f64) -> Vec<(f64, f64)> {
-    rows.filter_map(|row| {
-        let (x, mean, sd) = (row.indentation_mm?.0, row.mean_mm?.0, row.sd_mm?.0);
-        Some(bar(x, mean, sd, half_width))
-    })
-    .flatten()
-    .collect()
+    let caption = format!(
+        "Each dot is one stroke of the rollers over a body that they met at rest, {BARS} Antegrade is from head to tail, \
+         returning from tail to head.{}",
+        places.caption()
+    );
+    let figure = Figure::new(heading, vec![chart]);
+    Some(Captioned { figure, caption })
 }
 
 /// Folded against unfolded over time; none without a trial that counts. The displacement is known at the beginning,
 /// where it is zero, and at the end; between them the figure shows the carriage.
 #[must_use]
-pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
+pub fn figure8(evaluation: &Evaluation) -> Option<Captioned> {
     let shapes = [
         (Form::Unfolded, WET),
         (Form::Folded, DRY),
@@ -264,11 +342,16 @@ pub fn figure8(evaluation: &Evaluation) -> Option<Figure> {
         "Fig. 8: folded against unfolded",
         Source::Records(evaluation.origin),
     );
+    let mut caption = "The displacement is read at the beginning, where it is zero, and at the end: the straight lines \
+                       join the two and say nothing of the way between."
+        .to_owned();
     let mut charts = vec![chart("displacement / mm", true, displacements)];
     if !carriages.is_empty() {
         charts.push(chart("carriage / mm", false, carriages));
+        caption.push_str(" Below, the carriage in the first trial of each shape.");
     }
-    Some(Figure::new(heading, charts))
+    let figure = Figure::new(heading, charts);
+    Some(Captioned { figure, caption })
 }
 
 /// Largest difference of curves that one line can stand for, relative to their height: less than the line is wide.

@@ -395,6 +395,14 @@ pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
         .collect()
 }
 
+/// Describes the line of [`line`] in a caption. Change both together.
+pub(crate) const LINE: &str =
+    "The line is that of least squares through the means of the clampings";
+
+/// Describes the band about that line in a caption.
+pub(crate) const LINE_BAND: &str = ", the pale area of its colour its band of 95 % confidence, by the scatter of these means about it: \
+                                    all trials of a clamping share its error";
+
 /// The line of a series, through the means of its clampings: only such a line has a valid interval.
 fn line(
     lubrication: Lubrication,
