@@ -196,7 +196,7 @@ def expected(campaign):
         numbers.update({
             f"readings/{number}/n": len(values),
             f"readings/{number}/mean_mm": mean,
-            f"readings/{number}/sd_mm": statistics.stdev(values) if len(values) > 1 else 0.0,
+            f"readings/{number}/sd_mm": statistics.stdev(values) if len(values) > 1 else None,
             f"readings/{number}/spread_mm": max(values) - min(values),
         })
         if one["quantity"] == "between_crests" and widths:

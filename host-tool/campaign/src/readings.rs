@@ -84,8 +84,8 @@ pub struct Summary {
     pub count: usize,
     /// Mean, mm.
     pub mean_mm: f64,
-    /// Standard deviation of the sample, mm; 0 for a single reading.
-    pub sd_mm: f64,
+    /// Standard deviation of the sample, mm; none for a single reading.
+    pub sd_mm: Option<f64>,
     /// The least.
     pub least: Millimetres,
     /// The greatest.
@@ -105,10 +105,7 @@ impl Summary {
             .iter()
             .map(|value| (value.mm() - mean_mm).powi(2))
             .sum();
-        let sd_mm = match count {
-            1 => 0.0,
-            _ => (squares / (count - 1) as f64).sqrt(),
-        };
+        let sd_mm = (count > 1).then(|| (squares / (count - 1) as f64).sqrt());
         Some(Self {
             count,
             mean_mm,

@@ -483,8 +483,10 @@ fn within_campaign(error: ExperimentError) -> ExperimentError {
 fn mean_text(values: &[Millimetres]) -> String {
     match Summary::of(values) {
         None => String::new(),
-        Some(one) if one.count == 1 => format!("{:.3} mm", one.mean_mm),
-        Some(some) => format!("{:.3} mm, SD {:.3} mm", some.mean_mm, some.sd_mm),
+        Some(some) => match some.sd_mm {
+            None => format!("{:.3} mm", some.mean_mm),
+            Some(sd_mm) => format!("{:.3} mm, SD {sd_mm:.3} mm", some.mean_mm),
+        },
     }
 }
 
@@ -601,7 +603,7 @@ fn summary(campaign: &Campaign) -> Value {
                 "skipped": tally.skipped,
                 "displacements_mm": values.iter().map(|value| value.mm()).collect::<Vec<_>>(),
                 "mean_mm": some.map(|some| some.mean_mm),
-                "sd_mm": some.filter(|some| some.count > 1).map(|some| some.sd_mm),
+                "sd_mm": some.and_then(|some| some.sd_mm),
             })
         })
         .collect();

@@ -80,7 +80,13 @@ impl Clock {
     }
 }
 
-fn read(folder: &mut Folder, clock: &mut Clock, set: u32, name: Option<&str>, values: [&str; 2]) {
+fn read<const N: usize>(
+    folder: &mut Folder,
+    clock: &mut Clock,
+    set: u32,
+    name: Option<&str>,
+    values: [&str; N],
+) {
     let quantity = match name {
         None => Quantity::Width,
         Some(_) => Quantity::BetweenCrests,
@@ -320,6 +326,34 @@ fn a_campaign_that_has_not_begun_has_a_report_without_figures() {
     let html = page(&written);
     assert!(!html.contains("<svg") && html.contains("No trial of the series counts yet"));
     assert!(html.contains("ORIGIN UNKNOWN"));
+}
+
+/// It said 0.0000, as if the caliper had shown the same twice.
+#[test]
+fn one_reading_has_no_standard_deviation() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let plan = PLAN.replace("count = 2", "count = 1");
+    let mut folder = Folder::create(&path, &plan, Path::new("small.toml")).expect("made");
+    read(&mut folder, &mut Clock(0), 1, None, ["24.40"]);
+    drop(folder);
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let table = fs::read_to_string(report_folder(&path).join("readings.csv")).expect("a table");
+    assert_eq!(
+        table.lines().nth(1),
+        Some("1,width,,1,24.4000,,0,,board"),
+        "{table}"
+    );
+    let html = page(&written);
+    assert!(!html.contains("readings/1/sd_mm"), "{html}");
+    assert!(html.contains("data-is=\"readings/1/n\">1<"), "{html}");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
+    let mut python = Command::new("python3");
+    python.env("PYTHONDONTWRITEBYTECODE", "1");
+    // Without Python there is no independent program to compare with.
+    if let Ok(output) = python.arg(&script).arg(&path).output() {
+        assert!(output.status.success(), "{output:?}");
+    }
 }
 
 /// Means and lines use only the trials that count.

@@ -202,7 +202,7 @@ fn a_plan_of_impossible_widths_is_refused() {
 #[test]
 fn a_single_reading_has_no_spread_and_a_metre_is_a_reading() {
     let one = Summary::of(&[mm("24.4")]).expect("one");
-    assert_eq!((one.count, one.mean_mm, one.sd_mm), (1, 24.4, 0.0));
+    assert_eq!((one.count, one.mean_mm, one.sd_mm), (1, 24.4, None));
     let refused = |value| refusal(Quantity::Width, mm(value), None, mm("0.01"));
     assert_eq!(refused("1000"), None);
     assert!(refused("1000.01").is_some());

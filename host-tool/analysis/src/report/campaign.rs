@@ -473,7 +473,7 @@ fn setting(evaluation: &Evaluation) -> Markup {
                     } }
                     (number(&format!("{key}/n"), Some(row.n)))
                     (number(&format!("{key}/mean_mm"), Some(row.mean_mm)))
-                    (number(&format!("{key}/sd_mm"), Some(row.sd_mm)))
+                    (number(&format!("{key}/sd_mm"), row.sd_mm))
                     (number(&format!("{key}/spread_mm"), Some(row.spread_mm)))
                     (number(&format!("{key}/indentation_mm"), row.indentation_mm))
                 }

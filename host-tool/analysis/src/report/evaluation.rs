@@ -207,8 +207,8 @@ pub struct ReadingsRow {
     pub n: usize,
     /// Their mean.
     pub mean_mm: Rounded<4>,
-    /// Standard deviation of the sample.
-    pub sd_mm: Rounded<4>,
+    /// Standard deviation of the sample; none for a single reading.
+    pub sd_mm: Option<Rounded<4>>,
     /// Greatest reading minus least.
     pub spread_mm: Millimetres,
     /// a_n = (D - i_n)/2 with the last D, Eq. 8.
@@ -680,7 +680,7 @@ impl Evaluation {
                 indentation: set.indentation.clone(),
                 n: summary.count,
                 mean_mm: Rounded(summary.mean_mm),
-                sd_mm: Rounded(summary.sd_mm),
+                sd_mm: summary.sd_mm.map(Rounded),
                 spread_mm: summary.spread(),
                 indentation_mm,
                 origin: self.origin,

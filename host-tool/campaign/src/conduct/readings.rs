@@ -197,13 +197,17 @@ impl Conduct<'_> {
             return;
         };
         let a = self.folder.campaign().readings.indentation_mm(set);
+        let spread = match summary.sd_mm {
+            Some(sd_mm) => format!(
+                "SD {sd_mm:.3} mm, {} to {} mm",
+                summary.least, summary.greatest
+            ),
+            None => "n = 1".to_owned(),
+        };
         let mut text = format!(
-            "  {} = {:.3} mm, SD {:.3} mm, {} to {} mm",
+            "  {} = {:.3} mm, {spread}",
             indentation.map_or_else(|| "D".to_owned(), |name| format!("i at {name}")),
             summary.mean_mm,
-            summary.sd_mm,
-            summary.least,
-            summary.greatest,
         );
         if let (Some(a), Some(name)) = (a, indentation) {
             text.push_str(&format!("; {name} = (D - i)/2 = {a:.3} mm"));
