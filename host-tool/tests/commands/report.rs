@@ -485,3 +485,50 @@ fn a_refused_fold_has_no_empty_axes() {
     assert!(!report.html.contains("<svg"));
     assert!(report.html.contains("No telemetry: no figure."));
 }
+
+/// It was said to be the first stroke's start, also of a run that began with a pause.
+#[test]
+fn a_report_says_where_time_begins_with_and_without_a_start_delay() {
+    let folder = tempfile::tempdir().expect("folder");
+    let recorded = |stem: &str, start_delay_us: u32| {
+        let run = Run {
+            start_delay_us,
+            cycles: 1,
+            ..RUN
+        };
+        let recording = recording(folder.path(), stem);
+        let ran = experiment::run(
+            &mut device(DeviceKind::Rig),
+            run,
+            &recording,
+            &mut Unobserved,
+        );
+        ran.expect("run").sidecar
+    };
+    let said = |sidecar: &Path| {
+        let html = report::html(&found(sidecar), &[]).expect("a page").html;
+        let caption = html.split("<figcaption>").nth(1).expect("a caption");
+        caption
+            .split("</figcaption>")
+            .next()
+            .expect("its end")
+            .to_owned()
+    };
+    let (at_once, later) = (recorded("at-once", 0), recorded("later", 1_500_000));
+    let wanted = "Time 0 is the run's start; its first stroke begins";
+    let text = said(&at_once);
+    assert!(text.contains(&format!("{wanted} at once.")), "{text}");
+    let text = said(&later);
+    assert!(
+        text.contains(&format!("{wanted} after its start delay, at 1.5 s.")),
+        "{text}"
+    );
+    // A record that lost the event of its start does not say where the run began.
+    let text = fs::read_to_string(&later).expect("there");
+    let mut json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+    let events = json["events"].as_array_mut().expect("events");
+    events.retain(|event| !event.to_string().contains("run_started"));
+    fs::write(&later, json.to_string()).expect("written");
+    let text = said(&later);
+    assert!(text.contains("Time 0 is the first sample"), "{text}");
+}

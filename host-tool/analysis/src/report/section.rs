@@ -138,7 +138,7 @@ fn run(
         @if let Some([position, velocity]) = figures {
             figure {
                 (PreEscaped(position)) (PreEscaped(velocity))
-                figcaption { "Position by the read-back counter and mean velocity between samples, over the plan. Time 0 is the first stroke's start." }
+                figcaption { "Position by the read-back counter and mean velocity between samples, over the plan. " (time_0(trial, requested)) }
             }
         }
         @else { p { "No telemetry: no figure." } }
@@ -163,6 +163,22 @@ fn run(
             }
         } }
     })
+}
+
+/// Where the time of a run's figures begins.
+fn time_0(trial: &Trial, requested: &Run) -> String {
+    let start = match (check::run_start_us(trial), requested.start_delay_us) {
+        (None, _) => {
+            return "Time 0 is the first sample: the record does not say when the run began."
+                .to_owned();
+        }
+        (Some(_), 0) => "at once".to_owned(),
+        (Some(_), us) => format!(
+            "after its start delay, at {} s",
+            decimal::write(us.into(), 6)
+        ),
+    };
+    format!("Time 0 is the run's start; its first stroke begins {start}.")
 }
 
 /// Result of the rig's timing of its own steps.
@@ -218,7 +234,11 @@ fn actuation_section(
         @if let Some([thread, current]) = figures {
             figure {
                 (PreEscaped(thread)) (PreEscaped(current))
-                figcaption { "Thread wound up by the encoder, and motor current as sampled, with the inrush. Time 0 is the first drive." }
+                figcaption {
+                    "Thread wound up by the encoder, and motor current as sampled, with the inrush. Time 0 is the first "
+                    @if check::actuation_start_us(trial).is_some() { "drive." }
+                    @else { "sample: the record does not say when the motor was first driven." }
+                }
             }
         }
         @else { p { "No telemetry: no figure." } }
