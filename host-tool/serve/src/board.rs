@@ -22,7 +22,7 @@ use crate::actions::{Action, Actions};
 use crate::orders::Work;
 use crate::stream::Stream;
 use operations::failure::Failure;
-use operations::panel::{Contact, Notice, Panel, event_text, in_run, left_s};
+use operations::panel::{Contact, MOVES_ALREADY, Notice, Panel, event_text, in_run, left_s};
 use operations::stops::{Ask, Stops};
 
 /// Telemetry is sent to readers in batches of this length.
@@ -90,6 +90,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Withdraws the warning of a motion that nobody here has begun once it is over: a page that is opened at rest, or in
+/// the next motion, would show it.
+fn withdraw_warning(panel: &mut Panel) {
+    let warns = |notice: &mut Notice| matches!(notice, Notice::Bad(text) if text == MOVES_ALREADY);
+    let _over = panel.notice.take_if(warns);
+}
+
 impl Machine {
     pub fn new(kind: DeviceKind, address: Address, orders: SyncSender<Order>) -> Self {
         Self {
@@ -125,6 +132,7 @@ impl Machine {
     /// This server is about to move the machine.
     pub fn begin(&self) {
         *lock(&self.run) = None;
+        withdraw_warning(&mut self.panel());
         self.acting.store(true, Ordering::SeqCst);
     }
 
@@ -136,7 +144,10 @@ impl Machine {
     /// Notes the end of a motion that this server began in an earlier connection, if the new status shows it. A run
     /// that finishes without its host goes on. A motion of another owner of the line does not count.
     pub fn note_end(&self, is_owner: bool) {
-        let panel = self.panel();
+        let mut panel = self.panel();
+        if !panel.moves() {
+            withdraw_warning(&mut panel);
+        }
         let run = panel.rig.filter(in_run).map(|status| status.run);
         let goes_on = match is_owner {
             true => panel.moves() || run.is_some(),
@@ -238,6 +249,9 @@ impl Board {
         let shown = {
             let mut panel = machine.panel();
             panel.sample(sample, missed, Instant::now());
+            if !panel.moves() {
+                withdraw_warning(&mut panel);
+            }
             sample_json(sample, missed, panel.rig.as_ref())
         };
         let full = {

@@ -10,6 +10,9 @@ use std::time::{Duration, Instant};
 
 use crate::support::bench::Bench;
 use crate::support::server::{self, Killed};
+use client::Device;
+use client::link::tcp::Tcp;
+use protocol::rig::MoveTo;
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
@@ -593,6 +596,40 @@ fn a_second_notice_with_the_same_words_has_another_number() {
         })
         .collect();
     assert!(numbers[0] < numbers[1], "{numbers:?}");
+}
+
+/// A page that is opened later read that something moves, and no stop ended it.
+#[test]
+fn a_page_that_opens_at_rest_is_not_told_that_something_moves() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let place = bench.address.trim_start_matches("tcp:");
+    let link = Tcp::open_within(place, SOON).expect("a line");
+    let mut rig = Device::connect(Box::new(link), DeviceKind::Rig, 1).expect("a rig");
+    let to = MoveTo {
+        position_um: 40_000,
+        speed_um_s: 10_000,
+    };
+    rig.call(to).expect("accepted");
+    drop(rig);
+    let server = Server::start(&bench);
+    let notice = |state: &Value| state["machines"]["rig"]["notice"].clone();
+    let moving = server.until("the warning", |state| notice(state) != Value::Null);
+    let text = notice(&moving)["text"].clone();
+    let text = text.as_str().expect("a text");
+    assert!(text.starts_with("SOMETHING MOVES"), "{text}");
+    assert_eq!(rig_state(&moving), "moving");
+    // The first state that shows the machine at rest has it no more.
+    let rest = server.until("rest", |state| rig_state(state) == "ready");
+    assert_eq!(notice(&rest), Value::Null, "{rest:#}");
+    // Nor has one while a motion of this server's own is under way.
+    let begun = server.post(
+        "/api/v1/rig/move",
+        &json!({ "position_mm": 60, "speed_mm_s": 10 }),
+    );
+    assert!(begun.status < 300, "{}", begun.body);
+    let state = server.until("a motion", |state| rig_state(state) == "moving");
+    assert_eq!(notice(&state), Value::Null, "{state:#}");
+    server.end_of(&begun.json()["action"]);
 }
 
 /// The paper's run, much shortened.
