@@ -508,7 +508,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
     );
     let mut lines = vec![
         format!(
-            "Campaign {}: {done} of {} trials count.",
+            "Campaign {}: {done} of {} trials are done.",
             campaign.plan.name,
             state.trials.len()
         ),

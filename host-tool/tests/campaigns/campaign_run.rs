@@ -87,7 +87,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     };
     let (code, said, err) = run(&["run", &plan, "--out", &out, "--yes", "--trials", "3"]);
     assert_eq!(code, 0, "{said}{err}");
-    assert!(said.contains("3 of 6 trials count"), "{said}");
+    assert!(said.contains("3 of 6 trials are done"), "{said}");
     assert!(
         said.contains("VIRTUAL: nothing here is a measurement"),
         "{said}"
@@ -100,7 +100,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     let (code, said, err) = run(&["resume", &out, "--yes"]);
     assert_eq!(code, 0, "{said}{err}");
     assert!(
-        said.contains("6 of 6 trials count") && said.contains("Nothing is left"),
+        said.contains("6 of 6 trials are done") && said.contains("Nothing is left"),
         "{said}"
     );
     let report = Path::new(&out).join("report");
@@ -281,7 +281,7 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
     assert_eq!(code, 0, "{said}{err}");
     assert!(
         said.contains("it will be unfolded, and fold in the run")
-            && said.contains("4 of 4 trials count"),
+            && said.contains("4 of 4 trials are done"),
         "{said}"
     );
     let campaign = whole(&out);
@@ -870,7 +870,7 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     );
     let (_, said, _) = memory.run(&["campaign", "status", &out]);
     for line in [
-        "1 of 6 trials count",
+        "1 of 6 trials are done",
         "attempt 1 does not count: given up: it was not at its mark",
         "trial 2 is excluded: the wall was torn",
         "trial 3 is skipped: no soap",

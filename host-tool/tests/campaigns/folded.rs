@@ -223,7 +223,7 @@ fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
     assert_eq!(code, 0, "{shown}");
     let told = "was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`";
     assert!(shown.contains(told), "{shown}");
-    assert!(shown.contains("2 of 2 trials count"), "{shown}");
+    assert!(shown.contains("2 of 2 trials are done"), "{shown}");
     let report = path(&place, "c/report/report.html");
     assert!(Path::new(&report).is_file());
 }
