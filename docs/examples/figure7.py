@@ -16,7 +16,7 @@ COLOURS = {"dry": "#c06a10", "lubricated": "#1f5aa8"}
 
 
 def series(campaign):
-    """The trials that count: (a, displacement) in mm by the state of the walls."""
+    """The trials that count and are as they were written: (a, displacement) in mm by the state of the walls."""
     points = {}
     for trial in campaign.counted():
         if trial["purpose"] == "series" and trial["indentation_mm"] is not None:
@@ -110,15 +110,19 @@ def main(folder, out="figure7.svg"):
     if not pathlib.Path(folder, "order.csv").is_file():
         sys.exit(f"{folder}: no campaign is here")
     campaign = retrograde_data.Campaign(folder)
+    left_out = campaign.changed_trials()
+    for trial, names in left_out.items():
+        print(f"trial {trial} is left out: not as it was written: {', '.join(names)}", file=sys.stderr)
+    of_trials = {name for names in left_out.values() for name in names}
+    others = [name for name in campaign.changed() if name not in of_trials]
+    if others:
+        print(f"not as it was written: {', '.join(others)}", file=sys.stderr)
     points = series(campaign)
     if not points:
         sys.exit(f"{folder}: no trial of the series counts yet")
     title = f"Displacement over indentation, origin: {campaign.origin}"
     if campaign.origin != "board":
         title += ", not a measurement"
-    changed = campaign.changed()
-    if changed:
-        print(f"not as it was written: {', '.join(changed)}", file=sys.stderr)
     if pathlib.Path(out).suffix == ".svg":
         pathlib.Path(out).write_text(as_svg(points, title), encoding="utf-8")
     else:

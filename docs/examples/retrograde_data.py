@@ -198,9 +198,26 @@ class Campaign:
                 changed.append(name.lstrip("*"))
         return changed
 
+    def changed_trials(self):
+        """By the number of a trial: files of its attempt that stands that were changed, removed or added."""
+        listed = (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
+        listed = {line.split(maxsplit=1)[1].lstrip("*") for line in listed}
+        changed, found = self.changed(), {}
+        for trial in self.trials:
+            folder = self.attempt_folder(trial["trial"])
+            if folder is None:
+                continue
+            inside = folder.relative_to(self.folder).as_posix() + "/"
+            there = [path.relative_to(self.folder).as_posix() for path in folder.rglob("*") if path.is_file()]
+            names = {name for name in changed if name.startswith(inside)} | {name for name in there if name not in listed}
+            if names:
+                found[trial["trial"]] = sorted(names)
+        return found
+
     def counted(self):
-        """The trials that count, as rows."""
-        return Table(trial for trial in self.trials if trial["standing"] == "done")
+        """The trials that count, as rows: they are done, and their files are as they were written."""
+        changed = self.changed_trials()
+        return Table(trial for trial in self.trials if trial["standing"] == "done" and trial["trial"] not in changed)
 
     def table(self):
         """All trials as rows without their attempts."""

@@ -29,7 +29,7 @@ use trials::experiment::{self, Shape};
 use trials::trial::Recording;
 
 /// Three indentations, dry and lubricated, twice each, and a fold test: 14 trials.
-const PLAN: &str = r#"
+pub(crate) const PLAN: &str = r#"
 format = 1
 name = "small"
 seed = 3

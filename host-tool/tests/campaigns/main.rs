@@ -14,5 +14,6 @@ mod gone;
 mod guests;
 #[cfg(unix)]
 mod hostile;
+mod in_python;
 mod pictures;
 mod told;

@@ -1,0 +1,81 @@
+//! What the examples in Python make of a campaign's folder.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use crate::campaign_report::{PLAN, made};
+use analysis::report::evaluation::evaluate;
+use campaign::folder::Folder;
+
+/// Starts a program in the folder of the examples; none without Python, which no test requires.
+fn python(args: &[&str]) -> Option<Output> {
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples");
+    let mut command = Command::new("python3");
+    command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command.current_dir(examples).args(args).output().ok()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// The report leaves it out, so a figure with it would show other trials under the same numbers.
+#[test]
+fn the_figure_in_python_leaves_out_a_changed_trial() {
+    let (place, path) = made();
+    let svg = place.path().join("figure7.svg");
+    let (folder, out) = (path.to_str().expect("UTF-8"), svg.to_str().expect("UTF-8"));
+    let drawn = || {
+        let output = python(&["figure7.py", folder, out])?;
+        assert!(output.status.success(), "{output:?}");
+        // One dot for each trial of the series.
+        let svg = fs::read_to_string(out).expect("a figure");
+        let dots = svg.matches("<circle").count();
+        Some((dots, text(&output.stdout), text(&output.stderr)))
+    };
+    let Some((dots, said, hints)) = drawn() else {
+        return;
+    };
+    assert_eq!((dots, hints.as_str()), (11, ""), "{said}");
+    let row = &evaluate(&path).expect("a campaign").trials[2];
+    let telemetry = path.join(row.telemetry.as_ref().expect("a run"));
+    let whole = fs::read_to_string(&telemetry).expect("there");
+    fs::write(&telemetry, &whole[..whole.len() / 2]).expect("cut");
+    let (dots, said, hints) = drawn().expect("as before");
+    assert_eq!(dots, 10, "{said}");
+    let walls = row.lubrication.name();
+    assert!(said.contains(&format!("{walls}: n = 4,")), "{said}");
+    assert!(
+        hints.contains("trial 3 is left out: ") && hints.contains("not as it was written"),
+        "{hints}"
+    );
+    // A file that was added to its folder is a change as well.
+    fs::write(&telemetry, whole).expect("as before");
+    fs::write(telemetry.with_file_name("more.txt"), "added").expect("written");
+    let (dots, _, hints) = drawn().expect("as before");
+    assert_eq!(dots, 10);
+    assert!(hints.contains("trial 3 is left out: "), "{hints}");
+}
+
+/// `01` is the name of an indentation, not the number 1.
+#[test]
+fn names_of_digits_stay_text_in_python() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("digits");
+    let plan = PLAN
+        .replace("\"a1\"", "\"01\"")
+        .replace("\"a2\"", "\"1e3\"")
+        .replace("\"a3\"", "\"5\"");
+    drop(Folder::create(&path, &plan, Path::new("digits.toml")).expect("made"));
+    let program = "import sys, retrograde_data as data\n\
+                   campaign = data.Campaign(sys.argv[1])\n\
+                   print(sorted({trial['indentation'] for trial in campaign.trials}))\n\
+                   print({type(trial['repeat']).__name__ for trial in campaign.trials})\n\
+                   print([data.value(text) for text in ('7', '-0.50', '1e-05', '01', '1_0', 'nan', 'true', '')])";
+    let Some(output) = python(&["-c", program, path.to_str().expect("UTF-8")]) else {
+        return;
+    };
+    let wanted = "['01', '1e3', '5']\n{'int'}\n[7, -0.5, 1e-05, '01', '1_0', 'nan', True, None]\n";
+    assert_eq!(text(&output.stdout), wanted, "{output:?}");
+}
