@@ -14,26 +14,33 @@ import csv
 import hashlib
 import json
 import pathlib
+import re
 
 
-def value(text):
-    """A cell as int, float, bool or text; None if it is empty."""
-    if text == "":
+# Columns of names and words: digits in them are no number.
+WORDS = {"camera_file", "condition", "excluded", "indentation", "name", "note", "reason", "text"}
+# As the tool writes numbers. Python reads more as one: `01`, `1_0`, `nan`.
+NUMBER = re.compile(r"-?(0|[1-9][0-9]*)(?P<part>\.[0-9]+)?(?P<exponent>[eE][-+]?[0-9]+)?")
+
+
+def value(text, column=None):
+    """A cell as int, float, bool or text; None if it is empty. Text in a column of names and words."""
+    if not text:
         return None
+    if column in WORDS:
+        return text
     if text in ("true", "false"):
         return text == "true"
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return text
+    number = NUMBER.fullmatch(text)
+    if number is None:
+        return text
+    return int(text) if number["part"] is None and number["exponent"] is None else float(text)
 
 
 def read_csv(path):
     """The rows of a CSV file as dictionaries."""
     with open(path, newline="", encoding="utf-8") as file:
-        return Table({name: value(cell) for name, cell in row.items()} for row in csv.DictReader(file))
+        return Table({name: value(cell, name) for name, cell in row.items()} for row in csv.DictReader(file))
 
 
 class Table(list):

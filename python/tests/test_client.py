@@ -582,6 +582,17 @@ class ClientTest(ServerTest):
         row = {"time_us": 5, "position_mm": 1.25, "far_limit_open": False, "state": "running", "note": None}
         self.assertEqual(self.lab.rows("run-1.csv"), [row])
 
+    def test_a_name_of_digits_is_no_number(self) -> None:
+        class Record(Handler):
+            def handle_it(self, method: str) -> None:
+                self.send_response(200)
+                self.end_headers()
+                self.wfile.write(b"trial,indentation,text,a,b,c,d,e\n7,5,12,01,1_0,nan,-0.50,1e-05\n")
+
+        self.server.RequestHandlerClass = Record
+        row = {"trial": 7, "indentation": "5", "text": "12", "a": "01", "b": "1_0", "c": "nan", "d": -0.5, "e": 1e-05}
+        self.assertEqual(self.lab.rows("run-1.csv"), [row])
+
 
 class StoppingTest(ServerTest):
     """bluesky's devices need no bluesky to be staged, set and stopped."""

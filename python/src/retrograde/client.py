@@ -14,6 +14,7 @@ import io
 import json
 import os
 import pathlib
+import re
 import sys
 import tempfile
 import threading
@@ -213,9 +214,9 @@ class Lab:
         return content
 
     def rows(self, name: str) -> List[Dict[str, Any]]:
-        """The rows of a record's CSV file, numbers as numbers."""
+        """The rows of a record's CSV file, numbers as numbers. A name such as `01` stays text."""
         text = io.StringIO(self.record(name).decode("utf-8"), newline="")
-        return [{key: _value(cell) for key, cell in row.items()} for row in csv.DictReader(text)]
+        return [{key: _value(key, cell) for key, cell in row.items()} for row in csv.DictReader(text)]
 
     def plan(self, **run: Unpack[RunOptions]) -> Dict[str, Any]:
         """What a run asks of a rig as delivered; takes what `Rig.run` takes. Asks no machine."""
@@ -427,18 +428,24 @@ def _decoded(content: bytes) -> Dict[str, Any]:
     return answer
 
 
-def _value(cell: Optional[str]) -> Any:
+# Columns of names and words: digits in them are no number.
+_WORDS = {"camera_file", "condition", "excluded", "indentation", "name", "note", "reason", "text"}
+# As the tool writes numbers. Python reads more as one: `01`, `1_0`, `nan`.
+_NUMBER = re.compile(r"-?(0|[1-9][0-9]*)(?P<part>\.[0-9]+)?(?P<exponent>[eE][-+]?[0-9]+)?")
+
+
+def _value(column: str, cell: Optional[str]) -> Any:
     """A cell of a CSV file as int, float, bool or text; None if it is empty."""
     if not cell:
         return None
+    if column in _WORDS:
+        return cell
     if cell in ("true", "false"):
         return cell == "true"
-    for kind in (int, float):
-        try:
-            return kind(cell)
-        except ValueError:
-            pass
-    return cell
+    number = _NUMBER.fullmatch(cell)
+    if number is None:
+        return cell
+    return int(cell) if number["part"] is None and number["exponent"] is None else float(cell)
 
 
 class Action(Generic[Result]):
