@@ -5,6 +5,7 @@
 
 mod clip;
 pub(crate) mod escaped;
+mod heading;
 pub(crate) mod palette;
 mod pdf;
 mod profile;
@@ -17,6 +18,7 @@ use trials::trial::{CapsuleSample, RigSample};
 
 use crate::figures::clip::{clipped, edges};
 use crate::figures::escaped::escaped;
+pub use crate::figures::heading::{Heading, ModelName};
 use crate::figures::palette::{INK, MEASURED, PLANNED, WARNING};
 use crate::figures::pdf::{Drawn, Page};
 pub use crate::figures::profile::{Planned, planned, position_at};
@@ -24,8 +26,6 @@ pub use crate::figures::profile::{Planned, planned, position_at};
 /// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
 /// and displayed small.
 const SIZE: (u32, u32) = (1_200, 760);
-/// Height of the title and of the line below it.
-const HEAD: u32 = 116;
 /// Font size for the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
 const LETTERS: i32 = 50;
 /// Mean width of a letter.
@@ -65,62 +65,6 @@ impl Source {
         match self {
             Self::Records(Origin::Virtual | Origin::Unknown) => WARNING,
             Self::Records(Origin::Board) | Self::Model | Self::Plan => INK,
-        }
-    }
-}
-
-/// Title of a figure and origin of its values.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Heading {
-    /// Its title.
-    pub title: String,
-    /// Where its values come from.
-    pub source: Source,
-    /// For a model's figure: which model.
-    pub model: Option<ModelName>,
-}
-
-/// Name of the model in a figure.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct ModelName {
-    /// For the line below the title: at most about 55 letters.
-    pub short: String,
-    /// For the description of the file, at any length.
-    pub full: String,
-}
-
-impl Heading {
-    /// Heading for a figure of a model's values.
-    pub fn of_model(title: impl Into<String>, model: ModelName) -> Self {
-        Self {
-            title: title.into(),
-            source: Source::Model,
-            model: Some(model),
-        }
-    }
-
-    /// The origin of the values in words, for the figure.
-    fn line(&self) -> &str {
-        match &self.model {
-            Some(model) => &model.short,
-            None => self.source.text(),
-        }
-    }
-
-    /// The origin of the values, in full.
-    fn description(&self) -> &str {
-        match &self.model {
-            Some(model) => &model.full,
-            None => self.source.text(),
-        }
-    }
-
-    /// Heading with this title.
-    pub fn new(title: impl Into<String>, source: Source) -> Self {
-        Self {
-            title: title.into(),
-            source,
-            model: None,
         }
     }
 }
@@ -333,7 +277,10 @@ impl Figure {
 
     fn size(&self) -> (u32, u32) {
         let (width, height) = SIZE;
-        (width, HEAD + height * self.charts.len() as u32)
+        (
+            width,
+            self.heading.height() + height * self.charts.len() as u32,
+        )
     }
 
     /// Draws it as SVG, for a page and for drawing programs.
@@ -387,19 +334,12 @@ where
 {
     let Figure { heading, charts } = figure;
     let root = backend.into_drawing_area();
-    let (head, body) = root.split_vertically(HEAD);
-    let line = |size: i32, colour: &RGBColor| {
-        let style = ("sans-serif", size).into_font().color(colour);
-        style.pos(Pos::new(HPos::Left, VPos::Center))
-    };
-    head.draw(&Text::new(
-        heading.title.clone(),
-        (24, 34),
-        line(LETTERS + 4, &INK),
-    ))?;
-    let source = heading.line().to_owned();
-    let colour = heading.source.colour();
-    head.draw(&Text::new(source, (24, 88), line(LETTERS - 4, &colour)))?;
+    let (head, body) = root.split_vertically(heading.height());
+    for line in heading.lines() {
+        let style = ("sans-serif", line.size).into_font().color(&line.colour);
+        let style = style.pos(Pos::new(HPos::Left, VPos::Center));
+        head.draw(&Text::new(line.text, line.at, style))?;
+    }
     let areas = body.split_evenly((charts.len(), 1));
     for (chart, area) in charts.iter().zip(&areas) {
         draw_chart(area, chart)?;
@@ -632,6 +572,26 @@ mod tests {
         assert_eq!(said, 2, "in the description and in the picture: {svg}");
     }
 
+    #[test]
+    fn a_long_title_is_not_cut() {
+        let title = format!(
+            "Trial 102: lubricated, {}, repeat 10",
+            "indentation-".repeat(3)
+        );
+        let heading = Heading::new(title.clone(), Source::Records(Origin::Board));
+        let svg = over_time(&heading, "y", vec![]).expect("drawn");
+        let texts = svg.split("<text").skip(1);
+        let texts: Vec<_> = texts
+            .filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim()))
+            .collect();
+        let first = texts.iter().position(|text| title.starts_with(text));
+        let first = first.expect("the title");
+        assert!(texts[first].chars().count() < 54, "{texts:?}");
+        assert!(texts[first + 1].ends_with("repeat 10"), "{texts:?}");
+        let height = format!("height=\"{}\"", 116 + 54 + SIZE.1);
+        assert!(svg.contains(&height), "{svg}");
+    }
+
     /// The numbers at the axes of a drawing.
     fn numbers(svg: &str) -> Vec<f64> {
         let texts = svg.split("<text").skip(1);
@@ -675,7 +635,8 @@ mod tests {
             .split(' ')
             .filter_map(|point| point.split_once(','));
         let heights: Vec<u32> = heights.map(|(_, y)| y.parse().expect("within")).collect();
-        let plot = HEAD..HEAD + SIZE.1 - 124;
+        let head = Heading::new("a", Source::Model).height();
+        let plot = head..head + SIZE.1 - 124;
         assert!(
             heights.len() >= 4 && heights.iter().all(|y| plot.contains(y)),
             "{heights:?}"

@@ -170,6 +170,11 @@ static METRICS: LazyLock<Metrics> = LazyLock::new(|| {
     }
 });
 
+/// Width of a text that the drawing library writes at a size.
+pub(super) fn text_width(text: &str, size: f64) -> f32 {
+    width(&encoded(text)) * (size / LETTERS) as f32
+}
+
 /// Width of encoded text, relative to the font size.
 fn width(text: &[u8]) -> f32 {
     let place = |byte: &u8| usize::from(byte.wrapping_sub(*LETTERS_OF_FONT.start()));
