@@ -311,7 +311,7 @@ pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String
         let row =
             row(&Fields(&text), uncertainty_mm).map_err(|why| format!("row {number}: {why}"))?;
         let place = format!("row {number}");
-        origins.push(row.origin);
+        origins.extend(row.origin);
         match row.used {
             Ok(observation) => trials.measured.push(Measured { observation, place }),
             Err(why) => trials.left_out.push(LeftOut { place, why }),
@@ -333,7 +333,8 @@ pub fn parse(bytes: &[u8], uncertainty_mm: Option<f64>) -> Result<Trials, String
 /// A trial as it was read.
 struct ReadTrial {
     used: Result<Observation, String>,
-    origin: Origin,
+    /// None if an excluded trial does not say it.
+    origin: Option<Origin>,
 }
 
 /// The fields of a row by the name of their column; none if a field is empty.
@@ -423,6 +424,22 @@ impl<'a> Fields<'a> {
         }
     }
 
+    /// Why the trial is excluded; none if it is not.
+    fn exclusion(&self) -> Result<Option<String>, String> {
+        let Some(text) = self.text("excluded") else {
+            return Ok(None);
+        };
+        match text.to_lowercase().as_str() {
+            "false" | "no" | "0" => Ok(None),
+            "true" | "yes" | "1" => Ok(Some("excluded".to_owned())),
+            // A single word may be a no in another language or spelling.
+            _ if text.contains(char::is_whitespace) => Ok(Some(format!("excluded: {text}"))),
+            _ => Err(format!(
+                "excluded: {text:?}; write true or false, or why it is excluded in two words or more"
+            )),
+        }
+    }
+
     fn is_folded(&self) -> Result<bool, String> {
         match self.number("thread_mm")? {
             Some(mm) if mm < 0.0 => Err(format!(
@@ -435,6 +452,14 @@ impl<'a> Fields<'a> {
 }
 
 fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<ReadTrial, String> {
+    if let Some(why) = fields.exclusion()? {
+        // It may be incomplete: what is missing is often the reason. Only what it says of its origin has to be true.
+        let stated = fields.text("origin").map(|_| fields.origin());
+        return Ok(ReadTrial {
+            used: Err(why),
+            origin: stated.transpose()?,
+        });
+    }
     let kind = fields.kind()?;
     let lubrication = fields.lubrication()?;
     let origin = fields.origin()?;
@@ -454,10 +479,9 @@ fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<ReadTrial, St
         ));
     }
     let folded = fields.is_folded()?;
-    let used = match fields.text("excluded") {
-        Some(why) => Err(format!("excluded: {why}")),
-        None if folded => Err(FOLDED.to_owned()),
-        None => Ok(Observation {
+    let used = match folded {
+        true => Err(FOLDED.to_owned()),
+        false => Ok(Observation {
             kind,
             lubrication,
             indentation_mm,
@@ -465,6 +489,7 @@ fn row(fields: &Fields<'_>, uncertainty_mm: Option<f64>) -> Result<ReadTrial, St
             uncertainty_mm,
         }),
     };
+    let origin = Some(origin);
     Ok(ReadTrial { used, origin })
 }
 
@@ -512,6 +537,64 @@ mod tests {
             left,
             [("row 4", "excluded: camera fell"), ("row 5", FOLDED)]
         );
+    }
+
+    /// `False` excluded its row.
+    #[test]
+    fn the_words_for_excluded_mean_what_they_say() {
+        let read = |word: &str| {
+            let text = format!("{HEADER}net,5,,5.05,dry,,46.3,1,board,{word}\n");
+            parse(text.as_bytes(), None)
+        };
+        for word in ["", "false", "False", "FALSE", "no", "No", "0"] {
+            let trials = read(word).expect(word);
+            assert_eq!(
+                (trials.measured.len(), trials.left_out.len()),
+                (1, 0),
+                "{word}"
+            );
+        }
+        for (word, why) in [
+            ("true", "excluded"),
+            ("True", "excluded"),
+            ("YES", "excluded"),
+            ("1", "excluded"),
+            ("the camera fell", "excluded: the camera fell"),
+        ] {
+            let trials = read(word).expect(word);
+            assert!(trials.measured.is_empty(), "{word}");
+            assert_eq!(trials.left_out[0].why, why);
+        }
+        for word in ["n", "nein", "2", "-", "f"] {
+            let why = read(word).expect_err(word);
+            let says =
+                format!("row 1: excluded: {word:?}; write true or false, or why it is excluded");
+            assert!(why.starts_with(&says), "{why}");
+        }
+    }
+
+    /// A trial that failed has no displacement, which is why it is excluded.
+    #[test]
+    fn an_excluded_row_may_be_incomplete() {
+        let text = format!(
+            "{HEADER}net,5,,5.05,dry,,46.3,1,board,no\n\
+             net,,,,,,,,,yes\n\
+             ,,,2,,,lost,,,the tail was caught\n"
+        );
+        let trials = parse(text.as_bytes(), None).expect("readable");
+        assert_eq!((trials.measured.len(), trials.origin), (1, Origin::Board));
+        let left = trials.left_out.iter().map(|one| (&*one.place, &*one.why));
+        assert_eq!(
+            left.collect::<Vec<_>>(),
+            [
+                ("row 2", "excluded"),
+                ("row 3", "excluded: the tail was caught")
+            ]
+        );
+        // What it says of its origin has to be true all the same.
+        let text = format!("{HEADER}net,5,,5,dry,,4,1,board,\n,,,,,,,,virtual,yes\n");
+        let why = parse(text.as_bytes(), None).expect_err("two origins");
+        assert!(why.starts_with("rows of different origin"), "{why}");
     }
 
     #[test]
