@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use client::identity::Origin;
 use client::limited;
 use client::plain::{self, Locked, replace};
+use client::wording::word;
 use jiff::Timestamp;
 use serde::Serialize;
 
@@ -289,7 +290,10 @@ impl Folder {
             CampaignError::misuse(
                 &self.trials.path,
                 error,
-                "`retrograde campaign status` shows how each trial stands",
+                format!(
+                    "`retrograde campaign status {}` shows how each trial stands",
+                    word(&self.campaign.folder)
+                ),
             )
         })?;
         let (bytes, hash) = (line(&row), self.trials.hash);
@@ -342,7 +346,10 @@ impl Folder {
             Some(has) if has != origin => Err(CampaignError::misuse(
                 &self.campaign.folder,
                 format!("it was begun with a machine of origin {has}, and this one is {origin}"),
-                "a campaign is measured or simulated, never both: begin another one with `retrograde campaign new`",
+                format!(
+                    "a campaign is measured or simulated, never both: begin another one, `retrograde campaign new {}`",
+                    word(&self.campaign.folder.join(PLAN))
+                ),
             )),
             _ => Ok(()),
         }
@@ -386,10 +393,14 @@ impl Folder {
 }
 
 fn exists(folder: &Path) -> CampaignError {
-    let remedy = format!(
-        "`retrograde campaign run {}` goes on with it; `--out DIR` names another folder",
-        folder.display()
-    );
+    let goes_on = match folder.join(ORDER).is_file() {
+        true => format!(
+            "`retrograde campaign run {}` goes on with it; ",
+            word(folder)
+        ),
+        false => String::new(),
+    };
+    let remedy = format!("{goes_on}`--out DIR` names another folder");
     CampaignError::misuse(folder, "it exists already", remedy)
 }
 
@@ -480,7 +491,10 @@ fn lock(folder: &Path) -> Result<Locked, CampaignError> {
         Err(fs::TryLockError::WouldBlock) => Err(CampaignError::misuse(
             folder,
             "another process is writing this campaign",
-            "end the other `retrograde campaign`, then again; `campaign status` works meanwhile",
+            format!(
+                "end the other `retrograde campaign`, then again; `retrograde campaign status {}` works meanwhile",
+                word(folder)
+            ),
         )),
         Err(fs::TryLockError::Error(io)) => Err(CampaignError::write(&path, io)),
     }

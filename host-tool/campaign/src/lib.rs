@@ -54,7 +54,7 @@ pub struct CampaignError {
 }
 
 /// Remedy for a folder that cannot be written. A campaign has one folder, so there is no other to choose.
-pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run`";
+pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run DIR` with its folder";
 
 impl CampaignError {
     /// The campaign is damaged.

@@ -1,6 +1,8 @@
 //! Words refusals in the units in which people type: mm, mm/s, s. The wire and the firmware's own texts use
 //! micrometres and microseconds.
 
+use std::path::Path;
+
 use protocol::error::{Field, Refusal};
 use serde::Serialize;
 use serde_json::Value;
@@ -13,6 +15,17 @@ pub fn name(of: &impl Serialize) -> String {
     match serde_json::to_value(of) {
         Ok(Value::String(name)) => name,
         _ => String::new(),
+    }
+}
+
+/// A path as one word of a command line that a person copies.
+#[must_use]
+pub fn word(path: &Path) -> String {
+    let text = path.display().to_string();
+    let is_plain = |c: char| c.is_alphanumeric() || "/._-+,:@%=\\".contains(c);
+    match !text.is_empty() && text.chars().all(is_plain) {
+        true => text,
+        false => format!("'{}'", text.replace('\'', "'\\''")),
     }
 }
 

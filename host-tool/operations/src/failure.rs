@@ -283,7 +283,7 @@ fn way_out(error: &RunError) -> String {
             minimal_total_us,
             minimal_accel_um_s2: Some(um_s2),
         } => format!(
-            "`--duration-s {}`, or `--accel-mm-s2 {}`, if the rig's limits allow it; ",
+            "`--duration-s {}` in place of the timing that was given, or `--accel-mm-s2 {}`, if the rig's limits allow it; ",
             decimal::write(minimal_total_us, 6),
             decimal::write(um_s2.into(), 3)
         ),
@@ -293,7 +293,10 @@ fn way_out(error: &RunError) -> String {
         | RunError::PeakAboveLimit {
             minimal_total_us: Some(minimal_total_us),
             ..
-        } => format!("`--duration-s {}`; ", decimal::write(minimal_total_us, 6)),
+        } => format!(
+            "`--duration-s {}` in place of the timing that was given; ",
+            decimal::write(minimal_total_us, 6)
+        ),
         _ => String::new(),
     }
 }

@@ -20,6 +20,7 @@ use campaign::remaining::{remaining_s, text as time_text};
 use clap::Args;
 use client::identity::Origin;
 use client::limited;
+use client::wording::word;
 use commissioning::warning;
 use desk::{Counter, Who};
 use motion::axis::Axis;
@@ -177,7 +178,7 @@ pub(crate) fn campaign(
             let campaign = folder.campaign();
             screen.say(&format!(
                 "`retrograde campaign run {}` begins.",
-                campaign.folder.display()
+                word(&campaign.folder)
             ));
             Ok(summary(campaign))
         }
@@ -198,6 +199,11 @@ pub(crate) fn campaign(
         CampaignSubcommand::Run(args) => {
             let plan = PlanFile::read(&args.what)?;
             admit(&args.session, screen)?;
+            if args.session.yes {
+                desk::can_answer(&plan.plan).map_err(|why| {
+                    Failure::input(why, "complete the plan, as in `examples/paper.toml`")
+                })?;
+            }
             let folder = create(plan, args.out.as_deref(), places, screen)?;
             carry_out(folder, &args.session, places, screen)
         }
@@ -264,7 +270,12 @@ fn create(
         Path::to_owned,
     );
     if let Some(parent) = out.parent().filter(|parent| !parent.as_os_str().is_empty()) {
-        std::fs::create_dir_all(parent).map_err(Failure::file(parent))?;
+        std::fs::create_dir_all(parent).map_err(|io| {
+            Failure::input(
+                format!("{}: {io}", parent.display()),
+                "choose a folder that can be made, with free space: `--out DIR`",
+            )
+        })?;
     }
     let folder = Folder::create(&out, &text, path).map_err(Own::from)?;
     let campaign = folder.campaign();
@@ -335,7 +346,7 @@ fn carry_out(
 fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, Failure> {
     let present = present(folder);
     let page = report_folder(folder).join("report.html");
-    let (page_text, folder_text) = (page.display(), folder.display());
+    let (page_text, folder_text) = (page.display(), word(folder));
     let existing = match present {
         Present::Current => {
             screen.say(&format!("Report: {page_text}, of this state already."));
@@ -373,7 +384,12 @@ fn sit_down(
     let plan = folder.campaign().plan.clone();
     let path = folder.campaign().folder.clone();
     if session.yes {
-        desk::can_answer(&plan)?;
+        desk::can_answer(&plan).map_err(|why| {
+            Failure::input(
+                why,
+                "the plan of a campaign that has begun is fixed: at a terminal leave `--yes` out, or begin another one with a complete plan, `retrograde campaign run PLAN.toml --yes`",
+            )
+        })?;
     }
     let mut rig = places.connect(DeviceKind::Rig, Need::Own(COMMAND))?;
     let capsule = plan
@@ -431,10 +447,7 @@ fn sit_down(
 /// The command that goes on with a campaign, in the way it was begun.
 fn again(folder: &Path, yes: bool) -> String {
     let yes = if yes { " --yes" } else { "" };
-    format!(
-        "`retrograde campaign run {}{yes}` goes on",
-        folder.display()
-    )
+    format!("`retrograde campaign run {}{yes}` goes on", word(folder))
 }
 
 fn failure(broken: Broken, again: &str) -> Failure {
@@ -625,7 +638,7 @@ fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::input(
             "the campaign has not begun, so there is nothing to edit",
-            format!("`retrograde campaign run {}`", args.folder.display()),
+            format!("`retrograde campaign run {}` begins it", word(&args.folder)),
         ));
     };
     let row = edited(&args.edit, folder.campaign(), origin)?;
@@ -648,10 +661,13 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
     };
     let text = |words: &[String]| Some(words.join(" "));
     Ok(match edit {
-        Edit::Displacement { .. } if origin == Origin::Virtual => {
+        Edit::Displacement { trial, .. } if origin == Origin::Virtual => {
+            let folder = word(&campaign.folder);
             return Err(Failure::refused(
                 "nothing can be measured on the virtual bench: its displacements are those of a model",
-                "`undo` takes the model's value again",
+                format!(
+                    "`retrograde campaign edit {folder} undo {trial}`, then `retrograde campaign run {folder} --yes` takes the model's value again"
+                ),
             ));
         }
         Edit::Displacement {

@@ -8,10 +8,14 @@ use analysis::report::campaign::CampaignReportError;
 use campaign::CampaignError;
 use campaign::differences::Finding;
 use client::error::ClientError;
+use client::identity::kind_name;
+use client::wording::word;
 use miette::Diagnostic;
 use operations::failure::{
     CommandFailure, FAILED, FAULT, REFUSED, STOPPED, UNKNOWN, USAGE, client_code,
 };
+use protocol::error::Refusal;
+use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
 /// Failure of a single command.
@@ -25,7 +29,7 @@ pub(crate) enum Own {
     #[error("left; everything that was entered is in {}", folder.display())]
     #[diagnostic(
         code(retrograde::left),
-        help("`retrograde campaign run {}` goes on", folder.display())
+        help("`retrograde campaign run {}` goes on", word(folder))
     )]
     Left {
         /// Its folder.
@@ -73,8 +77,10 @@ pub(crate) enum Own {
     Figure(#[from] FigureError),
     /// The rig refused an import of settings, or it was interrupted.
     #[error("{}: {setting}: {cause}; {}", file.display(), aftermath(changed))]
-    #[diagnostic(code(retrograde::import), help("{}", way_back(changed)))]
+    #[diagnostic(code(retrograde::import), help("{}", way_back(changed, *machine, cause)))]
     Import {
+        /// Whose settings they are.
+        machine: DeviceKind,
         /// The file.
         file: PathBuf,
         /// The setting that could not be set.
@@ -180,10 +186,29 @@ fn aftermath(changed: &[String]) -> String {
     )
 }
 
-fn way_back(changed: &[String]) -> &'static str {
-    if changed.is_empty() {
-        "correct the file; `retrograde info rig` shows whether the rig has to be homed again"
-    } else {
-        "`retrograde settings list` shows the present values; correct them by hand, or import a correct file"
+fn way_back(changed: &[String], machine: DeviceKind, cause: &ClientError) -> String {
+    let name = kind_name(machine);
+    if !changed.is_empty() {
+        return format!(
+            "`retrograde settings --of {name} list` shows the present values; correct them by hand, or import a correct file"
+        );
+    }
+    let of_value = |refusal: &Refusal| {
+        matches!(
+            refusal,
+            Refusal::SettingRange { .. } | Refusal::SettingRule { .. } | Refusal::NameNotPrintable
+        )
+    };
+    let first = match cause {
+        ClientError::Refused { refusal, .. } if of_value(refusal) => "correct the file",
+        _ => "the file may be good: remove the cause, then again",
+    };
+    match machine {
+        DeviceKind::Rig => {
+            format!("{first}; `retrograde info rig` shows whether the rig has to be homed again")
+        }
+        DeviceKind::Capsule => {
+            format!("{first}; `retrograde info capsule` shows how the capsule is")
+        }
     }
 }

@@ -226,7 +226,12 @@ impl ModelArgs {
         let Some(path) = &self.file else {
             return Ok(model_file::ModelFile::default());
         };
-        let text = fs::read_to_string(path).map_err(Failure::file(path))?;
+        let text = fs::read_to_string(path).map_err(|io| {
+            Failure::input(
+                format!("{}: {io}", path.display()),
+                "`--model FILE` takes a model as TOML, such as the `model.toml` of `retrograde fit`",
+            )
+        })?;
         model_file::read(&text).map_err(|error| self.failure(&error))
     }
 

@@ -6,6 +6,7 @@ use analysis::report::campaign_band::BandSource;
 use analysis::report::{self, Existing, campaign as campaign_report};
 use campaign::files::{ORDER, PLAN};
 use clap::Args;
+use client::wording::word;
 use operations::failure::Failure;
 use serde_json::{Value, json};
 
@@ -91,6 +92,25 @@ fn is_campaign(path: &Path) -> bool {
     path.join(PLAN).is_file() && path.join(ORDER).is_file()
 }
 
+/// The command for the report of a campaign, with what replaces one that is there.
+fn advised(folder: &Path, args: &ReportArgs) -> String {
+    let is_there = campaign_report::present(folder) != campaign_report::Present::Nothing;
+    let force = if args.force || is_there {
+        " --force"
+    } else {
+        ""
+    };
+    let model = args
+        .model
+        .as_deref()
+        .map(|file| format!(" --model {}", word(file)));
+    format!(
+        "`retrograde report {}{force}{}`",
+        word(folder),
+        model.unwrap_or_default()
+    )
+}
+
 fn report_campaign(
     folder: &Path,
     args: &ReportArgs,
@@ -103,7 +123,7 @@ fn report_campaign(
                 "{} is a campaign: its report is of it alone, and goes to its folder `report`",
                 folder.display()
             ),
-            format!("`retrograde report {}`", folder.display()),
+            advised(folder, args),
         ));
     }
     let file = ModelArgs::of_file(args.model.clone());

@@ -64,6 +64,9 @@ pub enum SettingsSubcommand {
     },
 }
 
+/// Remedy for a name that a machine cannot take.
+const NAME_HELP: &str = "use letters, digits and spaces, and shorten it to 24 letters; one that is not in ASCII counts as two or more";
+
 /// Contents of a settings file.
 #[derive(Debug, Serialize)]
 struct Exported {
@@ -102,7 +105,7 @@ pub(crate) fn settings(
             let wanted = import::read(file, kind)?;
             let mut machine = places.connect(kind, Need::Own("settings import"))?;
             let before = Basis::of(&mut machine, kind)?;
-            let Imported { changed, renamed } = import::import(&mut machine, file, wanted)?;
+            let Imported { changed, renamed } = import::import(&mut machine, kind, file, wanted)?;
             screen.say(&format!("{changed} settings changed"));
             if let Some((from, to)) = renamed {
                 screen.say(&format!("the name is now `{to}`; it was `{from}`"));
@@ -116,8 +119,7 @@ pub(crate) fn settings(
             Ok(json!({ "name": name.as_str() }))
         }
         SettingsSubcommand::Name { name: Some(name) } => {
-            let name = checked_name(name)
-                .map_err(|why| Failure::input(why, "use letters, digits and spaces"))?;
+            let name = checked_name(name).map_err(|why| Failure::input(why, NAME_HELP))?;
             let name = places
                 .connect(kind, Need::Name(Some("settings name")))?
                 .call(Name { name })?;

@@ -158,7 +158,7 @@ fn the_file_of_the_other_machine_is_one_sentence() {
     assert_eq!(code, 2, "{err}");
     assert!(
         err.contains("import.json: these are the settings of a capsule, not of a rig")
-            && err.contains("`settings --of capsule import` takes them")
+            && err.contains("`retrograde settings --of capsule import ")
             && err.lines().count() <= 2,
         "{err}"
     );

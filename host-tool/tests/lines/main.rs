@@ -12,4 +12,5 @@ mod flash;
 mod held_up;
 mod leaving;
 mod named;
+mod remedies;
 mod stopping;

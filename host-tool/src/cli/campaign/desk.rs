@@ -12,7 +12,6 @@ use campaign::readings::Quantity;
 use client::error::ClientError;
 use client::{Interrupt, Observer, Pacer};
 use jiff::Timestamp;
-use operations::failure::Failure;
 use operations::interrupt;
 use operations::places::Places;
 
@@ -40,13 +39,9 @@ impl Who {
 ///
 /// # Errors
 /// Some `about_mm` is missing.
-pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), Failure> {
-    let missing = |what: &str| {
-        Failure::input(
-            format!("`--yes` takes the readings from the plan, and it has no {what}"),
-            "complete the plan, as in `examples/paper.toml`",
-        )
-    };
+pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), String> {
+    let missing =
+        |what: &str| format!("`--yes` takes the readings from the plan, and it has no {what}");
     if plan.readings.width_about_mm.is_none() {
         return Err(missing("readings.width_about_mm"));
     }

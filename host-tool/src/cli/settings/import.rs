@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use client::error::ClientError;
 use client::limited::{self, BY_HAND};
+use client::wording::word;
 use client::{Device, identity, wording};
 use operations::failure::Failure;
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
@@ -91,7 +92,10 @@ pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
         let (other, own) = (identity::kind_name(other), identity::kind_name(kind));
         return Err(unusable(
             format!("these are the settings of a {other}, not of a {own}"),
-            &format!("`settings --of {other} import` takes them"),
+            &format!(
+                "`retrograde settings --of {other} import {}` takes them",
+                word(file)
+            ),
         ));
     }
     let mut settings = vec![];
@@ -101,10 +105,13 @@ pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
             wrong.push(format!("{name} appears twice"));
         }
         match name.parse() {
-            Ok(Key(key)) if !key.is_of(kind) => wrong.push(format!(
-                "{name} is no setting of the {}: `--of` says whose they are",
-                identity::kind_name(kind)
-            )),
+            Ok(Key(key)) if !key.is_of(kind) => {
+                let [own, other] = [kind, other].map(identity::kind_name);
+                wrong.push(format!(
+                    "{name} is a setting of the {other}, and this file has some of the {own}: give each machine a file of \
+                     its own, as `retrograde settings --of {other} export FILE` writes one"
+                ));
+            }
             Ok(Key(key)) => match value_of(key, &value.to_string()) {
                 Ok(value) => settings.push(Setting { key, value }),
                 Err(failure) => wrong.push(failure.to_string()),
@@ -170,7 +177,12 @@ pub(super) struct Imported {
 ///
 /// # Errors
 /// [`Own::Import`], which lists the changes that could not be undone.
-pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<Imported, Failure> {
+pub(super) fn import(
+    rig: &mut Device,
+    machine: DeviceKind,
+    file: &Path,
+    wanted: Wanted,
+) -> Result<Imported, Failure> {
     let mut changes = vec![];
     for to in wanted.settings {
         let from = rig.call(GetSetting { key: to.key })?;
@@ -191,6 +203,7 @@ pub(super) fn import(rig: &mut Device, file: &Path, wanted: Wanted) -> Result<Im
     match apply(rig, changes, &mut done) {
         Ok(()) => Ok(Imported { changed, renamed }),
         Err((setting, cause)) => Err(Own::Import {
+            machine,
             file: file.to_owned(),
             setting,
             cause: Box::new(cause),
