@@ -6,6 +6,7 @@
 mod clip;
 pub(crate) mod escaped;
 mod heading;
+mod measures;
 pub(crate) mod palette;
 mod pdf;
 mod profile;
@@ -18,16 +19,12 @@ use trials::trial::{CapsuleSample, RigSample};
 
 use crate::figures::clip::{clipped, edges};
 use crate::figures::escaped::escaped;
-pub use crate::figures::heading::{Heading, ModelName};
-use crate::figures::palette::{INK, MEASURED, PLANNED, WARNING};
+pub use crate::figures::heading::{Heading, ModelName, Source};
+use crate::figures::measures::{LETTERS, SIZE};
+use crate::figures::palette::{INK, MEASURED, PLANNED};
 use crate::figures::pdf::{Drawn, Page};
 pub use crate::figures::profile::{Planned, planned, position_at};
 
-/// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
-/// and displayed small.
-const SIZE: (u32, u32) = (1_200, 760);
-/// Font size for the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
-const LETTERS: i32 = 50;
 /// Mean width of a letter.
 const LETTER_WIDTH: i32 = 22;
 
@@ -38,36 +35,6 @@ const PALE: f64 = 0.16;
 #[derive(Debug, thiserror::Error)]
 #[error("a figure could not be drawn: {0}")]
 pub struct FigureError(String);
-
-/// Origin of a figure's values.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Source {
-    /// From records of this origin.
-    Records(Origin),
-    /// Calculated by a model.
-    Model,
-    /// Calculated from a plan for a rig.
-    Plan,
-}
-
-impl Source {
-    /// The origin in words, for the figure.
-    #[must_use]
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::Records(origin) => origin.meaning(),
-            Self::Model => "model: calculated, not a measurement",
-            Self::Plan => "plan: calculated, not a measurement",
-        }
-    }
-
-    const fn colour(self) -> RGBColor {
-        match self {
-            Self::Records(Origin::Virtual | Origin::Unknown) => WARNING,
-            Self::Records(Origin::Board) | Self::Model | Self::Plan => INK,
-        }
-    }
-}
 
 /// How a curve is drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -1,10 +1,11 @@
 //! The title of a figure and the line on the origin of its values, in as many lines as they need.
 
+use client::identity::Origin;
 use plotters::style::RGBColor;
 
-use crate::figures::palette::INK;
+use crate::figures::measures::{LETTERS, SIZE};
+use crate::figures::palette::{INK, WARNING};
 use crate::figures::pdf;
-use crate::figures::{LETTERS, SIZE, Source};
 
 /// Height of a title of one line and of the line below it, units of the drawing.
 const HEIGHT: u32 = 116;
@@ -14,6 +15,36 @@ const ROW: i32 = 54;
 const MARGIN: i32 = 24;
 /// How much wider than Arimo, which the PDF has, the sans-serif font of a browser may be.
 const WIDER: f32 = 7.0 / 6.0;
+
+/// Origin of a figure's values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// From records of this origin.
+    Records(Origin),
+    /// Calculated by a model.
+    Model,
+    /// Calculated from a plan for a rig.
+    Plan,
+}
+
+impl Source {
+    /// The origin in words, for the figure.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Records(origin) => origin.meaning(),
+            Self::Model => "model: calculated, not a measurement",
+            Self::Plan => "plan: calculated, not a measurement",
+        }
+    }
+
+    const fn colour(self) -> RGBColor {
+        match self {
+            Self::Records(Origin::Virtual | Origin::Unknown) => WARNING,
+            Self::Records(Origin::Board) | Self::Model | Self::Plan => INK,
+        }
+    }
+}
 
 /// Title of a figure and origin of its values.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -141,7 +172,6 @@ fn wrapped(text: &str, size: i32) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use client::identity::Origin;
 
     #[test]
     fn a_long_title_is_wrapped_and_not_cut() {
