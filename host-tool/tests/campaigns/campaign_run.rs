@@ -72,6 +72,19 @@ pub fn whole(folder: &str) -> Campaign {
     Campaign::read(Path::new(folder)).expect("a campaign")
 }
 
+/// It said `SD 0.000 mm`.
+#[test]
+fn a_session_tells_one_reading_without_a_standard_deviation() {
+    let place = place(&small_plan(&[("count = 2", "count = 1")]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
+    let args = [&args[..], &["--trials", "1"], &AT].concat();
+    let (code, said, err) = machines(Some(VIRTUAL_UID)).run(&args);
+    assert_eq!(code, 0, "{said}{err}");
+    assert!(said.contains("D = 24.400 mm, n = 1\n"), "{said}");
+    assert!(!said.contains("SD"), "{said}");
+}
+
 #[test]
 fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
     let place = place(&small_plan(&[("scatter_mm = 0 ", "scatter_mm = 0.5 ")]));
