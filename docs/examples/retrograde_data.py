@@ -111,7 +111,7 @@ class Campaign:
         return origins.pop() if len(origins) == 1 else "unknown"
 
     def _replay(self, planned):
-        """What the ledger's rows of a trial amount to."""
+        """Attempts and state of a trial, from its rows of the ledger."""
         attempts, skipped, excluded = [], None, None
         for row in self.rows:
             if row["trial"] != planned["trial"]:
@@ -129,7 +129,7 @@ class Campaign:
             elif event == "strokes_left_out":
                 attempts[-1]["strokes_left_out"] = True
             elif event == "undone":
-                # What was entered last: the net displacement, else what was said of the strokes.
+                # Takes back the last entry: the net displacement, else that of the strokes.
                 if attempts[-1]["displacement_mm"] is not None:
                     attempts[-1].update(displacement_mm=None, source=None)
                 elif attempts[-1]["strokes_left_out"]:

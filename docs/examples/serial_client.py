@@ -356,7 +356,7 @@ class Line:
         self._waits_on, self._read, self._write = port, lambda most: os.read(port, most), lambda data: os.write(port, data)
 
     def read(self, wait_s):
-        """What has come; nothing after `wait_s`."""
+        """The bytes that have come; none if nothing comes within `wait_s`."""
         if not select.select([self._waits_on], [], [], max(wait_s, 0))[0]:
             return b""
         data = self._read(4096)
@@ -391,7 +391,7 @@ class Machine:
                 f"the machine speaks protocol {version[0]}.{version[1]} with key {identity.schema_key:016x}, this program"
                 f" {VERSION[0]}.{VERSION[1]} with {SCHEMA_KEY:016x}: bring it up to date with docs/protocol.md, or flash the machine"
             )
-        # What happened before is not ours.
+        # Skips the events from before: they are not this program's.
         self.next_event = self.ask("GetEvents", encode_uint(0xFFFFFFFF)).next
 
     def ask(self, name, body=b""):
@@ -474,7 +474,7 @@ class Machine:
             answer = self.ask("GetEvents", encode_uint(self.next_event))
             if not answer.events:
                 events, self.events = self.events, []
-                # What is wrapped in `Rig` or `Capsule` is what happened.
+                # Some events come wrapped in `Rig` or `Capsule`: unwraps them.
                 return [event.what.content if name_of(event.what) in ("Rig", "Capsule") else event.what for event in events]
             self.next_event = max(self.next_event, answer.oldest)
             for event in answer.events:

@@ -94,7 +94,7 @@ fn counted<'a>(names: impl Iterator<Item = &'a String>) -> String {
     named.join(", ")
 }
 
-/// What changes in a life of a healthy capsule.
+/// Prints how healthy capsules fold after changes of a normal life: warmth, wear, friction.
 fn lives(count: u64) {
     println!(
         "| change | capsules | how three cycles end | least thread, mm | folded end off by at most, mm |"

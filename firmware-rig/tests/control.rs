@@ -524,7 +524,7 @@ mod settings {
         let mut bench = Bench::homed();
         bench.accepted(set(SettingKey::StrokeUm, 100_000));
         assert_eq!(bench.control.snapshot().axis.stroke().0, 100_000);
-        // So does the reset that takes the change back.
+        // The reset that takes the change back unhomes the rig, too.
         bench.accepted(Request::Home(rig::Home));
         bench.finish();
         assert_eq!(bench.state(), RigState::Ready);

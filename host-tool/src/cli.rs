@@ -191,15 +191,15 @@ pub enum Subcommand {
     ///
     /// It can be left and resumed at any time.
     Campaign {
-        /// What to do with it.
+        /// The step of the campaign.
         #[command(subcommand)]
         subcommand: CampaignSubcommand,
     },
     /// List campaigns and trials by date, specimen and outcome.
     List(ListArgs),
-    /// What the machines themselves still know of their last action.
+    /// Save the machines' own record of their last action.
     Records {
-        /// What to do with it.
+        /// The operation on the record.
         #[command(subcommand)]
         subcommand: RecordsSubcommand,
     },
@@ -224,7 +224,7 @@ pub enum Subcommand {
     Ack(Which),
     /// The capsule's own commands.
     Capsule {
-        /// What the capsule does.
+        /// The capsule's command.
         #[command(subcommand)]
         subcommand: CapsuleSubcommand,
     },
@@ -257,7 +257,7 @@ pub enum Subcommand {
         /// Whose: those of the rig, unless the setting is one that only the capsule has.
         #[arg(long, value_enum, value_name = "MACHINE", global = true)]
         of: Option<MachineKind>,
-        /// What to do with them.
+        /// The operation on the settings.
         #[command(subcommand)]
         subcommand: SettingsSubcommand,
     },

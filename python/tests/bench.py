@@ -12,7 +12,7 @@ from typing import IO, Callable, List, Optional
 
 import retrograde
 
-# What a busy computer needs, s.
+# Longest wait for the machines, s: more than a busy computer needs.
 SOON_S = 120.0
 
 
@@ -49,7 +49,7 @@ class Bench:
         self._started: List["subprocess.Popen[str]"] = []
         self._said: List[IO[str]] = []
         folder = self._folder.name
-        # What it says goes to a file: a pipe that nobody reads would fill up.
+        # Its output goes to a file: a pipe that nobody reads would fill up.
         bench = self._start("bench", [programs() / "virtual-bench", "serve", "--rig", "0", "--capsule", "0"])
         places = [self._find(bench, rf"--{machine} (tcp:\S+)") for machine in ("rig", "capsule")]
         command = [programs() / "retrograde", "serve", "--rig", places[0], "--capsule", places[1]]

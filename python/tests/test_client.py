@@ -110,7 +110,7 @@ class ServerTest(unittest.TestCase):
         self.lab = retrograde.Lab(f"{self.url}#token=secret-token")
 
     def answers(self, table: Dict[str, Any]) -> None:
-        """What is answered to each path: an answer, or a list of them, one for each call."""
+        """Sets the answer to each path: one answer, or a list of them, one for each call."""
 
         def answer(call: Call) -> Optional[Answer]:
             found = table.get(call.path.split("?")[0], STATE if call.path == "/api/v1/state" else None)

@@ -10,7 +10,7 @@ import retrograde
 from retrograde import client, types
 
 FILE = pathlib.Path(__file__).parents[2] / "docs" / "openapi.json"
-# What only browsers and generators ask for.
+# Paths that only browsers and generators ask for.
 OTHERS = {("GET", "/"), ("GET", "/openapi.json")}
 
 

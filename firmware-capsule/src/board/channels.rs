@@ -8,7 +8,7 @@ use embassy_sync::{
 use firmware_capsule::{fold::Drive, sample::Sample};
 use protocol::capsule::CapsuleTelemetry;
 
-/// What the motor task should do, and how old that is.
+/// Control's order to the motor task, and its age.
 #[derive(Clone, Copy)]
 pub(crate) struct Order {
     /// Wanted drive.

@@ -35,13 +35,13 @@ use embassy_stm32::{
     wdg::IndependentWatchdog,
 };
 
-/// What the tasks own.
+/// Peripherals, each owned by one task.
 pub(crate) struct Board {
     /// Link.
     pub(crate) serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
     /// The sectors of calibration and totals.
     pub(crate) sectors: Sectors,
-    /// What the drive train reads.
+    /// The drive train's inputs.
     pub(crate) adc: Adc,
     /// Not yet started.
     pub(crate) watchdog: IndependentWatchdog<'static, peripherals::IWDG>,

@@ -121,7 +121,7 @@ pub enum ClientError {
     SessionLost {
         /// The machine's place, as the user named it.
         place: String,
-        /// What is known of the carriage; none if nothing moved.
+        /// Where the carriage was last; none if nothing moved.
         seen: Option<LastSeen>,
     },
 
@@ -190,7 +190,7 @@ pub enum ClientError {
         place: String,
         /// Name of the action.
         action: &'static str,
-        /// What is known of the carriage; none of a capsule.
+        /// Where the carriage was last; none for a capsule.
         seen: Option<LastSeen>,
     },
 
@@ -210,7 +210,7 @@ pub enum ClientError {
         place: String,
         /// Name of the request.
         request: &'static str,
-        /// What is known of the carriage; none if nothing can have moved.
+        /// Where the carriage was last; none if nothing can have moved.
         seen: Option<LastSeen>,
     },
 
@@ -225,7 +225,7 @@ pub enum ClientError {
     StopUnconfirmed {
         /// The machine's place, as the user named it.
         place: String,
-        /// What is known of the carriage; none if nothing moved.
+        /// Where the carriage was last; none if nothing moved.
         seen: Option<LastSeen>,
     },
 
@@ -271,7 +271,7 @@ pub enum ClientError {
         action: &'static str,
         /// Time limit from its acceptance, ms.
         limit_ms: u64,
-        /// What is known of the carriage; none of a capsule.
+        /// Where the carriage was last; none for a capsule.
         seen: Option<LastSeen>,
     },
 

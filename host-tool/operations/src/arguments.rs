@@ -81,7 +81,7 @@ pub struct RunArgs {
     /// The waves.
     #[command(flatten)]
     pub waves: Waves,
-    /// What the rig does when it has not heard from the host for 1 s: stop, or finish the run.
+    /// Behaviour of the rig when it has not heard from the host for 1 s: stop, or finish the run.
     #[arg(long, value_name = "POLICY", default_value = "stop")]
     pub on_link_loss: OnLinkLoss,
     /// Fold the capsule when this cycle begins, from 1. It has to be unfolded before the run.

@@ -41,7 +41,7 @@ pub struct OptimiseArgs {
     /// Search the designs that go farthest for their length within the limits below, and compare this design with them.
     #[arg(long, conflicts_with_all = ["svg", "map", "force"])]
     pub optimise: bool,
-    /// What the displacement is counted for.
+    /// Unit that the displacement is compared by.
     #[arg(long, value_enum, default_value = "wave", requires = "optimise")]
     pub per: Goal,
     /// Overall length at rest in mm, at most.

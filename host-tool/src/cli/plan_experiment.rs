@@ -67,7 +67,7 @@ pub struct PlanExperimentArgs {
     /// Displacements of each trial, 1 to 1000: repeats of one condition.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1000))]
     pub repeats: u16,
-    /// What may be measured; by default all of it.
+    /// Kinds of trial that may be planned; by default all.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "KIND")]
     pub kinds: Vec<Measured>,
     /// Cycles of a run whose net displacement is measured.
@@ -79,7 +79,7 @@ pub struct PlanExperimentArgs {
     /// Walls that may be had; by default both. The model gives both the same displacement, and takes what it gets wrong as independent.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WALL")]
     pub lubrication: Vec<Wall>,
-    /// What is known before: the posterior in the file of `--model`, or else the prior.
+    /// Knowledge to begin with: by default the posterior in the file of `--model`, or else the prior.
     #[arg(long, value_enum, value_name = "WHAT")]
     pub from: Option<Begin>,
     /// Histories over which gains are averaged, 16 to 4096: four times as many halve the errors, in four times the time.

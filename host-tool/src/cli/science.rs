@@ -29,7 +29,7 @@ use crate::cli::{compare, crescent};
 /// Arguments of `simulate`.
 #[derive(Debug, Args)]
 pub struct SimulateArgs {
-    /// What to simulate.
+    /// The simulation.
     #[command(subcommand)]
     pub what: Simulation,
     /// Folder of the CSV and SVG files. Files of the same names are replaced: the same command makes the same bytes.

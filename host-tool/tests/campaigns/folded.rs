@@ -95,7 +95,7 @@ fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
     assert!(shown.contains(told), "{shown}");
 }
 
-/// What happens to the capsule's line.
+/// Mishap on the capsule's line.
 #[derive(Clone, Copy)]
 enum Mishap {
     Unplugged,

@@ -16,7 +16,7 @@ use trials::experiment::PAPER_RUN;
 
 use crate::support::tool::{self, ready};
 
-/// What happens to the cable.
+/// Fault of the cable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     /// It is pulled, and the system reports it.

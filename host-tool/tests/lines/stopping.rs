@@ -282,7 +282,7 @@ fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
     }
 }
 
-/// What is known of a motion that the server has lost is in its answers, which its page shows.
+/// The page has no other source: it shows the error as the server answers it.
 #[test]
 fn a_motion_that_the_server_has_lost_says_where_the_carriage_was() {
     for broken in [SWALLOWED, DEAD] {

@@ -598,7 +598,7 @@ mod tests {
         edges
     }
 
-    /// What it draws is the voltage over the loop's resistance.
+    /// A held motor has no back-EMF: only the loop's resistance limits its current.
     #[test]
     fn a_motor_that_is_held_stands_and_draws() {
         let mut plant = Plant::new(Parameters::nominal());

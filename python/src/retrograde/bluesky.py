@@ -40,7 +40,7 @@ Reading = Any
 Ordered = TypeVar("Ordered", bound=Optional[Action[Any]])
 # Description of a value: dtype, unit.
 Key = Tuple[str, str]
-# What the capsule can be told to be, and the command for it.
+# Shapes that the capsule can be set to, each with its command.
 SHAPES = {"folded": "fold", "unfolded": "unfold"}
 
 
@@ -53,7 +53,7 @@ class Status:
         self._callbacks: List[Callable[["Status"], None]] = []
         self._exception: Optional[BaseException] = None
         self.value: Any = None
-        """What the work gave."""
+        """Result of the work; none until it has ended well."""
         threading.Thread(target=self._run, args=(work,), daemon=True).start()
 
     def __repr__(self) -> str:
@@ -165,7 +165,7 @@ class Rig:
 
     @property
     def hints(self) -> Dict[str, Any]:
-        """What is worth a plot."""
+        """The fields that are worth a plot."""
         return {"fields": [self.name]}
 
     # Readable: the position is called as the device.
@@ -183,7 +183,7 @@ class Rig:
         }
 
     def describe(self) -> Dict[str, Any]:
-        """What `read` gives."""
+        """Types and units of the values that `read` gives."""
         return _described(self._lab.url, self._keys())
 
     def read(self) -> Dict[str, Reading]:
@@ -202,7 +202,7 @@ class Rig:
         return _read(dict(zip(self._keys(), values)))
 
     def describe_configuration(self) -> Dict[str, Any]:
-        """What `read_configuration` gives."""
+        """Types and units of the values that `read_configuration` gives."""
         keys: Dict[str, Key] = {f"{self.name}_{key}": ("string", "") for key in ("uid", "firmware", "origin")}
         keys.update({f"{self.name}_{it['name']}": ("integer", it.get("unit", "")) for it in self._rig.settings()})
         return _described(self._lab.url, keys)
@@ -415,7 +415,7 @@ class Capsule:
 
     @property
     def hints(self) -> Dict[str, Any]:
-        """What is worth a plot."""
+        """The fields that are worth a plot."""
         return {"fields": [f"{self.name}_thread"]}
 
     def _keys(self) -> Dict[str, Key]:
@@ -427,7 +427,7 @@ class Capsule:
         }
 
     def describe(self) -> Dict[str, Any]:
-        """What `read` gives."""
+        """Types and units of the values that `read` gives."""
         return _described(self._lab.url, self._keys())
 
     def read(self) -> Dict[str, Reading]:
@@ -469,7 +469,7 @@ class Capsule:
         return Status(moving.wait)
 
     def locate(self) -> Dict[str, str]:
-        """What it was told to be, and its state."""
+        """The shape that was last set, and the state."""
         state = self._capsule.sample()["state"]
         return {"setpoint": self._shape or state, "readback": state}
 

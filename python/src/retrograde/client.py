@@ -219,7 +219,7 @@ class Lab:
         return [{key: _value(key, cell) for key, cell in row.items()} for row in csv.DictReader(text)]
 
     def plan(self, **run: Unpack[RunOptions]) -> Dict[str, Any]:
-        """What a run asks of a rig as delivered; takes what `Rig.run` takes. Asks no machine."""
+        """The plan of a run on a rig as delivered: durations, speeds. Takes what `Rig.run` takes, and asks no machine."""
         status, content = self._asked("POST", "/api/v1/plan", _run_body(**run), ANSWER_S)
         answer = _decoded(content)
         if status != 200:
@@ -527,7 +527,7 @@ class Action(Generic[Result]):
         return self.result()
 
     def result(self) -> Result:
-        """What came of it; raises how it ended if not as planned. Only after its end."""
+        """The result. Raises an error if it did not end as planned; call it only after its end."""
         if self.state == "complete":
             return cast(Result, self.data.get("result") or {})
         kind = errors.BY_STATE.get(self.state, RetrogradeError)
@@ -535,7 +535,7 @@ class Action(Generic[Result]):
 
 
 class _Machine:
-    """What both machines have."""
+    """Commands and state that both machines have."""
 
     name = ""
 

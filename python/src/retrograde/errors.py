@@ -1,4 +1,4 @@
-"""What can go wrong. Every text says what to do; `help` has the advice alone."""
+"""Errors of this package. Every text says what to do; `help` has the advice alone."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class LinkLost(RetrogradeError):
 
 
 class OutcomeUnknown(RetrogradeError):
-    """Nobody knows whether it was done, or how it ended: look at the machine."""
+    """It is unknown whether it was done, or how it ended: look at the machine."""
 
 
 class NotStopped(RetrogradeError):

@@ -58,7 +58,7 @@ class Stream:
                     event = value
                 elif name == "data":
                     data += value
-                # What begins with a colon is a sign of life.
+                # A line that begins with a colon is a sign of life.
         except (OSError, HTTPException, ValueError) as why:
             if self._connection is None:
                 return

@@ -1,4 +1,4 @@
-"""What the server's answers hold; docs/serve.md says it in words.
+"""Types of the server's answers; docs/serve.md says it in words.
 
 Units are in the names. A server may send more than this, and leaves out what is not known.
 """
@@ -13,7 +13,7 @@ Number = Union[int, float, str, Decimal]
 
 
 class RunOptions(TypedDict, total=False):
-    """What a run may be told; docs/serve.md has the defaults."""
+    """Options of a run; docs/serve.md has the defaults."""
 
     cycles: Optional[Number]
     stroke_mm: Optional[Number]
@@ -32,7 +32,7 @@ class RunOptions(TypedDict, total=False):
 
 
 class Fault(TypedDict, total=False):
-    """What happened and what to do now."""
+    """The fault, and what to do now."""
 
     text: str
 
@@ -76,7 +76,7 @@ class ActionData(TypedDict, total=False):
 
 
 class MachineState(TypedDict, total=False):
-    """What both machines tell."""
+    """State of either machine."""
 
     place: str
     contact: str

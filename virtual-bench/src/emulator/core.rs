@@ -1,8 +1,8 @@
 //! The processor with a bell: it reports when it falls asleep, and when it wakes, before it executes anything.
 //!
 //! While the processor sleeps only models and the board change memory or registers. The emulator does not report sleep.
-//! So this wrapper stands between the emulator and its processor and signals each change by an access that no program
-//! makes.
+//! This wrapper therefore stands between the emulator and its processor and signals each change by an access that no
+//! program makes.
 //!
 //! It also fails accesses below the RAM, and hands the processor to the next machine when its own is dropped, see
 //! [`super::spare`].

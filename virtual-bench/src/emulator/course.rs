@@ -1,6 +1,6 @@
 //! The step timer's course while the processor sleeps: only the ring in memory decides it, and nothing can change that.
 //!
-//! So the timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow from
+//! The timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow from
 //! the ring, each at its exact instant, and the board gets them in order. When the processor wakes, or somebody looks,
 //! they are set to where they would be now: [`Course::advance`] computes how far they have come.
 //!

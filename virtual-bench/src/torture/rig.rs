@@ -207,7 +207,7 @@ impl Judge {
         }
     }
 
-    /// What moves from now on was ordered now.
+    /// Notes an order: it allows motion again, and any motion from now on is its own.
     fn ordered(&mut self) {
         self.account.barred_ns = None;
         self.ordered_ns = self.last.now_ns;

@@ -167,7 +167,7 @@ fn trial(number: u64) -> Trial {
 
 const LEADS_UM: [u64; 6] = [1_000, 2_000, 4_000, 5_000, 8_000, 10_000];
 
-/// What a run is asked to be.
+/// A run as it is asked for, by its steps.
 #[derive(Clone, Copy, Debug)]
 struct Cruise {
     lead_um: u64,

@@ -57,7 +57,7 @@ fn a_line_that_says_nothing_else_belongs_to_this_process_alone() {
     assert_eq!(line.left_record(), None);
 }
 
-/// What a machine does with a request; none is silence.
+/// A machine's reply to a request; none if it stays silent.
 type Answers = fn(&Request) -> Option<Reply>;
 
 /// A machine that answers as it is told, in time that passes when the host waits.
@@ -166,7 +166,7 @@ impl Link for Machine {
     }
 }
 
-/// What every machine says to a host that has just come.
+/// Reply of every machine to the requests with which a host introduces itself.
 fn usual(request: &Request) -> Option<Reply> {
     Some(Reply::Accepted(match request {
         Request::GetEvents(_) => Response::GetEvents(events(5, 5, &[])),
