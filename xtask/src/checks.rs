@@ -11,7 +11,7 @@ use std::time::SystemTime;
 use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::programs::Selection;
 use crate::steps::{self, Step, Tests};
-use crate::{bench, book, dependencies, images, manual, programs, python, structure};
+use crate::{bench, book, comments, dependencies, images, manual, programs, python, structure};
 
 const HOST_TESTS: Step = Step::tests(
     "host tests",
@@ -35,6 +35,11 @@ const STRUCTURE: Step = Step::new(
     "structure",
     "no imports in circles or upwards, no crate and no file too large",
     structure::check,
+);
+const COMMENTS: Step = Step::new(
+    "comments",
+    "no comment begins with a word that keeps it from saying the thing itself",
+    comments::check,
 );
 const MANUAL: Step = Step::new(
     "manual",
@@ -88,6 +93,7 @@ pub(crate) fn lint() -> ExitCode {
     steps::run(&[
         FORMAT,
         STRUCTURE,
+        COMMENTS,
         MANUAL,
         DEPENDENCIES,
         LINT_HOST,
@@ -102,6 +108,7 @@ pub(crate) fn ci() -> ExitCode {
     steps::run(&[
         FORMAT,
         STRUCTURE,
+        COMMENTS,
         MANUAL,
         HOST_TESTS,
         LINT_HOST,

@@ -9,6 +9,7 @@ mod bench;
 mod board;
 mod book;
 mod checks;
+mod comments;
 mod debian;
 mod dependencies;
 mod fuzz;
@@ -39,9 +40,10 @@ cargo xtask <command>
   test [host]       build the images, run the host tests with slices of the long series, and the tests of the images
                     (host: only what needs no image); ends with a table of steps, tests, seconds and the
                     slowest test programs
-  lint [structure|manual]
-                    format, structure, manual, licences, clippy for host and chip, documentation; no warning allowed
-                    (structure, manual: only that, in a second; manual: links, length and width of pages)
+  lint [structure|comments|manual]
+                    format, structure, comments, manual, licences, clippy for host and chip, documentation; no warning
+                    allowed (structure, comments, manual: only that, in a second; comments: how they begin; manual:
+                    links, length and width of pages)
   book              make a book of the manual in target/book, to browse and search; no server and no network needed
                     to read it, no warning allowed
   ci                everything that has to pass before a change is merged
@@ -94,6 +96,7 @@ fn main() -> ExitCode {
         ("test", [which]) if which == "host" => return checks::test_host(),
         ("lint", []) => return checks::lint(),
         ("lint", [which]) if which == "structure" => structure::check(),
+        ("lint", [which]) if which == "comments" => comments::check(),
         ("lint", [which]) if which == "manual" => manual::check(),
         ("book", []) => book::build(),
         ("ci", []) => return checks::ci(),
