@@ -4,10 +4,10 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, OnceLock, PoisonError};
+use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 
 use campaign::contents::Campaign;
-use campaign::files::{ATTEMPTS, LOCK};
+use campaign::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
 use campaign::folder::Folder;
 use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use campaign::manifest;
@@ -37,7 +37,24 @@ const SECRET: &str = "not-for-the-folder";
 /// Trials that are done, of the three of the plan.
 const DONE: u32 = 2;
 
-/// A change of the folder. Files are counted by their names.
+/// The files of the folder as the tool writes it, in the order by which a [`Step`] counts them. Its numbers stay the
+/// same after a removal.
+pub const FILES: [&str; 12] = [
+    LOCK,
+    manifest::NAME,
+    ORDER,
+    PLAN,
+    READINGS,
+    TRIALS,
+    "trials/001-1/conditions.json",
+    "trials/001-1/run-20260121T125328Z.csv",
+    "trials/001-1/run-20260121T125328Z.json",
+    "trials/002-1/conditions.json",
+    "trials/002-1/run-20260121T125332Z.csv",
+    "trials/002-1/run-20260121T125332Z.json",
+];
+
+/// A change of the folder; numbers of files are those of [`FILES`].
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Step {
     /// Changes a file.
@@ -92,10 +109,7 @@ struct Made {
 /// # Panics
 /// A change is unnoticed, something outside of the folder is read or written, or the tool panics.
 pub fn target(data: &[u8]) {
-    static MADE: OnceLock<Mutex<Made>> = OnceLock::new();
-    let made = MADE.get_or_init(|| Mutex::new(Made::new()));
-    // The lock reserves the folder until the script ends.
-    let mut made = made.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut made = made();
     let line = data.last().map_or(0, |byte| usize::from(*byte));
     let mut entries = made.whole.clone();
     let mut resumed = false;
@@ -128,41 +142,49 @@ pub fn target(data: &[u8]) {
         made.judge(&entries);
     }
     let folder = made.folder();
-    let args = [
-        LINES[line % LINES.len()],
-        &[folder.to_str().expect("UTF-8")],
-    ]
-    .concat();
+    let args = [LINES[line % LINES.len()], &[path_of(&folder)]].concat();
     let (_, said) = command::run(&args, &Ports);
     assert!(!said.contains(SECRET), "{said}");
     made.is_alone();
 }
 
-fn change(entries: &mut Entries, step: &Step, place: &Path) {
-    let names: Vec<String> = entries.keys().cloned().collect();
-    if names.is_empty() {
-        return;
+/// The folder, reserved until the script ends.
+fn made() -> MutexGuard<'static, Made> {
+    static MADE: OnceLock<Mutex<Made>> = OnceLock::new();
+    let made = MADE.get_or_init(|| Mutex::new(Made::new()));
+    made.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The files that a script changes, apart from a new manifest and what a resumption writes.
+pub fn changed(data: &[u8]) -> Vec<&'static str> {
+    let made = made();
+    let mut entries = made.whole.clone();
+    for step in steps::<Step>(data).take(MOST_STEPS) {
+        change(&mut entries, &step, made.place.path());
     }
-    let name = |index: u8| names[usize::from(index) % names.len()].clone();
+    let differs = |name: &&str| entries.get(*name) != made.whole.get(*name);
+    FILES.into_iter().filter(differs).collect()
+}
+
+fn change(entries: &mut Entries, step: &Step, place: &Path) {
+    let name = |index: u8| FILES[usize::from(index) % FILES.len()];
     match step {
         Step::Edit(file, change) => {
-            if let Some(Entry::File(bytes)) = entries.get_mut(&name(*file)) {
+            if let Some(Entry::File(bytes)) = entries.get_mut(name(*file)) {
                 change.make(bytes);
             }
         }
         Step::Link(file, to) => {
             let to = place.join(OUTSIDE[usize::from(*to) % OUTSIDE.len()]);
-            entries.insert(name(*file), Entry::Link(to));
+            entries.insert(name(*file).to_owned(), Entry::Link(to));
         }
-        Step::Pipe(file) => drop(entries.insert(name(*file), Entry::Pipe)),
-        Step::Remove(file) => drop(entries.remove(&name(*file))),
-        Step::Swap(one, other) => swap(entries, &name(*one), &name(*other)),
+        Step::Pipe(file) => drop(entries.insert(name(*file).to_owned(), Entry::Pipe)),
+        Step::Remove(file) => drop(entries.remove(name(*file))),
+        Step::Swap(one, other) => swap(entries, name(*one), name(*other)),
         Step::Exchange => {
-            for name in &names {
-                let other = name.replace("/001-1/", "/002-1/");
-                if other != *name {
-                    swap(entries, name, &other);
-                }
+            let first = |name: &&str| name.contains("/001-1/");
+            for name in FILES.into_iter().filter(first) {
+                swap(entries, name, &name.replace("/001-1/", "/002-1/"));
             }
         }
         Step::Seal | Step::Resume(_) => {}
@@ -221,6 +243,13 @@ impl Made {
             assert_eq!(verified.findings, [], "nothing was changed");
         } else if entries.get(manifest::NAME) == self.whole.get(manifest::NAME) {
             assert_ne!(verified.findings, [], "a change that nobody notices");
+        } else if is_unknown(entries) {
+            // Nothing says which files belong here. The tool has to say that, and may find nothing else.
+            assert!(!verified.campaign, "no campaign is there");
+            if verified.findings.is_empty() {
+                let (_, said) = command::run(&["verify", path_of(&folder)], &Ports);
+                assert!(said.contains("there is no SHA256SUMS"), "{said}");
+            }
         } else if entries
             .values()
             .any(|entry| !matches!(entry, Entry::File(_)))
@@ -255,12 +284,28 @@ impl Made {
         fs::write(place.path().join("outside/secret.json"), secret).expect("a folder");
         let mut whole = Entries::new();
         read(&folder, "", &mut whole);
+        assert!(
+            whole.keys().eq(FILES.iter()),
+            "other files: {:?}",
+            whole.keys()
+        );
         Self {
             place,
             there: whole.clone(),
             whole,
         }
     }
+}
+
+/// Whether the folder has neither a manifest nor two of the files by which a campaign is known.
+fn is_unknown(entries: &Entries) -> bool {
+    let of_campaign = [ORDER, PLAN, READINGS, TRIALS].into_iter();
+    let there = of_campaign.filter(|name| entries.contains_key(*name));
+    !entries.contains_key(manifest::NAME) && there.count() < 2
+}
+
+fn path_of(folder: &Path) -> &str {
+    folder.to_str().expect("UTF-8")
 }
 
 fn put(path: &Path, entry: &Entry) {

@@ -1,7 +1,7 @@
 //! Scripts of changed files.
 
 use fuzz::documents::Kind;
-use fuzz::folders::Step;
+use fuzz::folders::{self, FILES, Step};
 use fuzz::text::Change::{self, Cut, Number, Replace, Twice, Word};
 
 use crate::{Example, bytes, script};
@@ -70,32 +70,89 @@ pub fn of_documents() -> Vec<Example> {
     ]
 }
 
-/// The folder as it was written, and each way in which it is changed. Files are counted by their names: the manifest is
-/// the first, then the order, the plan, the readings, the ledger, and conditions, telemetry and record of two attempts.
+/// The folder as it was written, and each way in which it is changed. The first word of a name says which files.
 pub fn of_folders() -> Vec<Example> {
     use Step::{Edit, Exchange, Link, Pipe, Remove, Resume, Seal, Swap};
     let example = |name, steps: &[Step]| ("folders", name, script(&[], steps));
+    let [_, manifest, order, plan, _, ledger, rest @ ..] = numbers();
+    let [
+        conditions,
+        telemetry,
+        record,
+        other_conditions,
+        other_telemetry,
+        other_record,
+    ] = rest;
     vec![
         example("as-written", &[]),
-        example("edited", &[Edit(4, Number(500, 3))]),
-        example("sealed", &[Edit(10, Word(300, 5)), Seal]),
-        example("ledger-row", &[Edit(11, Twice(900)), Resume(false)]),
-        example("ledger-taken-up", &[Edit(11, Twice(900)), Resume(true)]),
-        example("exchanged", &[Exchange, Seal]),
-        example("swapped", &[Swap(5, 8), Seal]),
-        example("linked", &[Link(6, 0), Seal]),
-        example("device", &[Link(6, 2), Link(11, 2)]),
-        example("linked-folder", &[Link(9, 1), Resume(true)]),
-        example("pipe", &[Pipe(4), Seal]),
-        example("removed", &[Remove(7), Seal, Resume(true)]),
+        example("ledger-edited", &[Edit(ledger, Number(500, 3))]),
+        example("record-sealed", &[Edit(other_record, Word(300, 5)), Seal]),
+        example("ledger-row", &[Edit(ledger, Twice(800)), Resume(false)]),
+        example("ledger-taken-up", &[Edit(ledger, Twice(800)), Resume(true)]),
+        example("attempts-exchanged", &[Exchange, Seal]),
         example(
-            "plan",
+            "conditions-swapped",
+            &[Swap(conditions, other_conditions), Seal],
+        ),
+        example("telemetry-linked", &[Link(telemetry, 0), Seal]),
+        example(
+            "telemetry-device",
+            &[Link(telemetry, 2), Link(other_telemetry, 2)],
+        ),
+        example(
+            "conditions-linked-folder",
+            &[Link(other_conditions, 1), Resume(true)],
+        ),
+        example("ledger-pipe", &[Pipe(ledger), Seal]),
+        example("record-removed", &[Remove(record), Seal, Resume(true)]),
+        example(
+            "plan-edited",
             &[
-                Edit(2, Word(100, 2)),
-                Edit(2, Replace(0, 3, vec![b'y'])),
+                Edit(plan, Word(100, 2)),
+                Edit(plan, Replace(0, 3, vec![b'y'])),
                 Seal,
             ],
         ),
-        example("cut", &[Edit(11, Cut(950)), Resume(true)]),
+        example("ledger-cut", &[Edit(ledger, Cut(950)), Resume(true)]),
+        // Nothing says any more that it was a campaign, so nothing misses what the link has replaced.
+        example(
+            "found-no-campaign",
+            &[
+                Remove(manifest),
+                Remove(order),
+                Remove(plan),
+                Remove(ledger),
+                Link(conditions, 0),
+            ],
+        ),
     ]
+}
+
+/// The number of each of [`FILES`], in their order.
+fn numbers() -> [u8; FILES.len()] {
+    std::array::from_fn(|number| number as u8)
+}
+
+#[test]
+fn each_script_of_folders_changes_the_files_that_its_name_says() {
+    for (_, name, bytes) in of_folders() {
+        let said: &[&str] = match name.split('-').next() {
+            Some("as") => &[],
+            Some("ledger") => &["trials.csv"],
+            Some("record") => &["Z.json"],
+            Some("telemetry") => &["Z.csv"],
+            Some("conditions") => &["conditions.json"],
+            Some("plan") => &["plan.toml"],
+            Some("attempts") => &["Z.json", "Z.csv", "conditions.json"],
+            Some("found") => continue,
+            _ => panic!("{name} says no file"),
+        };
+        let changed = folders::changed(&bytes);
+        let is_said = |file: &&str| said.iter().any(|end| file.ends_with(end));
+        assert!(changed.iter().all(is_said), "{name} changes {changed:?}");
+        for end in said {
+            let is_changed = changed.iter().any(|file| file.ends_with(end));
+            assert!(is_changed, "{name} changes {changed:?}");
+        }
+    }
 }
