@@ -223,6 +223,34 @@ fn a_rise_along_a_line_is_no_origami() {
     }
 }
 
+/// A snap or an early pull at the calibration makes its rise from a quarter long. The same capsule has the usual rise in
+/// the next run, and a line is still no origami.
+#[test]
+fn a_quarter_that_was_felt_early_need_not_be_felt_early_again() {
+    for long_um in [3_300, 3_800, 4_500, 9_000] {
+        let known = Calibration {
+            long_rise: Thread(long_um),
+            ..KNOWN
+        };
+        for (quarter_um, less, right) in [
+            (3_300, 1, true),
+            (2_888, 1, true),
+            (2_887, 1, false),
+            (2_579, 0, true),
+            (2_578, 0, false),
+            (2_250, 0, false),
+        ] {
+            let rise = Rise {
+                half: Thread(1_500),
+                quarter: Thread(quarter_um),
+            };
+            let wound = Thread(END.0 - FRICTION_MOVES.0 - less);
+            let found = rise.is_of(&known, wound, false);
+            assert_eq!(found, right, "{rise:?} after {long_um} um");
+        }
+    }
+}
+
 /// At 0.7 times the friction the end force comes later, after a shorter rise. Before the end something hard may be in the
 /// way.
 #[test]
