@@ -424,7 +424,8 @@ fn no_capsule() -> Broken {
     }
 }
 
-/// Writes when each stroke began, by the rig's clock: the instants of the sync pulses to the camera.
+/// Writes when each stroke began, by the rig's clock. The sync pulse to the camera comes with the first step, later by
+/// the time that the carriage needs for it from rest.
 fn write_pulses(
     folder: &Path,
     events: &[protocol::system::Event],
