@@ -290,7 +290,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         }
     }
 
-    /// Writes a record. First rewrites the old ones that would otherwise be dropped some day.
+    /// Writes a record. First rewrites each one that the log may drop soon with its oldest sector.
     fn save(&mut self, number: u8, content: &[u8]) -> Result<(), StorageFailed> {
         if self.found == Found::Noise {
             // The next start would not reach this record.

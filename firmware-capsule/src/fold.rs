@@ -120,7 +120,7 @@ pub enum Event {
 /// Output of a step, for the caller to carry out.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Actions {
-    /// Set the bridge to this.
+    /// Drive for the bridge from now on.
     pub drive: Drive,
     /// Events to record and send, in this order.
     pub events: heapless::Vec<CapsuleEvent, 3>,

@@ -20,11 +20,11 @@ pub struct Settings {
     /// Current above the no-load current from which a fold goes slowly, mA. The stiffest origami with the most
     /// friction takes 115 mA where the fold slows down anyway.
     pub resisted_ma: u16,
-    /// Winding over the long part, counts/s.
+    /// Winding speed over the long part, counts/s.
     pub fold_cps: i32,
-    /// Winding where force ends the leg, counts/s.
+    /// Winding speed where force ends the leg, counts/s.
     pub slow_cps: i32,
-    /// Winding near the end force, counts/s. A soft origami meets its hard end there.
+    /// Winding speed near the end force, counts/s. A soft origami meets its hard end there.
     pub near_cps: i32,
     /// Largest speed of paying out, counts/s; the battery may give less.
     pub pay_out_cps: i32,

@@ -351,8 +351,8 @@ impl Execution {
         Some(self.end(ring, mailbox, end))
     }
 
-    /// Whether the counter misses more steps than wait in the ring. Then stop: at rest, the positions show which steps
-    /// are lost.
+    /// Whether the counter misses more steps than wait in the ring: some are lost then. The motion stops, because only
+    /// positions at rest show how many.
     fn misses_edges(&self, ring: &impl Ring) -> bool {
         let missed = self.periods.position().distance_to(ring.counted());
         missed.0 > ring.waiting_pulses()

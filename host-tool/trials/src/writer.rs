@@ -15,7 +15,7 @@ enum Job {
     Replace(PathBuf, Vec<u8>),
 }
 
-/// Where the growing file's rows go.
+/// Destination of the rows of a growing file.
 pub(crate) trait Sink: Write + Send + 'static {
     /// Waits until everything written is on the disk.
     fn sync(&mut self) -> io::Result<()>;

@@ -201,7 +201,7 @@ pub(crate) fn wake_bridge() {
     pac::GPIOB.bsrr().write(|w| w.set_bs(N_SLEEP, true));
 }
 
-/// The bridge reports a fault. Means nothing while it sleeps.
+/// Whether the bridge reports a fault. The pin means nothing while the bridge sleeps.
 pub(crate) fn fault_is_reported() -> bool {
     pac::GPIOA.idr().read().idr(N_FAULT) == pac::gpio::vals::Idr::LOW
 }
