@@ -1,4 +1,4 @@
-//! What the examples in Python make of a campaign's folder.
+//! The examples in Python, run on a campaign's folder.
 
 use std::fs;
 use std::path::Path;

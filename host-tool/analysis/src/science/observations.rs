@@ -591,7 +591,7 @@ mod tests {
                 ("row 3", "excluded: the tail was caught")
             ]
         );
-        // What it says of its origin has to be true all the same.
+        // Its origin has to agree with the other rows all the same.
         let text = format!("{HEADER}net,5,,5,dry,,4,1,board,\n,,,,,,,,virtual,yes\n");
         let why = parse(text.as_bytes(), None).expect_err("two origins");
         assert!(why.starts_with("rows of different origin"), "{why}");
