@@ -105,7 +105,7 @@ impl Places {
         }
     }
 
-    /// What a caption says of them.
+    /// The sentence about them in a caption; none where each stands at its indentation.
     fn caption(&self) -> &'static str {
         match self.any_beside {
             true => {
