@@ -164,7 +164,7 @@ impl Settings {
         })
     }
 
-    /// Steps beyond the flag's edge from which a carriage has certainly closed the flag: see [`FLAG_HYSTERESIS`].
+    /// Steps beyond the flag's edge from which a carriage has certainly closed the flag: 1 mm of hysteresis.
     pub fn closes_the_flag_after(&self) -> Steps {
         let hysteresis = self.axis.steps_within(FLAG_HYSTERESIS);
         Steps(hysteresis.map_or(u32::MAX, |steps| steps.0))

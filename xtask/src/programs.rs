@@ -50,6 +50,9 @@ const WAITING: [(&str, &str); 5] = [
     ("host-tool", "signals"),
 ];
 
+/// Programs that compute for the most part, with some tests that wait in real time.
+const PARTLY_WAITING: [(&str, &str); 2] = [("host-tool", "commands"), ("host-tool", "campaigns")];
+
 /// Number of waiting programs that run at a time.
 const WAITING_LANES: usize = 1;
 
@@ -253,12 +256,13 @@ pub(crate) fn test(selection: Selection) -> Tests {
 }
 
 /// The failed tests of a program that waits in real time, to be run alone: other work may have kept its tools from the
-/// processor for too long. None of another program, and of one that died before it could name them.
+/// processor for too long. None of a program that only computes, and of one that died before it could name them.
 fn to_repeat(ended: &Ended) -> Option<Job> {
     let Job::Program(program) = &ended.job else {
         return None;
     };
-    if ended.wrong.is_none() || ended.job.place_in(&WAITING).is_none() {
+    let waits = [&WAITING[..], &PARTLY_WAITING].concat();
+    if ended.wrong.is_none() || ended.job.place_in(&waits).is_none() {
         return None;
     }
     let failed: Vec<_> = failed_tests(&ended.output).map(str::to_owned).collect();
