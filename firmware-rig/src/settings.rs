@@ -14,8 +14,8 @@ use protocol::{
 
 /// Ticks of 10 ns per microsecond.
 const TICKS_PER_US: u32 = (TICK_HZ / 1_000_000) as u32;
-/// Largest distance between the places where the home flag closes and opens. Light barriers have 0.05 mm, lever
-/// switches up to 0.8 mm; a stroke that turns within it meets no edge on its way home.
+/// Largest distance between the places where the home flag closes and opens, the differential travel in a switch's
+/// datasheet. A stroke that turns within it meets no edge on its way home.
 const FLAG_HYSTERESIS: Micrometres = Micrometres(1_000);
 
 /// Settings of a rig. Lengths in um, speeds in um/s, accelerations in um/s2.
