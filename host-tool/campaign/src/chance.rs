@@ -75,6 +75,17 @@ mod tests {
         assert_eq!(items, [4, 3, 2, 7, 5, 6, 0, 1]);
     }
 
+    /// The scatter of a virtual campaign must come again as it was.
+    #[test]
+    fn a_part_is_the_share_of_the_bits_in_all_of_them() {
+        let (mut chance, mut same) = (Chance::new(1_234_567), Chance::new(1_234_567));
+        for _ in 0..1_000 {
+            let share = same.bits() as f64 / 2.0_f64.powi(64);
+            let part = chance.part();
+            assert!((part - share).abs() < 1e-15 && part < 1.0, "{part} {share}");
+        }
+    }
+
     #[test]
     fn each_order_comes_equally_often() {
         let mut counts = std::collections::BTreeMap::new();

@@ -496,4 +496,22 @@ mod tests {
             assert_eq!(Broken::from(error).outcome(), outcome, "{text}");
         }
     }
+
+    /// The ledger keeps this text, and whoever reads it later has nothing else.
+    #[test]
+    fn a_lost_record_is_in_the_ledger_with_its_file() {
+        let full = std::io::Error::other("the disk is full");
+        let error = RecordError::write(std::path::Path::new("trials/001-1/run.csv"), full);
+        let broken = Broken::from(error);
+        assert_eq!(broken.outcome(), AttemptOutcome::Lost);
+        let text = broken.to_string();
+        assert!(
+            text.contains("run.csv") && text.contains("the disk is full"),
+            "{text}"
+        );
+        let stopped = ClientError::Interrupted { request: "Home" };
+        let text = stopped.in_record();
+        assert_eq!(Broken::from(stopped).to_string(), text);
+        assert!(!text.is_empty());
+    }
 }

@@ -373,6 +373,16 @@ mod tests {
             ),
             ("note 21 degC", Answer::Note("21 degC".to_owned())),
             ("q", Answer::Quit),
+            ("Quit", Answer::Quit),
+            ("y", Answer::Yes),
+            ("yes", Answer::Yes),
+            ("n", Answer::Again),
+            ("no", Answer::Again),
+            ("again", Answer::Again),
+            ("clamp", Answer::Clamp),
+            ("skip", Answer::Skip(String::new())),
+            ("skip no soap", Answer::Skip("no soap".to_owned())),
+            ("camera IMG_1.MOV", Answer::Camera("IMG_1.MOV".to_owned())),
         ] {
             assert_eq!(parse(text), answer, "{text:?}");
         }

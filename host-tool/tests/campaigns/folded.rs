@@ -3,7 +3,10 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use campaign::form::Form;
 use campaign::ledger::Standing;
+use campaign::order::order;
+use campaign::plan::CampaignPlan;
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
@@ -93,6 +96,58 @@ fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
     assert!(!memory.heard().contains(&"Unfold"), "{shown}");
     let told = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
     assert!(shown.contains(told), "{shown}");
+}
+
+/// Whoever stands beside the capsule learns what it is about to do.
+#[test]
+fn each_motion_of_the_capsule_is_told_before_it() {
+    let memory = machines(None);
+    let (code, shown, _place) = session(&memory, &[("Displacement of the tail", "-60")]);
+    assert_eq!(code, 0, "{shown}");
+    let lines = shown.lines().filter(|line| line.ends_with(" the capsule."));
+    let told: Vec<&str> = lines.collect();
+    let motions = ["Reference", "Fold", "Unfold"].map(|verb| format!("{verb} the capsule."));
+    assert_eq!(told, motions, "{shown}");
+}
+
+/// The body of the present trial is still to be measured, in the folded shape.
+#[test]
+fn a_corrected_trial_leaves_the_capsule_of_the_next_one_folded() {
+    let mut plans = (1..100).map(|seed| {
+        let plan = changed(&fold_test(), &[("repeats = 1", "repeats = 2")]);
+        plan.replacen("seed = 1", &format!("seed = {seed}"), 1)
+    });
+    let is_last = |plan: &String| {
+        let plan = CampaignPlan::parse(plan, Path::new("plan.toml")).expect("a plan");
+        let shapes = order(&plan).into_iter().map(|trial| trial.shape);
+        shapes.eq([Form::Unfolded, Form::Unfolded, Form::Folded, Form::Folded])
+    };
+    let place = place(&plans.find(is_last).expect("of a hundred"));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let lines = vec![
+        ("rollers OFF", ""),
+        ("Reading 1 of 1: D", "24.4"),
+        ("Clamp both rollers", ""),
+        ("Reading 1 of 1: i", "14.3"),
+        ("it will be unfolded", ""),
+        ("Displacement of the tail", "30"),
+        ("it will be unfolded", ""),
+        ("Displacement of the tail", "31"),
+        ("it will be folded now", ""),
+        ("Displacement of the tail", "-60"),
+        ("it will be folded now", ""),
+        ("Trial 4 of 4", "undo"),
+        ("the displacement of trial 3 is taken back", ""),
+        ("is needed here", "-61"),
+        ("Trial 4 of 4", "q"),
+    ];
+    let memory = machines(None);
+    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
+    assert_eq!(code, 130, "{shown}");
+    let heard = memory.heard();
+    let count = |name| heard.iter().filter(|heard| **heard == name).count();
+    assert_eq!((count("Fold"), count("Unfold")), (2, 1), "{shown}");
+    assert!(shown.contains("The capsule is folded still"), "{shown}");
 }
 
 /// Mishap on the capsule's line.
@@ -254,4 +309,33 @@ fn a_stop_while_the_displacement_is_asked_for_leaves_the_capsule_and_tells_of_it
     let campaign = whole(&path(&place, "c"));
     let folded = campaign.state.trial(2).expect("there");
     assert_eq!(folded.standing(), Standing::Done);
+}
+
+/// The stop ends the session, and the body has its displacement.
+#[test]
+fn a_stop_while_the_capsule_unfolds_ends_the_session_in_order() {
+    let bench = Bench::new(Mishap::Stopped, "Unfold");
+    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    assert!(bench.has_unfolded());
+    let campaign = whole(&path(&place, "c"));
+    let folded = campaign.state.trial(2).expect("there");
+    assert_eq!(folded.standing(), Standing::Done, "{shown}");
+    let left = "left; everything that was entered is in";
+    assert!(shown.contains(left), "{shown}");
+    assert_eq!(code, 130, "{shown}");
+}
+
+/// A capsule that may be moving still is no end in order.
+#[test]
+fn a_capsule_that_is_gone_while_it_unfolds_ends_the_session_with_an_error() {
+    let bench = Bench::new(Mishap::Unplugged, "Unfold");
+    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    assert_eq!(code, 4, "{shown}");
+    assert!(
+        shown.contains("it was unplugged: it MAY BE MOVING"),
+        "{shown}"
+    );
+    let campaign = whole(&path(&place, "c"));
+    let folded = campaign.state.trial(2).expect("there");
+    assert_eq!(folded.standing(), Standing::Done, "{shown}");
 }

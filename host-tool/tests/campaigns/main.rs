@@ -4,6 +4,7 @@
 mod support;
 
 mod attempts;
+mod bounds;
 mod campaign;
 mod campaign_report;
 mod campaign_run;
@@ -16,4 +17,5 @@ mod guests;
 mod hostile;
 mod in_python;
 mod pictures;
+mod stopped;
 mod told;

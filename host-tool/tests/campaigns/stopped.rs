@@ -1,0 +1,146 @@
+//! A stop while something moves: the session ends in order, and what was under way does not count.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use campaign::contents::Campaign;
+use campaign::ledger::{AttemptOutcome, Standing};
+use campaign::order::order;
+use campaign::plan::{CampaignPlan, Purpose as Figure};
+use client::address::Address;
+use client::link::{Link, LinkError, OpenError};
+use jiff::Timestamp;
+use operations::connector::{Candidate, Connector, Purpose};
+use protocol::system::{DeviceKind, Urgent};
+use simulated_machines::machine::{Log, Script, link};
+
+use crate::campaign_run::{
+    UP_TO_THE_PASSES, converse, path, place, plan_of_passes, small_plan, whole,
+};
+
+/// The line of a rig that somebody stops once it has heard a request.
+struct Line {
+    link: Box<dyn Link>,
+    log: Arc<Mutex<Log>>,
+    after: &'static str,
+    is_over: bool,
+}
+
+impl Link for Line {
+    fn place(&self) -> String {
+        self.link.place()
+    }
+    fn now_us(&self) -> u64 {
+        self.link.now_us()
+    }
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.link.send(bytes)
+    }
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.link.receive(buffer, deadline_us)
+    }
+    fn stopped(&mut self) -> Option<Urgent> {
+        let heard = &self.log.lock().expect("free").heard;
+        (!self.is_over && heard.contains(&self.after)).then_some(Urgent::Stop)
+    }
+    fn forget_stop(&mut self) {
+        self.is_over = true;
+    }
+}
+
+/// A bench whose rig is stopped once it has heard this request.
+struct Bench(&'static str);
+
+impl Connector for Bench {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let (link, log) = link(Script::new(kind));
+        Ok(match kind {
+            DeviceKind::Rig => Box::new(Line {
+                link,
+                log,
+                after: self.0,
+                is_over: false,
+            }),
+            DeviceKind::Capsule => link,
+        })
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+const LEFT: &str = "left; everything that was entered is in";
+
+#[test]
+fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let lines = vec![
+        ("rollers OFF", ""),
+        ("Reading 1 of 2: D", "24.4"),
+        ("Reading 2 of 2: D", "24.4"),
+        ("Clamp both rollers", ""),
+        ("Reading 1 of 2: i", "20.4"),
+        ("Reading 2 of 2: i", "20.4"),
+        ("Trial 1 of 6", ""),
+    ];
+    let (code, shown) = converse(&Bench("Run"), &["run", &plan, "--out", &out], lines);
+    assert_eq!(code, 130, "{shown}");
+    for told in ["  stopped: attempt 1 of trial 1 does not count", LEFT] {
+        assert!(shown.contains(told), "{told}: {shown}");
+    }
+    let campaign = whole(&out);
+    let first = campaign.state.trial(1).expect("there");
+    assert_eq!(first.standing(), Standing::Open);
+    let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
+    assert_eq!(outcomes, [Some(AttemptOutcome::Stopped)]);
+}
+
+/// No attempt has begun yet, so none is listed.
+#[test]
+fn a_stop_on_the_way_to_the_start_of_a_trial_ends_the_session_in_order() {
+    let (before, series) = {
+        let plan = plan_of_passes();
+        let (before, series) = plan.split_once("[series]").expect("there");
+        let (_, after) = series.split_once("\n\n").expect("a blank line");
+        (before.to_owned(), after.to_owned())
+    };
+    let plans = (1..100).map(|seed| {
+        let seed = format!("seed = {seed}");
+        format!("{}{series}", before.replace("seed = 20221", &seed))
+    });
+    let begins_far = |plan: &String| {
+        let plan = CampaignPlan::parse(plan, Path::new("plan.toml")).expect("a plan");
+        order(&plan)[0].purpose == Figure::ReturningPass
+    };
+    let passes = plans.into_iter().find(begins_far).expect("of a hundred");
+    for (request, moves) in [("Home", "home"), ("MoveTo", "to the far end")] {
+        let place = place(&passes);
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let lines = [
+            &UP_TO_THE_PASSES[..],
+            &[("the rollers go to the far end before", "")],
+        ];
+        let args = ["run", &plan, "--out", &out];
+        let (code, shown) = converse(&Bench(request), &args, lines.concat());
+        assert_eq!(code, 130, "{moves}: {shown}");
+        assert!(shown.contains(LEFT), "{moves}: {shown}");
+        let campaign = Campaign::read(Path::new(&out)).expect("a campaign");
+        assert_eq!(campaign.rows, [], "{moves}");
+    }
+}
