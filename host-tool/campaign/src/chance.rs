@@ -86,6 +86,17 @@ mod tests {
         }
     }
 
+    /// Otherwise 0 would come oftener than 1 and 2.
+    #[test]
+    fn a_number_beyond_the_last_whole_multiple_is_drawn_again() {
+        // The seed whose first number is the greatest of all.
+        let seed = 3_558_559_446_808_474_027;
+        let mut bits = Chance::new(seed);
+        let (first, second) = (bits.bits(), bits.bits());
+        assert_eq!((first, first % 3, second % 3), (u64::MAX, 0, 1));
+        assert_eq!(Chance::new(seed).below(3), 1);
+    }
+
     #[test]
     fn each_order_comes_equally_often() {
         let mut counts = std::collections::BTreeMap::new();

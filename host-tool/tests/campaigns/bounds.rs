@@ -9,10 +9,11 @@ use campaign::files::TRIALS;
 use campaign::folder::Folder;
 use campaign::form::Form;
 use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
-use campaign::manifest;
+use campaign::manifest::{self, Manifest, contents};
 use campaign::order::{Planned, order};
-use campaign::plan::{CampaignPlan, Lubrication, Purpose};
+use campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
 use campaign::prompts::clearing;
+use campaign::readings::{Kind, Quantity, Readings, questions, refusal};
 use campaign::remaining::remaining_s;
 use campaign::verify::verify;
 use client::identity::Origin;
@@ -20,9 +21,11 @@ use jiff::civil::date;
 use jiff::{SignedDuration, Timestamp};
 use simulated_machines::machine::VIRTUAL_UID;
 
-use crate::campaign::{SMALL, accepted, at, campaign, findings, mm, plan, reading};
+use crate::campaign::{
+    SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading,
+};
 use crate::campaign_run::{converse, machines, path, place, plan_of_passes, small_plan};
-use crate::support::plan::changed;
+use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 
 /// The reason why a plan with this text in place of another one is refused; none if it is not.
 fn refused(from: &str, to: &str) -> Option<String> {
@@ -98,12 +101,12 @@ fn a_body_may_lie_exactly_where_the_rollers_no_longer_reach() {
     let why = refused("0", "41.2").expect("under the rollers");
     let reach = why.split("rollers reach ").nth(1).expect("the reach");
     let reach = mm(reach.split(' ').next().expect("a number"));
-    let below = campaign::plan::Millimetres::from_um(reach.um - 1);
+    let below = Millimetres::from_um(reach.um - 1);
     assert_eq!(refused(&reach.to_string(), "41.2"), None);
     assert!(refused(&below.to_string(), "41.2").is_some());
     // From the other end, of the stroke of 130 mm.
-    let most = campaign::plan::Millimetres::from_um(130_000 - reach.um - 41_200);
-    let above = campaign::plan::Millimetres::from_um(most.um + 1);
+    let most = Millimetres::from_um(130_000 - reach.um - 41_200);
+    let above = Millimetres::from_um(most.um + 1);
     assert_eq!(refused(&most.to_string(), "41.2"), None);
     assert!(refused(&above.to_string(), "41.2").is_some());
 }
@@ -483,7 +486,7 @@ fn an_indentation_of_readings_that_are_not_there_is_found() {
         ] {
             let mut last = accepted(&first);
             if discarded && first.readings_set == 2 {
-                last.event = campaign::readings::Kind::Discarded;
+                last.event = Kind::Discarded;
             }
             for row in [first.clone(), last] {
                 folder
@@ -496,4 +499,162 @@ fn an_indentation_of_readings_that_are_not_there_is_found() {
         let all = findings(&path);
         assert_eq!(all.iter().any(|one| one.contains(&says)), found, "{all:?}");
     }
+}
+
+/// An attempt at a fold has more records than that of its run.
+#[test]
+fn the_record_of_a_run_is_found_among_others() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let folder = campaign(&path);
+    let records = folder.campaign().attempt_folder(1, 1);
+    for name in [
+        "unfold-20260131T120000Z.json",
+        "unfold-20260131T120000Z.csv",
+        "sync.csv",
+    ] {
+        fs::write(records.join(name), "").expect("written");
+    }
+    let run = folder.campaign().run_sidecar(1, 1).expect("there");
+    let name = run.file_name().expect("a name").to_string_lossy();
+    assert!(
+        name.starts_with("run-") && name.ends_with(".json"),
+        "{name}"
+    );
+}
+
+/// A path that leaves the folder, or that `sha256sum` would read otherwise, is in no manifest.
+#[test]
+fn a_manifest_has_whole_hashes_and_paths_within_the_folder() {
+    let parsed = |hash: &str, path: &str| Manifest::parse(&format!("{hash}  {path}\n"));
+    let hash = "0123456789abcdef".repeat(4);
+    for path in ["a", "a/b.csv", ".a", "a..b", "..a/b", "a b"] {
+        assert!(parsed(&hash, path).is_ok(), "{path}");
+    }
+    for path in [
+        "", ".", "..", "/a", "a/", "a//b", "a/./b", "a/../b", "../a", "a/..", "a\\b", "a\tb",
+    ] {
+        assert!(parsed(&hash, path).is_err(), "{path:?}");
+    }
+    for length in [0, 2, 62, 63, 65, 66, 128] {
+        let digits = hash.repeat(2)[..length].to_owned();
+        assert!(parsed(&digits, "a").is_err(), "{length}");
+    }
+}
+
+/// The lock is empty and lies at the top: any other file of its name is one of the folder's.
+#[test]
+fn only_the_lock_itself_is_left_out_of_the_manifest() {
+    let place = tempfile::tempdir().expect("a folder");
+    let files = || contents(place.path()).expect("read").files;
+    for name in [".lock", "empty"] {
+        fs::write(place.path().join(name), "").expect("written");
+    }
+    fs::create_dir(place.path().join("in")).expect("made");
+    fs::write(place.path().join("in/.lock"), "").expect("written");
+    assert_eq!(files(), ["empty", "in/.lock"]);
+    fs::write(place.path().join(".lock"), "x").expect("written");
+    assert_eq!(files(), [".lock", "empty", "in/.lock"]);
+    fs::remove_file(place.path().join(".lock")).expect("removed");
+    fs::create_dir(place.path().join(".lock")).expect("made");
+    assert_eq!(files(), ["empty", "in/.lock"]);
+    fs::write(place.path().join(".lock/a"), "").expect("written");
+    assert_eq!(files(), [".lock/a", "empty", "in/.lock"]);
+}
+
+/// No manifest can list them, so they are told one by one.
+#[cfg(unix)]
+#[test]
+fn links_and_names_that_cannot_be_listed_are_told() {
+    use std::os::unix::ffi::OsStrExt as _;
+
+    let place = tempfile::tempdir().expect("a folder");
+    fs::write(place.path().join("a.txt"), "one").expect("written");
+    seal(place.path());
+    std::os::unix::fs::symlink("a.txt", place.path().join("b.txt")).expect("linked");
+    let names: [&[u8]; 2] = [b"c\\d.txt", b"e\xff.txt"];
+    for name in names.map(std::ffi::OsStr::from_bytes) {
+        fs::write(place.path().join(name), "one").expect("written");
+    }
+    let says = "is neither a file nor a folder, or has a name that cannot be listed";
+    let expected = ["b.txt", "c\\d.txt", "e\u{fffd}.txt"].map(|name| format!("{name}: {says}"));
+    assert_eq!(findings(place.path()), expected);
+}
+
+// Readings.
+
+/// Whoever confirmed an odd reading said why it is one: that stays, also when the rollers are clamped anew.
+#[test]
+fn a_confirmation_stays_with_readings_that_no_longer_hold() {
+    let mut readings = Readings::default();
+    for (set, is_accepted, kept) in [(1, true, "confirmed"), (2, false, "clamped anew")] {
+        let first = reading(set, None, 1, "24.4");
+        apply(&mut readings, first.clone());
+        let mut row = accepted(&first);
+        row.text = Some("confirmed".to_owned());
+        if is_accepted {
+            apply(&mut readings, row.clone());
+        }
+        (row.event, row.text) = (Kind::Discarded, Some("clamped anew".to_owned()));
+        apply(&mut readings, row);
+        let set = readings.sets.last().expect("there");
+        assert_eq!((set.text.as_deref(), set.discarded), (Some(kept), true));
+    }
+}
+
+/// Rollers that just reach the wall do not press it in.
+#[test]
+fn crests_as_far_apart_as_the_walls_give_no_indentation() {
+    for (between, a_mm) in [("24.4", false), ("24.398", true)] {
+        let mut readings = Readings::default();
+        measured(&mut readings, None, &["24.4"]);
+        measured(&mut readings, Some("a1"), &[between]);
+        let set = readings.clamped().expect("clamped");
+        let a = readings.indentation_mm(set);
+        assert_eq!(a.is_some(), a_mm, "{a:?}");
+    }
+}
+
+#[test]
+fn a_width_is_questioned_from_more_than_a_fifth_off() {
+    let text = SMALL.replace("width_about_mm = 24.4", "width_about_mm = 25");
+    for (value, asked) in [("30", 0), ("30.001", 1), ("20", 0), ("19.999", 1)] {
+        let mut readings = Readings::default();
+        measured(&mut readings, None, &[value]);
+        let set = readings.sets.last().expect("one");
+        let asks = questions(&plan(&text), &readings, set);
+        assert_eq!(asks.len(), asked, "{value}: {asks:?}");
+    }
+}
+
+/// No resolution is none that a reading could miss.
+#[test]
+fn without_a_resolution_every_reading_is_taken() {
+    for value in ["24.4", "24.401"] {
+        let why = refusal(Quantity::Width, mm(value), None, mm("0"));
+        assert_eq!(why, None, "{value}");
+    }
+}
+
+// Motions.
+
+/// The rollers stay as they are within a block, and homing takes half a minute.
+#[test]
+fn a_rig_is_homed_once_in_a_block() {
+    let short = [
+        ("duration_s = 40", "duration_s = 8"),
+        ("count = 5", "count = 1"),
+    ];
+    let place = place(&changed(PAPER, &[&ONE_CONDITION[..], &short].concat()));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let memory = machines(Some(VIRTUAL_UID));
+    let args = [
+        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "3",
+    ];
+    let at = ["--rig", "0", "--capsule", "1"];
+    let (code, said, err) = memory.run(&[&args[..], &at].concat());
+    assert_eq!(code, 0, "{said}{err}");
+    let heard = memory.heard();
+    let count = |name| heard.iter().filter(|heard| **heard == name).count();
+    assert_eq!((count("Home"), count("Run")), (1, 3), "{heard:?}");
 }

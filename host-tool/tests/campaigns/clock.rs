@@ -12,6 +12,7 @@ use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use campaign::manifest;
 use client::identity::Origin;
 use client::{Device, Unobserved};
+use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::link;
 use trials::experiment;
@@ -71,10 +72,19 @@ fn a_clock_that_is_set_back_within_an_attempt_condemns_no_record() {
     }
 }
 
-/// A run of some hours later takes the place of one that went badly.
+/// A run of some hours later, or before, takes the place of one that went badly. Up to an hour may be the clock.
 #[test]
 fn a_record_of_hours_later_is_found() {
-    for attempt in [[100, 3 * 3_600, 140], [100, 140 + 3_700, 140]] {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    attempted(&path, &[[100, 100 + 3_600, 140]]);
+    assert_eq!(findings(&path), [""; 0]);
+    for attempt in [
+        [100, 3 * 3_600, 140],
+        [100, 140 + 3_700, 140],
+        [100, 100 + 3_601, 140],
+        [100, -2 * 3_600, 140],
+    ] {
         let place = tempfile::tempdir().expect("a folder");
         let path = place.path().join("small");
         attempted(&path, &[attempt]);
@@ -196,7 +206,11 @@ fn a_clock_that_is_set_back_among_the_readings_condemns_no_indentation() {
     for (set_back, rows) in cases {
         assert_eq!(with_rows(rows), Vec::<String>::new(), "{set_back}");
     }
-    let forged: [(&str, &[(i64, Row)]); 3] = [
+    let forged: [(&str, &[(i64, Row)]); 4] = [
+        (
+            "an a_n by a D that was measured again before the attempt",
+            &[(0, first), (300, i), (400, again), (600, Attempt("1"))],
+        ),
         (
             "an a_n by a later D",
             &[(0, first), (300, i), (600, Attempt("1.001")), (900, again)],
@@ -255,4 +269,71 @@ fn an_indentation_of_readings_at_another_place_is_found() {
         found.iter().any(|one| one.contains("which are not of")),
         "{found:?}"
     );
+}
+
+/// A clock that is set from local time to UTC steps by less than a day, so an unfolding of more than a day before its
+/// attempt was put there.
+#[test]
+fn an_unfolding_of_more_than_a_day_before_its_attempt_is_found() {
+    for (before_s, found) in [(86_400, false), (86_401, true)] {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("small");
+        attempted(&path, &[[100, 105, 140]]);
+        let link = link(ready(DeviceKind::Capsule)).0;
+        let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
+        let recording = Recording {
+            folder: Campaign::read(&path).expect("read").attempt_folder(1, 1),
+            stem: "unfold".to_owned(),
+            now: at(100 - before_s),
+            note: None,
+            telemetry_ms: 100,
+        };
+        for kind in [ActuationKind::Fold, ActuationKind::Unfold] {
+            let elsewhere = Recording {
+                folder: place.path().join("elsewhere"),
+                ..recording.clone()
+            };
+            fs::create_dir_all(&elsewhere.folder).expect("made");
+            let recording = match kind {
+                ActuationKind::Unfold => &recording,
+                _ => &elsewhere,
+            };
+            experiment::actuate(&mut capsule, kind, recording, &mut Unobserved).expect("done");
+        }
+        let sealed = manifest::of_folder(&path).expect("read").text();
+        fs::write(path.join(manifest::NAME), sealed).expect("written");
+        let all = findings(&path);
+        let is_found = all.iter().any(|one| one.contains("unfold-"));
+        assert_eq!(
+            (is_found, all.len()),
+            (found, usize::from(found)),
+            "{all:?}"
+        );
+    }
+}
+
+/// A clock that is set from local time to UTC steps by less than a day: no more is between two rows.
+#[test]
+fn rows_may_lie_a_day_before_the_row_above_and_no_more() {
+    for (back_s, found) in [(86_400, 0), (86_401, 2)] {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("small");
+        let mut folder = Folder::create(&path, SMALL, Path::new("small.toml")).expect("made");
+        for (number, time_s) in [(1, 0), (2, -back_s)] {
+            let note = LedgerRow::of(LedgerEvent::Note, 1, None).saying(Some("dry".to_owned()));
+            append(&mut folder, note, time_s);
+            let row = reading(1, None, number, "24.4");
+            let written = folder.append_reading(row, at(time_s), Origin::Board);
+            written.expect("written");
+        }
+        drop(folder);
+        let all = findings(&path);
+        let rows = all.iter().filter(|one| one.contains("row 2 is of"));
+        assert_eq!((rows.count(), all.len()), (found, found), "{all:?}");
+        // The next session takes the same step back, and no more.
+        for (more_s, refused) in [(0, false), (1, true)] {
+            let resumed = Folder::resume(&path, at(-86_400 - more_s), &mut |_| true);
+            assert_eq!(resumed.is_err(), refused, "{back_s} {more_s}");
+        }
+    }
 }

@@ -9,13 +9,17 @@ use campaign::order::order;
 use campaign::plan::CampaignPlan;
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
+use client::{Device, Unobserved};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
+use protocol::capsule::Calibrate;
 use protocol::system::{DeviceKind, Urgent};
-use simulated_machines::machine::{Log, Script, link};
+use simulated_machines::link::Memory;
+use simulated_machines::machine::{Left, Log, Script, Shared, SimulatedMachine, link};
 
 use crate::campaign_run::{converse, machines, path, place, whole};
 use crate::support::plan::{PAPER, changed};
+use crate::support::tool;
 
 /// A plan of an unfolded trial and a folded one, which is the last.
 fn fold_test() -> String {
@@ -96,6 +100,49 @@ fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
     assert!(!memory.heard().contains(&"Unfold"), "{shown}");
     let told = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
     assert!(shown.contains(told), "{shown}");
+}
+
+/// State of a capsule that was calibrated, folded and switched off.
+fn switched_off() -> Left {
+    let machine = SimulatedMachine::new(Script::new(DeviceKind::Capsule)).0;
+    let shared = Arc::new(Mutex::new(machine));
+    let line = Box::new(Memory::new("bench", Shared(Arc::clone(&shared))));
+    let mut host = Device::connect(line, DeviceKind::Capsule, 1).expect("a capsule");
+    let motions = [
+        |host: &mut Device| host.reference(),
+        |host: &mut Device| host.call(Calibrate),
+        |host: &mut Device| host.fold(),
+    ];
+    for begin in motions {
+        let accepted = begin(&mut host).expect("accepted");
+        let ended = host.wait_actuation(&accepted, &mut Unobserved);
+        ended.expect("to its end");
+        // Until it is in the flash.
+        host.idle(2_000_000, &mut Unobserved).expect("there");
+    }
+    drop(host);
+    let machine = Arc::into_inner(shared).expect("the host is gone");
+    machine.into_inner().expect("in order").switch_off()
+}
+
+/// It knows that it was folded, and not how far: the way to unfold it begins with a check.
+#[test]
+fn a_capsule_that_was_folded_is_told_with_the_check_before_the_command() {
+    let mut capsule = Script::new(DeviceKind::Capsule);
+    capsule.left = Some(Arc::new(switched_off()));
+    let memory = tool::Memory::with(vec![Script::new(DeviceKind::Rig), capsule]);
+    let place = place(&fold_test());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let lines = UP_TO_THE_FOLDED_ONE[..5].to_vec();
+    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
+    assert_eq!(code, 3, "{shown}");
+    let told = "The capsule is folded still, and its thread pulls: `retrograde capsule check`, then `retrograde unfold`.";
+    assert!(shown.contains(told), "{shown}");
+    let heard = memory.heard();
+    assert!(
+        !heard.contains(&"Unfold") && !heard.contains(&"Run"),
+        "{heard:?}"
+    );
 }
 
 /// Whoever stands beside the capsule learns what it is about to do.
