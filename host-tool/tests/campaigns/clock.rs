@@ -101,7 +101,7 @@ fn a_record_of_hours_later_is_found() {
 /// Exchanged attempts are among the forged folders; here one record takes the place of another.
 #[test]
 fn a_record_of_another_attempt_is_found() {
-    for keeps in [true, false] {
+    for (keeps, unfolds) in [(true, false), (false, false), (false, true)] {
         let place = tempfile::tempdir().expect("a folder");
         let path = place.path().join("small");
         attempted(&path, &[[100, 105, 140], [200, 205, 240]]);
@@ -117,6 +117,10 @@ fn a_record_of_another_attempt_is_found() {
             if !keeps {
                 fs::remove_file(entry.path()).expect("removed");
             }
+        }
+        if unfolds {
+            // Another record is none of the run.
+            unfolding(&other, 205);
         }
         let forged = manifest::of_folder(&path).expect("read").text();
         fs::write(path.join(manifest::NAME), forged).expect("written");
@@ -271,6 +275,24 @@ fn an_indentation_of_readings_at_another_place_is_found() {
     );
 }
 
+/// Puts the record of an unfolding that started at this time, s, into a folder.
+fn unfolding(folder: &Path, started_s: i64) {
+    let link = link(ready(DeviceKind::Capsule)).0;
+    let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
+    let fold = capsule.fold().expect("accepted");
+    let folded = capsule.wait_actuation(&fold, &mut Unobserved);
+    folded.expect("to its end");
+    let recording = Recording {
+        folder: folder.to_owned(),
+        stem: "unfold".to_owned(),
+        now: at(started_s),
+        note: None,
+        telemetry_ms: 100,
+    };
+    let kind = ActuationKind::Unfold;
+    experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved).expect("done");
+}
+
 /// A clock that is set from local time to UTC steps by less than a day, so an unfolding of more than a day before its
 /// attempt was put there.
 #[test]
@@ -279,27 +301,8 @@ fn an_unfolding_of_more_than_a_day_before_its_attempt_is_found() {
         let place = tempfile::tempdir().expect("a folder");
         let path = place.path().join("small");
         attempted(&path, &[[100, 105, 140]]);
-        let link = link(ready(DeviceKind::Capsule)).0;
-        let mut capsule = Device::connect(link, DeviceKind::Capsule, 5).expect("there");
-        let recording = Recording {
-            folder: Campaign::read(&path).expect("read").attempt_folder(1, 1),
-            stem: "unfold".to_owned(),
-            now: at(100 - before_s),
-            note: None,
-            telemetry_ms: 100,
-        };
-        for kind in [ActuationKind::Fold, ActuationKind::Unfold] {
-            let elsewhere = Recording {
-                folder: place.path().join("elsewhere"),
-                ..recording.clone()
-            };
-            fs::create_dir_all(&elsewhere.folder).expect("made");
-            let recording = match kind {
-                ActuationKind::Unfold => &recording,
-                _ => &elsewhere,
-            };
-            experiment::actuate(&mut capsule, kind, recording, &mut Unobserved).expect("done");
-        }
+        let attempt = Campaign::read(&path).expect("read").attempt_folder(1, 1);
+        unfolding(&attempt, 100 - before_s);
         let sealed = manifest::of_folder(&path).expect("read").text();
         fs::write(path.join(manifest::NAME), sealed).expect("written");
         let all = findings(&path);

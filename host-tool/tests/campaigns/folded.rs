@@ -12,7 +12,7 @@ use client::link::{Link, LinkError, OpenError};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
 use operations::connector::{Candidate, Connector, Purpose};
-use protocol::capsule::Calibrate;
+use protocol::capsule::{ActuationKind, Calibrate};
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::link::Memory;
 use simulated_machines::machine::{Left, Log, Script, Shared, SimulatedMachine, link};
@@ -385,4 +385,143 @@ fn a_capsule_that_is_gone_while_it_unfolds_ends_the_session_with_an_error() {
     let campaign = whole(&path(&place, "c"));
     let folded = campaign.state.trial(2).expect("there");
     assert_eq!(folded.standing(), Standing::Done, "{shown}");
+}
+
+/// The line to a capsule that outlives the session.
+struct Same(Arc<Mutex<Box<Memory<SimulatedMachine>>>>);
+
+impl Link for Same {
+    fn place(&self) -> String {
+        self.0.lock().expect("free").place()
+    }
+    fn now_us(&self) -> u64 {
+        self.0.lock().expect("free").now_us()
+    }
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.0.lock().expect("free").send(bytes)
+    }
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.0.lock().expect("free").receive(buffer, deadline_us)
+    }
+}
+
+/// A bench whose capsule is the same for every session, and for other processes.
+struct Kept {
+    capsule: Arc<Mutex<Box<Memory<SimulatedMachine>>>>,
+    log: Arc<Mutex<Log>>,
+}
+
+impl Kept {
+    fn new() -> Self {
+        let (capsule, log) = link(tool::ready(DeviceKind::Capsule));
+        Self {
+            capsule: Arc::new(Mutex::new(capsule)),
+            log,
+        }
+    }
+
+    fn line(&self) -> Box<dyn Link> {
+        Box::new(Same(Arc::clone(&self.capsule)))
+    }
+
+    /// Another process makes this motion.
+    fn moved(&self, kind: ActuationKind) {
+        let mut host = Device::connect(self.line(), DeviceKind::Capsule, 9).expect("a capsule");
+        let accepted = match kind {
+            ActuationKind::Fold => host.fold(),
+            _ => host.unfold(),
+        };
+        let ended = host.wait_actuation(&accepted.expect("accepted"), &mut Unobserved);
+        ended.expect("to its end");
+    }
+}
+
+impl Connector for Kept {
+    fn open(
+        &self,
+        kind: DeviceKind,
+        _: &Address,
+        _: u32,
+        _: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        Ok(match kind {
+            DeviceKind::Rig => link(Script::new(kind)).0,
+            DeviceKind::Capsule => self.line(),
+        })
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    fn nonce(&self) -> u32 {
+        1
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::UNIX_EPOCH
+    }
+}
+
+/// The record of its fold would be of no attempt, so it is folded anew; for an unfolded body it is only unfolded.
+#[test]
+fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
+    for (first, motions) in [
+        (Form::Unfolded, &["Unfold the capsule."][..]),
+        (
+            Form::Folded,
+            &[
+                "The capsule is folded still: it is unfolded, and folded anew.",
+                "Unfold the capsule.",
+                "Fold the capsule.",
+            ],
+        ),
+    ] {
+        let mut plans = (1..100).map(|seed| {
+            let seed = format!("seed = {seed}");
+            fold_test().replacen("seed = 1", &seed, 1)
+        });
+        let begins = |plan: &String| {
+            let plan = CampaignPlan::parse(plan, Path::new("plan.toml")).expect("a plan");
+            order(&plan)[0].shape == first
+        };
+        let place = place(&plans.find(begins).expect("of a hundred"));
+        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let bench = Kept::new();
+        bench.moved(ActuationKind::Fold);
+        let lines = [
+            &UP_TO_THE_FOLDED_ONE[..4],
+            &[
+                ("the capsule is connected", ""),
+                ("Displacement of the tail", "q"),
+            ],
+        ];
+        let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
+        assert_eq!(code, 130, "{shown}");
+        let is_motion = |line: &&str| line.contains("old the capsule.") || line.contains("anew.");
+        let told: Vec<&str> = shown.lines().filter(is_motion).collect();
+        assert_eq!(told, motions, "{shown}");
+    }
+}
+
+/// Somebody has unfolded it meanwhile, as they were told to: then nothing is left to do.
+#[test]
+fn a_capsule_that_is_unfolded_by_then_is_left_alone() {
+    let place = place(&fold_test());
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let bench = Kept::new();
+    let lines = [
+        &UP_TO_THE_FOLDED_ONE[..],
+        &[("Displacement of the tail", "q")],
+    ];
+    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
+    assert_eq!(code, 130, "{shown}");
+    assert!(shown.contains("The capsule is folded still"), "{shown}");
+    bench.moved(ActuationKind::Unfold);
+    let lines = vec![("Displacement of the tail", "-60")];
+    let (code, shown) = converse(&bench, &["run", &out], lines);
+    assert_eq!(code, 0, "{shown}");
+    let log = bench.log.lock().expect("free");
+    let unfolds = log.heard.iter().filter(|heard| **heard == "Unfold");
+    assert_eq!(unfolds.count(), 1, "{shown}");
 }
