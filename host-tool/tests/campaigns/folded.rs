@@ -368,7 +368,10 @@ fn a_stop_while_the_capsule_unfolds_ends_the_session_in_order() {
     let folded = campaign.state.trial(2).expect("there");
     assert_eq!(folded.standing(), Standing::Done, "{shown}");
     let left = "left; everything that was entered is in";
-    assert!(shown.contains(left), "{shown}");
+    let told = "The capsule stands between its ends, and its thread may pull: `retrograde unfold`.";
+    for said in [left, told] {
+        assert!(shown.contains(said), "{said}: {shown}");
+    }
     assert_eq!(code, 130, "{shown}");
 }
 

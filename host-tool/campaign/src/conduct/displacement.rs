@@ -209,19 +209,23 @@ impl Conduct<'_> {
         }
     }
 
-    /// Tells that the capsule is left folded: its thread pulls until somebody unfolds it.
+    /// Tells that the capsule is left folded, or half way: its thread pulls until somebody unfolds it.
     pub(super) fn tell_folded(&mut self) {
         let capsule = self.machines.capsule.as_mut();
         let Some(Ok(status)) = capsule.map(Device::capsule_status) else {
             return;
         };
-        let how = match status.state {
-            CapsuleState::Folded => "`retrograde unfold`",
-            CapsuleState::WasFolded => "`retrograde capsule check`, then `retrograde unfold`",
+        self.desk.say(match status.state {
+            CapsuleState::Folded => {
+                "The capsule is folded still, and its thread pulls: `retrograde unfold`."
+            }
+            CapsuleState::WasFolded => {
+                "The capsule is folded still, and its thread pulls: `retrograde capsule check`, then `retrograde unfold`."
+            }
+            CapsuleState::Stopped => {
+                "The capsule stands between its ends, and its thread may pull: `retrograde unfold`."
+            }
             _ => return,
-        };
-        self.desk.say(&format!(
-            "The capsule is folded still, and its thread pulls: {how}."
-        ));
+        });
     }
 }
