@@ -385,3 +385,12 @@ fn a_mean_speed_has_the_sign_of_its_steps() {
         assert_eq!(speed, um_s, "{steps} in {time_us} us");
     }
 }
+
+/// A mean speed over 1 us shows the length in nanometres: 5/1,024 um a step here.
+#[test]
+fn a_length_is_rounded_to_the_nearest_nanometre() {
+    let axis = Axis::new(500, 400, 256, 130_000).unwrap();
+    for (steps, nm) in [(1, 5), (2, 10), (3, 15), (8, 39), (21, 103), (64, 313)] {
+        assert_eq!(axis.mean_speed_um_s(steps, 1), nm * 1_000, "{steps}");
+    }
+}

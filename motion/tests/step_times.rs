@@ -768,3 +768,23 @@ fn the_extremes_do_not_overflow() {
         }
     }
 }
+
+/// At 1.25 mm/s one step of 1.25 um is the braking distance of 625 mm/s^2.
+#[test]
+fn a_deceleration_rests_within_a_step_up_to_exactly_one() {
+    let span = 100 * 100_000;
+    let profile =
+        StrokeProfile::from_parts(Steps(100), Ticks(span + span / 10), Ticks(span / 10)).unwrap();
+    let mut times = StepTimes::new(profile);
+    times.nth(50);
+    assert_eq!(times.interval(), Ticks(100_000));
+    for (um_s2, rests) in [
+        (1, false),
+        (624_999, false),
+        (625_000, true),
+        (9_000_000, true),
+    ] {
+        let deceleration = Axis::REFERENCE.acceleration(um_s2).unwrap();
+        assert_eq!(times.rests_within_a_step(deceleration), rests, "{um_s2}");
+    }
+}

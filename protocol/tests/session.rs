@@ -131,6 +131,20 @@ fn two_programs_get_different_numbers_from_a_device_that_was_switched_on_twice()
     assert_eq!(numbers.len(), 254);
 }
 
+/// Whoever held the number that followed from the boot id at the last switching-on must not find it in use again.
+#[test]
+fn the_first_nonce_leads_to_any_number_but_the_last_one() {
+    for boot in [0, 1, 253, 254, 255, 1_000] {
+        let last = (boot % 255) as u8 + 1;
+        let mut numbers: Vec<_> = (0..254)
+            .map(|nonce| greet(&mut Session::new(boot), nonce))
+            .collect();
+        numbers.sort_unstable();
+        let all_others: Vec<_> = (1..=255).filter(|&number| number != last).collect();
+        assert_eq!(numbers, all_others, "{boot}");
+    }
+}
+
 /// Before the first greeting there is no session, whatever number a frame has.
 #[test]
 fn nothing_runs_before_a_greeting() {
