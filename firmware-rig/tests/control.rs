@@ -762,6 +762,35 @@ mod button {
         assert_eq!(bench.state(), RigState::Running);
     }
 
+    /// From a second after the last round in which the rig moved, it starts again.
+    #[test]
+    fn is_meant_to_stop_for_less_than_a_second() {
+        for (after_us, is_ignored, state) in [
+            (990_000, true, RigState::Ready),
+            (1_000_000, false, RigState::Running),
+        ] {
+            let mut bench = Bench::new();
+            bench.accepted(Request::Home(rig::Home));
+            let mut moved_us = 0;
+            while bench.carriage().moving() {
+                let (round, moves) = (bench.next_tick, bench.state() == RigState::Homing);
+                bench.step();
+                if bench.next_tick != round && moves {
+                    moved_us = bench.carriage().now / 100;
+                }
+            }
+            assert_eq!(bench.state(), RigState::Ready);
+            // The third of these rounds presses.
+            bench.next_tick = (moved_us + after_us) * 100 - 2 * CONTROL_ROUND;
+            bench.told();
+            hold_down(&mut bench, 3);
+            assert_eq!(bench.carriage().now / 100, moved_us + after_us);
+            let ignored = rig_event(RigEvent::ButtonIgnored);
+            assert_eq!(bench.told().contains(&ignored), is_ignored);
+            assert_eq!(bench.state(), state);
+        }
+    }
+
     #[test]
     fn counts_once_however_long_it_is_down() {
         let mut bench = Bench::new();

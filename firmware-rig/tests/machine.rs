@@ -125,6 +125,36 @@ mod homing {
         assert_eq!(machine.state(), RigState::Unhomed);
     }
 
+    /// The longest way off the flag, at twice the slowest speed; from an open flag it comes first.
+    #[test]
+    fn is_begun_on_the_finest_axis_at_the_slowest_measuring_speed() {
+        let mut values = Values::DEFAULT;
+        for (key, value) in [
+            (SettingKey::LeadUm, 500),
+            (SettingKey::FullSteps, 400),
+            (SettingKey::Microsteps, 256),
+            (SettingKey::StrokeUm, 40_000),
+            (SettingKey::FlagUm, 20_000),
+            (SettingKey::PullOffUm, 20_000),
+            (SettingKey::OvertravelUm, 20_000),
+            (SettingKey::SeekUmS, 300),
+            (SettingKey::LocateUmS, 100),
+        ] {
+            values = values.with(key, value).unwrap();
+        }
+        let fine = Settings::new(&values).unwrap();
+        let open = RigInputs {
+            home_flag: true,
+            ..CLOSED
+        };
+        for (inputs, phase) in [(CLOSED, HomingPhase::Seek), (open, HomingPhase::Clear)] {
+            let mut machine = Machine::new(fine, None, IMAGE_HASH);
+            let actions = machine.step(&now(1, 0, inputs), Event::Command(&Command::Home));
+            assert_eq!(actions.refusal, None, "{phase:?}");
+            assert_eq!(machine.state(), RigState::Homing);
+        }
+    }
+
     /// A noisy flag may be found and closed again; with an open far limit there is no way away from it.
     #[test]
     fn does_not_leave_the_flag_toward_an_open_far_limit() {

@@ -603,3 +603,27 @@ fn a_stop_at_rest_emits_nothing() {
     assert_eq!(walk.blanks().2, Item::End);
     assert_eq!(walk.position, 80);
 }
+
+/// Only steps longer than 0.1 s are so slow that the next one does not come: at exactly that interval it still does.
+#[test]
+fn a_step_of_a_tenth_of_a_second_is_not_slow() {
+    let deceleration = Axis::REFERENCE.acceleration(1_000_000).unwrap();
+    for (interval, follow) in [(10_000_000, true), (10_000_001, false)] {
+        let (span, ramp) = (20 * interval, 5 * interval);
+        let profile =
+            StrokeProfile::from_parts(Steps(20), Ticks(span + ramp), Ticks(ramp)).unwrap();
+        let path = Path::Move {
+            profile,
+            direction: Direction::Away,
+        };
+        let mut walk = Walk::new(&path, 0, EVERYWHERE);
+        while walk.pulses < 10 {
+            walk.next();
+        }
+        walk.periods.stop(deceleration);
+        let mut items =
+            std::iter::repeat_with(|| walk.next()).take_while(|item| *item != Item::End);
+        let follows = items.any(|item| matches!(item, Item::Period(Period { pulse: true, .. })));
+        assert_eq!(follows, follow, "{interval}");
+    }
+}
