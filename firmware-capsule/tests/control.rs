@@ -478,6 +478,24 @@ fn what_flash_did_not_take_is_tried_again_and_told_once() {
     assert_eq!(totals(&mut later).actuations, 1);
 }
 
+/// A refused write is repeated 10 s later, not one reading before or after.
+#[test]
+fn what_flash_did_not_take_is_tried_again_after_ten_seconds() {
+    let mut device = Device::referencing();
+    device.flash.fail(0..1);
+    device.control.answer(Inbound::Urgent(Urgent::Stop));
+    let not_kept = What::Capsule(CapsuleEvent::NotKept);
+    while !device.told().contains(&not_kept) {
+        device.read();
+    }
+    let failed_us = device.board().now_us;
+    assert!(device.flash.operations().is_empty());
+    while device.flash.operations().is_empty() {
+        device.read();
+    }
+    assert_eq!(device.board().now_us - failed_us, 10_000_000);
+}
+
 /// A reading of a capsule of the model, a millisecond later.
 fn read_from(model: &mut plant::board::Board, device: &mut Device) {
     read_with_offset(0, model, device);

@@ -512,3 +512,44 @@ fn a_fault_is_acknowledged_once_its_cause_is_gone() {
         assert_eq!(capsule.fault().is_none(), gone);
     }
 }
+
+/// 0.65 mm less than the calibration in force, whose zero may be 1.3 mm too high.
+#[test]
+fn a_calibration_that_winds_less_than_the_last_one_misses_thread() {
+    let spared = Thread(FOUND_BY_RISE.0 - 1);
+    for (spare, wound_um, misses) in [
+        (FOUND_BY_RISE, 21_049, true),
+        (FOUND_BY_RISE, 21_050, false),
+        (FOUND_BY_RISE, 21_700, false),
+        (spared, 20_000, false),
+    ] {
+        let mut capsule = Capsule::new(None, Some(KNOWN), None, Settings::REFERENCE);
+        capsule.spare = spare;
+        let told = capsule.misses_thread(Thread(wound_um));
+        assert_eq!(told, misses, "{spare:?}, {wound_um} um");
+    }
+}
+
+/// In a motion that began with a zero, or one that has found it, a pull is not looked for past the end.
+#[test]
+fn the_end_counts_while_the_zero_is_known() {
+    for (referenced, zero_known, is_past) in [
+        (true, true, true),
+        (true, false, true),
+        (false, true, true),
+        (false, false, false),
+    ] {
+        let past = Thread(END.0 + Settings::REFERENCE.end_overrun.0);
+        let mut capsule = moving(Mode::Folded, END, Command::Unfold);
+        capsule.referenced = referenced;
+        capsule.sample.counts = past.counts();
+        let moves = actuation(&mut capsule);
+        moves.zero_known = zero_known;
+        moves.leg = Leg::feel(past.counts(), Thread(0));
+        let before = moves.leg;
+        let decided = capsule.decide(2_000, Load::default(), &mut Actions::default());
+        assert_eq!(decided, Ok(()));
+        let goes_on = actuation(&mut capsule).leg == before;
+        assert_eq!(goes_on, !is_past, "{referenced}, {zero_known}");
+    }
+}

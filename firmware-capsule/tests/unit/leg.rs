@@ -412,7 +412,12 @@ fn a_short_rise_is_tried_again_by_a_reference_only() {
 #[test]
 fn the_flash_alone_is_believed_for_the_first_3_mm() {
     let believed = Purpose::Check { believed: true };
-    for (wound_um, found) in [(2_900, true), (3_100, false), (20_000, false)] {
+    for (wound_um, found) in [
+        (2_900, true),
+        (3_000, true),
+        (3_002, false),
+        (20_000, false),
+    ] {
         let decided = decide(seek(false, believed), after(ORIGIN, wound_um), END_FORCE);
         assert_eq!(
             matches!(decided, Ok(Decision::EndFound { purpose, .. }) if purpose == believed),

@@ -334,6 +334,18 @@ fn a_pull_that_few_readings_call_too_weak_is_read_further_down() {
         assert_eq!(other.measure(Thread(21_001), true), Ok(()));
         assert_eq!(other.measure(Thread(21_000), true), slipped, "{kind:?}");
     }
+    // A pull that is not too weak, or eight readings, tell at once.
+    for (readings, taut_ma, tells) in [(1, 86, Ok(())), (7, 86, Ok(())), (8, 87, slipped)] {
+        let mut capsule = paying_out(Command::Unfold);
+        actuation(&mut capsule).kind = ActuationKind::Reference;
+        capsule.sample.current_ua = -1_000 * taut_ma;
+        for _ in 0..readings {
+            assert_eq!(capsule.measure(Thread(21_001), true), Ok(()));
+        }
+        let told = capsule.measure(Thread(21_000), true);
+        assert_eq!(told, tells, "{readings} readings of {taut_ma} mA");
+        assert_eq!(taut_to(&mut capsule), None);
+    }
     for (then_ma, tells) in [(50, Ok(())), (87, slipped)] {
         let mut capsule = paying_out(Command::Unfold);
         actuation(&mut capsule).kind = ActuationKind::Reference;
@@ -412,5 +424,97 @@ fn folded_ends_that_wander_cost_the_reference() {
         assert_eq!(capsule.was_folded, wanders);
         let drifted = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Drifted { .. });
         assert_eq!(actions.events.iter().any(drifted), wanders);
+    }
+}
+
+/// With less than 0.8 times the expected pull, at the end of a motion that ends folded, and only once.
+#[test]
+fn only_an_end_that_pulled_weakly_and_was_not_felt_may_be_a_slip() {
+    for (command, share, winding_ma, slips) in [
+        (Command::Fold, Some(799), None, true),
+        (Command::CheckFolded, Some(799), None, true),
+        (Command::Fold, Some(800), None, false),
+        (Command::Fold, Some(1_000), None, false),
+        (Command::Fold, None, None, false),
+        (Command::Fold, Some(799), Some(150), false),
+        (Command::FoldTo(Thread(5_000)), Some(799), None, false),
+        (Command::FoldTo(Thread(5_000)), Some(1_000), None, false),
+    ] {
+        let mut capsule = moving(Mode::Stopped, Thread(0), command);
+        let moves = actuation(&mut capsule);
+        moves.winding_ma = winding_ma;
+        moves.share = Mean::default();
+        if let Some(share) = share {
+            moves.share.add(share);
+        }
+        let told = capsule.may_have_slipped();
+        assert_eq!(told, slips, "{command:?}: {share:?}, {winding_ma:?}");
+    }
+}
+
+/// Before it is believed.
+#[test]
+fn an_end_that_pulled_weakly_is_felt() {
+    for (share, is_felt) in [(799, true), (800, false)] {
+        let mut capsule = moving(Mode::Stopped, Thread(0), Command::Fold);
+        capsule.sample.counts = END.counts();
+        let moves = actuation(&mut capsule);
+        moves.share = Mean::default();
+        moves.share.add(share);
+        let load = Load {
+            end_force: true,
+            ..Load::default()
+        };
+        let decided = capsule.decide(60_000, load, &mut Actions::default());
+        assert_eq!(decided, Ok(()));
+        assert_eq!(capsule.is_moving(), is_felt, "{share} thousandths");
+    }
+}
+
+/// It pulled 100 mA more than a slack thread. A braked motor tells nothing until it is back or its time is over.
+#[test]
+fn a_thread_that_was_felt_has_to_pull_half_as_much_where_it_was() {
+    let deadline_us = 5_000;
+    for (excess_ma, beyond_um, now_us, told) in [
+        (Some(50), -1, 4_999, Some(true)),
+        (Some(49), -1, 4_999, Some(false)),
+        (Some(50), 0, 5_000, Some(true)),
+        (None, -1, 4_999, None),
+        (None, -100, 0, None),
+        (None, 0, 4_999, Some(false)),
+        (None, 1, 4_999, Some(false)),
+        (None, -1, 5_000, Some(false)),
+        (None, -1, 5_001, Some(false)),
+        (None, 0, 5_000, Some(false)),
+    ] {
+        let mut capsule = moving(Mode::Stopped, Thread(20_000), Command::Fold);
+        capsule.no_load_ma = 16;
+        let thread = capsule.thread();
+        let moves = actuation(&mut capsule);
+        (moves.winding_ma, moves.deadline_us) = (Some(116), deadline_us);
+        moves.from = Thread(thread.0 - beyond_um);
+        let load = Load {
+            excess_ma,
+            ..Load::default()
+        };
+        let pulls = capsule.pulls_as_felt(now_us, &load);
+        assert_eq!(pulls, told, "{excess_ma:?}, {beyond_um} um, {now_us} us");
+    }
+}
+
+/// A thread that was felt has been paid out and wound back since: its end is where it was felt.
+#[test]
+fn the_end_of_a_fold_is_where_it_was_felt() {
+    for (winding_ma, from_um, end_um) in [
+        (Some(150), 20_000, 20_000 - crate::leg::STOP_MARGIN.0),
+        (None, 20_000, 21_000),
+    ] {
+        let mut capsule = moving(Mode::Stopped, Thread(0), Command::Fold);
+        capsule.sample.counts = Thread(21_000).counts();
+        let moves = actuation(&mut capsule);
+        (moves.winding_ma, moves.from) = (winding_ma, Thread(from_um));
+        capsule.folded(60_000, &mut Actions::default());
+        let first = capsule.drift.first.expect("an end");
+        assert!(first.0.abs_diff(end_um) <= 1, "{winding_ma:?}: {first:?}");
     }
 }
