@@ -315,16 +315,25 @@ fn a_value_that_is_set_in_a_conflict_stays_and_none_from_before_it_revives() {
 }
 
 /// Names, and with them a capsule's totals, are written for as long as nobody sets a value. Old records are replaced
-/// meanwhile, one by one.
+/// meanwhile, one by one: those of a conflict at once, or long after each other.
 #[test]
 fn a_conflict_that_grows_old_revives_no_value() {
-    let flash = Flash::holding(young());
-    let (mut store, usable) = Store::load(flash.clone(), keeps_the_rule);
-    assert!(!usable);
-    for nth in 0..600 {
+    let apart = Flash::blank();
+    let mut store = start(&apart);
+    store.set(SettingKey::StrokeUm, 100_000).unwrap();
+    for nth in 0..50 {
         store.set_name(name(["a", "b"][nth % 2])).unwrap();
-        let (later, _) = Store::load(Flash::holding(flash.bytes()), keeps_the_rule);
-        assert_eq!(*later.values(), Values::DEFAULT, "after {nth}");
+    }
+    store.set(SettingKey::FlagUm, 900).unwrap();
+    for image in [young(), apart.bytes()] {
+        let flash = Flash::holding(image);
+        let (mut store, usable) = Store::load(flash.clone(), keeps_the_rule);
+        assert!(!usable);
+        for nth in 0..600 {
+            store.set_name(name(["a", "b"][nth % 2])).unwrap();
+            let (later, _) = Store::load(Flash::holding(flash.bytes()), keeps_the_rule);
+            assert_eq!(*later.values(), Values::DEFAULT, "after {nth}");
+        }
     }
 }
 
