@@ -36,7 +36,7 @@ mod homing {
     }
 
     /// A pulse that outlasts the filter, from noise or from a hand, is not the flag: the carriage has braked into the
-    /// flag if it was. The zero was up to 6 mm off.
+    /// flag if it was. It became the zero.
     #[test]
     fn a_flag_that_closes_again_is_not_found() {
         let mut machine = Machine::new(SETTINGS, None, IMAGE_HASH);

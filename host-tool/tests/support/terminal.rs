@@ -15,7 +15,7 @@ use rustix::termios::{Termios, Winsize, tcgetattr, tcsetwinsize};
 use crate::support::signal::{Signal, kill};
 
 /// Time after which even a slow computer has shown it.
-const SOON: Duration = Duration::from_secs(120);
+const SOON: Duration = Duration::from_secs(60);
 
 /// Time that a program's last output may take to the screen after its end.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);

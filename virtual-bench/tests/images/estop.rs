@@ -1,11 +1,13 @@
 //! The E-stop at many instants of short runs: afterwards the read-back must match the carriage.
 
 use client::Unobserved;
+use client::error::ClientError;
 use jiff::Timestamp;
 use trials::trial::{Recording, Status};
 use trials::{check, experiment};
 
 use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
+use protocol::error::Refusal;
 use protocol::rig::{RigFault, RigState, RunOutcome};
 use protocol::system::Urgent;
 use virtual_bench::{
@@ -183,4 +185,27 @@ fn an_estop_in_another_fault_outlives_a_reset() {
         rig.home();
         rig.check_clean(1);
     }
+}
+
+/// An open loop is the next fault, whatever the latched one is.
+#[test]
+fn nothing_is_acknowledged_while_the_loop_is_open() {
+    let mut rig = quickly_homed();
+    rig.device.urgent(Urgent::EStop).expect("it stops");
+    rig.act(Action::Stick(Switch::EStop, Some(true)));
+    rig.idle(20_000);
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!(status.fault, Some(RigFault::EStopFrame));
+    match rig.device.acknowledge() {
+        Err(ClientError::Refused { refusal, .. }) => {
+            assert_eq!(refusal, Refusal::CauseStillPresent);
+        }
+        other => panic!("{other:?}"),
+    }
+    rig.act(Action::Stick(Switch::EStop, None));
+    rig.idle(20_000);
+    rig.device.acknowledge().expect("the loop is closed");
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!((status.state, status.fault), (RigState::Unhomed, None));
+    rig.check_clean_after(0, 0);
 }

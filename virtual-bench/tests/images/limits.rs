@@ -4,11 +4,13 @@ use client::Unobserved;
 use client::error::ClientError;
 
 use crate::common::{
-    Dice, LIMIT_NS, exact, faulted, home_quickly, paper, quick, quickly_homed, rig_with, trials,
+    Dice, LIMIT_NS, exact, execute, faulted, home_quickly, paper, quick, quickly_homed, rig_with,
+    trials,
 };
 use protocol::{
     error::Refusal,
-    rig::{Direction, GetRigHealth, HomingPhase, Jog, MoveTo, RigFault, RunOutcome},
+    rig::{Direction, GetRigHealth, HomingPhase, Jog, MoveTo, RigFault, RigState, RunOutcome},
+    settings::{Setting, SettingKey},
 };
 use virtual_bench::{
     faults::When,
@@ -86,6 +88,42 @@ fn a_false_flag_is_no_reference() {
         assert!(!status.homed);
         rig.check_clean(0);
     }
+}
+
+/// A switch that closes late stays open over a stroke of 2 mm, which is 1 mm beyond its edge. A longer one has to meet it.
+#[test]
+fn a_stroke_that_turns_before_the_flag_closes_loses_no_steps() {
+    let mut rig = quickly_homed();
+    rig.act(Action::Stick(Switch::Home, Some(true)));
+    let (_, record) = execute(&mut rig, quick(1, 2_000, 10_000, 500_000));
+    assert_eq!(record.outcome, RunOutcome::Complete);
+    let lost = RigFault::LostSteps {
+        residual_steps: -800,
+    };
+    faulted(&mut rig, quick(1, 2_100, 10_000, 500_000), lost, "2.1 mm");
+    rig.check_clean(0);
+}
+
+/// The step times of the seek do not fit the exact arithmetic of so fine an axis.
+#[test]
+fn a_homing_that_is_too_slow_is_refused_before_it_moves() {
+    let mut rig = crate::common::rig();
+    for (key, value) in [
+        (SettingKey::SeekUmS, 100),
+        (SettingKey::LocateUmS, 100),
+        (SettingKey::LeadUm, 500),
+        (SettingKey::FullSteps, 400),
+        (SettingKey::Microsteps, 256),
+    ] {
+        rig.device.call(Setting { key, value }).expect("accepted");
+    }
+    match rig.device.home() {
+        Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, Refusal::TooSlow),
+        other => panic!("{other:?}"),
+    }
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!((status.state, status.fault), (RigState::Unhomed, None));
+    assert_eq!(rig.edge_count(), 0);
 }
 
 /// Noise has masked the line, and then the limit really opens.
