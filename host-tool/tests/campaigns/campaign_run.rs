@@ -1020,14 +1020,14 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
 }
 
 /// The questions for the width, and their answers.
-const WIDTH: [(&str, &str); 3] = [
+pub const WIDTH: [(&str, &str); 3] = [
     ("rollers OFF", ""),
     ("Reading 1 of 2: D", "24.4"),
     ("Reading 2 of 2: D", "24.4"),
 ];
 
 /// The questions for a clamping, and their answers.
-fn clamped(between_mm: &'static str) -> [(&'static str, &'static str); 3] {
+pub fn clamped(between_mm: &'static str) -> [(&'static str, &'static str); 3] {
     [
         ("Clamp both rollers", ""),
         ("Reading 1 of 2: i", between_mm),

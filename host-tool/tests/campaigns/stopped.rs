@@ -15,7 +15,7 @@ use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Log, Script, link};
 
 use crate::campaign_run::{
-    UP_TO_THE_PASSES, converse, path, place, plan_of_passes, small_plan, whole,
+    UP_TO_THE_PASSES, WIDTH, clamped, converse, path, place, plan_of_passes, small_plan, whole,
 };
 
 /// The line of a rig that somebody stops once it has heard a request.
@@ -90,15 +90,8 @@ const LEFT: &str = "left; everything that was entered is in";
 fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
     let place = place(&small_plan(&[]));
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let lines = vec![
-        ("rollers OFF", ""),
-        ("Reading 1 of 2: D", "24.4"),
-        ("Reading 2 of 2: D", "24.4"),
-        ("Clamp both rollers", ""),
-        ("Reading 1 of 2: i", "20.4"),
-        ("Reading 2 of 2: i", "20.4"),
-        ("Trial 1 of 6", ""),
-    ];
+    let trial = [("Trial 1 of 6", "")];
+    let lines = [&WIDTH[..], &clamped("20.4"), &trial].concat();
     let (code, shown) = converse(&Bench("Run"), &["run", &plan, "--out", &out], lines);
     assert_eq!(code, 130, "{shown}");
     for told in ["  stopped: attempt 1 of trial 1 does not count", LEFT] {
