@@ -14,13 +14,14 @@ use trials::check;
 use trials::trial::{Action, Status, Trial};
 
 use crate::contents::{Campaign, in_a_line, is_motion};
-use crate::differences::{COPY, Finding, RESUME, UNKNOWN};
+use crate::differences::{COPY, Finding, UNKNOWN};
 use crate::files::{ATTEMPTS, READINGS, TRIALS, is_record};
 use crate::form::Form;
 use crate::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::order::Planned;
 use crate::plan::Millimetres;
 use crate::readings::{Readings, Set};
+use crate::resumption;
 
 /// Result of a verification.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -166,13 +167,17 @@ fn check_attempt(
         say(what);
     }
     if attempt.outcome.is_none() {
+        let resume = format!(
+            "if no session is under way, one was cut off: {} takes this up; change nothing by hand",
+            resumption(&campaign.folder)
+        );
         // Its files reach the manifest as it ends.
         let inside = format!("{path}/");
         let unlisted = |one: &&mut Finding| one.path.starts_with(&inside) && one.remedy == UNKNOWN;
         for one in verified.findings.iter_mut().filter(unlisted) {
-            RESUME.clone_into(&mut one.remedy);
+            one.remedy.clone_from(&resume);
         }
-        found.push(Finding::new(&path, "the attempt has not ended", RESUME));
+        found.push(Finding::new(&path, "the attempt has not ended", resume));
     }
     verified.findings.append(&mut found);
 }

@@ -7,11 +7,11 @@ use std::path::Path;
 use client::limited;
 use client::plain;
 
-use crate::CampaignError;
 use crate::contents::Campaign;
 use crate::files::{ATTEMPTS, READINGS, TRIALS};
 use crate::ledger::Attempt;
 use crate::manifest::{self, Hash, Manifest, contents, hash_file};
+use crate::{CampaignError, resumption};
 
 /// Files that grow line by line.
 const GROWING: [&str; 2] = [READINGS, TRIALS];
@@ -28,11 +28,11 @@ pub struct Finding {
 }
 
 impl Finding {
-    pub(crate) fn new(path: &str, what: impl Into<String>, remedy: &str) -> Self {
+    pub(crate) fn new(path: &str, what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
             path: path.to_owned(),
             what: what.into(),
-            remedy: remedy.to_owned(),
+            remedy: remedy.into(),
         }
     }
 }
@@ -45,8 +45,6 @@ impl std::fmt::Display for Finding {
 
 pub(crate) const COPY: &str = "restore it from a copy";
 pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
-/// Remedy for leftovers of a session that was killed, or is under way.
-pub(crate) const RESUME: &str = "if no session is under way, one was cut off: `retrograde campaign run` takes this up; change nothing by hand";
 
 /// Reads the manifest of a folder; none if the folder has none.
 ///
@@ -145,9 +143,9 @@ impl Differences {
         Ok(())
     }
 
-    /// Describes the differences for people. `listed` is the manifest that was compared.
+    /// Describes the differences of a folder for people. `listed` is the manifest that was compared.
     #[must_use]
-    pub fn findings(&self, listed: &Manifest) -> Vec<Finding> {
+    pub fn findings(&self, folder: &Path, listed: &Manifest) -> Vec<Finding> {
         let mut findings = vec![];
         let same = |hash: &Hash, among: &BTreeMap<String, Hash>| {
             among
@@ -186,7 +184,10 @@ impl Differences {
             findings.push(Finding::new(
                 path,
                 what,
-                "was the tool killed or the power lost? `retrograde campaign run` takes them up and says so; otherwise restore it from a copy",
+                format!(
+                    "was the tool killed or the power lost? {} takes them up and says so; otherwise restore it from a copy",
+                    resumption(folder)
+                ),
             ));
         }
         for path in self.added.keys() {

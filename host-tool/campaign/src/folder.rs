@@ -15,7 +15,6 @@ use client::wording::word;
 use jiff::Timestamp;
 use serde::Serialize;
 
-use crate::CampaignError;
 use crate::contents::{
     Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, in_a_line, not_a_campaign, order_text,
 };
@@ -27,6 +26,7 @@ use crate::manifest::{self, Manifest};
 use crate::order::{Planned, order};
 use crate::plan::CampaignPlan;
 use crate::readings::ReadingRow;
+use crate::{CampaignError, resumption};
 
 /// Formats a row as a line.
 fn line(row: &impl Serialize) -> Vec<u8> {
@@ -394,10 +394,7 @@ impl Folder {
 
 fn exists(folder: &Path) -> CampaignError {
     let goes_on = match folder.join(ORDER).is_file() {
-        true => format!(
-            "`retrograde campaign run {}` goes on with it; ",
-            word(folder)
-        ),
+        true => format!("{} goes on with it; ", resumption(folder)),
         false => String::new(),
     };
     let remedy = format!("{goes_on}`--out DIR` names another folder");
@@ -463,7 +460,10 @@ fn ask_about_row(
         return Ok(());
     }
     let why = format!("it has a row that is not in {}: {row}", manifest::NAME);
-    let remedy = "`retrograde campaign run` at a terminal asks whether it is yours; if it is not, restore the file from a copy";
+    let remedy = format!(
+        "{} at a terminal asks whether it is yours; if it is not, restore the file from a copy",
+        resumption(&campaign.folder)
+    );
     Err(CampaignError::new(&path, why, remedy))
 }
 

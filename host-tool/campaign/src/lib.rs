@@ -36,6 +36,7 @@ pub mod verify;
 
 use std::path::{Path, PathBuf};
 
+use client::wording::word;
 use miette::Diagnostic;
 
 /// Why a campaign cannot be used.
@@ -55,6 +56,12 @@ pub struct CampaignError {
 
 /// Remedy for a folder that cannot be written. A campaign has one folder, so there is no other to choose.
 pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run DIR` with its folder";
+
+/// The command that goes on with the campaign of a folder, as a person copies it.
+#[must_use]
+pub fn resumption(folder: &Path) -> String {
+    format!("`retrograde campaign run {}`", word(folder))
+}
 
 impl CampaignError {
     /// The campaign is damaged.

@@ -43,7 +43,7 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
         Ok(Some(manifest)) => {
             let differences = Differences::between(folder, &manifest).map_err(read)?;
             verified.files = differences.compared;
-            verified.findings = differences.findings(&manifest);
+            verified.findings = differences.findings(folder, &manifest);
         }
         Ok(None) if campaign => verified.findings.push(Finding::new(
             manifest::NAME,

@@ -8,7 +8,6 @@ use analysis::report::campaign::{Present, present, report_folder};
 use analysis::report::campaign_band::BandSource;
 use analysis::report::{self, Existing};
 use analysis::science::virtual_displacement::Models;
-use campaign::MAKE_ROOM;
 use campaign::conduct::{Broken, Conduct, Ending, Machines};
 use campaign::contents::Campaign;
 use campaign::folder::Folder;
@@ -17,6 +16,7 @@ use campaign::order::doing;
 use campaign::plan::{CampaignPlan, Millimetres};
 use campaign::readings::Summary;
 use campaign::remaining::{remaining_s, text as time_text};
+use campaign::{MAKE_ROOM, resumption};
 use clap::Args;
 use client::identity::Origin;
 use client::limited;
@@ -176,10 +176,7 @@ pub(crate) fn campaign(
             let plan = PlanFile::read(&args.plan)?;
             let folder = create(plan, args.out.as_deref(), places, screen)?;
             let campaign = folder.campaign();
-            screen.say(&format!(
-                "`retrograde campaign run {}` begins.",
-                word(&campaign.folder)
-            ));
+            screen.say(&format!("{} begins.", resumption(&campaign.folder)));
             Ok(summary(campaign))
         }
         CampaignSubcommand::Run(args) if args.what.is_dir() => {
@@ -638,7 +635,7 @@ fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::input(
             "the campaign has not begun, so there is nothing to edit",
-            format!("`retrograde campaign run {}` begins it", word(&args.folder)),
+            format!("{} begins it", resumption(&args.folder)),
         ));
     };
     let row = edited(&args.edit, folder.campaign(), origin)?;

@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 use analysis::figures::FigureError;
 use analysis::report::ReportError;
 use analysis::report::campaign::CampaignReportError;
-use campaign::CampaignError;
 use campaign::differences::Finding;
+use campaign::{CampaignError, resumption};
 use client::error::ClientError;
 use client::identity::kind_name;
-use client::wording::word;
 use miette::Diagnostic;
 use operations::failure::{
     CommandFailure, FAILED, FAULT, REFUSED, STOPPED, UNKNOWN, USAGE, client_code,
@@ -27,10 +26,7 @@ pub(crate) enum Own {
     Campaign(#[from] CampaignError),
     /// The operator left a campaign.
     #[error("left; everything that was entered is in {}", folder.display())]
-    #[diagnostic(
-        code(retrograde::left),
-        help("`retrograde campaign run {}` goes on", word(folder))
-    )]
+    #[diagnostic(code(retrograde::left), help("{} goes on", resumption(folder)))]
     Left {
         /// Its folder.
         folder: PathBuf,

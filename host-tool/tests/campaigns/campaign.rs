@@ -920,7 +920,8 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     fs::write(to.join("run.json.00c0ffee00c0ffee.part"), "half").expect("written");
     // Nothing tells to move or replace what the next session takes up.
     for finding in verify(&path).expect("readable").findings {
-        let resumes = finding.remedy.contains("`retrograde campaign run`");
+        let resume = format!("`retrograde campaign run {}`", path.display());
+        let resumes = finding.remedy.contains(&resume);
         assert!(
             resumes && !finding.remedy.contains("Move it"),
             "{finding:?}"

@@ -206,8 +206,9 @@ fn a_fault_is_told_before_the_rollers_move() {
     assert_eq!(code, 3, "{shown}");
     assert!(shown.contains("the rig has a fault: "), "{shown}");
     let words = shown.split_whitespace().collect::<Vec<_>>().join(" ");
-    let help = "remove its cause, `retrograde ack rig`, then `retrograde campaign run`";
-    assert!(words.contains(help), "{shown}");
+    let help =
+        format!("remove its cause, `retrograde ack rig`, then `retrograde campaign run {out}`");
+    assert!(words.contains(&help), "{shown}");
     assert!(!memory.heard().contains(&"Home"), "{:?}", memory.heard());
 }
 

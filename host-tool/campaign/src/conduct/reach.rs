@@ -5,6 +5,7 @@ use protocol::system::DeviceKind;
 use serde_json::Value;
 
 use crate::conduct::{Broken, Conduct, Connect, Machines, Then};
+use crate::resumption;
 
 /// Facts that are not compared: they differ after each start of the machine, or are a remark of the tool.
 const PASSING: [&str; 3] = ["boot_id", "reset_cause", "commissioning"];
@@ -64,8 +65,8 @@ impl Conduct<'_> {
             return Err(Broken::NotReady {
                 why: format!("what answers now is not as before: {}", differs.join(", ")),
                 help: format!(
-                    "connect the former machine, or go on with this one in a new session: `retrograde campaign run {}`",
-                    self.folder.campaign().folder.display()
+                    "connect the former machine, or go on with this one in a new session: {}",
+                    resumption(&self.folder.campaign().folder)
                 ),
             });
         }

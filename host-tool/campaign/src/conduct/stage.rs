@@ -1,6 +1,8 @@
 //! Moves the rollers to the start of a trial while the body is out of their way. In a plan with isolated passes the
 //! rollers stop at either end after a trial, and the body lies between the ends.
 
+use std::path::Path;
+
 use client::Unobserved;
 use client::error::ClientError;
 use protocol::error::Refusal;
@@ -11,6 +13,7 @@ use trials::trial::{Screw, Status};
 use crate::conduct::{Broken, Conduct, Then};
 use crate::order::Planned;
 use crate::prompts::{Answer, Question, clearing};
+use crate::resumption;
 
 /// Speed of the carriage on its way to the start of a trial, um/s.
 const STAGE_UM_S: u32 = 20_000;
@@ -54,7 +57,7 @@ impl Conduct<'_> {
             return Ok(false);
         }
         let status = self.machines.rig.rig_status()?;
-        no_fault(&status)?;
+        no_fault(&status, &self.folder.campaign().folder)?;
         let begins = Screw::from(&status).steps(self.begins_um(planned));
         Ok(status.homed
             && status.state == RigState::Ready
@@ -74,7 +77,7 @@ impl Conduct<'_> {
     /// turned the screw.
     pub(super) fn drive_to(&mut self, block: u32, position_um: u32) -> Result<(), Broken> {
         let status = self.machines.rig.rig_status()?;
-        no_fault(&status)?;
+        no_fault(&status, &self.folder.campaign().folder)?;
         if !status.homed || self.homed_in != Some(block) {
             let mut observer = self.desk.observer();
             let homed = experiment::home(&mut self.machines.rig, &mut *observer)?;
@@ -111,9 +114,10 @@ impl Conduct<'_> {
                         "the carriage is at {} steps after the move to {wanted}",
                         status.position_steps
                     ),
-                    help:
-                        "`retrograde info rig` says what is wrong; then `retrograde campaign run`"
-                            .to_owned(),
+                    help: format!(
+                        "`retrograde info rig` says what is wrong; then {}",
+                        resumption(&self.folder.campaign().folder)
+                    ),
                 },
             });
         }
@@ -121,13 +125,15 @@ impl Conduct<'_> {
     }
 }
 
-fn no_fault(status: &RigStatus) -> Result<(), Broken> {
+fn no_fault(status: &RigStatus, folder: &Path) -> Result<(), Broken> {
     match status.fault {
         None => Ok(()),
         Some(fault) => Err(Broken::NotReady {
             why: format!("the rig has a fault: {fault}"),
-            help: "remove its cause, `retrograde ack rig`, then `retrograde campaign run`"
-                .to_owned(),
+            help: format!(
+                "remove its cause, `retrograde ack rig`, then {}",
+                resumption(folder)
+            ),
         }),
     }
 }

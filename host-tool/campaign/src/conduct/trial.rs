@@ -20,7 +20,7 @@ use crate::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState
 use crate::order::{Planned, doing};
 use crate::plan::{Millimetres, Purpose};
 use crate::prompts::{Answer, Question, camera_file, checks};
-use crate::remaining;
+use crate::{remaining, resumption};
 
 impl Conduct<'_> {
     pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
@@ -286,7 +286,10 @@ impl Conduct<'_> {
                 why: format!(
                     "the pass went from {from} to {to} steps, and not over the whole stroke"
                 ),
-                help: "did something else move the rig? Then `retrograde campaign run`".to_owned(),
+                help: format!(
+                    "did something else move the rig? Then {}",
+                    resumption(&self.folder.campaign().folder)
+                ),
             });
         }
         Ok(())
@@ -313,10 +316,11 @@ impl Conduct<'_> {
     /// Folds or unfolds the capsule if the trial needs the other shape; records it.
     fn shape(&mut self, wanted: Form, folder: &Path) -> Result<(), Broken> {
         let status = self.capsule()?.capsule_status()?;
+        let resume = resumption(&self.folder.campaign().folder);
         let not_ready = |help: &str| {
             Err(Broken::NotReady {
                 why: format!("the capsule is {:?}", status.state),
-                help: format!("{help}, then `retrograde campaign run`"),
+                help: format!("{help}, then {resume}"),
             })
         };
         let mut steps = vec![];
