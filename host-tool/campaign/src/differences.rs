@@ -44,6 +44,8 @@ impl std::fmt::Display for Finding {
 }
 
 pub(crate) const COPY: &str = "restore it from a copy";
+pub(crate) const STRANGE: &str =
+    "is neither a file nor a folder, or has a name that cannot be listed";
 pub(crate) const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 
 /// Reads the manifest of a folder; none if the folder has none.
@@ -198,11 +200,7 @@ impl Differences {
             findings.push(Finding::new(path, what, COPY));
         }
         for path in &self.strange {
-            findings.push(Finding::new(
-                path,
-                "is neither a file nor a folder, or has a name that cannot be listed",
-                UNKNOWN,
-            ));
+            findings.push(Finding::new(path, STRANGE, UNKNOWN));
         }
         findings
     }

@@ -9,9 +9,9 @@ use std::{fs, io};
 use crate::CampaignError;
 pub use crate::contradictions::Verified;
 use crate::contradictions::{check_record, contradictions};
-use crate::differences::{COPY, Differences, Finding, read_manifest};
-use crate::files::{ORDER, PLAN, READINGS, TRIALS};
-use crate::manifest::{self, contents};
+use crate::differences::{COPY, Differences, Finding, STRANGE, UNKNOWN, read_manifest};
+use crate::files::{ORDER, PLAN, READINGS, TRIALS, is_record};
+use crate::manifest::{self, Contents, contents};
 
 /// Looks through a folder and changes nothing.
 ///
@@ -58,10 +58,29 @@ pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     if campaign {
         contradictions(folder, &mut verified);
     } else {
-        let records = contents(folder).map_err(read)?;
-        for path in records.files {
-            check_record(folder, &path, &mut verified);
+        let there = contents(folder).map_err(read)?;
+        for path in &there.files {
+            check_record(folder, path, &mut verified);
         }
+        verified.findings.extend(incomplete(&there));
     }
     Ok(verified)
+}
+
+/// Records of which a part is missing or a link. Other links in a folder of records are the user's business.
+fn incomplete(there: &Contents) -> Vec<Finding> {
+    let of_records = |path: &&String| is_record(path.rsplit('/').next().unwrap_or(path));
+    let links = there.strange.iter().filter(of_records);
+    let links = links.map(|path| Finding::new(path, STRANGE, UNKNOWN));
+    let is_there = |path: &String| there.files.contains(path) || there.strange.contains(path);
+    let halves = there.files.iter().filter(of_records).filter_map(|path| {
+        let (other, what) = if let Some(stem) = path.strip_suffix(".json") {
+            (format!("{stem}.csv"), "its telemetry is missing")
+        } else {
+            let stem = path.strip_suffix(".csv")?;
+            (format!("{stem}.json"), "its sidecar is missing")
+        };
+        (!is_there(&other)).then(|| Finding::new(path, what, COPY))
+    });
+    links.chain(halves).collect()
 }

@@ -55,6 +55,33 @@ fn a_record_without_an_end_is_named_and_its_cause_is_not_claimed() {
     assert!(!page.contains("the host ended first"));
 }
 
+/// Regression: `verify` of a folder of records passed over a record that was a link, and one whose telemetry was gone.
+#[test]
+fn half_a_record_and_a_link_to_one_are_findings() {
+    let place = tempfile::tempdir().expect("a folder");
+    let sidecar = record(&place);
+    let folder = sidecar.parent().expect("a folder");
+    let telemetry = sidecar.with_extension("csv");
+    for (file, named, what) in [
+        (&sidecar, &sidecar, "is neither a file nor a folder"),
+        (&telemetry, &telemetry, "is neither a file nor a folder"),
+        (&telemetry, &sidecar, "its telemetry is missing"),
+        (&sidecar, &telemetry, "its sidecar is missing"),
+    ] {
+        let elsewhere = place.path().join("elsewhere");
+        fs::rename(file, &elsewhere).expect("moved");
+        if what.contains("neither") {
+            std::os::unix::fs::symlink(&elsewhere, file).expect("a link");
+        }
+        let (code, out, err) = retrograde(&["verify", text(folder)]);
+        let finding = format!("{}: {what}", named.file_name().expect("a name").display());
+        assert!(code == 1 && out.contains(&finding), "{finding}: {out}{err}");
+        fs::rename(&elsewhere, file).expect("moved back");
+    }
+    let (code, _, err) = retrograde(&["verify", text(folder)]);
+    assert_eq!(code, 0, "{err}");
+}
+
 /// Regression: the telemetry of a pass or a calibration without its sidecar was no lost record.
 #[test]
 fn a_lost_record_of_any_action_counts() {
