@@ -3,7 +3,7 @@
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::system::DeviceKind;
 
 /// A line, or why there is none.
@@ -15,10 +15,6 @@ pub(crate) struct Bench<F: Fn(DeviceKind) -> Opened>(pub(crate) F);
 impl<F: Fn(DeviceKind) -> Opened + Sync> Connector for Bench<F> {
     fn open(&self, kind: DeviceKind, _: &Address, _: u32, _: Purpose) -> Opened {
         (self.0)(kind)
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

@@ -76,7 +76,9 @@ pub trait Connector: Sync {
     }
 
     /// The places where there may be a machine, for `auto` and `devices`.
-    fn candidates(&self) -> Vec<Candidate>;
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
 
     /// A nonce for the next session, different from the last one.
     fn nonce(&self) -> u32;

@@ -11,7 +11,7 @@ use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::capsule::{ActuationKind, Calibrate};
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::link::Memory;
@@ -300,10 +300,6 @@ impl Connector for Bench {
         }))
     }
 
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
-    }
-
     fn nonce(&self) -> u32 {
         1
     }
@@ -451,10 +447,6 @@ impl Connector for Kept {
             DeviceKind::Rig => link(Script::new(kind)).0,
             DeviceKind::Capsule => self.line(),
         })
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

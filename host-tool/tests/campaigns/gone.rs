@@ -10,7 +10,7 @@ use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::rig::{Hold, MoveTo};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
@@ -68,10 +68,6 @@ impl Connector for Restarted {
             });
         }
         self.then.open(kind, address, baud, purpose)
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

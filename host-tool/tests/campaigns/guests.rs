@@ -10,7 +10,7 @@ use client::address::Address;
 use client::link::owner::Question;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::capsule::GetCapsuleStatus;
 use protocol::system::DeviceKind;
 use protocol::table::{Endpoint as _, Reply, Response};
@@ -33,10 +33,6 @@ impl Connector for Bench {
             Some(question) => Box::new(Asked::at(0, link, question)),
             None => link,
         })
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

@@ -10,7 +10,7 @@ use campaign::plan::{CampaignPlan, Purpose as Figure};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Log, Script, link};
 
@@ -69,10 +69,6 @@ impl Connector for Bench {
             }),
             DeviceKind::Capsule => link,
         })
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

@@ -6,7 +6,7 @@ use crate::support::tool;
 use client::address::Address;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Log, Script, link};
 
@@ -41,10 +41,6 @@ impl Connector for New {
 
     fn is_made_anew(&self, address: &Address) -> bool {
         *address == Address::Virtual
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

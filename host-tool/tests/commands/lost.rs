@@ -7,7 +7,7 @@ use client::link::owner::Owner;
 use client::link::{Link, LinkError, OpenError};
 use client::{Device, Observer, Progress};
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use operations::failure::Failure;
 use protocol::rig::Home;
 use protocol::system::DeviceKind;
@@ -104,10 +104,6 @@ impl Connector for Computer {
             link: link(self.script.clone()).0,
             fault: self.fault,
         }))
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {

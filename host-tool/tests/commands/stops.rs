@@ -365,10 +365,6 @@ impl Connector for Desk {
         }))
     }
 
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
-    }
-
     fn nonce(&self) -> u32 {
         1
     }

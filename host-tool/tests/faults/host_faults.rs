@@ -20,7 +20,7 @@ use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use host_tool::cli::run_on;
 use jiff::{SignedDuration, Timestamp};
-use operations::connector::{Candidate, Connector, Purpose};
+use operations::connector::{Connector, Purpose};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use simulated_machines::link::{Memory, Peer};
@@ -362,10 +362,6 @@ impl Connector for Computer {
             run_since_us: None,
             within: Arc::clone(&self.within),
         }))
-    }
-
-    fn candidates(&self) -> Vec<Candidate> {
-        vec![]
     }
 
     fn nonce(&self) -> u32 {
