@@ -1,9 +1,10 @@
 //! Coverage-guided fuzzing: cargo-fuzz runs the targets of `fuzz/` under libFuzzer and looks for inputs that make
 //! them panic.
 
-use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{self, BufRead, BufReader};
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::{env, fs};
 
 use crate::process::{Failure, Result, host_cargo, installed, root};
 
@@ -112,9 +113,22 @@ fn cargo_fuzz() -> Command {
     cargo
 }
 
+/// Makes the folder for the targets' files, in memory where the system has a place for that: `folders` writes and syncs
+/// several files in a run, and a disk made it three times slower.
+fn scratch() -> io::Result<PathBuf> {
+    let memory = Path::new("/dev/shm");
+    let place = match memory.is_dir() {
+        true => memory.to_owned(),
+        false => env::temp_dir(),
+    };
+    let scratch = place.join(format!("retrograde-fuzz-{}", std::process::id()));
+    fs::create_dir_all(&scratch)?;
+    Ok(scratch)
+}
+
 fn fuzz(target: &str, runs: u64) -> Result<Tried> {
     let remedy = "see what cargo-fuzz says above; does `cargo test -p fuzz` pass?";
-    let failure = |error: std::io::Error| {
+    let failure = |error: io::Error| {
         let what = format!("{target} cannot be fuzzed: {error}");
         Failure::new(what, remedy)
     };
@@ -123,7 +137,9 @@ fn fuzz(target: &str, runs: u64) -> Result<Tried> {
     for folder in [&kept, &found] {
         fs::create_dir_all(folder).map_err(failure)?;
     }
+    let scratch = scratch().map_err(failure)?;
     let mut cargo = cargo_fuzz();
+    cargo.env("TMPDIR", &scratch);
     cargo.arg(target).arg(&kept);
     cargo.arg(root().join("fuzz/corpus").join(target));
     cargo.arg("--").args([
@@ -154,6 +170,7 @@ fn fuzz(target: &str, runs: u64) -> Result<Tried> {
         }
     }
     let status = child.wait().map_err(failure)?;
+    fs::remove_dir_all(&scratch).map_err(failure)?;
     if !status.success() && !tried.found {
         let what = format!("cargo-fuzz on {target} ended with {status}");
         return Err(Failure::new(what, remedy));
