@@ -558,6 +558,22 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     );
 }
 
+/// Regression: a report in the middle of a campaign told of every trial to come in a line of its own.
+#[test]
+fn the_trials_to_come_are_one_line_and_one_row() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    Folder::create(&path, PLAN, Path::new("plan.toml")).expect("made");
+    let memory = Memory::with(vec![]);
+    let (code, _, err) = memory.run(&["report", path.to_str().expect("UTF-8")]);
+    assert_eq!(code, 0, "{err}");
+    assert_eq!(err.trim(), "trials 1 to 14 do not count: not done yet");
+    let page = fs::read_to_string(path.join("report/report.html")).expect("a page");
+    let row = "<td>1 to 14</td><td>14 trials</td><td>not done yet</td>";
+    assert_eq!(page.matches("not done yet").count(), 1);
+    assert!(page.contains(row), "{page}");
+}
+
 #[test]
 fn the_command_says_what_it_wrote_and_what_does_not_count() {
     let (_place, path) = made();

@@ -26,7 +26,9 @@ use crate::report::campaign_band::{BandSource, FITTED_BAND, band};
 use crate::report::campaign_figures::{
     Captioned, carriage, figure7, figure8, passes, run_over_plan,
 };
-use crate::report::evaluation::{ConditionRow, Evaluation, Part, TrialRow, evaluate, motion_of};
+use crate::report::evaluation::{
+    ConditionRow, Evaluation, NOT_DONE, Part, TrialRow, evaluate, motion_of,
+};
 use crate::report::section::{reasons, status};
 use crate::report::{Existing, ReportError, not_written, page};
 use crate::science::table;
@@ -408,17 +410,36 @@ fn lines(evaluation: &Evaluation) -> Markup {
     }
 }
 
+/// Trials that do not count, with the reason. In the middle of a campaign most are not done yet: a stretch of those is
+/// one row.
+fn stretches(evaluation: &Evaluation) -> Vec<(&[TrialRow], &str)> {
+    let waits = |row: &TrialRow| row.reason.as_deref() == Some(NOT_DONE);
+    let together = |one: &TrialRow, next: &TrialRow| waits(one) && waits(next);
+    let rows = evaluation.trials.chunk_by(together);
+    rows.filter_map(|rows| Some((rows, rows.first()?.reason.as_deref()?)))
+        .collect()
+}
+
 fn left_out(evaluation: &Evaluation) -> Markup {
-    let left = || {
-        let rows = evaluation.trials.iter();
-        rows.filter_map(|row| Some((row, row.reason.as_ref()?)))
-    };
+    let left = stretches(evaluation);
     let fallen = || evaluation.attempts.iter().filter(|row| !row.stands);
     html! {
-        @if left().next().is_none() { p { "Every trial of the plan counts." } }
+        @if left.is_empty() { p { "Every trial of the plan counts." } }
         @else { div.wide { table {
             thead { tr { th { "trial" } th { "condition" } th { "why it does not count" } } }
-            tbody { @for (row, why) in left() { tr { td { (row.trial) } td { (condition_text(row)) } td { (why) } } } }
+            tbody { @for (rows, why) in left { tr {
+                @match rows {
+                    [first, .., last] => {
+                        td { (first.trial) " to " (last.trial) }
+                        td { (rows.len()) " trials" }
+                    }
+                    rows => {
+                        td { (rows[0].trial) }
+                        td { (condition_text(&rows[0])) }
+                    }
+                }
+                td { (why) }
+            } } }
         } } }
         @if fallen().next().is_some() {
             h3 { "Attempts that do not count" }

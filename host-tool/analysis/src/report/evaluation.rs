@@ -25,6 +25,9 @@ use trials::trial::{Action, RigSample, Trial};
 
 use crate::figures::position_at;
 
+/// Why a trial does not count that nobody has begun.
+pub const NOT_DONE: &str = "not done yet";
+
 /// A number printed with `DECIMALS` decimals, the same on the page and in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rounded<const DECIMALS: usize>(pub f64);
@@ -462,7 +465,7 @@ impl Evaluation {
             Standing::Unmeasured => Some("its displacement is missing".to_owned()),
             Standing::UnderWay => Some("under way".to_owned()),
             Standing::Open => Some(match state.attempts.last() {
-                None => "not done yet".to_owned(),
+                None => NOT_DONE.to_owned(),
                 Some(last) => {
                     let outcome = last.outcome.map_or("open", AttemptOutcome::name);
                     format!("no attempt stands; the last one: {outcome}")
