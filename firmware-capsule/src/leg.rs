@@ -59,10 +59,12 @@ pub const STOP_MARGIN: Thread = Thread(40);
 pub const MOST_MA: u16 = 220;
 /// Largest current above the no-load current where force ends the leg, mA: 8.5 N, 11.3 N with the least friction.
 const FORCE_LIMIT_MA: u16 = 200;
-/// Largest current for the last part of paying out, mA: limits the damage if the encoder is lost there.
+/// Largest current for paying out just before zero, mA: limits the damage if the encoder is lost there.
 const LAST_LIMIT_MA: u16 = 60;
-/// Length of the last part of paying out.
+/// Length of that part.
 const LAST_ZONE: Thread = Thread(1_500);
+/// Highest place at which an unfolding ends, and where zero may be by now: all that is doubted of the count.
+const HIGHEST_ZERO: Thread = Thread(2_000);
 
 /// Purpose of a run to the folded end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -297,7 +299,9 @@ impl Leg {
             Leg::PayOut { to, .. } => {
                 let left = Thread(thread.0.saturating_sub(to.0));
                 let counts = Thread(left.0.saturating_sub(STOP_MARGIN.0)).counts().0;
-                let limit_ma = if left < LAST_ZONE {
+                // A partial target may lie where the thread pulls, and the motor stands there with so little.
+                let zero_um = to.0.min(HIGHEST_ZERO.0);
+                let limit_ma = if thread.0.saturating_sub(zero_um) < LAST_ZONE.0 {
                     LAST_LIMIT_MA
                 } else {
                     MOST_MA

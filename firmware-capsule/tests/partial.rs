@@ -51,6 +51,27 @@ fn a_partial_fold_stops_where_it_was_told() {
     }
 }
 
+/// Just below the folded end the thread pulls, and the motor needs more current than before zero.
+#[test]
+fn a_short_way_down_a_thread_that_pulls_is_no_jam() {
+    for seed in 88..94 {
+        let mut folded = Simulation::calibrated(Parameters::lifelike(seed), seed);
+        folded.run(Command::Fold);
+        let end = folded.capsule.thread().0;
+        for ways in [[600, 800], [1_000, 300], [2_500, 1_200]] {
+            let (mut sim, mut um) = (folded.clone(), end);
+            for way in ways {
+                um -= way;
+                sim.run(Command::FoldTo(Thread(um)));
+                assert_eq!(sim.capsule.fault(), None, "{seed}: {ways:?}");
+                assert_eq!(sim.capsule.state(), CapsuleState::Stopped);
+                let off_um = sim.capsule.thread().0 - um;
+                assert!(off_um.abs() < 100, "{seed}: {ways:?}, {off_um} um off");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_partial_fold_is_refused_at_the_ends_and_where_it_stands() {
     let mut sim = Simulation::calibrated(Parameters::nominal(), 0);

@@ -485,16 +485,19 @@ fn paying_out_is_never_faster_than_friction_stops() {
     }
 }
 
-/// Over the last 1.5 mm an encoder that is lost must not let the motor pull with all its current.
+/// Over the last 1.5 mm before zero, wherever that may be, an encoder that is lost must not let the motor pull with all
+/// its current. Before a partial target farther out it may: the thread pulls there.
 #[test]
 fn the_current_is_lower_over_the_last_part_of_paying_out() {
-    let leg = Leg::PayOut {
-        to: Thread(500),
-        taut_to: None,
-    };
-    for (thread_um, limit_ma) in [(2_000, MOST_MA), (1_999, LAST_LIMIT_MA)] {
-        let aim = leg.aim(Thread(thread_um), 16, false, &Settings::REFERENCE);
-        assert_eq!((aim.limit_ma, aim.held_ma), (limit_ma, limit_ma));
+    for (to_um, from_um) in [(0, 1_500), (500, 2_000), (2_000, 3_500), (2_001, 3_500)] {
+        let leg = Leg::PayOut {
+            to: Thread(to_um),
+            taut_to: None,
+        };
+        for (thread_um, limit_ma) in [(from_um, MOST_MA), (from_um - 1, LAST_LIMIT_MA)] {
+            let aim = leg.aim(Thread(thread_um), 16, false, &Settings::REFERENCE);
+            assert_eq!((aim.limit_ma, aim.held_ma), (limit_ma, limit_ma));
+        }
     }
 }
 

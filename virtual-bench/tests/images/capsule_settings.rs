@@ -228,6 +228,12 @@ fn a_partial_fold_stops_where_it_was_told() {
     let there = fold_to(&mut capsule, 3_050).expect_err("it is there");
     assert_eq!(there, Refusal::AlreadyThere);
     assert_eq!(capsule.fold().outcome, ActuationOutcome::Complete);
+    // The thread pulls there.
+    for thread_um in [end_um - 600, end_um - 1_500] {
+        let record = fold_to(&mut capsule, thread_um).expect("it is accepted");
+        assert_eq!(record.outcome, ActuationOutcome::Complete, "{thread_um}");
+        capsule.rest();
+    }
     assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
     let (least_mm, _) = capsule.look(|capsule| capsule.extremes_mm());
     assert!(least_mm >= 0.0, "{least_mm} mm");
