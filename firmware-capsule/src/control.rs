@@ -57,6 +57,8 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     /// Last position, and the time since which it is unchanged with the bridge asleep.
     resting: (Counts, u64),
     calibrated: Option<Calibration>,
+    /// End of the last write before a motion, in which no host was heard.
+    deaf_until_us: Option<u64>,
     recording: Recording,
     events: EventRing,
     last_words: LastWords,
@@ -86,6 +88,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             again_us: 0,
             resting: (Counts(0), 0),
             calibrated: None,
+            deaf_until_us: None,
             recording: Recording::new(),
             events: EventRing::new(),
             last_words: left.last_words.unwrap_or_default(),
@@ -182,7 +185,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
 
     /// Before the motor is driven: a power cut during the motion must find the calibration in force, and no "folded".
     /// The bridge sleeps or shorts the motor meanwhile, so nothing has to be watched.
-    fn begin_motion(&mut self, actions: &Actions) {
+    fn begin_motion(&mut self, ordered_us: u64, actions: &Actions) {
         let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
         if !actions.events.iter().any(starts) {
             return;
@@ -196,14 +199,26 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         if self.write_totals(left).is_err() {
             self.emit(What::Capsule(CapsuleEvent::NotKept));
         }
+        let now_us = self.capsule.now_us();
+        if now_us > ordered_us {
+            // An erasure takes up to half a second, in which the motor was not driven and no host was heard.
+            self.deaf_until_us = Some(now_us);
+            self.machine.begin_late(now_us);
+        }
     }
 
     fn watch_link(&mut self) {
+        let now_us = self.capsule.now_us();
+        let heard_us = self
+            .deaf_until_us
+            .map(|until_us| now_us.saturating_sub(until_us));
+        let silence_us = u64::from(self.capsule.silence_us());
+        let silence_us = silence_us.min(heard_us.unwrap_or(u64::MAX));
         if self.machine.is_moving()
-            && self.capsule.silence_us() > self.machine.settings().link_timeout_us
+            && silence_us > u64::from(self.machine.settings().link_timeout_us)
         {
             self.emit(What::LinkLost);
-            let actions = self.machine.step(self.capsule.now_us(), Event::LinkSilent);
+            let actions = self.machine.step(now_us, Event::LinkSilent);
             self.perform(&actions);
         }
     }
@@ -267,9 +282,10 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
                 chip: self.capsule.chip(),
             },
         };
+        let ordered_us = context.now_us;
         let executed = commands::execute(request, &mut self.machine, &context);
         if let Some(actions) = &executed.actions {
-            self.begin_motion(actions);
+            self.begin_motion(ordered_us, actions);
             self.perform(actions);
         }
         match executed.effect {

@@ -17,8 +17,8 @@ use firmware_capsule::sample::Sample;
 use protocol::{
     capsule::{
         ActuationKind, ActuationOutcome, Calibrate, CapsuleEvent, CapsuleFault, CapsuleState,
-        CapsuleTelemetry, CapsuleTotals, Fold, GetCapsuleStatus, GetCapsuleTotals, GetTrace,
-        KEPT_TRACE_POINTS, Reference,
+        CapsuleTelemetry, CapsuleTotals, Fold, GetActuationRecord, GetCapsuleStatus,
+        GetCapsuleTotals, GetTrace, KEPT_TRACE_POINTS, Reference,
     },
     error::Refusal,
     rig,
@@ -35,6 +35,8 @@ use simulated_machines::plant::{self, board::PERIODS_PER_MS};
 #[derive(Default)]
 struct Board {
     now_us: u64,
+    /// A flash whose operations take 0.4 s each.
+    slow: Option<Flash>,
     silence_us: u32,
     drives: Vec<Drive>,
     shown: Option<CapsuleTelemetry>,
@@ -63,7 +65,8 @@ impl control::Capsule for Board {
 
 impl Surroundings for Board {
     fn now_us(&self) -> u64 {
-        self.now_us
+        let operations = self.slow.as_ref().map(|flash| flash.operations().len());
+        self.now_us + operations.unwrap_or(0) as u64 * 400_000
     }
 
     fn chip(&self) -> system::Chip {
@@ -149,7 +152,7 @@ impl Device {
             battery_mv: 3_900,
             driver_fault: false,
         };
-        let at_us = self.board().now_us;
+        let at_us = self.board().now_us();
         self.control.read(at_us, sample);
     }
 
@@ -663,6 +666,52 @@ fn a_calibration_that_flash_does_not_take_is_told() {
         let mut later = Device::start_on(flash, FRESH, ResetCause::PowerOn);
         assert_eq!(totals(&mut later).calibration.is_some(), kept);
     }
+}
+
+/// An erasure is part of what is written at times. No host is heard meanwhile, and the motor stands.
+#[test]
+fn a_motion_begins_behind_what_is_written_before_it() {
+    let flash = Flash::blank();
+    let mut store = SettingsStore::<_, Kept>::load_with(flash.clone(), |_| true).0;
+    let kept = Kept {
+        calibration: None,
+        totals: Totals {
+            folded: Some(firmware_capsule::mechanics::Thread(0)),
+            ..Totals::default()
+        },
+    };
+    store.keep(TOTALS, kept).expect("kept");
+    let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
+    device.board().slow = Some(flash);
+    device.read();
+    let ordered_us = device.board().now_us();
+    device.accepted(Request::Reference(Reference));
+    let waited_us = device.board().now_us() - ordered_us;
+    assert!(waited_us > 1_000_000, "{waited_us}");
+    device.told();
+    // The order was its last sign of life.
+    device.board().silence_us = u32::try_from(waited_us).unwrap();
+    for _ in 0..29 {
+        device.board().silence_us += 1_000;
+        device.read();
+    }
+    assert_eq!(device.told(), []);
+    let Response::GetActuationRecord(record) =
+        device.accepted(Request::GetActuationRecord(GetActuationRecord))
+    else {
+        panic!("no record");
+    };
+    assert_eq!(record.duration_ms, 29);
+    // The current of a motor that starts is no force.
+    assert_eq!(record.peak_current_ma, 0);
+    // The same host, silent for a second.
+    for _ in 0..971 {
+        device.board().silence_us += 1_000;
+        device.read();
+    }
+    assert_eq!(device.told(), []);
+    device.read();
+    assert_eq!(device.told()[0], What::LinkLost);
 }
 
 /// A power cut during a motion must not leave a capsule that takes itself for folded.

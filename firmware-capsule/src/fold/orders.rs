@@ -311,6 +311,18 @@ impl Capsule {
         self.govern(now_us);
     }
 
+    /// The motion that was just accepted is driven only from now on: something else had to be done first.
+    pub fn begin_late(&mut self, now_us: u64) {
+        let from_us = now_us.max(self.brake_until_us);
+        if let Mode::Moving(actuation) = &mut self.mode {
+            let late_us = from_us.saturating_sub(actuation.detector.from_us());
+            actuation.started_us = actuation.started_us.saturating_add(late_us);
+            actuation.deadline_us = actuation.deadline_us.saturating_add(late_us);
+            let spooling = actuation.leg.spooling();
+            actuation.detector = Detector::new(spooling, from_us, actuation.rest_mv);
+        }
+    }
+
     /// Feels the folded thread, and winds it again to here afterwards.
     pub(super) fn feels_again(&mut self) -> Leg {
         let here = self.thread();

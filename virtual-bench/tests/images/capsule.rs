@@ -1108,6 +1108,27 @@ impl Observer for Samples {
     }
 }
 
+/// A motion that is ordered within half a second after the calibration waits until flash has it, and an erasure may be
+/// part of that. The motion begins behind it.
+#[test]
+fn a_motion_that_waits_for_the_flash_takes_no_longer() {
+    let mut durations_ms = [0; 2];
+    for (is_blank, duration_ms) in [true, false].into_iter().zip(&mut durations_ms) {
+        let mut capsule = referenced();
+        if !is_blank {
+            let dirt = capsule
+                .bench
+                .visit(|visit| visit.overwrite(0x0800_6000, &[0; 2]));
+            dirt.expect("the bench runs");
+        }
+        let record = capsule.fold();
+        assert_eq!(record.outcome, ActuationOutcome::Complete);
+        *duration_ms = record.duration_ms;
+    }
+    let [at_once, behind] = durations_ms;
+    assert!(at_once.abs_diff(behind) < 20, "{at_once} and {behind} ms");
+}
+
 /// The totals are written half a second after a motion. In an empty log that takes a new sector into use, which is
 /// checked and, unless blank, erased.
 #[test]
