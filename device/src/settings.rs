@@ -249,7 +249,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// # Errors
     /// The flash is worn out. No value in force has changed.
     pub fn reset(&mut self) -> Result<(), StorageFailed> {
-        if self.save(DEFAULTS_RECORD, &[]).is_err() {
+        if self.save_defaults(&[]).is_err() {
             self.begin_anew()?;
         }
         self.found = Found::Settings;
@@ -276,10 +276,19 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     fn end_conflict(&mut self) -> Result<(), StorageFailed> {
         if self.found == Found::Conflict {
             let name = self.name.clone();
-            self.save(DEFAULTS_RECORD, name.as_bytes())?;
+            self.save_defaults(name.as_bytes())?;
             self.found = Found::Settings;
         }
         Ok(())
+    }
+
+    /// Writes the defaults with this name. In a conflict that comes before [`Self::save`] rewrites an old record, which
+    /// alone might end it, and a power cut would then bring back the others.
+    fn save_defaults(&mut self, name: &[u8]) -> Result<(), StorageFailed> {
+        match self.found {
+            Found::Conflict => self.store.save(DEFAULTS_RECORD, name),
+            _ => self.save(DEFAULTS_RECORD, name),
+        }
     }
 
     /// Ends a conflict before [`Self::save`] rewrites one of its old records, which alone might end the conflict.

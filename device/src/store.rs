@@ -228,7 +228,8 @@ impl<F: NorFlash> Store<F> {
     const READ: usize = RECORD.next_multiple_of(F::WRITE_SIZE);
     const FITS: () = assert!(
         Self::READ <= LONGEST_READ
-            && Ages::OLDEST + Ages::NUMBERS as u32 <= in_a_sector(F::WRITE_SIZE)
+            // With one more, for the defaults may come before the old records.
+            && Ages::OLDEST + (Ages::NUMBERS as u32) < in_a_sector(F::WRITE_SIZE)
     );
 
     /// The log in [`SECTORS`] of `flash`. Repeats an erasure that a power cut has interrupted, which takes up to half a

@@ -4,7 +4,7 @@
 use super::chip::{Cut, Flash, Operation};
 use device::{
     settings::{SettingsStore, Values},
-    store::{self, DEFAULTS_RECORD, NAME_RECORD, SECTOR, SECTORS, StorageFailed},
+    store::{self, Ages, DEFAULTS_RECORD, NAME_RECORD, SECTOR, SECTORS, StorageFailed},
 };
 use embedded_storage_async::nor_flash::NorFlash as _;
 use proptest::prelude::*;
@@ -333,6 +333,48 @@ fn a_conflict_that_grows_old_revives_no_value() {
             store.set_name(name(["a", "b"][nth % 2])).unwrap();
             let (later, _) = Store::load(Flash::holding(flash.bytes()), keeps_the_rule);
             assert_eq!(*later.values(), Values::DEFAULT, "after {nth}");
+        }
+    }
+}
+
+/// The older of the two records is due to be written again with the next change. That alone would end the conflict, and
+/// the other value would be in force.
+#[test]
+fn a_cut_within_the_end_of_an_old_conflict_revives_no_value() {
+    let flash = Flash::blank();
+    let mut store = start(&flash);
+    store.set(SettingKey::StrokeUm, 100_000).unwrap();
+    for nth in 0..50 {
+        store.set_name(name(["a", "b"][nth % 2])).unwrap();
+    }
+    store.set(SettingKey::FlagUm, 900).unwrap();
+    for nth in 0..Ages::OLDEST as usize - 50 {
+        store.set_name(name(["a", "b"][nth % 2])).unwrap();
+    }
+    let image = flash.bytes();
+    let load = |flash: &Flash| Store::load(flash.clone(), keeps_the_rule);
+    type Change = fn(&mut Store) -> Result<(), StorageFailed>;
+    let changes: [Change; 3] = [
+        |store| store.set(SettingKey::LinkTimeoutMs, 3_000),
+        |store| store.set_name(name("c")),
+        Store::reset,
+    ];
+    for (nth, change) in changes.into_iter().enumerate() {
+        let whole = Flash::holding(image.clone());
+        let (mut store, usable) = load(&whole);
+        assert!(!usable);
+        change(&mut store).unwrap();
+        let new = *store.values();
+        for (number, cut) in
+            (0..whole.operations().len()).flat_map(|number| Cut::ALL.map(|cut| (number, cut)))
+        {
+            let flash = Flash::holding(image.clone());
+            let mut store = load(&flash).0;
+            flash.cut(number, cut, number as u64);
+            let _ = change(&mut store);
+            let found = *load(&Flash::holding(flash.bytes())).0.values();
+            let context = format!("change {nth}, {cut:?} in {number}");
+            assert!([Values::DEFAULT, new].contains(&found), "{context}");
         }
     }
 }
