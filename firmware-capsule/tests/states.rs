@@ -7,6 +7,7 @@ use firmware_capsule::{
     commands::{self, Change, Context},
     fold::{Capsule, Command, Drive, Event},
     mechanics::{Counts, Thread},
+    sample::Sample,
     settings::Settings,
 };
 use firmware_capsule::{kept::Totals, trace::Recording};
@@ -540,4 +541,29 @@ fn the_answers_say_what_they_should() {
             assert_eq!((reply, effect), (Reply::Refused(refusal), Effect::None));
         }
     }
+}
+
+/// A reading without a supply has no zero of the amplifier either. One of them is no fault.
+#[test]
+fn a_reading_without_a_supply_casts_no_doubt_on_a_fold() {
+    let mut sim = Simulation::new(
+        Parameters {
+            sense_offset_mv: 12.0,
+            ..Parameters::nominal()
+        },
+        0,
+    );
+    sim.run(Command::Calibrate);
+    sim.run(Command::Fold);
+    let usual = *sim.capsule.sample();
+    assert!((10..15).contains(&usual.offset_ma), "{usual:?}");
+    sim.give(Event::Sample(Sample {
+        current_ua: 0,
+        offset_ma: 0,
+        battery_mv: 0,
+        ..usual
+    }));
+    sim.settle();
+    assert_eq!(sim.capsule.fault(), None);
+    assert_eq!(sim.capsule.state(), CapsuleState::Folded);
 }

@@ -184,7 +184,10 @@ impl Capsule {
             _ => true,
         };
         let moved = self.sample.offset_ma.abs_diff(self.offset_before_ma);
+        // A reading without a supply has measured neither battery nor zero.
+        let measured = self.sample.battery_mv > 0;
         if judged_by_current
+            && measured
             && self.actuation() > 0
             && now_us >= self.brake_until_us
             && moved > MOST_MOVED_MA
