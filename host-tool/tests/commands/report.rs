@@ -323,6 +323,14 @@ fn what_is_left_out_is_listed_with_the_reason() {
     fs::write(at("broken.csv"), "").expect("written");
     fs::write(at("cycle.json"), "{\"asked\": 2, \"drift\": {}}").expect("written");
     fs::write(at("run.json.part"), "").expect("written");
+    let script = Script {
+        running: Some((RUN, 5_000_000)),
+        ..Script::new(DeviceKind::Rig)
+    };
+    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
+    let fetched = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH);
+    let fetched = fetched.expect("answers").expect("a run");
+    let fetched = fetched.write(folder.path()).expect("written");
     let found = report::find(&[folder.path().to_owned()]).expect("a folder");
     assert_eq!(found.sidecars, [run]);
     let why = |name: &str| {
@@ -336,7 +344,9 @@ fn what_is_left_out_is_listed_with_the_reason() {
     assert!(why("broken.json").contains("EOF"), "{found:?}");
     assert!(why("cycle.json").contains("endurance"));
     assert!(why("run.json.part").contains("cut off"));
-    assert_eq!(found.left_out.len(), 5, "{found:?}");
+    let fetched = fetched.file_name().expect("a name").to_string_lossy();
+    assert!(why(&fetched).contains("fetched"), "{found:?}");
+    assert_eq!(found.left_out.len(), 6, "{found:?}");
     let is_record = |name: &str| {
         let mut left = found.left_out.iter();
         left.any(|left| left.path.ends_with(name) && left.is_record)
@@ -346,7 +356,8 @@ fn what_is_left_out_is_listed_with_the_reason() {
             .into_iter()
             .all(is_record)
     );
-    assert!(!["cycle.json", "run.json.part"].into_iter().any(is_record));
+    let others = ["cycle.json", "run.json.part", &fetched];
+    assert!(!others.into_iter().any(is_record));
     let html = report::html(&found, &[]).expect("a page").html;
     for left in &found.left_out {
         assert!(html.contains(&left.why.replace('"', "&quot;")), "{left}");

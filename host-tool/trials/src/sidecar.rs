@@ -42,6 +42,8 @@ pub fn other(file: &Path) -> Option<String> {
         "an endurance run"
     } else if value.get("board_uid").is_some() && value.get("steps").is_some() {
         "a commissioning"
+    } else if value.get("kind").is_some_and(|kind| kind == "fetched") {
+        "an action that was fetched from its machine"
     } else {
         return None;
     };
@@ -73,6 +75,7 @@ mod tests {
         for (text, kind) in [
             (r#"{"drift": {}, "asked": 3}"#, "endurance"),
             (r#"{"board_uid": "", "steps": []}"#, "commissioning"),
+            (r#"{"kind": "fetched"}"#, "fetched"),
         ] {
             fs::write(&file, text).expect("written");
             assert_eq!(unreadable(), None, "{text}");
