@@ -81,6 +81,7 @@ fn besides(left_out: &[LeftOut]) -> String {
 #[error("{} is left out: {why}", path.display())]
 pub struct LeftOut {
     /// The file.
+    #[serde(serialize_with = "client::wording::path")]
     pub path: PathBuf,
     /// Why it is left out.
     pub why: String,
@@ -110,6 +111,7 @@ pub enum Existing {
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Damaged {
     /// Its sidecar.
+    #[serde(serialize_with = "client::wording::path")]
     pub sidecar: PathBuf,
     /// Its defects.
     pub defects: Vec<String>,

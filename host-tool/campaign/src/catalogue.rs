@@ -59,6 +59,7 @@ pub struct Entry {
     /// `campaign`, `trial`, or `campaign_trial` for one within a campaign.
     pub kind: Kind,
     /// Its folder or its sidecar.
+    #[serde(serialize_with = "client::wording::path")]
     pub path: PathBuf,
     /// Its start; none if nothing has begun.
     pub started_utc: Option<Timestamp>,

@@ -1,10 +1,10 @@
 //! Words refusals in the units in which people type: mm, mm/s, s. The wire and the firmware's own texts use
 //! micrometres and microseconds.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use protocol::error::{Field, Refusal};
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use serde_json::Value;
 
 use crate::decimal;
@@ -16,6 +16,22 @@ pub fn name(of: &impl Serialize) -> String {
         Ok(Value::String(name)) => name,
         _ => String::new(),
     }
+}
+
+/// Serializes a path as text: in JSON there is only Unicode, and U+FFFD stands for what is none.
+///
+/// # Errors
+/// Those of the serializer.
+pub fn path<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&path.display())
+}
+
+/// Serializes paths as [`path`] does.
+///
+/// # Errors
+/// Those of the serializer.
+pub fn paths<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(paths.iter().map(|path| path.display().to_string()))
 }
 
 /// A path as one word of a command line that a person copies.

@@ -94,8 +94,15 @@ pub(crate) fn actuate(
         screen.say(&format!("  {}: {readings} ms", path.display()));
     }
     completed(experiment::doing(kind), &trial.trial, help)?;
-    let traced = traced.transpose()?.map(|(path, _)| path);
-    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar, "trace": traced }))
+    let traced = traced
+        .transpose()?
+        .map(|(path, _)| path.display().to_string());
+    Ok(json!({
+        "trial": trial.trial,
+        "csv": trial.csv.display().to_string(),
+        "sidecar": trial.sidecar.display().to_string(),
+        "trace": traced,
+    }))
 }
 
 /// Warns of the assumptions of a reference run or a calibration.

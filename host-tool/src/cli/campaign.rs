@@ -333,7 +333,7 @@ fn carry_out(
     }
     let mut value = summary(campaign);
     if campaign.state.next().is_none() {
-        value["report"] = json!(reported(&path, screen)?);
+        value["report"] = json!(reported(&path, screen)?.map(|page| page.display().to_string()));
     }
     Ok(value)
 }
@@ -619,7 +619,7 @@ fn summary(campaign: &Campaign) -> Value {
         .collect();
     let next = campaign.state.next().map(|next| next.planned.clone());
     json!({
-        "folder": campaign.folder,
+        "folder": campaign.folder.display().to_string(),
         "campaign": campaign.plan.name,
         "origin": campaign.origin(),
         "conditions": conditions,

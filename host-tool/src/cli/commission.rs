@@ -131,7 +131,7 @@ pub(crate) fn commission(
     let open = procedure::open(all, &record, &subject);
     if open.is_empty() {
         screen.say(&format!("All {} steps hold: {}", all.len(), path.display()));
-        return Ok(json!({ "record": path, "commissioning": record }));
+        return Ok(json!({ "record": path.display().to_string(), "commissioning": record }));
     }
     let names: Vec<_> = open.iter().map(|(step, _)| step.name).collect();
     debug_assert!(

@@ -87,7 +87,11 @@ pub(crate) fn cycle(
             help,
         });
     }
-    Ok(json!({ "endurance": endurance, "csv": csv, "summary": summary }))
+    Ok(json!({
+        "endurance": endurance,
+        "csv": csv.display().to_string(),
+        "summary": summary.display().to_string(),
+    }))
 }
 
 /// The summary in lines.

@@ -149,7 +149,8 @@ pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value
         file.write(|out| out.write_all(svg.as_bytes()))?;
         screen.say(&format!("map:      {}", file.path().display()));
     }
-    Ok(json!({ "design": report, "svg": args.svg, "map": args.map }))
+    let shown = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+    Ok(json!({ "design": report, "svg": shown(&args.svg), "map": shown(&args.map) }))
 }
 
 fn design_text(report: &Report) -> String {

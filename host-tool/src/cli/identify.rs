@@ -54,8 +54,8 @@ pub(crate) fn identify(
     }
     Ok(json!({
         "identified": identified,
-        "recordings": motions.map(|motion| &motion.csv),
-        "sidecars": motions.map(|motion| &motion.sidecar),
+        "recordings": motions.map(|motion| motion.csv.display().to_string()),
+        "sidecars": motions.map(|motion| motion.sidecar.display().to_string()),
     }))
 }
 

@@ -63,7 +63,8 @@ pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Fa
         file.write(|out| out.write_all(svg.as_bytes()))?;
         screen.say(&format!("plot:          {}", file.path().display()));
     }
-    Ok(json!({ "plan": summary, "edges": args.edges, "plot": args.plot }))
+    let shown = |path: &Option<PathBuf>| path.as_ref().map(|path| path.display().to_string());
+    Ok(json!({ "plan": summary, "edges": shown(&args.edges), "plot": shown(&args.plot) }))
 }
 
 fn text(summary: &Summary) -> String {

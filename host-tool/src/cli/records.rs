@@ -47,7 +47,7 @@ pub(crate) fn records(
                 let path = fetched.write(out)?;
                 screen.say(&format!("{machine}: {}", text(&fetched)));
                 screen.say(&format!("  {}", path.display()));
-                files.insert(machine.to_owned(), json!(path));
+                files.insert(machine.to_owned(), json!(path.display().to_string()));
             }
             Err(Nothing::Yet) => screen.say(&format!(
                 "{machine}: nothing to fetch, it has done nothing since it was switched on or reset"

@@ -68,9 +68,10 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     for left in &found.left_out {
         screen.hint(&left.to_string());
     }
+    let shown = |path: &PathBuf| path.display().to_string();
     let value = json!({
-        "trials": found.sidecars,
-        "report": out,
+        "trials": found.sidecars.iter().map(shown).collect::<Vec<_>>(),
+        "report": shown(&out),
         "damaged": report.damaged,
         "left_out": found.left_out,
     });

@@ -176,7 +176,11 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         trial.sidecar.display()
     );
     completed("the run", &trial.trial, help)?;
-    Ok(json!({ "trial": trial.trial, "csv": trial.csv, "sidecar": trial.sidecar }))
+    Ok(json!({
+        "trial": trial.trial,
+        "csv": trial.csv.display().to_string(),
+        "sidecar": trial.sidecar.display().to_string(),
+    }))
 }
 
 /// Latency of the start by both clocks, as text.

@@ -51,7 +51,7 @@ pub(crate) fn trace(
     Ok(json!({
         "actuation": recorded.actuation,
         "readings": recorded.points.len(),
-        "csv": csv,
+        "csv": csv.display().to_string(),
     }))
 }
 

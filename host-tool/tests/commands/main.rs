@@ -11,6 +11,7 @@ mod fetched;
 mod fresh;
 mod loopback;
 mod lost;
+mod names;
 mod records;
 mod report;
 mod settings;

@@ -57,8 +57,10 @@ pub enum CampaignReportError {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Written {
     /// The page.
+    #[serde(serialize_with = "client::wording::path")]
     pub page: PathBuf,
     /// All files, the page last.
+    #[serde(serialize_with = "client::wording::paths")]
     pub files: Vec<PathBuf>,
     /// Trials of the plan.
     pub planned: usize,

@@ -27,7 +27,9 @@ pub(crate) fn newest() -> Option<PathBuf> {
 pub(crate) fn json(folder: &Path) -> Value {
     let campaign = match Campaign::read(folder) {
         Ok(campaign) => campaign,
-        Err(error) => return json!({ "folder": folder, "error": error.to_string() }),
+        Err(error) => {
+            return json!({ "folder": folder.display().to_string(), "error": error.to_string() });
+        }
     };
     let state = &campaign.state;
     let done = state
@@ -48,7 +50,7 @@ pub(crate) fn json(folder: &Path) -> Value {
         .then(|| remaining::text(remaining::remaining_s(&campaign)));
     json!({
         "name": campaign.plan.name,
-        "folder": folder,
+        "folder": folder.display().to_string(),
         "done": done.count(),
         "trials": state.trials.len(),
         "next": next,
