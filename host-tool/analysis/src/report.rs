@@ -28,10 +28,22 @@ use crate::report::section::{in_short, reasons, remark_table, section, status};
 /// Why the report was not written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ReportError {
-    /// A record could not be read or the report could not be written.
+    /// A record could not be read.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
+    /// The report could not be written.
+    #[error("{path}: {why}", path = path.display())]
+    #[diagnostic(
+        code(retrograde::report),
+        help("it needs a folder that can be written, with free space; then again")
+    )]
+    Unwritten {
+        /// The file.
+        path: PathBuf,
+        /// The reason.
+        why: String,
+    },
     /// A figure could not be drawn.
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
@@ -254,7 +266,7 @@ fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), ReportError>
         .parent()
         .filter(|folder| !folder.as_os_str().is_empty())
     {
-        fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
+        fs::create_dir_all(folder).map_err(|io| unwritten(folder, &io))?;
     }
     let written = match existing {
         Existing::Replace => plain::replace(path, bytes),
@@ -263,13 +275,20 @@ fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), ReportError>
     written.map_err(|io| not_written(path, &io))
 }
 
+pub(crate) fn unwritten(path: &Path, why: &dyn ToString) -> ReportError {
+    ReportError::Unwritten {
+        path: path.to_owned(),
+        why: why.to_string(),
+    }
+}
+
 /// Why a file of a report was not written.
 pub(crate) fn not_written(path: &Path, io: &std::io::Error) -> ReportError {
     match io.kind() {
         std::io::ErrorKind::AlreadyExists => ReportError::Exists {
             path: path.to_owned(),
         },
-        _ => RecordError::write(path, io).into(),
+        _ => unwritten(path, io),
     }
 }
 

@@ -413,6 +413,28 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
     }
 }
 
+/// A report is a file, and that of a campaign has one place: another folder of records is no remedy.
+#[test]
+fn a_report_that_cannot_be_written_says_what_helps() {
+    let folder = tempfile::tempdir().expect("folder");
+    let [run, _] = trials(folder.path());
+    let text = |path: &Path| path.to_str().expect("UTF-8").to_owned();
+    let (run, study) = (text(&run), text(&folder.path().join("study")));
+    let tool = Memory::with(vec![]);
+    let plan = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/paper.toml");
+    let (code, _, err) = tool.run(&["campaign", "new", plan, "--out", &study]);
+    assert_eq!(code, 0, "{err}");
+    // A file stands where a folder has to be made.
+    fs::write(folder.path().join("study/report"), "").expect("written");
+    let within = format!("{run}/page.html");
+    for args in [&["report", &run, "--out", &within][..], &["report", &study]] {
+        let (code, _, err) = tool.run(args);
+        assert_eq!(code, 1, "{err}");
+        assert!(!err.contains("--out DIR"), "{err}");
+        assert!(err.contains("folder that can be written"), "{err}");
+    }
+}
+
 #[test]
 fn a_virtual_run_cannot_pass_as_a_measurement() {
     let folder = tempfile::tempdir().expect("folder");

@@ -20,7 +20,6 @@ use client::plain;
 use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
 use serde::Serialize;
-use trials::trial::RecordError;
 
 use crate::report::campaign_band::{BandSource, FITTED_BAND, band};
 use crate::report::campaign_figures::{
@@ -30,7 +29,7 @@ use crate::report::evaluation::{
     ConditionRow, Evaluation, NOT_DONE, Part, TrialRow, evaluate, motion_of,
 };
 use crate::report::section::{reasons, status};
-use crate::report::{Existing, ReportError, not_written, page};
+use crate::report::{Existing, ReportError, not_written, page, unwritten};
 use crate::science::table;
 
 /// Why a campaign's report was not written.
@@ -191,8 +190,7 @@ pub fn write(
         ("lines.csv", table::csv(&lines)),
         ("readings.csv", table::csv(&evaluation.readings)),
     ] {
-        let bytes = bytes
-            .map_err(|error| ReportError::from(RecordError::write(&into.join(name), error)))?;
+        let bytes = bytes.map_err(|error| unwritten(&into.join(name), &error))?;
         keep(name, &bytes)?;
     }
     match existing {
