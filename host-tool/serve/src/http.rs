@@ -753,11 +753,10 @@ async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
             }
             good(json!({}))
         }
-        _ => bad(
-            StatusCode::CONFLICT,
+        _ => failed(&Failure::refused(
             "this jog has ended; nothing was moved by this request",
             "begin a new one",
-        ),
+        )),
     }
 }
 

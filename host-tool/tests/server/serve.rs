@@ -516,6 +516,9 @@ fn bad_input_is_refused_with_the_texts_of_the_command_line() {
     ] {
         let answer = server.post(&format!("/api/v1/{path}"), &body);
         assert_eq!(answer.status, status, "{path} {body}: {}", answer.body);
+        // A program in Python knows a refusal by its exit code.
+        let is_refusal = answer.json()["exit_code"] == 3;
+        assert_eq!(is_refusal, status == 409, "{path} {body}: {}", answer.body);
         assert!(
             answer.message().contains(text),
             "{path} {body}: {}",
