@@ -64,7 +64,7 @@ const LAST_LIMIT_MA: u16 = 60;
 /// Length of that part.
 const LAST_ZONE: Thread = Thread(1_500);
 /// Highest place at which an unfolding ends, and where zero may be by now: all that is doubted of the count.
-const HIGHEST_ZERO: Thread = Thread(2_000);
+pub const HIGHEST_ZERO: Thread = Thread(2_000);
 
 /// Purpose of a run to the folded end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

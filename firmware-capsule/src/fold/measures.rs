@@ -5,7 +5,7 @@ use super::{Actions, Capsule, Drive, Mode, ends_folded};
 use crate::calibration::Calibration;
 use crate::circuit::Reading;
 use crate::detect::Load;
-use crate::leg::{Leg, Purpose};
+use crate::leg::{HIGHEST_ZERO, Leg, Purpose};
 use crate::mechanics::{Counts, MOST_NO_LOAD_MA, Thread};
 use crate::sample::Spooling;
 use crate::settings::Settings;
@@ -57,6 +57,8 @@ const LEAST_COMPARED: i32 = 8;
 const SURE_PULL: u16 = 800;
 /// Largest creep of the end that is believed, um: twice as much is a slip that keeps 65 % of its pull.
 const MOST_CREPT_UM: i32 = 800;
+/// The legs know how much may be doubted.
+const _: () = assert!(FRICTION_SHIFT.0 + MOST_CREPT_UM <= HIGHEST_ZERO.0);
 /// Largest creep per cycle, um.
 const CREEPS_UM: i32 = 30;
 /// Largest distance by which friction may bring the end force forward, um.
