@@ -18,8 +18,19 @@ pub struct VerifyArgs {
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
     /// The seal that an earlier `verify` of this folder has printed: fails if the folder has another one now.
-    #[arg(long, value_name = "SEAL")]
+    #[arg(long, value_name = "SEAL", value_parser = sealed)]
     pub seal: Option<String>,
+}
+
+/// A seal as it was printed, also in capitals. What is no seal must not pass for the sign of a changed folder.
+fn sealed(text: &str) -> Result<String, String> {
+    let seal = text.trim().to_ascii_lowercase();
+    match seal.len() == 64 && seal.bytes().all(|digit| digit.is_ascii_hexdigit()) {
+        true => Ok(seal),
+        false => {
+            Err("a seal has 64 hexadecimal digits: write it as `verify` printed it".to_owned())
+        }
+    }
 }
 
 pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {

@@ -253,6 +253,15 @@ fn a_seal_tells_what_the_files_cannot() {
     };
     let before = sealed();
     assert_eq!(verify(&["--seal", &before]).0, 0);
+    // Typed from paper it may be in capitals; one of which digits are missing accuses nobody.
+    let typed = format!(" {} ", before.to_uppercase());
+    assert_eq!(verify(&["--seal", &typed]).0, 0);
+    let other = format!("{}g", &before[1..]);
+    for wrong in ["", "5d0f...", &before[1..], &other] {
+        let (code, said, err) = verify(&["--seal", wrong]);
+        assert_eq!(code, 2, "{said}{err}");
+        assert!(said.contains("64 hexadecimal digits"), "{said}");
+    }
     edit_run(&folder, |text| {
         text.replacen("\"note\": null", "\"note\": \"it was dry\"", 1)
     });
