@@ -21,7 +21,7 @@ use crate::cli::screen::Screen;
 pub struct ServeArgs {
     /// Where to listen; port 0 takes a free one. With an address that others can reach, whoever reads along in that
     /// network reads the token and can move the machines: there is no encryption.
-    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7080")]
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7080", value_parser = listen)]
     pub listen: SocketAddr,
     /// Read the token from this file, and make one there if there is none. Otherwise each start has a new one.
     #[arg(long, value_name = "FILE")]
@@ -35,6 +35,12 @@ pub struct ServeArgs {
     /// The campaign whose next step is shown; by default the newest one that is not complete.
     #[arg(long, value_name = "DIR")]
     pub campaign: Option<PathBuf>,
+}
+
+/// An address of this computer: a name may stand for several.
+fn listen(text: &str) -> Result<SocketAddr, String> {
+    let why = "write an IP address of this computer and a port, for example 127.0.0.1:7080";
+    text.parse().map_err(|_| why.to_owned())
 }
 
 pub(crate) fn serve(
@@ -72,4 +78,34 @@ pub(crate) fn serve(
         screen.tell(text);
     })?;
     Ok(json!({ "served": url }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: ServeArgs,
+    }
+
+    #[test]
+    fn a_name_is_no_address_to_listen_at() {
+        let line = |listen: &str| Line::try_parse_from(["serve", "--listen", listen]);
+        for wrong in [
+            "localhost:7080",
+            "lab-pc:7080",
+            "127.0.0.1",
+            ":7080",
+            "127.0.0.1:70800",
+        ] {
+            let why = line(wrong).expect_err(wrong).to_string();
+            assert!(why.contains("for example 127.0.0.1:7080"), "{why}");
+        }
+        for good in ["192.168.1.20:7080", "[::1]:0"] {
+            assert_eq!(line(good).expect(good).args.listen.to_string(), good);
+        }
+    }
 }
