@@ -37,7 +37,10 @@ pub fn paths<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S
 /// A path as one word of a command line that a person copies.
 #[must_use]
 pub fn word(path: &Path) -> String {
-    let text = path.display().to_string();
+    let text = match path.display().to_string() {
+        option if option.starts_with('-') => format!("./{option}"),
+        text => text,
+    };
     let is_plain = |c: char| c.is_alphanumeric() || "/._-+,:@%=\\".contains(c);
     match !text.is_empty() && text.chars().all(is_plain) {
         true => text,
@@ -146,6 +149,19 @@ pub fn unreadable(error: &impl ToString) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_path_is_a_word_and_no_option() {
+        for (path, expected) in [
+            ("study", "study"),
+            ("my study", "'my study'"),
+            ("a'b", r"'a'\''b'"),
+            ("-study", "./-study"),
+            ("--my study", "'./--my study'"),
+        ] {
+            assert_eq!(word(Path::new(path)), expected);
+        }
+    }
 
     #[test]
     fn no_refusal_of_a_motion_speaks_micrometres() {
