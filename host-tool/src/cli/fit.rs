@@ -205,7 +205,7 @@ pub(crate) fn fit(args: &FitArgs, screen: &mut Screen<'_>) -> Result<Value, Fail
         )
     })?;
     // Use all digits, as among the samples.
-    let fitted = with_sample(&base, &bodies[point]);
+    let fitted = with_body(&base, &parts(&bodies[point]));
     let model = model_file::write(&fitted, Some(&posterior));
     let mut files = vec![
         ("model.toml", model.into_bytes()),
@@ -266,10 +266,6 @@ fn say_sources(trials: &[Trials], uncertainty_mm: Option<f64>, screen: &mut Scre
             screen.say(&format!("  left out: {}: {}", left.place, left.why));
         }
     }
-}
-
-fn with_sample(base: &Model, point: &Point) -> Model {
-    with_body(base, &parts(point))
 }
 
 /// Index of the body nearest to the medians, in coordinates with a standard normal prior, each scaled by its spread.
