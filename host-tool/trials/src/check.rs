@@ -29,7 +29,9 @@ pub trait Sample: for<'de> Deserialize<'de> {
     /// Origin as the row states it.
     fn origin(&self) -> Origin;
     /// An invalid number of the row, or one that contradicts another.
-    fn wrong(&self, trial: &Trial) -> Option<String>;
+    fn wrong(&self, _trial: &Trial) -> Option<String> {
+        None
+    }
 }
 
 impl Sample for RigSample {
@@ -73,9 +75,6 @@ impl Sample for CapsuleSample {
     }
     fn origin(&self) -> Origin {
         self.origin
-    }
-    fn wrong(&self, _: &Trial) -> Option<String> {
-        None
     }
 }
 
