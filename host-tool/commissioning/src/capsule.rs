@@ -319,7 +319,7 @@ fn reference(work: &mut Work<'_>) -> Result<(), Halt> {
 fn unfolded(work: &mut Work<'_>) -> Result<(), Halt> {
     let kept = work.take_measured();
     let done = pay_out(work);
-    work.set_measured(kept);
+    work.measured = kept;
     done
 }
 

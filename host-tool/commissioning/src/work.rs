@@ -47,7 +47,7 @@ pub struct Work<'a> {
     /// The motor supply, as far as it is known.
     supply: Option<bool>,
     /// Measurements of the present step so far.
-    measured: Map<String, Value>,
+    pub(crate) measured: Map<String, Value>,
 }
 
 impl<'a> Work<'a> {
@@ -91,11 +91,6 @@ impl<'a> Work<'a> {
     /// Takes the measurements made since the last call.
     pub fn take_measured(&mut self) -> Map<String, Value> {
         std::mem::take(&mut self.measured)
-    }
-
-    /// Puts back what [`Work::take_measured`] took.
-    pub fn set_measured(&mut self, measured: Map<String, Value>) {
-        self.measured = measured;
     }
 
     /// Value of a setting.
