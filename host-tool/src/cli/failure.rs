@@ -44,7 +44,7 @@ pub(crate) enum Own {
         findings: Vec<Finding>,
     },
     /// The report was written, but some of its data cannot be relied on.
-    #[error("{} is written, but {defects}; the lines above name each", page.display())]
+    #[error("{} is written; {defects}; the lines above name each", page.display())]
     #[diagnostic(
         code(retrograde::report_defects),
         help(

@@ -81,7 +81,7 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
         (damaged, lost) => Err(Own::ReportDefects {
             page: out,
             defects: format!(
-                "{damaged} of its trials contradict themselves, and {lost} records are left out"
+                "trials that contradict themselves: {damaged}, records left out: {lost}"
             ),
             written: value,
         }
@@ -162,7 +162,7 @@ fn report_campaign(
         (findings, defects) => Err(Own::ReportDefects {
             page: written.page.clone(),
             defects: format!(
-                "`verify` has {findings} findings, and the records of {defects} trials cannot be relied on"
+                "findings of `verify`: {findings}, trials whose records cannot be relied on: {defects}"
             ),
             written: json!(written),
         }.into()),

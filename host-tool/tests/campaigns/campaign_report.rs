@@ -491,7 +491,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let (code, _, err) = Memory::with(vec![]).run(&["report", &folder]);
     assert_eq!(code, 1, "{err}");
     assert!(
-        err.contains("is written, but `verify` has") && err.contains("trials.csv"),
+        err.contains("is written; findings of `verify`: ") && err.contains("trials.csv"),
         "{err}"
     );
     assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
@@ -553,7 +553,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     let (code, _, err) = Memory::with(vec![]).run(&["report", at, "--force"]);
     assert_eq!(code, 1, "{err}");
     assert!(
-        err.contains("the records of 1 trials cannot be relied on"),
+        err.contains("trials whose records cannot be relied on: 1"),
         "{err}"
     );
 }

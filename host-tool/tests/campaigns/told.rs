@@ -109,7 +109,7 @@ fn a_lost_record_of_any_action_counts() {
     assert_eq!((found.left_out.len(), records.count()), (10, 8));
     let page = place.path().join("report.html");
     let (code, _, err) = retrograde(&["report", text(&folder), "--out", text(&page)]);
-    assert!(code == 1 && err.contains("8 records are left out"), "{err}");
+    assert!(code == 1 && err.contains("records left out: 8"), "{err}");
 }
 
 #[test]

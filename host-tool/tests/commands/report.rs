@@ -399,7 +399,7 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
         err.contains("damaged: ") && err.contains("is empty"),
         "{err}"
     );
-    let said = "is written, but 1 of its trials contradict themselves, and 0 records are left out";
+    let said = "is written; trials that contradict themselves: 1, records left out: 0";
     assert!(err.contains(said), "{err}");
     assert!(
         fs::read_to_string(&out)
