@@ -86,8 +86,8 @@ pub const POSSIBLE_FOLD: (Thread, Thread) = (Thread(8_000), Thread(28_000));
 /// Safety margin subtracted from the calibrated length where a folded capsule's end is found again: the worst error
 /// seen was 0.1 mm, and an unfolding must not pass zero.
 pub const FOUND_AGAIN: Thread = Thread(100);
-/// The same where only the rise tells that it is the end. Something soft in the way, of 0.3 to 300 N/mm at any place,
-/// can raise the force like the origami and end the run up to 1.1 mm early.
+/// The same margin where only the rise of the force has told the end. Something soft in the way, of 0.3 to 300 N/mm at
+/// any place, can raise the force like the origami and end the run up to 1.1 mm early.
 pub const FOUND_BY_RISE: Thread = Thread(1_300);
 /// Thread that a reference run backs off before it feels again whether the thread pulls. Less than the slack, so that
 /// a thread that pulled before cannot be paid out past zero.

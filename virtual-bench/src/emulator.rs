@@ -195,7 +195,7 @@ struct Chip<W> {
     wake: Option<VirtualNanos>,
     /// Something that the board can see may have changed since its last look.
     unseen: bool,
-    /// Present while the processor sleeps and the step timer's course is followed without it.
+    /// While the processor sleeps the course of the step timer is computed without it; this is the state for that.
     asleep: Option<Asleep>,
     bell: Bell,
     /// A bus without listeners, for TIM1.

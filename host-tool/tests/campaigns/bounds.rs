@@ -580,7 +580,7 @@ fn links_and_names_that_cannot_be_listed_are_told() {
 
 // Readings.
 
-/// Whoever confirmed an odd reading said why it is one: that stays, also when the rollers are clamped anew.
+/// The reason for which somebody confirmed an odd reading stays on record, also when the rollers are clamped anew.
 #[test]
 fn a_confirmation_stays_with_readings_that_no_longer_hold() {
     let mut readings = Readings::default();

@@ -74,7 +74,7 @@ impl Family {
 
 /// Differences of the means from the model, and their families.
 struct Off {
-    /// Of each condition: mean less model, mm, and 1 over the variance of its own error, 1/mm^2.
+    /// For each condition: measured mean less the model's, mm, and 1 over the variance of its own error, 1/mm^2.
     of_conditions: Vec<(f64, f64)>,
     families: Vec<Family>,
     /// tau^2, mm^2.

@@ -48,8 +48,8 @@ pub(crate) fn linearity(points: impl Iterator<Item = (f64, f64)> + Clone) -> f64
     Line::through(points).explained
 }
 
-/// Where a series bends: x of the bend of the polyline of two parts that lies nearest to the points, by least squares
-/// and to a thousandth of their range. NaN for a straight series.
+/// Where a series bends. Fits two lines that meet, by least squares, and returns the x where they meet, to a thousandth
+/// of the points' range. NaN for a straight series.
 pub(crate) fn bend(points: &[(f64, f64)]) -> f64 {
     const PLACES: u16 = 1_000;
     /// Rounding of the last bits, as a share of the squares that the bend has to explain.

@@ -411,7 +411,7 @@ impl Ring {
         })
     }
 
-    /// Advances by `items` that were moved elsewhere; `held` is the item read ahead then.
+    /// Advances by `items` that were moved without it. `held` is the item that is read ahead after them.
     pub(super) fn skip(&mut self, items: u64, held: Option<u64>, registers: &mut RegisterFile) {
         let Some(mut run) = self.running.filter(|_| items > 0) else {
             return;
