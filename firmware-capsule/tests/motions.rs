@@ -269,8 +269,8 @@ fn a_folded_thread_is_felt_before_it_is_paid_out_for_long() {
     }
 }
 
-/// A capsule that is calibrated again, with less thread than before, up to where the new calibration is in force; and
-/// that one.
+/// Calibrates a capsule again, with less thread than before, and stops where the new calibration is in force. Returns
+/// the capsule and that calibration.
 fn calibrated_anew() -> (Simulation, Calibration) {
     let before = unfolded().kept.expect("calibrated");
     let parameters = Parameters {

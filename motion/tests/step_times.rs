@@ -477,8 +477,8 @@ fn nearly_all_steps_of_a_fast_stroke_are_taken_together() {
     assert!(singly < 100, "{singly} of 104,000 steps one by one");
 }
 
-/// At constant speed the steps between two that differ by a tick are one group: what a thousand steps cost is two groups,
-/// not a thousand.
+/// At constant speed the steps between two that differ by a tick are one group, so a thousand steps cost as much as two
+/// groups.
 #[test]
 fn steps_alike_are_one_group() {
     let share = Share {

@@ -9,7 +9,7 @@ use crate::support::bench::Bench;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
-/// A result of which JSON cannot hold the path as it is says it with U+FFFD, and is a result all the same.
+/// JSON cannot hold a path that is not Unicode. The result shows U+FFFD in it, and is a result all the same.
 #[test]
 fn a_path_that_is_not_unicode_ends_no_command() {
     let rig = Bench::on_tcp(DeviceKind::Rig);

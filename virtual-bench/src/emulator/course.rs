@@ -44,7 +44,7 @@ impl Slot {
         self.0[usize::from(channel) + 1]
     }
 
-    /// Whether its levels are long enough for the inputs, and it moves the counter at all.
+    /// Whether the counter moves at all, and each level at the pin lasts long enough for the inputs that see it.
     fn is_plain(self, tick_ns: u64) -> bool {
         let shortest = SHORTEST_NS / tick_ns;
         let is_long = |channel| {
