@@ -22,6 +22,8 @@ const _: () = assert!(
 );
 /// Shortest piece of a long pause, so that the queue always holds some time.
 const MIN_PIECE: u64 = 32_768;
+/// Longest piece of a pause that is not halved before a turn, 20 us.
+const TURN_PIECE: u64 = 2_048;
 /// Period of the last pulse of a stroke: the pulse and the hold time of DIR, 10 us.
 const LAST_PULSE: u64 = 1_000;
 /// Blank period after the very last pulse, 10 us.
@@ -375,8 +377,9 @@ impl Periods {
         let turn_pending = self.after == After::Turn;
         let ticks = if self.short {
             LAST_PULSE.min(self.gap)
-        } else if turn_pending && self.gap > MIN_PIECE / 4 && self.gap <= u64::from(MAX_PERIOD) {
-            // At least two blanks before a turn, so that there is time to take it.
+        } else if turn_pending && self.gap > TURN_PIECE && self.gap <= u64::from(MAX_PERIOD) {
+            // A turn is too late for the ring once its last three blanks play, so they have to be short: of the
+            // shortest turn, 400 us, that leaves 350.
             self.gap / 2
         } else {
             part(self.gap)

@@ -10,7 +10,7 @@ use firmware_rig::{
     settings::Settings,
 };
 use motion::{
-    axis::{Acceleration, Direction},
+    axis::{Acceleration, Axis, Direction},
     edge_timing::Timed,
     run::{Limits, RunPlan, RunRequest, Timing},
     step_times::StepTimes,
@@ -538,6 +538,42 @@ fn a_stop_before_a_turn_ends_at_the_end_of_the_stroke() {
         );
         bench.assert_rest(&report);
         assert_eq!(bench.done, [0], "all its pulses have left");
+    }
+}
+
+/// Motion looks for the last pulse every 100 us, and the filters of both switches may keep it from looking for as long
+/// again: three services of 24 us for either. The shortest turns leave time for both.
+#[test]
+fn a_turn_leaves_time_for_noise_on_both_switches() {
+    let axis = Axis::new(4_000, 200, 256, 130_000).unwrap();
+    let solve = |far_dwell_us| {
+        let request = RunRequest {
+            cycles: 1,
+            stroke_um: 100,
+            timing: Timing::Speeds {
+                forward_um_s: 5_000,
+                return_um_s: 5_000,
+                accel_um_s2: 2_000_000,
+            },
+            far_dwell_us,
+            home_dwell_us: 0,
+            start_delay_us: 0,
+        };
+        RunPlan::solve(&axis, &LIMITS, &request).unwrap()
+    };
+    let first = solve(1_000).return_().first_interval().0;
+    for turn_us in (400..1_100).step_by(20) {
+        let dwell = (turn_us * US - first).div_ceil(US);
+        let plan = solve(u32::try_from(dwell).unwrap());
+        let path = Path::Run(plan);
+        let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
+        let last = bench.plan[plan.forward().steps().0 as usize - 1].at;
+        bench.run_for(last - bench.carriage.now);
+        // The period of the pulse, a look just before its end, and the services behind it, with 20 us around them.
+        bench.neglect((10 + 100 + 6 * 25 + 20) * US);
+        let (end, _) = bench.finish();
+        assert_eq!(end, PathEnd::Complete, "{turn_us} us");
+        bench.assert_complete(&path);
     }
 }
 

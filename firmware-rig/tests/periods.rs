@@ -161,7 +161,7 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
             assert_eq!(then, Item::Turn { next: *next });
             assert!(blanks >= 2 && ticks >= TURN_TICKS, "{blanks}, {ticks}");
             // The turn comes while blanks play: the last one is short, so that it is not kept waiting.
-            assert!((4_097..=8_192).contains(&last_blank), "{last_blank}");
+            assert!((1_024..=2_048).contains(&last_blank), "{last_blank}");
             // No blank follows: the turn comes before the period that begins with the pulse.
             assert_eq!(walk.tick, start + profile.first_interval().0);
         } else {
@@ -459,7 +459,7 @@ fn pieces_at_their_bounds() {
     assert_eq!(pieces(131_072), [65_536, 65_536]);
 }
 
-/// Before a turn a pause of one longest period is halved too, down to 8,192 ticks.
+/// Before a turn a pause of one longest period is halved too, down to 2,048 ticks.
 #[test]
 fn pieces_before_a_turn_at_their_bounds() {
     let limits = Limits {
@@ -488,9 +488,12 @@ fn pieces_before_a_turn_at_their_bounds() {
         };
         let first = solve(1_000).return_().first_interval().0;
         for (pause, pieces) in [
-            (65_536_u64, &[32_768, 16_384, 8_192, 8_192][..]),
-            (65_537, &[32_768, 16_384, 8_192, 4_096, 4_097]),
-            (65_535, &[32_767, 16_384, 8_192, 8_192]),
+            (
+                65_536_u64,
+                &[32_768, 16_384, 8_192, 4_096, 2_048, 2_048][..],
+            ),
+            (65_537, &[32_768, 16_384, 8_192, 4_096, 2_048, 1_024, 1_025]),
+            (65_535, &[32_767, 16_384, 8_192, 4_096, 2_048, 2_048]),
         ] {
             // The last pulse has its period first.
             let Some(dwell) = (pause + 1_000).checked_sub(first) else {
