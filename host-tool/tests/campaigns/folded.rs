@@ -7,17 +7,16 @@ use campaign::form::Form;
 use campaign::ledger::Standing;
 use campaign::order::order;
 use campaign::plan::CampaignPlan;
-use client::address::Address;
-use client::link::{Link, LinkError, OpenError};
+use client::link::{Link, LinkError};
 use client::{Device, Unobserved};
-use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
+use operations::connector::Connector;
 use protocol::capsule::{ActuationKind, Calibrate};
-use protocol::system::{DeviceKind, Urgent};
+use protocol::system::DeviceKind;
 use simulated_machines::link::Memory;
 use simulated_machines::machine::{Left, Log, Script, Shared, SimulatedMachine, link};
 
 use crate::campaign_run::{converse, machines, path, place, whole};
+use crate::support::mishap::{Line, Mishap, Opened};
 use crate::support::plan::{PAPER, changed};
 use crate::support::tool;
 
@@ -197,64 +196,7 @@ fn a_corrected_trial_leaves_the_capsule_of_the_next_one_folded() {
     assert!(shown.contains("The capsule is folded still"), "{shown}");
 }
 
-/// Mishap on the capsule's line.
-#[derive(Clone, Copy)]
-enum Mishap {
-    Unplugged,
-    Stopped,
-}
-
-/// The line of a capsule to which something happens once it has heard a request after the record of its fold was
-/// fetched.
-struct Line {
-    link: Box<dyn Link>,
-    log: Arc<Mutex<Log>>,
-    after: &'static str,
-    mishap: Option<Mishap>,
-}
-
-impl Line {
-    fn is_over(&self) -> bool {
-        let log = self.log.lock().expect("free");
-        let mut heard = log.heard.iter();
-        heard.any(|heard| *heard == "GetActuationRecord") && heard.any(|heard| *heard == self.after)
-    }
-
-    fn in_order(&self) -> Result<(), LinkError> {
-        match self.mishap {
-            Some(Mishap::Unplugged) if self.is_over() => Err(LinkError::Lost {
-                place: self.link.place(),
-                why: "it was unplugged".to_owned(),
-            }),
-            _ => Ok(()),
-        }
-    }
-}
-
-impl Link for Line {
-    fn place(&self) -> String {
-        self.link.place()
-    }
-    fn now_us(&self) -> u64 {
-        self.link.now_us()
-    }
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.in_order()?;
-        self.link.send(bytes)
-    }
-    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
-        self.in_order()?;
-        self.link.receive(buffer, deadline_us)
-    }
-    fn stopped(&mut self) -> Option<Urgent> {
-        let stopped = matches!(self.mishap, Some(Mishap::Stopped)) && self.is_over();
-        stopped.then_some(Urgent::Stop)
-    }
-    fn forget_stop(&mut self) {
-        self.mishap = None;
-    }
-}
-
+/// A bench to whose capsule something happens when it has heard this request, after the record of its fold was fetched.
 struct Bench {
     mishap: Mishap,
     after: &'static str,
@@ -270,42 +212,24 @@ impl Bench {
         }
     }
 
+    fn connector(&self) -> impl Connector {
+        Opened(|kind| -> Box<dyn Link> {
+            let mut script = Script::new(kind);
+            if kind == DeviceKind::Rig {
+                return link(script).0;
+            }
+            // The fold is its first actuation.
+            script.ready = true;
+            let after = vec!["GetActuationRecord", self.after];
+            let (line, log) = Line::new(script, self.mishap, after);
+            *self.heard.lock().expect("free") = Some(log);
+            line
+        })
+    }
+
     fn has_unfolded(&self) -> bool {
         let log = self.heard.lock().expect("free").clone().expect("a capsule");
         log.lock().expect("free").heard.contains(&"Unfold")
-    }
-}
-
-impl Connector for Bench {
-    fn open(
-        &self,
-        kind: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let mut script = Script::new(kind);
-        // The fold is its first actuation.
-        script.ready = kind == DeviceKind::Capsule;
-        let (link, log) = link(script);
-        if kind == DeviceKind::Rig {
-            return Ok(link);
-        }
-        *self.heard.lock().expect("free") = Some(Arc::clone(&log));
-        Ok(Box::new(Line {
-            link,
-            log,
-            after: self.after,
-            mishap: Some(self.mishap),
-        }))
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
     }
 }
 
@@ -317,7 +241,7 @@ const END: &str = "GetCapsuleStatus";
 #[test]
 fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
     let bench = Bench::new(Mishap::Unplugged, LAST);
-    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
     assert_eq!(code, 0, "{shown}");
     let told = "was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`";
     assert!(shown.contains(told), "{shown}");
@@ -330,7 +254,7 @@ fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
 #[test]
 fn a_stop_before_the_displacement_was_asked_for_keeps_no_capsule_folded() {
     let bench = Bench::new(Mishap::Stopped, LAST);
-    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
     assert_eq!(code, 0, "{shown}");
     let told = shown.find("a stop came meanwhile").expect(&shown);
     assert!(shown[told..].contains("Unfold the capsule."), "{shown}");
@@ -341,7 +265,7 @@ fn a_stop_before_the_displacement_was_asked_for_keeps_no_capsule_folded() {
 #[test]
 fn a_stop_while_the_displacement_is_asked_for_leaves_the_capsule_and_tells_of_it() {
     let bench = Bench::new(Mishap::Stopped, END);
-    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
     assert_eq!(code, 0, "{shown}");
     let stays = "the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`";
     let left = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
@@ -358,7 +282,7 @@ fn a_stop_while_the_displacement_is_asked_for_leaves_the_capsule_and_tells_of_it
 #[test]
 fn a_stop_while_the_capsule_unfolds_ends_the_session_in_order() {
     let bench = Bench::new(Mishap::Stopped, "Unfold");
-    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
     assert!(bench.has_unfolded());
     let campaign = whole(&path(&place, "c"));
     let folded = campaign.state.trial(2).expect("there");
@@ -375,7 +299,7 @@ fn a_stop_while_the_capsule_unfolds_ends_the_session_in_order() {
 #[test]
 fn a_capsule_that_is_gone_while_it_unfolds_ends_the_session_with_an_error() {
     let bench = Bench::new(Mishap::Unplugged, "Unfold");
-    let (code, shown, place) = session(&bench, &[("Displacement of the tail", "-60")]);
+    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
     assert_eq!(code, 4, "{shown}");
     assert!(
         shown.contains("it was unplugged: it MAY BE MOVING"),
@@ -423,6 +347,13 @@ impl Kept {
         Box::new(Same(Arc::clone(&self.capsule)))
     }
 
+    fn connector(&self) -> impl Connector {
+        Opened(|kind| match kind {
+            DeviceKind::Rig => link(Script::new(kind)).0 as Box<dyn Link>,
+            DeviceKind::Capsule => self.line(),
+        })
+    }
+
     /// Another process makes this motion.
     fn moved(&self, kind: ActuationKind) {
         let mut host = Device::connect(self.line(), DeviceKind::Capsule, 9).expect("a capsule");
@@ -432,29 +363,6 @@ impl Kept {
         };
         let ended = host.wait_actuation(&accepted.expect("accepted"), &mut Unobserved);
         ended.expect("to its end");
-    }
-}
-
-impl Connector for Kept {
-    fn open(
-        &self,
-        kind: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        Ok(match kind {
-            DeviceKind::Rig => link(Script::new(kind)).0,
-            DeviceKind::Capsule => self.line(),
-        })
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
     }
 }
 
@@ -491,7 +399,11 @@ fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
                 ("Displacement of the tail", "q"),
             ],
         ];
-        let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
+        let (code, shown) = converse(
+            &bench.connector(),
+            &["run", &plan, "--out", &out],
+            lines.concat(),
+        );
         assert_eq!(code, 130, "{shown}");
         let is_motion = |line: &&str| line.contains("old the capsule.") || line.contains("anew.");
         let told: Vec<&str> = shown.lines().filter(is_motion).collect();
@@ -509,12 +421,16 @@ fn a_capsule_that_is_unfolded_by_then_is_left_alone() {
         &UP_TO_THE_FOLDED_ONE[..],
         &[("Displacement of the tail", "q")],
     ];
-    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
+    let (code, shown) = converse(
+        &bench.connector(),
+        &["run", &plan, "--out", &out],
+        lines.concat(),
+    );
     assert_eq!(code, 130, "{shown}");
     assert!(shown.contains("The capsule is folded still"), "{shown}");
     bench.moved(ActuationKind::Unfold);
     let lines = vec![("Displacement of the tail", "-60")];
-    let (code, shown) = converse(&bench, &["run", &out], lines);
+    let (code, shown) = converse(&bench.connector(), &["run", &out], lines);
     assert_eq!(code, 0, "{shown}");
     let log = bench.log.lock().expect("free");
     let unfolds = log.heard.iter().filter(|heard| **heard == "Unfold");

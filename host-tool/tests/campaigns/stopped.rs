@@ -1,83 +1,30 @@
 //! A stop while something moves: the session ends in order, and what was under way does not count.
 
 use std::path::Path;
-use std::sync::{Arc, Mutex};
 
 use campaign::contents::Campaign;
 use campaign::ledger::{AttemptOutcome, Standing};
 use campaign::order::order;
 use campaign::plan::{CampaignPlan, Purpose as Figure};
-use client::address::Address;
-use client::link::{Link, LinkError, OpenError};
-use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
-use protocol::system::{DeviceKind, Urgent};
-use simulated_machines::machine::{Log, Script, link};
+use client::link::Link;
+use operations::connector::Connector;
+use protocol::system::DeviceKind;
+use simulated_machines::machine::{Script, link};
 
 use crate::campaign_run::{
     UP_TO_THE_PASSES, WIDTH, clamped, converse, path, place, plan_of_passes, small_plan, whole,
 };
+use crate::support::mishap::{Line, Mishap, Opened};
 
-/// The line of a rig that somebody stops once it has heard a request.
-struct Line {
-    link: Box<dyn Link>,
-    log: Arc<Mutex<Log>>,
-    after: &'static str,
-    is_over: bool,
-}
-
-impl Link for Line {
-    fn place(&self) -> String {
-        self.link.place()
-    }
-    fn now_us(&self) -> u64 {
-        self.link.now_us()
-    }
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.link.send(bytes)
-    }
-    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
-        self.link.receive(buffer, deadline_us)
-    }
-    fn stopped(&mut self) -> Option<Urgent> {
-        let heard = &self.log.lock().expect("free").heard;
-        (!self.is_over && heard.contains(&self.after)).then_some(Urgent::Stop)
-    }
-    fn forget_stop(&mut self) {
-        self.is_over = true;
-    }
-}
-
-/// A bench whose rig is stopped once it has heard this request.
-struct Bench(&'static str);
-
-impl Connector for Bench {
-    fn open(
-        &self,
-        kind: DeviceKind,
-        _: &Address,
-        _: u32,
-        _: Purpose,
-    ) -> Result<Box<dyn Link>, OpenError> {
-        let (link, log) = link(Script::new(kind));
-        Ok(match kind {
-            DeviceKind::Rig => Box::new(Line {
-                link,
-                log,
-                after: self.0,
-                is_over: false,
-            }),
-            DeviceKind::Capsule => link,
-        })
-    }
-
-    fn nonce(&self) -> u32 {
-        1
-    }
-
-    fn now(&self) -> Timestamp {
-        Timestamp::UNIX_EPOCH
-    }
+/// A bench whose rig somebody stops once it has heard this request.
+fn stopped_after(request: &'static str) -> impl Connector {
+    Opened(move |kind| match kind {
+        DeviceKind::Rig => {
+            let (line, _) = Line::new(Script::new(kind), Mishap::Stopped, vec![request]);
+            line as Box<dyn Link>
+        }
+        DeviceKind::Capsule => link(Script::new(kind)).0,
+    })
 }
 
 const LEFT: &str = "left; everything that was entered is in";
@@ -88,7 +35,7 @@ fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let trial = [("Trial 1 of 6", "")];
     let lines = [&WIDTH[..], &clamped("20.4"), &trial].concat();
-    let (code, shown) = converse(&Bench("Run"), &["run", &plan, "--out", &out], lines);
+    let (code, shown) = converse(&stopped_after("Run"), &["run", &plan, "--out", &out], lines);
     assert_eq!(code, 130, "{shown}");
     for told in ["  stopped: attempt 1 of trial 1 does not count", LEFT] {
         assert!(shown.contains(told), "{told}: {shown}");
@@ -126,7 +73,7 @@ fn a_stop_on_the_way_to_the_start_of_a_trial_ends_the_session_in_order() {
             &[("the rollers go to the far end before", "")],
         ];
         let args = ["run", &plan, "--out", &out];
-        let (code, shown) = converse(&Bench(request), &args, lines.concat());
+        let (code, shown) = converse(&stopped_after(request), &args, lines.concat());
         assert_eq!(code, 130, "{moves}: {shown}");
         assert!(shown.contains(LEFT), "{moves}: {shown}");
         let campaign = Campaign::read(Path::new(&out)).expect("a campaign");
