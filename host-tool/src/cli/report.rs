@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use analysis::report::campaign_band::BandSource;
-use analysis::report::evaluation::NOT_DONE;
 use analysis::report::{self, Existing, campaign as campaign_report};
 use campaign::files::{ORDER, PLAN};
 use clap::Args;
@@ -144,18 +143,8 @@ fn report_campaign(
     for finding in &written.findings {
         screen.hint(&format!("not as it was written: {finding}"));
     }
-    // In the middle of a campaign most trials are not done yet: a stretch of those is one line.
-    let together = |(one, why): &(u32, String), (next, reason): &(u32, String)| {
-        [why, reason].iter().all(|why| *why == NOT_DONE) && one + 1 == *next
-    };
-    for stretch in written.left_out.chunk_by(together) {
-        screen.hint(&match stretch {
-            [(first, why), .., (last, _)] => {
-                format!("trials {first} to {last} do not count: {why}")
-            }
-            [(trial, why)] => format!("trial {trial} does not count: {why}"),
-            [] => continue,
-        });
+    for told in &written.told {
+        screen.hint(told);
     }
     match (written.findings.len(), written.defects) {
         (0, 0) => Ok(json!(written)),

@@ -67,6 +67,9 @@ pub struct Written {
     pub counted: usize,
     /// Trials that do not count, with the reasons.
     pub left_out: Vec<(u32, String)>,
+    /// The same as sentences, the trials to come in one.
+    #[serde(skip)]
+    pub told: Vec<String>,
     /// Number of those that are done but have unreliable records.
     pub defects: usize,
     /// Findings of `verify`.
@@ -209,6 +212,7 @@ pub fn write(
         planned: evaluation.trials.len(),
         counted: evaluation.trials.iter().filter(|row| row.counts).count(),
         left_out: left_out.collect(),
+        told: stretches(&evaluation).into_iter().map(told).collect(),
         defects: evaluation
             .trials
             .iter()
@@ -418,6 +422,16 @@ fn stretches(evaluation: &Evaluation) -> Vec<(&[TrialRow], &str)> {
     let rows = evaluation.trials.chunk_by(together);
     rows.filter_map(|rows| Some((rows, rows.first()?.reason.as_deref()?)))
         .collect()
+}
+
+fn told((rows, why): (&[TrialRow], &str)) -> String {
+    match rows {
+        [first, .., last] => format!(
+            "trials {} to {} do not count: {why}",
+            first.trial, last.trial
+        ),
+        rows => format!("trial {} does not count: {why}", rows[0].trial),
+    }
 }
 
 fn left_out(evaluation: &Evaluation) -> Markup {

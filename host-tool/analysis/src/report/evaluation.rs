@@ -26,7 +26,7 @@ use trials::trial::{Action, RigSample, Trial};
 use crate::figures::position_at;
 
 /// Why a trial does not count that nobody has begun.
-pub const NOT_DONE: &str = "not done yet";
+pub(crate) const NOT_DONE: &str = "not done yet";
 
 /// A number printed with `DECIMALS` decimals, the same on the page and in the tables.
 #[derive(Clone, Copy, Debug, PartialEq)]
