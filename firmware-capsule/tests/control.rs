@@ -668,9 +668,8 @@ fn a_calibration_that_flash_does_not_take_is_told() {
     }
 }
 
-/// An erasure is part of what is written at times. No host is heard meanwhile, and the motor stands.
-#[test]
-fn a_motion_begins_behind_what_is_written_before_it() {
+/// The flash of a capsule that was folded when its power failed.
+fn folded_before() -> Flash {
     let flash = Flash::blank();
     let mut store = SettingsStore::<_, Kept>::load_with(flash.clone(), |_| true).0;
     let kept = Kept {
@@ -681,6 +680,13 @@ fn a_motion_begins_behind_what_is_written_before_it() {
         },
     };
     store.keep(TOTALS, kept).expect("kept");
+    flash
+}
+
+/// An erasure is part of what is written at times. No host is heard meanwhile, and the motor stands.
+#[test]
+fn a_motion_begins_behind_what_is_written_before_it() {
+    let flash = folded_before();
     let mut device = Device::start_on(flash.clone(), FRESH, ResetCause::PowerOn);
     device.board().slow = Some(flash);
     device.read();
@@ -717,16 +723,7 @@ fn a_motion_begins_behind_what_is_written_before_it() {
 /// A power cut during a motion must not leave a capsule that takes itself for folded.
 #[test]
 fn a_capsule_that_leaves_its_folded_end_forgets_it_before_it_turns() {
-    let flash = Flash::blank();
-    let mut store = SettingsStore::<_, Kept>::load_with(flash.clone(), |_| true).0;
-    let kept = Kept {
-        calibration: None,
-        totals: Totals {
-            folded: Some(firmware_capsule::mechanics::Thread(0)),
-            ..Totals::default()
-        },
-    };
-    store.keep(TOTALS, kept).expect("kept");
+    let flash = folded_before();
     let state_after = |flash: &Flash| {
         let flash = Flash::holding(flash.bytes());
         Device::start_on(flash, FRESH, ResetCause::PowerOn)

@@ -314,17 +314,23 @@ fn a_value_that_is_set_in_a_conflict_stays_and_none_from_before_it_revives() {
     }
 }
 
-/// Names, and with them a capsule's totals, are written for as long as nobody sets a value. Old records are replaced
-/// meanwhile, one by one: those of a conflict at once, or long after each other.
-#[test]
-fn a_conflict_that_grows_old_revives_no_value() {
-    let apart = Flash::blank();
-    let mut store = start(&apart);
+/// Two values that break the rule together, of which one is 50 records older.
+fn conflict_of_two_ages() -> (Flash, Store) {
+    let flash = Flash::blank();
+    let mut store = start(&flash);
     store.set(SettingKey::StrokeUm, 100_000).unwrap();
     for nth in 0..50 {
         store.set_name(name(["a", "b"][nth % 2])).unwrap();
     }
     store.set(SettingKey::FlagUm, 900).unwrap();
+    (flash, store)
+}
+
+/// Names, and with them a capsule's totals, are written for as long as nobody sets a value. Old records are replaced
+/// meanwhile, one by one: those of a conflict at once, or long after each other.
+#[test]
+fn a_conflict_that_grows_old_revives_no_value() {
+    let (apart, _) = conflict_of_two_ages();
     for image in [young(), apart.bytes()] {
         let flash = Flash::holding(image);
         let (mut store, usable) = Store::load(flash.clone(), keeps_the_rule);
@@ -341,13 +347,7 @@ fn a_conflict_that_grows_old_revives_no_value() {
 /// the other value would be in force.
 #[test]
 fn a_cut_within_the_end_of_an_old_conflict_revives_no_value() {
-    let flash = Flash::blank();
-    let mut store = start(&flash);
-    store.set(SettingKey::StrokeUm, 100_000).unwrap();
-    for nth in 0..50 {
-        store.set_name(name(["a", "b"][nth % 2])).unwrap();
-    }
-    store.set(SettingKey::FlagUm, 900).unwrap();
+    let (flash, mut store) = conflict_of_two_ages();
     for nth in 0..Ages::OLDEST as usize - 50 {
         store.set_name(name(["a", "b"][nth % 2])).unwrap();
     }

@@ -1108,6 +1108,14 @@ impl Observer for Samples {
     }
 }
 
+/// Dirt in the middle of the first sector, as an interrupted erasure may leave it: the sector is erased before its use.
+fn soil(capsule: &mut CapsuleRun) {
+    let dirt = capsule
+        .bench
+        .visit(|visit| visit.overwrite(0x0800_6000, &[0; 2]));
+    dirt.expect("the bench runs");
+}
+
 /// A motion that is ordered within half a second after the calibration waits until flash has it, and an erasure may be
 /// part of that. The motion begins behind it.
 #[test]
@@ -1116,10 +1124,7 @@ fn a_motion_that_waits_for_the_flash_takes_no_longer() {
     for (is_blank, duration_ms) in [true, false].into_iter().zip(&mut durations_ms) {
         let mut capsule = referenced();
         if !is_blank {
-            let dirt = capsule
-                .bench
-                .visit(|visit| visit.overwrite(0x0800_6000, &[0; 2]));
-            dirt.expect("the bench runs");
+            soil(&mut capsule);
         }
         let record = capsule.fold();
         assert_eq!(record.outcome, ActuationOutcome::Complete);
@@ -1137,11 +1142,7 @@ fn telemetry_counts_the_samples_that_it_leaves_out_while_flash_is_written() {
     for (is_blank, silent_us) in [(true, 0..20_000), (false, 250_000..300_000)] {
         let mut capsule = referenced();
         if !is_blank {
-            // Dirt in the middle of the first sector, as an interrupted erase may leave it.
-            let dirt = capsule
-                .bench
-                .visit(|visit| visit.overwrite(0x0800_6000, &[0; 2]));
-            dirt.expect("the bench runs");
+            soil(&mut capsule);
         }
         let mut samples = Samples::default();
         capsule.device.set_telemetry(10).expect("accepted");
