@@ -231,3 +231,28 @@ fn a_processor_that_is_held_up_at_the_end_of_a_stroke_leaves_no_run_without_an_e
     }
     assert_eq!(outcomes.len(), 2, "{outcomes:?}");
 }
+
+/// Noise on both switches may keep the processor for 150 us when a stroke ends, and motion looks every 100 us. The
+/// shortest turn that a screw with steps of 1.25 um and 10 m/s2 allows is 500 us.
+#[test]
+fn a_processor_that_is_held_up_at_a_short_turn_still_takes_it() {
+    const STEPS: usize = 800;
+    let mut rig = crate::common::quickly_homed();
+    set(&mut rig, SettingKey::TurnaroundUs, 400);
+    set(&mut rig, SettingKey::MaxAccelUmS2, 10_000_000);
+    let short = quick(1, 1_000, 10_000, 10_000_000);
+    for held_up_us in [200, 250, 300, 340] {
+        let before = rig.edge_count();
+        let accepted = rig.device.run(short).expect("accepted");
+        while rig.edge_count() < before + STEPS {
+            rig.bench.advance_us(10).expect("the bench runs");
+        }
+        rig.bench
+            .visit(move |visit| visit.hold_up(held_up_us))
+            .expect("the bench runs");
+        let record = rig.device.wait_run(&accepted, &mut Unobserved);
+        let record = record.unwrap_or_else(|why| panic!("{held_up_us} us: {why}\n{}", rig.log()));
+        assert_eq!(record.outcome, RunOutcome::Complete, "{held_up_us} us");
+        assert_eq!(rig.edge_count(), before + 2 * STEPS);
+    }
+}
