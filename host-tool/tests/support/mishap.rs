@@ -65,8 +65,8 @@ impl Line {
     fn is_over(&self) -> bool {
         let log = self.log.lock().expect("free");
         let mut heard = log.heard.iter();
-        let mut hears = |after: &&str| heard.any(|heard| heard == after);
-        self.after.iter().all(|after| hears(after))
+        let hears = |after: &&str| heard.any(|heard| heard == after);
+        self.after.iter().all(hears)
     }
 
     fn in_order(&self) -> Result<(), LinkError> {
