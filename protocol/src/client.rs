@@ -99,7 +99,7 @@ pub struct Client {
     session: u8,
     next_seq: u16,
     pending: Option<Pending>,
-    urgent: Option<Pending>,
+    urgent: Option<(Urgent, Pending)>,
     next_telemetry: Option<u16>,
 }
 
@@ -173,8 +173,12 @@ impl Client {
     }
 
     /// Stops the machine. Goes ahead of any pending request and needs no session. Another call replaces the one before,
-    /// as [`Urgent::EStop`] after [`Urgent::Stop`].
+    /// but [`Urgent::Stop`] never weakens an [`Urgent::EStop`] that is not confirmed: that is sent again.
     pub fn urgent(&mut self, urgent: Urgent) {
+        let urgent = match self.urgent {
+            Some((unconfirmed, _)) => urgent.max(unconfirmed),
+            None => urgent,
+        };
         let header = Header {
             kind: Kind::Urgent,
             session: self.session,
@@ -182,7 +186,7 @@ impl Client {
         };
         self.urgent = encode(header, &urgent)
             .ok()
-            .map(|frame| Pending::new(header, frame, ATTEMPTS));
+            .map(|frame| (urgent, Pending::new(header, frame, ATTEMPTS)));
     }
 
     /// Forgets the pending request: it is not sent again, and an answer to it is not reported.
@@ -199,7 +203,7 @@ impl Client {
     /// Says what to do now: send, wait or give up.
     pub fn poll(&mut self, now_us: u64) -> Poll {
         let urgent = match &mut self.urgent {
-            Some(urgent) => urgent.poll(now_us),
+            Some((_, pending)) => pending.poll(now_us),
             None => Poll::WaitUntil(u64::MAX),
         };
         let Poll::WaitUntil(urgent_us) = urgent else {
@@ -250,7 +254,7 @@ impl Client {
     fn reply(&mut self, header: Header, reply: Reply) -> Option<Output> {
         if let Reply::Urgent(urgent) = reply {
             self.urgent
-                .take_if(|pending| pending.header.seq == header.seq)?;
+                .take_if(|(_, pending)| pending.header.seq == header.seq)?;
             return Some(Output::UrgentDone(urgent));
         }
         self.pending

@@ -30,6 +30,13 @@ fn header(frame: &Encoded) -> Header {
         .expect("a frame")
 }
 
+/// The stop in a frame.
+fn urgent(frame: &Encoded) -> Option<Urgent> {
+    let mut deframer = Deframer::new();
+    let mut bytes = frame.iter();
+    bytes.find_map(|&byte| deframer.push(byte)?.decode())
+}
+
 /// The frame that the client sends now.
 fn sent(client: &mut Client, now_us: u64) -> Encoded {
     match client.poll(now_us) {
@@ -241,6 +248,30 @@ fn a_stop_goes_ahead_of_a_request_and_the_request_follows_it() {
     assert_eq!(output, Some(Output::UrgentDone(Urgent::Stop)));
     assert_eq!(hear(&mut client, Kind::Reply, stop.seq, &done), None);
     assert_eq!(header(&sent(&mut client, RETRY_AFTER_US)), request);
+}
+
+/// Regression: a stop took the place of an emergency stop that nobody had confirmed.
+#[test]
+fn an_emergency_stop_that_is_not_confirmed_is_never_weakened() {
+    use Urgent::{EStop, Stop};
+    for [first, second, wanted] in [
+        [Stop, Stop, Stop],
+        [Stop, EStop, EStop],
+        [EStop, Stop, EStop],
+    ] {
+        let mut client = connected();
+        client.urgent(first);
+        sent(&mut client, 0);
+        client.urgent(second);
+        let frame = sent(&mut client, 10);
+        assert_eq!(urgent(&frame), Some(wanted));
+        let done = Reply::Urgent(wanted);
+        let output = hear(&mut client, Kind::Reply, header(&frame).seq, &done);
+        assert_eq!(output, Some(Output::UrgentDone(wanted)));
+        // A confirmed one is over: the next is as weak as it says.
+        client.urgent(Stop);
+        assert_eq!(urgent(&sent(&mut client, 20)), Some(Stop));
+    }
 }
 
 #[test]

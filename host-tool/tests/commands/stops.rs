@@ -402,6 +402,23 @@ fn an_import_that_is_stopped_leaves_everything_as_it_was() {
     assert!(undone > 0, "no stop came between two settings");
 }
 
+/// Regression: a stop from another process took the place of an emergency stop that was not confirmed yet, and the
+/// command said that the emergency stop was latched.
+#[test]
+fn an_emergency_stop_reaches_the_machine_beside_a_stop_from_elsewhere() {
+    for from_us in (0..60_000).step_by(2_000) {
+        let desk = Desk::new(from_us, Urgent::Stop);
+        let (code, err) = desk.run(&["estop", "rig"]);
+        let log = desk.log.lock().expect("free").clone().expect("a rig");
+        let urgent = log.lock().expect("free").urgent.clone();
+        assert_eq!(code, 0, "{from_us} us: {err}");
+        assert!(
+            urgent.iter().any(|(urgent, _)| *urgent == Urgent::EStop),
+            "{from_us} us: {urgent:?}"
+        );
+    }
+}
+
 /// Whatever was under way when the stop came, an order or a question: the command waits for the end of the motion, and says
 /// where the carriage is.
 #[test]

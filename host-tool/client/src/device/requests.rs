@@ -142,11 +142,6 @@ impl Device {
     /// # Errors
     /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
     pub fn urgent(&mut self, urgent: Urgent) -> Result<(), ClientError> {
-        // A stop must not take the place of an emergency stop that nobody has confirmed.
-        let urgent = match (self.urgent_pending, self.interrupted) {
-            (true, Some(Urgent::EStop)) => Urgent::EStop,
-            _ => urgent,
-        };
         self.client.urgent(urgent);
         self.urgent_pending = true;
         while self.urgent_pending {
