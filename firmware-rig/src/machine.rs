@@ -244,6 +244,8 @@ pub struct Machine {
     glitches_at_start: u32,
     /// Positions of the last report: by the generator, by the counter.
     last: (StepPosition, StepPosition),
+    /// Counted position at the end of the last path. The counter must be there when the next one begins.
+    rest: StepPosition,
     /// Ignore jogs until this time: they renew a stopped one.
     jog_stopped_until_us: u64,
 }
@@ -266,6 +268,7 @@ impl Machine {
             started_us: 0,
             glitches_at_start: 0,
             last: (StepPosition::HOME, StepPosition::HOME),
+            rest: StepPosition::HOME,
             jog_stopped_until_us: 0,
         }
     }
@@ -577,6 +580,7 @@ impl Machine {
             return;
         }
         let (commanded, counted) = (report.commanded, report.counted);
+        self.rest = counted;
         let missed = self.missed_flag(counted);
         self.record_path(&report);
         if let State::Faulted(_) = self.state {

@@ -278,6 +278,33 @@ mod moves {
         assert_eq!(rig.fault(), Some(fault));
     }
 
+    /// Regression: noise on the read-back at rest moved the counter, and each motion after it went as much too far.
+    #[test]
+    fn begin_only_where_the_last_one_ended() {
+        let commands = [move_to(3_000, 10_000), jog(Direction::Away, 1_000)];
+        for (at, off) in [(1_000, 1), (1_000, -1), (0, -9)] {
+            for command in
+                commands
+                    .into_iter()
+                    .chain([run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop)])
+            {
+                let mut rig = rig_at(at);
+                rig.ring.counted += off;
+                let (commanded, counted) = (at as i32, at as i32 + off);
+                let fault = RigFault::ReadBack { commanded, counted };
+                assert_eq!(rig.command(command), Err(Refusal::RigFaulted(fault)));
+                assert_eq!(rig.fault(), Some(fault));
+                assert!(!rig.machine.homed() && !rig.moving());
+            }
+            // Homing finds the place again, and says by how much the count was off.
+            let mut rig = rig_at(at);
+            rig.ring.counted += off;
+            rig.command(Command::Home).unwrap();
+            rig.finish();
+            assert_eq!((rig.place, rig.ring.counted, rig.fault()), (0, 0, None));
+        }
+    }
+
     #[test]
     fn are_refused_where_they_cannot_be() {
         let mut rig = Rig::new(SETTINGS, 5_000);

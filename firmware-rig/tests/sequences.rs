@@ -74,8 +74,8 @@ mod anything {
         }
     }
 
-    /// The next input when nothing goes wrong.
-    fn expected(dice: &mut Dice, plan: RunPlan, state: RigState) -> Input {
+    /// The next input when nothing goes wrong. At rest the counter stays at `rest`.
+    fn expected(dice: &mut Dice, plan: RunPlan, state: RigState, rest: i32) -> Input {
         let at = if dice.one_in(4) { 20 } else { 0 };
         let flag = event(flag_edge(dice.one_in(2), 4));
         let done = event(stroke_done(dice.below(4) as u32, 0, 0));
@@ -85,11 +85,11 @@ mod anything {
             RigState::Unhomed => Input::Command(Command::Home, 0),
             RigState::Homing if dice.one_in(3) => ended(PathEnd::Stopped),
             RigState::Homing => flag,
-            RigState::Ready if dice.one_in(3) => Input::Command(jog(dice, &small()), 0),
-            RigState::Ready if dice.one_in(3) => Input::Command(move_to(dice, &small()), 0),
+            RigState::Ready if dice.one_in(3) => Input::Command(jog(dice, &small()), rest),
+            RigState::Ready if dice.one_in(3) => Input::Command(move_to(dice, &small()), rest),
             RigState::Ready => {
                 let link_loss = link_loss(dice);
-                Input::Command(Command::Run { plan, link_loss }, 0)
+                Input::Command(Command::Run { plan, link_loss }, rest)
             }
             RigState::Running => match dice.below(6) {
                 0 | 1 => flag,
@@ -109,9 +109,9 @@ mod anything {
         }
     }
 
-    fn input(dice: &mut Dice, plan: RunPlan, state: RigState) -> Input {
+    fn input(dice: &mut Dice, plan: RunPlan, state: RigState, rest: i32) -> Input {
         if !dice.one_in(3) {
-            return expected(dice, plan, state);
+            return expected(dice, plan, state, rest);
         }
         let position_now = position(dice);
         let other = if dice.one_in(8) {
@@ -177,6 +177,8 @@ mod anything {
         /// Since the last fault (or the start): acknowledged, reference found.
         acknowledged: bool,
         found: bool,
+        /// Where the counter was at the end of the last path, or of a homing.
+        rest: i32,
     }
 
     impl Watch {
@@ -190,7 +192,10 @@ mod anything {
             let mut command = None;
             match input {
                 Input::Event(time_us, event) => {
-                    if let Event::PathEnded(..) = event {
+                    if let Event::PathEnded(_, report) = &event {
+                        if self.path {
+                            self.rest = report.counted.0;
+                        }
                         self.path = false;
                     }
                     actions = self.machine.step(&now(time_us, 0, inputs), event);
@@ -199,9 +204,12 @@ mod anything {
                 Input::Command(asked, position) => {
                     let now = now(1, position, inputs);
                     actions = self.machine.step(&now, Event::Command(&asked));
-                    let found_elsewhere = before == RigState::Held
-                        && matches!(asked, Command::Resume | Command::Button(_))
-                        && matches!(self.machine.fault(), Some(RigFault::ReadBack { .. }));
+                    let found_elsewhere =
+                        match before {
+                            RigState::Held => matches!(asked, Command::Resume | Command::Button(_)),
+                            RigState::Ready => position != self.rest,
+                            _ => false,
+                        } && matches!(self.machine.fault(), Some(RigFault::ReadBack { .. }));
                     let lost_at_0 = before == RigState::Ready
                         && (position, inputs.home_flag) == (0, false)
                         && matches!(self.machine.fault(), Some(RigFault::LostSteps { .. }));
@@ -249,9 +257,15 @@ mod anything {
                         assert!(!self.path, "one path at a time");
                         assert!(!inputs.estop_loop || command.is_none());
                         self.path = true;
+                        let is_homing = self.machine.state() == RigState::Homing;
+                        if let (RigState::Ready, Some((_, at)), false) =
+                            (before, command, is_homing)
+                        {
+                            assert_eq!(at, self.rest, "the counter was moved by something else");
+                        }
                         self.check_start(before, command, *window);
                     }
-                    Action::Emit(RigEvent::Homed { .. }) => self.found = true,
+                    Action::Emit(RigEvent::Homed { .. }) => (self.found, self.rest) = (true, 0),
                     Action::Emit(RigEvent::Faulted(fault)) => {
                         assert_eq!(self.machine.fault(), Some(*fault));
                         (self.acknowledged, self.found) = (false, false);
@@ -337,6 +351,7 @@ mod anything {
                 path: false,
                 acknowledged: fault.is_none(),
                 found: homed,
+                rest: 0,
             };
             for _ in 0..40 {
                 // Mostly open at 0, where motions begin.
@@ -346,7 +361,7 @@ mod anything {
                     far_limit: dice.one_in(16),
                     estop_loop: dice.one_in(16),
                 };
-                let input = input(&mut dice, plan, watch.machine.state());
+                let input = input(&mut dice, plan, watch.machine.state(), watch.rest);
                 watch.take(input, inputs);
                 reached[watch.machine.state() as usize] += 1;
             }

@@ -255,6 +255,7 @@ impl Carriage {
     pub fn set_position(&mut self, position: StepPosition) {
         assert!(!self.moving());
         self.ring.counted = position.0;
+        self.mail.commanded = position.0;
     }
 
     fn wake(&mut self) {

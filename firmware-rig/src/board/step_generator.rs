@@ -171,8 +171,8 @@ impl StepGenerator {
         Ok(())
     }
 
-    /// The path from the end of the slot that is `before` slots behind DMA's next read, 2 for the one that plays, to
-    /// that of the last one.
+    /// The path left after a slot, to the end of the last one. The slot is `before` slots behind DMA's next read: 2 is
+    /// the one that plays.
     fn behind(&self, before: u32) -> Mark {
         let mark = self.line.at_end_of(self.fetched.wrapping_sub(before));
         self.line.end().since(mark)

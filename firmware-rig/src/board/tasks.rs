@@ -161,6 +161,8 @@ impl control::Rig for Rig {
 
     fn set_position(&mut self, position: StepPosition) {
         step_generator::set_counted(position);
+        // After a brake that ended at 0 no path follows, whose motion would show it.
+        COMMANDED.store(position.0, Ordering::Relaxed);
     }
 
     fn set_switch_filter(&mut self, filter_us: u32) {

@@ -134,6 +134,7 @@ impl Machine {
 
     fn homed_at_zero(&mut self, homing: Homing, actions: &mut Actions) {
         self.homed = true;
+        self.rest = StepPosition::HOME;
         self.residual = 0;
         self.state = State::Ready;
         actions.emit(RigEvent::Homed {

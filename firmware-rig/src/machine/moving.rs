@@ -54,6 +54,7 @@ impl Machine {
         jog: Option<Jog>,
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
+        self.refuse_where_moved(now, actions)?;
         self.refuse_where_lost(now, actions)?;
         let to = target.signed();
         let Some((direction, distance)) = now.position.way_to(to) else {

@@ -75,6 +75,7 @@ impl Machine {
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
         self.refuse_unless_ready(&now.inputs)?;
+        self.refuse_where_moved(now, actions)?;
         if now.position != StepPosition::HOME {
             return Err(Refusal::NotAtHome {
                 position_um: self.settings.axis.um_from_home(now.position),
@@ -107,6 +108,21 @@ impl Machine {
         self.run_path(Path::Run(plan), actions);
         actions.emit(RigEvent::RunStarted { run });
         Ok(())
+    }
+
+    /// Refuses to start where the counter is not where the last path has left it: noise has moved it, not the carriage,
+    /// and every motion would go as much too far. Latches that fault.
+    pub(super) fn refuse_where_moved(
+        &mut self,
+        now: &Now,
+        actions: &mut Actions,
+    ) -> Result<(), Refusal> {
+        if now.position == self.rest {
+            return Ok(());
+        }
+        let fault = read_back(self.rest, now.position);
+        self.latch(fault, actions);
+        Err(Refusal::RigFaulted(fault))
     }
 
     /// Refuses to start at a position 0 where the flag is closed: on the way here, at least the steps from 0 to the

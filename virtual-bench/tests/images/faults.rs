@@ -13,9 +13,9 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
+    rig::{MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
     settings::{FactoryReset, GetSetting, Setting, SettingKey},
-    system::{DeviceKind, ResetCause, Urgent},
+    system::{Acknowledge, DeviceKind, ResetCause, Urgent},
     table::Telemetry,
 };
 use virtual_bench::bench::{Bench, BenchOptions};
@@ -265,6 +265,37 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
         );
         rig.check_clean(0);
     }
+}
+
+/// Regression: noise on the read-back at rest moved the counter, and every motion after it went as much too far, up to
+/// the far end and beyond.
+#[test]
+fn a_count_that_noise_has_moved_at_rest_is_a_fault_before_anything_moves() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    for _ in 0..9 {
+        rig.act(Action::ReadBack(Fault::Spike(1_000)));
+        rig.bench.advance_us(100).expect("the bench runs");
+    }
+    let to = MoveTo {
+        position_um: 0,
+        speed_um_s: 10_000,
+    };
+    let (commanded, counted) = (0, -9);
+    let fault = RigFault::ReadBack { commanded, counted };
+    match rig.device.call(to) {
+        Err(ClientError::Refused { refusal, .. }) => {
+            assert_eq!(refusal, Refusal::RigFaulted(fault));
+        }
+        other => panic!("{other:?}"),
+    }
+    let status = rig.device.rig_status().expect("a status");
+    assert_eq!((status.fault, status.homed), (Some(fault), false));
+    rig.bench.advance_us(100_000).expect("the bench runs");
+    assert_eq!(rig.edge_count(), first);
+    rig.device.call(Acknowledge).expect("acknowledged");
+    rig.home();
+    rig.check_clean(0);
 }
 
 /// At the paper's cruise speed 20 ms may pass before braking starts: the prepared steps, one round of the task, and the

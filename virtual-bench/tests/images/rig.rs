@@ -10,6 +10,7 @@ use crate::common::{
 use protocol::{
     error::{Field, Refusal},
     rig::{LinkLossPolicy, MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
+    settings::{Setting, SettingKey},
     system::Urgent,
     table::Telemetry,
 };
@@ -41,6 +42,37 @@ fn telemetry_shows_no_impossible_speed_while_homing() {
         assert!(sample.speed_um_s.unsigned_abs() <= 41_000, "{sample:?}");
     }
     rig.check_clean(0);
+}
+
+/// Regression: after a homing whose last brake ended exactly at 0 the telemetry showed commanded steps of before, and a
+/// record with such a sample contradicted itself.
+#[test]
+fn commanded_and_counted_steps_agree_after_every_homing() {
+    let mut rig = homed();
+    home_quickly(&mut rig);
+    // One of these brakes ends at 0, where no way is left and no path follows.
+    for flag_um in 85..=140 {
+        let key = SettingKey::FlagUm;
+        let set = Setting {
+            key,
+            value: flag_um,
+        };
+        rig.device.call(set).expect("set");
+        let accepted = rig.device.home().expect("accepted");
+        let homed = rig.device.wait_homing(&accepted, &mut Unobserved);
+        homed.unwrap_or_else(|error| panic!("{error}\n{}", rig.log()));
+        let mut recorder = Recorder::default();
+        rig.device.set_telemetry(20).expect("telemetry");
+        rig.device.idle(50_000, &mut recorder).expect("there");
+        rig.device.set_telemetry(0).expect("off");
+        for sample in &recorder.samples {
+            let Telemetry::Rig(sample) = sample else {
+                panic!("{sample:?} of a rig");
+            };
+            assert_eq!(sample.position_steps, 0);
+            assert_eq!(sample.commanded_steps, 0, "flag at {flag_um} um");
+        }
+    }
 }
 
 /// The paper's experiment: 5 cycles of 130 mm in 40 s.
