@@ -34,7 +34,7 @@ pub fn end_record(device: &mut Device, now: Timestamp) -> Result<Option<String>,
     let is_same = is_same(device, &trial, now)?;
     let Some(ending) = ending(device, &trial, is_same)? else {
         return Ok(Some(format!(
-            "what the process began whose record is {name} still moves, though that process has ended; `retrograde stop` stops it"
+            "what the process began whose record is {name} is not over, though that process has ended; `retrograde stop` ends it"
         )));
     };
     let kept = match is_same {

@@ -305,11 +305,10 @@ impl Places<'_> {
         urgent: Urgent,
         purpose: Purpose,
     ) -> (Result<String, Failure>, bool) {
-        let link = match self.connector.open(kind, address, self.baud, purpose) {
-            Ok(link) => link,
-            Err(error) => return (Err(error.into()), false),
+        let mut device = match self.open(kind, address, purpose) {
+            Ok(device) => device,
+            Err(failure) => return (Err(failure), false),
         };
-        let mut device = Device::new(link, self.connector.nonce());
         let result = device.urgent(urgent).map(|()| device.place());
         (result.map_err(Into::into), device.owner().is_some())
     }
@@ -408,7 +407,7 @@ impl Places<'_> {
     ) -> Result<Device, Failure> {
         let begin = Instant::now();
         loop {
-            let mut device = self.open(kind, address)?;
+            let mut device = self.open(kind, address, Purpose::Work)?;
             if need.of_owner().is_none() || device.owner().is_none() {
                 return Ok(device);
             }
@@ -425,9 +424,14 @@ impl Places<'_> {
         }
     }
 
-    fn open(&self, kind: DeviceKind, address: &Address) -> Result<Device, Failure> {
-        let baud = self.baud;
-        let link = self.connector.open(kind, address, baud, Purpose::Work)?;
+    /// The machine at this address, not yet greeted.
+    pub fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        purpose: Purpose,
+    ) -> Result<Device, Failure> {
+        let link = self.connector.open(kind, address, self.baud, purpose)?;
         Ok(Device::new(link, self.connector.nonce()))
     }
 
@@ -477,7 +481,7 @@ impl Places<'_> {
             });
         }
         let kind = candidate.kind.or(wanted).unwrap_or(DeviceKind::Rig);
-        let mut device = self.open(kind, &candidate.address)?;
+        let mut device = self.open(kind, &candidate.address, Purpose::Work)?;
         Ok(device.hello(self.connector.nonce())?)
     }
 

@@ -217,6 +217,7 @@ impl Actions {
             if gone && !action.accepted.is_null() || cut {
                 action.standing = Standing::Unknown;
             }
+            action.progress = Value::Null;
             action.result = result;
             action.failure =
                 failure.map(|failure| (failure.exit_code(), failure.json()["error"].clone()));

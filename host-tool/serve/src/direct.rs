@@ -6,7 +6,6 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
 
-use client::Device;
 use client::identity::kind_name;
 use protocol::rig;
 use protocol::settings::{GetSetting, SettingKey};
@@ -201,13 +200,8 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         ));
     };
     past_owners(|| {
-        let link =
-            places
-                .connector
-                .open(machine.kind, &machine.address, places.baud, Purpose::Look)?;
-        let nonce = places.connector.nonce();
-        let mut device = Device::new(link, nonce);
-        device.hello(nonce)?;
+        let mut device = places.open(machine.kind, &machine.address, Purpose::Look)?;
+        device.hello(places.connector.nonce())?;
         device.require(machine.kind)?;
         match question {
             Question::Health => Ok(json!({

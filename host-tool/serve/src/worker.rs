@@ -188,15 +188,10 @@ impl Worker<'_> {
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (places, machine) = (self.places, self.machine);
         machine.is_behind(places.connector.doorway(&machine.address));
-        let link =
-            places
-                .connector
-                .open(machine.kind, &machine.address, places.baud, Purpose::Watch)?;
-        let nonce = places.connector.nonce();
-        let mut device = Device::new(link, nonce);
+        let mut device = places.open(machine.kind, &machine.address, Purpose::Watch)?;
         device.ask_once(true);
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
-        device.hello(nonce)?;
+        device.hello(places.connector.nonce())?;
         device.require(machine.kind)?;
         places.require_name(&mut device)?;
         machine.meet(device.identity(), device.place());
@@ -227,6 +222,7 @@ impl Worker<'_> {
 
     fn watch(&self, device: &mut Device, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let mut asked_us = None;
+        let mut of_left = None;
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
@@ -242,8 +238,10 @@ impl Worker<'_> {
             if asked_us == Some(now_us)
                 && !self.machine.panel().moves()
                 && let Some(said) = left::end_record(device, self.places.connector.now())?
+                && of_left.as_ref() != Some(&said)
             {
-                self.board.notice(self.machine, Notice::Bad(said));
+                self.board.notice(self.machine, Notice::Bad(said.clone()));
+                of_left = Some(said);
             }
             let order = waiting.take().or_else(|| self.orders.try_recv().ok());
             if let Some(order) = order {
@@ -416,9 +414,9 @@ impl Worker<'_> {
                 let homed = experiment::home(device, &mut busy)?;
                 Ok(json!(homed).into())
             }
-            Work::Run(run, record) => self.run(device, action, *run, record, busy),
-            Work::Actuate(motion, record) => self.actuate(device, action, *motion, record, busy),
-            Work::Move(to) => self.move_to(device, action, *to, &mut busy),
+            Work::Run(run, record) => self.run(device, *run, record, busy),
+            Work::Actuate(motion, record) => self.actuate(device, *motion, record, busy),
+            Work::Move(to) => self.move_to(device, *to, &mut busy),
             Work::Jog(jog) => {
                 let result = self.jog(device, action, *jog, &mut busy);
                 // However the jog ended, no renewal counts any more.
@@ -444,7 +442,6 @@ impl Worker<'_> {
     fn run(
         &self,
         rig: &mut Device,
-        action: u64,
         run: rig::Run,
         record: &RecordArgs,
         mut busy: Busy<'_>,
@@ -478,9 +475,6 @@ impl Worker<'_> {
         };
         let help = format!("the data is in {at}; {way_on}");
         let failure = ending::completed("the run", &trial.trial, help).err();
-        self.board
-            .actions
-            .update(action, |action| action.progress = Value::Null);
         Ok(ActionResult {
             result: json!(trial.trial.action)["executed"].clone(),
             files: files(&trial.csv, &trial.sidecar),
@@ -491,7 +485,6 @@ impl Worker<'_> {
     fn actuate(
         &self,
         capsule: &mut Device,
-        action: u64,
         motion: Actuation,
         record: &RecordArgs,
         mut busy: Busy<'_>,
@@ -505,9 +498,6 @@ impl Worker<'_> {
         let trial = experiment::actuate(capsule, motion, &recording, &mut busy)?;
         let help = format!("the data is in {}", trial.sidecar.display());
         let failure = ending::completed(experiment::doing(kind), &trial.trial, help).err();
-        self.board
-            .actions
-            .update(action, |action| action.progress = Value::Null);
         Ok(ActionResult {
             result: json!(trial.record),
             files: files(&trial.csv, &trial.sidecar),
@@ -518,7 +508,6 @@ impl Worker<'_> {
     fn move_to(
         &self,
         rig: &mut Device,
-        action: u64,
         to: rig::MoveTo,
         busy: &mut Busy<'_>,
     ) -> Result<ActionResult, Failure> {
@@ -532,9 +521,6 @@ impl Worker<'_> {
             accepted => accepted?,
         };
         let (outcome, status) = rig.wait_move(&accepted, busy)?;
-        self.board
-            .actions
-            .update(action, |action| action.progress = Value::Null);
         if outcome != RunOutcome::Complete {
             return Ok(ActionResult {
                 result: place(&status),

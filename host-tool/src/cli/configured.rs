@@ -5,8 +5,8 @@ use std::thread;
 
 use client::address::Address;
 use client::identity::{self, IdentityRecord};
+use client::matches;
 use client::named::{Named, NamedError};
-use client::{Device, matches};
 use operations::connector::Purpose;
 use operations::failure::{Failure, wrong_name};
 use operations::places::{KINDS, Places, past_owners};
@@ -101,12 +101,8 @@ fn ask(
     address: &Address,
     places: &Places<'_>,
 ) -> Result<(Identity, Option<String>), Failure> {
-    let link = places
-        .connector
-        .open(kind, address, places.baud, Purpose::Look)?;
-    let nonce = places.connector.nonce();
-    let mut device = Device::new(link, nonce);
-    let identity = device.hello(nonce)?;
+    let mut device = places.open(kind, address, Purpose::Look)?;
+    let identity = device.hello(places.connector.nonce())?;
     let carried = match identity.device {
         DeviceKind::Rig if matches(&identity) => Some(device.call(GetName)?.name),
         _ => None,

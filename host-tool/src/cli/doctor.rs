@@ -7,8 +7,8 @@ use std::thread;
 use client::address::Address;
 use client::diagnosis::Sign;
 use client::error::ClientError;
+use client::identity;
 use client::link::{OpenError, Reason};
-use client::{Device, identity};
 use miette::Diagnostic;
 use operations::arguments::Which;
 use operations::connector::{Candidate, Purpose};
@@ -214,12 +214,9 @@ type Trouble = Option<(&'static str, String, &'static str)>;
 fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
-    let baud = places.baud;
-    let link = places.connector.open(kind, address, baud, Purpose::Look)?;
-    let nonce = places.connector.nonce();
-    let mut device = Device::new(link, nonce);
+    let mut device = places.open(kind, address, Purpose::Look)?;
     device.ask_once(true);
-    let identity = device.hello(nonce)?;
+    let identity = device.hello(places.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     if place.wanted.is_some() {
         places.require_name(&mut device)?;

@@ -6,7 +6,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use client::Device;
 use client::address::Address;
 use client::door::lock::{Doorway, Lock};
 use client::identity::{self, IdentityRecord};
@@ -162,17 +161,12 @@ fn require_rest(kind: DeviceKind, places: &Places<'_>) -> Result<(), Failure> {
 
 /// The state of the machine there if it is not at rest; `None` also if it cannot be asked, or has an owner.
 fn motion(kind: DeviceKind, address: &Address, places: &Places<'_>) -> Option<String> {
-    let Places {
-        baud, connector, ..
-    } = *places;
-    let link = connector.open(kind, address, baud, Purpose::Look).ok()?;
-    let nonce = connector.nonce();
-    let mut device = Device::new(link, nonce);
+    let mut device = places.open(kind, address, Purpose::Look).ok()?;
     // An owner is refused later, by its name.
     if device.owner().is_some() {
         return None;
     }
-    device.hello(nonce).ok()?;
+    device.hello(places.connector.nonce()).ok()?;
     device.require(kind).ok()?;
     match kind {
         DeviceKind::Rig => {

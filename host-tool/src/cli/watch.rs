@@ -8,7 +8,6 @@ pub mod terminal;
 use std::cell::Cell;
 use std::io::{self, IsTerminal};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
@@ -119,15 +118,11 @@ pub(crate) fn watch(
     let shown = thread::scope(|scope| {
         // Ends the feeds even if the screen panics.
         let leave = Leave(&leaving);
-        let mut paces = vec![];
         for shared in machines.iter() {
-            let (sender, receiver) = channel();
-            paces.push(sender);
             let feed = Feed {
                 places,
                 shared,
                 leaving: &leaving,
-                paces: receiver,
                 met: Cell::new(0),
             };
             scope.spawn(move || feed.follow());
@@ -136,7 +131,6 @@ pub(crate) fn watch(
             scope,
             places,
             machines: &machines,
-            paces,
             signalled: &signalled,
             end,
         };
@@ -187,8 +181,6 @@ struct View<'scope, 'env> {
     scope: &'scope Scope<'scope, 'env>,
     places: &'env Places<'env>,
     machines: &'env [Shared],
-    /// Senders to the feeds, in the order of the machines.
-    paces: Vec<Sender<Pace>>,
     signalled: &'env AtomicBool,
     end: Option<Instant>,
 }
@@ -275,7 +267,7 @@ impl View<'_, '_> {
 
     fn stop(&self, urgent: Urgent) {
         for machine in self.machines {
-            machine.stop(self.places, urgent);
+            machine.stop(urgent);
             if matches!(machine.panel().contact, Contact::Lost(_)) {
                 // Use a thread of its own: the feed may be busy for seconds opening a line.
                 let places = self.places;
@@ -285,11 +277,13 @@ impl View<'_, '_> {
     }
 
     fn pace(&self, pace: Pace) {
-        for (machine, paces) in self.machines.iter().zip(&self.paces) {
-            // Only the rig has runs to hold and resume.
-            if machine.kind == DeviceKind::Rig {
-                let _ = paces.send(pace);
-            }
+        // Only the rig has runs to hold and resume.
+        let mut rigs = self
+            .machines
+            .iter()
+            .filter(|machine| machine.kind == DeviceKind::Rig);
+        if let Some(rig) = rigs.next() {
+            rig.pace(pace);
         }
     }
 }

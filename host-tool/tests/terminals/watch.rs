@@ -2,6 +2,7 @@
 //! one.
 
 use std::io::{BufRead, BufReader};
+use std::net::{TcpListener, TcpStream};
 use std::process::Command;
 use std::sync::Arc;
 use std::thread;
@@ -54,6 +55,52 @@ fn a_run_of_another_process_is_seen_held_resumed_and_stopped_by_keys() {
     assert_eq!(read(run.wait_with_output().expect("ends")).0, Some(130));
     assert_eq!(bench.trial()["status"], "stopped");
     assert_eq!(bench.telemetry().1, 0);
+}
+
+/// Passes everything on between this port and the bench.
+fn forward(listener: TcpListener, bench: &Bench) {
+    let to = bench.address.strip_prefix("tcp:").expect("TCP").to_owned();
+    thread::spawn(move || {
+        for near in listener.incoming().flatten() {
+            let far = TcpStream::connect(&to).expect("the bench");
+            let copies = [&near, &far].map(|end| end.try_clone().expect("open"));
+            let ways = copies.into_iter().zip([far, near]);
+            for (mut from, mut to) in ways {
+                thread::spawn(move || std::io::copy(&mut from, &mut to));
+            }
+        }
+    });
+}
+
+/// Regression: it was sent when the machine was back, however much later, and a held run went on by itself.
+#[test]
+fn a_key_that_is_pressed_without_contact_does_nothing_later() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut run = bench.run(&SLOW);
+    bench.wait_for("Run");
+    let (code, _, err) = bench.retrograde(&["hold"]);
+    assert_eq!(code, Some(0), "{err}");
+    run.kill().expect("killed");
+    run.wait().expect("ends");
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let port = listener.local_addr().expect("bound");
+    drop(listener);
+    let mut command = bench.command(&["watch"]);
+    command.env("RETROGRADE_RIG", format!("tcp:{port}"));
+    let mut terminal = Terminal::start(command, 80, 24);
+    terminal.wait_for("NO CONTACT");
+    terminal.press("r");
+    terminal.wait_for("not sent: there is no contact");
+    forward(TcpListener::bind(port).expect("free still"), &bench);
+    terminal.wait_for("HELD");
+    thread::sleep(Duration::from_secs(1));
+    assert_eq!(bench.count("Resume"), 0);
+    terminal.press("r");
+    terminal.wait_for("rig: resumed");
+    terminal.press("s");
+    terminal.wait_for("stop confirmed");
+    terminal.press("q");
+    assert_eq!(terminal.ends_restored(), Some(0));
 }
 
 /// A key that came with a change of the window's size was read only with the next key.

@@ -2,14 +2,15 @@
 
 use std::cell::Cell;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use client::address::Address;
+use client::door::lock::Doorway;
 use client::error::ClientError;
 use client::link::LinkError;
+use client::link::owner::StopMark;
 use client::wording;
 use client::{Device, Interrupt, Observer, Pace};
 use operations::connector::Purpose;
@@ -35,11 +36,18 @@ const LEFT_TO_OTHERS: Duration = Duration::from_millis(200);
 /// Interval between two attempts to connect.
 const AGAIN: Duration = Duration::from_millis(500);
 
+/// Notice after a hold or a resumption without a connection.
+const NOT_SENT: &str = "not sent: there is no contact; press the key again once there is";
+
 /// Shared by the screen and the feed of one machine.
 pub(crate) struct Shared {
     pub(crate) kind: DeviceKind,
     address: Address,
     panel: Mutex<Panel>,
+    /// The line, as the last connection found it: to look its name up may take seconds, which no key waits for.
+    doorway: Mutex<Option<Doorway>>,
+    /// Holds and resumptions ordered by keys, each with the last stop before it.
+    paces: Mutex<Vec<(Pace, StopMark)>>,
     /// Stops ordered by keys, with those that are not confirmed yet.
     stops: Arc<Stops>,
     asks: Mutex<Vec<Ask>>,
@@ -53,6 +61,8 @@ impl Shared {
             kind,
             panel: Mutex::new(Panel::new(kind, address.to_string())),
             address,
+            doorway: Mutex::default(),
+            paces: Mutex::default(),
             stops: Arc::default(),
             asks: Mutex::default(),
             given_up: Mutex::default(),
@@ -65,12 +75,31 @@ impl Shared {
     }
 
     /// Orders a stop. The feed sends it within 20 ms.
-    pub(crate) fn stop(&self, places: &Places<'_>, urgent: Urgent) {
-        if let Some(doorway) = places.connector.doorway(&self.address) {
+    pub(crate) fn stop(&self, urgent: Urgent) {
+        if let Some(doorway) = &*self.doorway() {
             doorway.mark_stop(urgent);
         }
         self.asks().push(self.stops.with(|stops| stops.ask(urgent)));
         self.tell(Notice::Done(format!("{} ...", stops::name(urgent))));
+    }
+
+    /// Orders a hold or a resumption, if there is a connection: a key must not act minutes later, when the machine is
+    /// back.
+    pub(crate) fn pace(&self, pace: Pace) {
+        if matches!(self.panel().contact, Contact::Lost(_)) {
+            self.tell(Notice::Bad(NOT_SENT.to_owned()));
+            return;
+        }
+        let mark = Doorway::last_stops(self.doorway().as_ref());
+        self.paces().push((pace, mark));
+    }
+
+    fn doorway(&self) -> MutexGuard<'_, Option<Doorway>> {
+        self.doorway.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn paces(&self) -> MutexGuard<'_, Vec<(Pace, StopMark)>> {
+        self.paces.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn asks(&self) -> MutexGuard<'_, Vec<Ask>> {
@@ -171,8 +200,6 @@ pub(crate) struct Feed<'a> {
     pub(crate) shared: &'a Shared,
     /// The person leaves.
     pub(crate) leaving: &'a AtomicBool,
-    /// Holds and resumptions ordered by keys.
-    pub(crate) paces: Receiver<Pace>,
     /// Number of the last stop of this program that a connection has met. A new connection meets the mark of one that
     /// was confirmed over a line of its own.
     pub(crate) met: Cell<u64>,
@@ -189,21 +216,22 @@ impl Feed<'_> {
     fn keep_connected(&self) {
         while !self.is_leaving() {
             let result = self.connection();
-            self.shared.stop_directly(self.places);
-            let failure = match result {
+            let (failure, pause) = match result {
                 Ok(()) if self.is_leaving() => return,
-                Ok(()) => {
-                    // Another process waits for the line.
-                    thread::sleep(AGAIN);
-                    continue;
-                }
+                // Another process waits for the line.
+                Ok(()) => (None, AGAIN),
+                // The owner's command has ended, so the line is free.
                 Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
-                    // The owner's command has ended, so the line is free.
-                    thread::sleep(LEFT_TO_OTHERS);
-                    continue;
+                    (None, LEFT_TO_OTHERS)
                 }
-                Err(failure) => failure,
+                Err(failure) => (Some(failure), AGAIN),
             };
+            let Some(failure) = failure else {
+                self.shared.stop_directly(self.places);
+                thread::sleep(pause);
+                continue;
+            };
+            // Said first: from now on a key sends its stop itself, while this thread may wait for another one.
             let mut panel = self.shared.panel();
             if !matches!(panel.contact, Contact::Lost(_)) {
                 panel.quality.losses += 1;
@@ -225,18 +253,12 @@ impl Feed<'_> {
     /// Connects and follows until the connection is lost, the person leaves, or another process needs the line.
     fn connection(&self) -> Result<(), Failure> {
         let places = self.places;
-        let link = places.connector.open(
-            self.shared.kind,
-            &self.shared.address,
-            places.baud,
-            Purpose::Watch,
-        )?;
-        let nonce = places.connector.nonce();
-        let mut device = Device::new(link, nonce);
+        *self.shared.doorway() = places.connector.doorway(&self.shared.address);
+        let mut device = places.open(self.shared.kind, &self.shared.address, Purpose::Watch)?;
         // Fail fast, so that keys are handled between two requests.
         device.ask_once(true);
         device.set_interrupt(self.shared.interrupt());
-        device.hello(nonce)?;
+        device.hello(places.connector.nonce())?;
         device.require(self.shared.kind)?;
         places.require_name(&mut device)?;
         let owned = device.owner().is_none();
@@ -256,7 +278,11 @@ impl Feed<'_> {
     }
 
     fn watch(&self, device: &mut Device) -> Result<(), Failure> {
+        if !std::mem::take(&mut *self.shared.paces()).is_empty() {
+            self.shared.tell(Notice::Bad(NOT_SENT.to_owned()));
+        }
         let mut asked_us = None;
+        let mut of_left = None;
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
@@ -276,10 +302,13 @@ impl Feed<'_> {
             if asked_us == Some(now_us)
                 && !self.shared.panel().moves()
                 && let Some(said) = left::end_record(device, self.places.connector.now())?
+                && of_left.as_ref() != Some(&said)
             {
-                self.shared.tell(Notice::Bad(said));
+                self.shared.tell(Notice::Bad(said.clone()));
+                of_left = Some(said);
             }
-            while let Ok(pace) = self.paces.try_recv() {
+            for (pace, mark) in std::mem::take(&mut *self.shared.paces()) {
+                device.ordered_at(mark);
                 self.pace(device, pace)?;
             }
             device.observe(SLICE_US, &mut Seen(self.shared))?;
@@ -300,7 +329,7 @@ impl Feed<'_> {
         }
         device.settle()?;
         // Drop keys that came before the stop: they must not undo it.
-        while self.paces.try_recv().is_ok() {}
+        self.shared.paces().clear();
         // The stop that was sent may be older or weaker than the last one ordered.
         let stops = &self.shared.stops;
         let (unconfirmed, asked) = stops.with(|stops| (stops.unconfirmed(), stops.asked()));
