@@ -161,6 +161,8 @@ pub struct Machines {
     known: Value,
     /// When and how the position was found; none while it is unknown.
     homed: Option<(Timestamp, Homed)>,
+    /// A stop that a link knew of when it was given up.
+    stopped: Option<Urgent>,
 }
 
 impl Machines {
@@ -183,6 +185,7 @@ impl Machines {
             commissioning: commissioning.unwrap_or_else(|| "complete".to_owned()),
             known: Value::Null,
             homed: None,
+            stopped: None,
         };
         machines.known = machines.facts()?;
         Ok(machines)
@@ -241,7 +244,7 @@ impl Machines {
     /// The strongest stop since the last call, once the machines have confirmed it. It counts for older orders only,
     /// so later ones are sent again.
     fn take_stop(&mut self) -> Result<Option<Urgent>, ClientError> {
-        let mut strongest = None;
+        let mut strongest = self.stopped;
         for device in iter::once(&mut self.rig).chain(&mut self.capsule) {
             if let Some(urgent) = device.interrupted() {
                 device.settle()?;
@@ -249,6 +252,7 @@ impl Machines {
                 strongest = strongest.max(Some(urgent));
             }
         }
+        self.stopped = None;
         Ok(strongest)
     }
 

@@ -267,8 +267,9 @@ impl Device {
     }
 
     /// Drops the link, so that another one can be opened to the same port. Afterwards everything fails as with a
-    /// pulled cable; the operator's stop is still noticed.
+    /// pulled cable. The operator's stop is still noticed, and so is one that only the old link knew of.
     pub fn hang_up(&mut self) {
+        self.ask_interrupt();
         let gone = Gone {
             place: self.link.place(),
             now_us: self.link.now_us(),

@@ -175,6 +175,7 @@ impl<'a> Work<'a> {
     pub fn find_again(&mut self) -> Result<(), Halt> {
         // Close it first: a port is opened exclusively.
         self.device.hang_up();
+        self.unless_left()?;
         let begin = std::time::Instant::now();
         loop {
             match (self.reopen)() {

@@ -7,6 +7,7 @@ use client::decimal;
 use client::error::ClientError;
 use client::identity;
 use client::link::OpenError;
+use client::wording;
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
@@ -229,7 +230,8 @@ pub enum Failure {
     #[diagnostic(
         code(retrograde::wrong_name),
         help(
-            "are two rigs exchanged? `retrograde devices` shows all names and places. If this is the right one, `retrograde --rig {name} settings name {name}` gives it its name"
+            "are two rigs exchanged? `retrograde devices` shows all names and places. If this is the right one, `retrograde --rig {name} settings name {name}` gives it its name",
+            name = wording::word(Path::new(name))
         )
     )]
     WrongName {

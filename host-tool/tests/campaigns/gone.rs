@@ -7,13 +7,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use campaign::conduct::Machines;
 use campaign::ledger::Standing;
 use client::address::Address;
-use client::link::{Link, OpenError, Reason};
+use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
 use operations::connector::{Connector, Purpose};
 use protocol::rig::{Hold, MoveTo};
 use protocol::settings::SettingKey;
-use protocol::system::DeviceKind;
+use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Script, World, estop, link};
 use trials::experiment::PAPER_RUN;
 
@@ -29,19 +29,45 @@ struct Restarted {
     rigs: AtomicU32,
     /// Attempts to reach the rig in vain.
     vain: Mutex<u32>,
+    /// Whether the first line learns of a stop once it is lost.
+    stopped: bool,
 }
+
+/// A line that learns of a stop once the machine behind it has been switched off.
+struct Learns(Box<dyn Link>);
+
+impl Link for Learns {
+    fn place(&self) -> String {
+        self.0.place()
+    }
+    fn now_us(&self) -> u64 {
+        self.0.now_us()
+    }
+    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
+        self.0.send(bytes)
+    }
+    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
+        self.0.receive(buffer, deadline_us)
+    }
+    fn stopped(&mut self) -> Option<Urgent> {
+        (self.now_us() > OFF_US).then_some(Urgent::Stop)
+    }
+}
+
+/// When the first session is lost. Connecting takes less.
+const OFF_US: u64 = 3_000_000;
 
 impl Restarted {
     fn new(then: Script, vain: u32) -> Self {
         let mut first = Script::new(DeviceKind::Rig);
-        // Connecting takes less; from then on this session is lost.
-        first.world = vec![(3_000_000, World::Reset)];
+        first.world = vec![(OFF_US, World::Reset)];
         let capsule = Script::new(DeviceKind::Capsule);
         Self {
             first: Memory::with(vec![first, capsule.clone()]),
             then: Memory::with(vec![then, capsule]),
             rigs: AtomicU32::new(0),
             vain: Mutex::new(vain),
+            stopped: false,
         }
     }
 }
@@ -55,7 +81,11 @@ impl Connector for Restarted {
         purpose: Purpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         if kind == DeviceKind::Capsule || self.rigs.fetch_add(1, Ordering::SeqCst) == 0 {
-            return self.first.open(kind, address, baud, purpose);
+            let link = self.first.open(kind, address, baud, purpose)?;
+            return Ok(match kind == DeviceKind::Rig && self.stopped {
+                true => Box::new(Learns(link)),
+                false => link,
+            });
         }
         let mut vain = self.vain.lock().expect("free");
         if *vain > 0 {
@@ -119,6 +149,31 @@ fn the_same_machine_is_reached_again_where_it_is_needed() {
         "{heard:?}"
     );
     assert_eq!(shown.matches("waited for even so").count(), 1, "{shown}");
+}
+
+/// Regression: the stop was thrown away with the old line, and the next Enter began the attempt.
+#[test]
+fn a_stop_that_came_while_the_machine_was_gone_holds_for_the_new_session() {
+    let place = place(&small_plan(&[]));
+    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let bench = Restarted {
+        stopped: true,
+        ..Restarted::new(Script::new(DeviceKind::Rig), 0)
+    };
+    let lines = [
+        &UP_TO_THE_TRIAL[..],
+        &[
+            ("Trial 1 of 6", ""),
+            ("a stop came meanwhile: nothing begins", "q"),
+        ],
+    ];
+    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
+    assert_eq!(code, 130, "{shown}");
+    let heard = bench.then.heard();
+    assert!(
+        !heard.contains(&"Home") && !heard.contains(&"Run"),
+        "{heard:?}"
+    );
 }
 
 #[test]

@@ -415,6 +415,43 @@ fn a_capsule_that_is_lost_with_its_rig_is_told_too() {
     );
 }
 
+/// Regression: a capsule that may be moving was hidden behind its record, whose folder was gone.
+#[test]
+fn a_capsule_that_is_lost_is_told_although_its_record_cannot_be_written() {
+    /// Removes the folder once the operator wants a stop.
+    struct Remover<'a>(Operator, Option<&'a Path>);
+    impl Observer for Remover<'_> {
+        fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+            self.0.turn(now_us, clock);
+            if self.0.wants.load(Ordering::Relaxed) > 0
+                && let Some(folder) = self.1.take()
+            {
+                std::fs::remove_dir_all(folder).expect("removed");
+            }
+        }
+    }
+    let (mut rig, _) = connected(ready(DeviceKind::Rig));
+    let (mut capsule, _) = connected(Script {
+        deaf_to: vec![("Urgent", 1_000)],
+        ..ready(DeviceKind::Capsule)
+    });
+    let operator = Operator::of([&mut rig, &mut capsule], Urgent::Stop, 2_600_000);
+    let folder = tempfile::tempdir().expect("a folder");
+    let of_fold = folder.path().join("usb-stick");
+    let recordings = Recordings {
+        run: &recording(folder.path(), "run"),
+        actuation: &recording(&of_fold, "fold"),
+    };
+    let mut remover = Remover(operator, Some(&of_fold));
+    let both = (&mut rig, &mut capsule);
+    let ended = coordination::run(both, RUN, at(2, None), &recordings, &mut remover);
+    let told = match ended {
+        Ok(done) => done.actuation.map(|_| ()).expect_err("lost").to_string(),
+        Err(error) => error.to_string(),
+    };
+    assert!(told.contains("did not confirm the stop"), "{told}");
+}
+
 #[test]
 fn a_capsule_with_the_shortest_link_timeout_hears_the_host_often_enough() {
     let (mut rig, _) = connected(ready(DeviceKind::Rig));

@@ -73,6 +73,21 @@ fn a_rig_is_called_by_the_name_that_it_carries_and_by_no_other() {
     assert!(run.wait_with_output().expect("ends").status.success());
 }
 
+/// Regression: the command that gives the name was shown without quotes, and refused.
+#[test]
+fn the_remedy_for_a_wrong_name_can_be_pasted_although_the_name_has_a_blank() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    write(
+        &bench,
+        &format!("[rigs]\n\"right bench\" = \"{}\"\n", bench.address),
+    );
+    let (code, _, err) = bench.retrograde(&["--rig", "right bench", "home"]);
+    assert_eq!(code, Some(4), "{err}");
+    let words = err.split_whitespace().collect::<Vec<_>>().join(" ");
+    let pasted = "`retrograde --rig 'right bench' settings name 'right bench'`";
+    assert!(words.contains(pasted), "{words}");
+}
+
 #[test]
 fn devices_shows_every_configured_place() {
     let bench = Bench::on_tcp(DeviceKind::Rig);

@@ -363,6 +363,13 @@ impl Partner<'_> {
         };
         self.capsule.records(None);
         let trial = match (finished, outcome) {
+            // More urgent than a record that could not be written.
+            (
+                _,
+                Err(Left {
+                    error: Some(error), ..
+                }),
+            ) if error.may_move() => Err(error.into()),
             (Err(error), _) => Err(error.into()),
             (Ok(trial), Ok(record)) => Ok(ActuationTrial {
                 record,
@@ -370,12 +377,6 @@ impl Partner<'_> {
                 csv,
                 sidecar,
             }),
-            (
-                Ok(_),
-                Err(Left {
-                    error: Some(error), ..
-                }),
-            ) if error.may_move() => Err(error.into()),
             (Ok(trial), Err(_)) => Err(ExperimentError::Incomplete {
                 step: experiment::doing(self.shaping.into()),
                 status: trial.status,

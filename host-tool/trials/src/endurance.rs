@@ -215,11 +215,14 @@ impl Run {
             };
             self.endurance.error = Some(error.to_string());
         }
-        self.write_summary()?;
+        let written = self.write_summary();
         match result {
             // A stop between two motions is a normal end, not a failure.
-            Err(ExperimentError::Client(ClientError::Interrupted { .. })) => Ok(()),
-            result => result,
+            Ok(()) | Err(ExperimentError::Client(ClientError::Interrupted { .. })) => {
+                written.map_err(Into::into)
+            }
+            // More urgent than a summary that could not be written.
+            Err(error) => Err(error),
         }
     }
 

@@ -13,9 +13,11 @@ const PASSING: [&str; 3] = ["boot_id", "reset_cause", "commissioning"];
 impl Machines {
     /// Opens a new session with each machine that does not answer.
     fn reconnect(&mut self, connect: &mut Connect<'_>) -> Result<(), String> {
+        let stopped = &mut self.stopped;
         let mut again = |device: &mut Device, kind| {
             // The old link has the line until it is dropped.
             device.hang_up();
+            *stopped = (*stopped).max(device.interrupted());
             connect(kind).map(|new| *device = new)
         };
         if self.rig.rig_status().is_err() {
@@ -34,7 +36,11 @@ impl Conduct<'_> {
     /// Whether something may move after Enter: the machines answer, and no stop came while the question waited.
     pub(super) fn may_move(&mut self) -> Result<Then, Broken> {
         if !self.is_reached()? {
-            return Ok(Then::Look);
+            // With nobody there Enter would try again at once, without end.
+            return Ok(match self.desk.is_person() {
+                true => Then::Look,
+                false => Then::Leave,
+            });
         }
         // A stop is noticed with the next frame.
         self.machines.rig.rig_status()?;

@@ -477,7 +477,7 @@ impl Device {
         Ok(turn)
     }
 
-    fn ask_interrupt(&mut self) {
+    pub(super) fn ask_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
         // A stop sent by another process counts as the operator's. Sending it again does no harm.
         let wanted = wanted.max(self.link.stopped());

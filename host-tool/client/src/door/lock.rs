@@ -144,7 +144,7 @@ impl Doorway {
             .map_err(|why| self.error(why))?;
         match Locked::new(file) {
             // Somebody listens at the door, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
-            Ok(_) if cfg!(unix) && self.connect(None).is_ok() => Ok(None),
+            Ok(_) if cfg!(unix) && self.is_attended() => Ok(None),
             Ok(locked) => {
                 // Left by an owner that was killed.
                 let left = self
@@ -217,6 +217,14 @@ impl Doorway {
         } else {
             self.owner_file()
                 .is_some_and(|owner_file| owner_file.port.is_some())
+        }
+    }
+
+    /// Whether somebody listens at the door, taking guests in or not.
+    fn is_attended(&self) -> bool {
+        match self.connect(None) {
+            Ok(_) => true,
+            Err(why) => why.kind() == io::ErrorKind::WouldBlock,
         }
     }
 

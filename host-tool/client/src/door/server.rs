@@ -256,11 +256,19 @@ impl Core {
         offered
     }
 
-    /// Forgets the stops that the owner has noticed; others remain.
+    /// Forgets the stops that the owner has noticed; others remain. Orders of guests that waited meanwhile are not sent:
+    /// a guest whose order is younger than the stop asks again.
     pub fn forget_stop(&self) {
         let out = self.out();
-        if out.stops == out.noticed {
-            self.state().stopped = None;
+        if out.stops != out.noticed {
+            return;
+        }
+        let mut state = self.state();
+        state.stopped = None;
+        let older = state.take_orders();
+        drop((state, out));
+        for question in older {
+            question.answer(Some(Reply::Wire(WireError::Stale)));
         }
     }
 
@@ -395,7 +403,8 @@ impl Core {
         drop(out);
         self.woken.notify_all();
         for question in older {
-            // It was not sent. A guest that cannot see why, by the mark of the stop, would send it again.
+            // It was not sent. Say so only if the mark of the stop is there: a guest that does not see the mark would
+            // send it again.
             question.answer(is_marked.map(|_| Reply::Wire(WireError::Stale)));
         }
         written

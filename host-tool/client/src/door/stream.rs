@@ -60,19 +60,40 @@ impl Listener {
     }
 }
 
+/// Longest wait for a port of this computer. Without a free place in its queue nothing answers.
+const LOOPBACK: Duration = Duration::from_secs(1);
+
+#[cfg(unix)]
+fn at_once(socket: &Path) -> io::Result<UnixStream> {
+    use rustix::fs::{OFlags, fcntl_setfl};
+    use rustix::io::{FdFlags, fcntl_setfd};
+    use rustix::net::{AddressFamily, SocketAddrUnix, SocketType, connect, socket as open};
+    let near = open(AddressFamily::UNIX, SocketType::STREAM, None)?;
+    fcntl_setfd(&near, FdFlags::CLOEXEC)?;
+    fcntl_setfl(&near, OFlags::NONBLOCK)?;
+    connect(&near, &SocketAddrUnix::new(socket)?)?;
+    let stream = UnixStream::from(near);
+    stream.set_nonblocking(false)?;
+    Ok(stream)
+}
+
 impl Stream {
-    /// Connects to the socket, or to the port if there is one.
+    /// Connects to the socket, or to the port if there is one. Never waits: guests that nobody has taken in fill the queue
+    /// of an owner that is frozen, and behind a full one the system would wait for ever.
+    ///
+    /// # Errors
+    /// Nobody listens; or [`io::ErrorKind::WouldBlock`], the queue is full.
     pub fn connect(socket: &Path, port: Option<u16>) -> io::Result<Self> {
         let Some(port) = port else {
             #[cfg(unix)]
-            return UnixStream::connect(socket).map(Self::Unix);
+            return at_once(socket).map(Self::Unix);
             #[cfg(not(unix))]
             return Err(io::Error::new(
                 io::ErrorKind::NotFound,
                 format!("no port for {}", socket.display()),
             ));
         };
-        let stream = TcpStream::connect((Ipv4Addr::LOCALHOST, port))?;
+        let stream = TcpStream::connect_timeout(&(Ipv4Addr::LOCALHOST, port).into(), LOOPBACK)?;
         stream.set_nodelay(true)?;
         Ok(Self::Loopback(stream))
     }
@@ -154,6 +175,25 @@ pub fn read_line(from: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Regression: beside an owner that was frozen for hours a stop waited here for ever, instead of going past it.
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_full_queue_of_guests_is_an_error_at_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let socket = folder.path().join("door");
+        let frozen = UnixListener::bind(&socket).expect("bound");
+        rustix::net::listen(&frozen, 1).expect("a short queue");
+        let (tell, told) = std::sync::mpsc::channel();
+        std::thread::spawn(move || {
+            let guests = (0..9).map(|_| Stream::connect(&socket, None));
+            let full = guests.filter_map(Result::err).next();
+            let _ = tell.send(full.map(|why| why.kind()));
+        });
+        let full = told.recv_timeout(Duration::from_secs(10));
+        assert_eq!(full, Ok(Some(io::ErrorKind::WouldBlock)));
+        drop(frozen);
+    }
 
     #[test]
     fn a_line_is_read_to_its_end_and_no_further() {

@@ -156,8 +156,8 @@ pub(super) fn jumper(work: &mut Work<'_>) -> Result<(), Halt> {
     work.start_short_run(10)?;
     work.under_way()?;
     let status = work.ask(Part::Jumper, false, at_rest)?;
-    // Half a second is a quarter of a stroke. The end of the stroke finds lost steps that the rounds before have
-    // missed.
+    // The fault may take until the end of the stroke, where all steps are counted again; half a second is only a
+    // quarter of one.
     let status = match status.fault {
         Some(_) => status,
         None => work.until(3_000_000, at_rest)?,

@@ -98,6 +98,20 @@ fn an_order_that_a_stop_has_removed_was_certainly_not_sent() {
     }
 }
 
+/// Regression: an acknowledgement that waited while the owner stopped the machine was sent after it.
+#[test]
+fn an_order_that_waited_through_the_owners_stop_is_not_sent() {
+    let (core, _written) = core();
+    let (answers, answered) = channel();
+    core.ask(Question::new(rig::Resume.into_request(), move |reply| {
+        answers.send(reply).expect("heard");
+    }));
+    core.forget_stop();
+    assert!(core.question(Instant::now()).is_none());
+    let stale = Reply::Wire(WireError::Stale);
+    assert_eq!(answered.try_recv(), Ok(Some(stale)));
+}
+
 #[test]
 fn a_question_that_waited_too_long_is_not_asked() {
     let (core, _written) = core();
