@@ -45,13 +45,15 @@ def line(points):
     if len(by_a) < 2:
         return None
     means = {x: statistics.fmean(ys) for x, ys in by_a.items()}
-    slope, intercept = statistics.linear_regression(list(means), list(means.values()))
+    n, degrees, middle = len(points), len(means) - 2, statistics.fmean(means)
+    squares_x = math.fsum((x - middle) ** 2 for x in means)
+    # `statistics.linear_regression` needs Python 3.10.
+    slope = math.fsum((x - middle) * y for x, y in means.items()) / squares_x
+    intercept = statistics.fmean(means.values()) - slope * middle
 
     def left(points):
         return math.fsum((y - intercept - slope * x) ** 2 for x, y in points)
 
-    n, degrees, middle = len(points), len(means) - 2, statistics.fmean(means)
-    squares_x = math.fsum((x - middle) ** 2 for x in means)
     mean_y = statistics.fmean(y for _, y in points)
     squares_y = math.fsum((y - mean_y) ** 2 for _, y in points)
     half = student_t(degrees) * math.sqrt(left(means.items()) / degrees / squares_x) if degrees else None

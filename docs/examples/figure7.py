@@ -5,13 +5,16 @@
 Needs nothing but Python; with matplotlib installed the ending may also be .png or .pdf.
 """
 
+import collections
 import html
+import math
 import pathlib
 import statistics
 import sys
 
 import retrograde_data
 
+Line = collections.namedtuple("Line", "slope intercept")
 COLOURS = {"dry": "#c06a10", "lubricated": "#1f5aa8"}
 
 
@@ -36,11 +39,15 @@ def means(points):
 
 
 def line(points):
-    """Slope and intercept of the line through the means of the clampings; None for one indentation."""
+    """The line through the means of the clampings; None for one indentation."""
     clampings = means(points)
     if len(clampings) < 2:
         return None
-    return statistics.linear_regression([a for a, _, _ in clampings], [d for _, d, _ in clampings])
+    # `statistics.linear_regression` needs Python 3.10.
+    middle = statistics.fmean(a for a, _, _ in clampings)
+    rise = math.fsum((a - middle) * d for a, d, _ in clampings)
+    slope = rise / math.fsum((a - middle) ** 2 for a, _, _ in clampings)
+    return Line(slope, statistics.fmean(d for _, d, _ in clampings) - slope * middle)
 
 
 def as_svg(points, title):

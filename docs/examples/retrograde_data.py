@@ -38,9 +38,10 @@ def value(text, column=None):
 
 
 def read_csv(path):
-    """The rows of a CSV file as dictionaries."""
+    """The rows of a CSV file as dictionaries. A last line without its end is no row: writing it was cut off."""
     with open(path, newline="", encoding="utf-8") as file:
-        return Table({name: value(cell, name) for name, cell in row.items()} for row in csv.DictReader(file))
+        whole = [line for line in file if line.endswith("\n")]
+    return Table({name: value(cell, name) for name, cell in row.items()} for row in csv.DictReader(whole))
 
 
 class Table(list):
@@ -125,6 +126,7 @@ class Campaign:
             elif event == "displacement":
                 attempts[-1].update(displacement_mm=row["displacement_mm"], source=row["source"])
             elif event == "stroke":
+                # As far as they are entered: after `campaign edit ... displacement` some may be missing.
                 attempts[-1]["strokes_mm"].append(row["displacement_mm"])
             elif event == "strokes_left_out":
                 attempts[-1]["strokes_left_out"] = True

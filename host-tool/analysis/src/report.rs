@@ -344,11 +344,11 @@ pub fn html(found: &Found, remarks: &[Remark]) -> Result<Report, ReportError> {
     Ok(Report {
         html: page::page(title, &body),
         damaged: damaged
-            .filter(|(_, section)| !section.defects.is_empty())
             .map(|(sidecar, section)| Damaged {
                 sidecar: sidecar.clone(),
-                defects: section.defects,
+                defects: section.defects.all(),
             })
+            .filter(|damaged| !damaged.defects.is_empty())
             .collect(),
     })
 }

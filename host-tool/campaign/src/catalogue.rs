@@ -194,9 +194,12 @@ impl Catalogue {
             let planned = &state.planned;
             for attempt in &state.attempts {
                 let outcome = attempt.outcome.map_or(UNDER_WAY, AttemptOutcome::name);
-                let displacement = attempt
-                    .displacement
-                    .map(|displacement| format!(", {} mm", displacement.value));
+                // That of an attempt that was given up counts nowhere.
+                let displacement = match &attempt.given_up {
+                    None => (attempt.displacement)
+                        .map(|displacement| format!(", {} mm", displacement.value)),
+                    Some(_) => Some(", given up".to_owned()),
+                };
                 self.entries.push(Entry {
                     kind: Kind::CampaignTrial,
                     path: campaign.attempt_folder(planned.trial, attempt.number),

@@ -98,7 +98,18 @@ fn read(args: &FitArgs) -> Result<Read, Failure> {
                 "`retrograde list` finds the campaigns that are there",
             ));
         }
-        all.push(observations::read(path, args.uncertainty_mm).map_err(unusable)?);
+        let new = observations::read(path, args.uncertainty_mm).map_err(unusable)?;
+        if let Some(twin) = all.iter().find(|one| one.is_same(&new)) {
+            return Err(Failure::input(
+                format!(
+                    "{} and {} are the same displacements",
+                    twin.path.display(),
+                    path.display()
+                ),
+                "name each source once: two copies would count as twice the trials",
+            ));
+        }
+        all.push(new);
     }
     let origin = all.first().map_or(Origin::Unknown, |one| one.origin);
     if let Some(other) = all.iter().find(|one| one.origin != origin) {

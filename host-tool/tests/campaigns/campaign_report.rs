@@ -558,6 +558,35 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     );
 }
 
+/// Regression: a trial whose telemetry lacks its end was left out of the report, for a contradiction that is none, while
+/// `campaign status` and `fit` counted it.
+#[test]
+fn a_trial_counts_although_its_telemetry_has_gaps() {
+    let (_place, path) = made();
+    let telemetry = evaluate(&path).expect("a campaign").trials[2]
+        .telemetry
+        .clone();
+    let csv = path.join(telemetry.expect("a run"));
+    let text = fs::read_to_string(&csv).expect("text");
+    let rows: Vec<&str> = text.lines().collect();
+    let kept = rows.len() - 20;
+    fs::write(&csv, rows[..kept].join("\n") + "\n").expect("written");
+    let sidecar = csv.with_extension("json");
+    let text = fs::read_to_string(&sidecar).expect("text");
+    let samples = |count: usize| format!("\"samples\": {count}");
+    let fewer = text.replace(&samples(rows.len() - 1), &samples(kept - 1));
+    assert_ne!(fewer, text);
+    fs::write(&sidecar, fewer).expect("written");
+    let sums = manifest::of_folder(&path).expect("a folder");
+    fs::write(path.join(manifest::NAME), sums.text()).expect("written");
+    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    assert_eq!(written.findings, Vec::<String>::new());
+    assert_eq!((written.counted, written.defects), (12, 0));
+    let html = page(&written);
+    assert!(html.contains("complete; a part of the telemetry is missing"));
+    assert!(html.contains("before the motion") && !html.contains("contradicts itself"));
+}
+
 /// Regression: a report in the middle of a campaign told of every trial to come in a line of its own.
 #[test]
 fn the_trials_to_come_are_one_line_and_one_row() {
@@ -698,6 +727,33 @@ fn every_number_of_the_page_is_worked_out_again() {
         let output = python(&path).expect("as before");
         assert!(!output.status.success(), "{key}");
     }
+}
+
+/// Regression: it was listed with its displacement, as if it counted.
+#[test]
+fn an_attempt_that_was_given_up_is_listed_without_its_displacement() {
+    let (_place, path) = made();
+    let memory = Memory::with(vec![]);
+    let small = path.to_str().expect("UTF-8");
+    let listed = |attempt: &str| {
+        let (_, out, _) = memory.run(&["list", small, "--trials"]);
+        let mut lines = out.lines().map(str::to_owned);
+        lines
+            .find(|line| line.contains(attempt))
+            .expect("is listed")
+    };
+    assert!(listed("trial 3, attempt 1").contains(" mm"));
+    let later = Timestamp::from_second(1_800_000_000).expect("a time");
+    let (mut folder, _) = Folder::resume(&path, later, &mut |_| false).expect("whole");
+    let repeated = LedgerRow::of(LedgerEvent::Repeated, 3, Some(1));
+    folder
+        .append(repeated, later, Origin::Board)
+        .expect("written");
+    let given_up = listed("trial 3, attempt 1");
+    assert!(
+        given_up.contains("given up") && !given_up.contains(" mm"),
+        "{given_up}"
+    );
 }
 
 #[test]

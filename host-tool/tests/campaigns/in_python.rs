@@ -79,3 +79,37 @@ fn names_of_digits_stay_text_in_python() {
     let wanted = "['01', '1e3', '5']\n{'int'}\n[7, -0.5, 1e-05, '01', '1_0', 'nan', True, None]\n";
     assert_eq!(text(&output.stdout), wanted, "{output:?}");
 }
+
+/// Regression: the examples promise Python 3.9, which has no `statistics.linear_regression`.
+#[test]
+fn the_figure_needs_nothing_newer_than_python_3_9() {
+    let (place, path) = made();
+    let svg = place.path().join("figure7.svg");
+    let program = "import statistics, sys\n\
+                   vars(statistics).pop('linear_regression', None)\n\
+                   import figure7\n\
+                   figure7.main(*sys.argv[1:])";
+    let (folder, out) = (path.to_str().expect("UTF-8"), svg.to_str().expect("UTF-8"));
+    let Some(output) = python(&["-c", program, folder, out]) else {
+        return;
+    };
+    assert!(output.status.success(), "{output:?}");
+}
+
+/// Regression: a displacement whose row was cut off with half of its digits was taken as a displacement.
+#[test]
+fn a_row_that_was_cut_off_is_no_row_in_python() {
+    let (_place, path) = made();
+    let ledger = path.join("trials.csv");
+    let whole = fs::read_to_string(&ledger).expect("there");
+    let row = whole.find(",displacement,3,").expect("a displacement");
+    let value = row + whole[row..].find(".").expect("decimals");
+    fs::write(&ledger, &whole[..value]).expect("cut");
+    let program = "import sys, retrograde_data as data\n\
+                   trial = data.Campaign(sys.argv[1]).trials[2]\n\
+                   print(trial['standing'], trial['displacement_mm'])";
+    let Some(output) = python(&["-c", program, path.to_str().expect("UTF-8")]) else {
+        return;
+    };
+    assert_eq!(text(&output.stdout), "unmeasured None\n", "{output:?}");
+}

@@ -91,6 +91,17 @@ fn a_plan_that_nobody_can_answer_is_refused_before_its_folder_is_made() {
     let err = desk.refused(&begin);
     assert!(err.contains("it has no readings.width_about_mm"), "{err}");
     assert!(!desk.path("c").exists());
+    // Regression: the plan gave a reading that was refused, again and again without end.
+    let fine = plan().replace("width_about_mm = 24.40", "width_about_mm = 24.43");
+    let fine = fine.replace(
+        "caliper_resolution_mm = 0.01",
+        "caliper_resolution_mm = 0.02",
+    );
+    assert_ne!(fine, plan());
+    desk.write("plan.toml", &fine);
+    let err = desk.refused(&begin);
+    assert!(err.contains("the caliper's resolution is 0.02 mm"), "{err}");
+    assert!(!desk.path("c").exists());
     desk.write("plan.toml", &plan());
     desk.done(&begin);
     // A plan is fixed once its campaign has a folder.

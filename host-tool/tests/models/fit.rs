@@ -66,6 +66,22 @@ fn fit(folder: &Path, out: &str, threads: &str) -> String {
     said
 }
 
+/// Regression: a source that was named twice, or beside its copy, counted as twice the trials.
+#[test]
+fn the_same_displacements_are_not_counted_twice() {
+    let place = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| place.path().join(name).to_str().expect("UTF-8").to_owned();
+    let (csv, copy, out) = (at("passes.csv"), at("copy.csv"), at("out"));
+    passes(Path::new(&csv));
+    fs::copy(&csv, &copy).expect("copied");
+    for twin in [&csv, &copy] {
+        let (code, _, err) = retrograde(&["fit", &csv, twin, "--out", &out]);
+        assert_eq!(code, 2, "{err}");
+        assert!(err.contains("are the same displacements"), "{err}");
+        assert!(!Path::new(&out).exists());
+    }
+}
+
 #[test]
 fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
     let (folder, said) = fitted();
@@ -137,7 +153,7 @@ fn a_file_of_passes_becomes_a_model_with_its_uncertainty() {
         "{low} {mid} {high}"
     );
     let svg = fs::read_to_string(Path::new(out).join("roller.svg")).expect("a figure");
-    assert!(svg.contains("posterior band: 90 % of fitted bodies"));
+    assert!(svg.contains("posterior band: 90 %, with discrepancy"));
     // `simulate` writes the same model file again.
     let again = fs::read_to_string(Path::new(out).join("model.toml")).expect("a model");
     assert_eq!(again, text);

@@ -118,8 +118,10 @@ pub struct Defects {
 impl Defects {
     /// All of them.
     #[must_use]
-    pub fn all(self) -> Vec<String> {
-        [self.contradictions, self.gaps].concat()
+    pub fn all(&self) -> Vec<String> {
+        let mut all = [&self.contradictions[..], &self.gaps].concat();
+        all.dedup();
+        all
     }
 
     fn say(&mut self, contradiction: impl Into<String>) {

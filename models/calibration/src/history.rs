@@ -51,7 +51,8 @@ impl ConditionResult {
         }
     }
 
-    /// The same likelihood as in [`crate::target`], up to a constant.
+    /// The likelihood of [`crate::target`], up to a constant, but for a discrepancy that each condition has to itself: there
+    /// a net and the strokes of one notch share theirs.
     fn log_likelihood(&self, draw: &Draw) -> f64 {
         let reach_mm = self.discrepancies * draw.tau_mm;
         let variance = 1.0 / self.precision + reach_mm * reach_mm;

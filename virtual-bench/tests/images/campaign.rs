@@ -76,6 +76,6 @@ fn a_short_campaign_is_left_and_resumed_and_reported() {
         .filter(|trial| trial.shape == Form::Folding);
     assert_eq!(folding.count(), 1);
     for part in evaluation.parts.iter().flatten() {
-        assert!(part.defects.is_empty(), "{part:?}");
+        assert!(part.defects.all().is_empty(), "{part:?}");
     }
 }

@@ -615,7 +615,7 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
                     (evaluation.within(&part.sidecar)) ": " (status(part.trial.status, &part.defects)) br;
                     span.hash { "SHA-256 " (evaluation.hash(&part.sidecar).unwrap_or_else(|| "not listed".to_owned())) }
                 }
-                (reasons(&part.defects))
+                (reasons(&part.defects.all()))
             }
             }
             }

@@ -20,7 +20,7 @@ use campaign::verify;
 use client::identity::{IdentityRecord, Origin};
 use client::{limited, plain};
 use serde::{Serialize, Serializer};
-use trials::check;
+use trials::check::{self, Defects};
 use trials::trial::{Action, RigSample, Trial};
 
 use crate::figures::position_at;
@@ -228,7 +228,7 @@ pub struct Part {
     /// Its content.
     pub trial: Trial,
     /// Its defects.
-    pub defects: Vec<String>,
+    pub defects: Defects,
 }
 
 /// Everything that the report shows.
@@ -326,7 +326,7 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
         // Other JSON files are not records of a machine; `verify` checks them.
         .filter_map(|sidecar| Some((Trial::read(&sidecar).ok()?, sidecar)))
         .map(|(trial, sidecar)| {
-            let defects = check::record(&sidecar, &trial).all();
+            let defects = check::record(&sidecar, &trial);
             Part {
                 sidecar,
                 trial,
@@ -490,7 +490,9 @@ impl Evaluation {
                 "left out, its record is not as it was written: {finding}"
             ));
         }
-        if let Some(defect) = parts.iter().flat_map(|part| &part.defects).next() {
+        // Missing telemetry leaves the record of the motion true.
+        let contradictions = parts.iter().flat_map(|part| &part.defects.contradictions);
+        if let Some(defect) = contradictions.into_iter().next() {
             return Some(format!("left out, its record contradicts itself: {defect}"));
         }
         match motion_of(parts, state.planned.purpose) {

@@ -6,7 +6,7 @@ use client::decimal;
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunTiming, Stroke};
-use trials::check;
+use trials::check::{self, Defects};
 use trials::sidecar::heading;
 use trials::trial::{
     Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
@@ -18,8 +18,8 @@ use crate::report::remark::Remark;
 
 /// The section of a trial and the defects of its record.
 pub(crate) struct Section {
-    /// Defects; empty if there are none.
-    pub(crate) defects: Vec<String>,
+    /// Its defects.
+    pub(crate) defects: Defects,
     pub(crate) body: Markup,
 }
 
@@ -64,8 +64,7 @@ pub(crate) fn section<'a>(
             (defects, content)
         }
     };
-    let mut defects = defects.all();
-    defects.dedup();
+    let listed = defects.all();
     let device = &trial.device;
     let body = html! {
         h2 { (heading(trial)) " " (status(trial.status, &defects)) (page::tag(device.origin)) }
@@ -74,7 +73,7 @@ pub(crate) fn section<'a>(
             @if let Some(note) = &trial.note { ", " (note) }
             @if let Some(error) = &trial.error { br; span.bad { (error) } }
         }
-        (reasons(&defects))
+        (reasons(&listed))
         (content)
         @for remark in remarks { (remark_table(remark)) }
         h3 { "Provenance" }
@@ -352,7 +351,7 @@ pub(crate) fn in_short(trial: &Trial) -> String {
 }
 
 /// How it ended, and whether its record is reliable.
-pub(crate) fn status(status: Status, defects: &[String]) -> Markup {
+pub(crate) fn status(status: Status, defects: &Defects) -> Markup {
     let (text, good) = match status {
         Status::Running => ("no end is recorded: it is under way, or was cut off", false),
         Status::Complete => ("complete", true),
@@ -363,10 +362,12 @@ pub(crate) fn status(status: Status, defects: &[String]) -> Markup {
         Status::Unknown => ("outcome unknown", false),
     };
     html! {
-        @if defects.is_empty() {
-            span class=(if good { "ok" } else { "bad" }) { (text) }
-        } @else {
+        @if !defects.contradictions.is_empty() {
             span.bad { "said to be “" (text) "”, but the record contradicts itself" }
+        } @else if !defects.gaps.is_empty() {
+            span.bad { (text) "; a part of the telemetry is missing" }
+        } @else {
+            span class=(if good { "ok" } else { "bad" }) { (text) }
         }
     }
 }

@@ -31,7 +31,7 @@ fn band(points: Vec<(f64, f64)>) -> Option<Curve> {
 /// As [`band`], for a posterior instead of the prior if `fitted`.
 fn band_of(points: Vec<(f64, f64)>, fitted: bool) -> Option<Curve> {
     let label = if fitted {
-        "posterior band: 90 % of fitted bodies"
+        "posterior band: 90 %, with discrepancy"
     } else {
         "prior band: 90 % of bodies that fit the words"
     };

@@ -75,6 +75,13 @@ impl Trials {
         overridden_mm: None,
     };
 
+    /// Whether the other holds the same displacements, byte for byte: it is the same source, or a copy of it.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        let hash = |of: &Self| of.files.first().map(|file| file.sha256.clone());
+        hash(self) == hash(other)
+    }
+
     /// Adds a trial of a campaign: its displacements, and everything that is not used.
     fn add(&mut self, trial: &TrialState, plan: &CampaignPlan, uncertainty_mm: f64) {
         let place = format!("trial {}", trial.planned.trial);

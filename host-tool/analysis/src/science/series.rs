@@ -276,7 +276,8 @@ pub struct RollerRow {
     pub prior_5_mm: Option<f64>,
     /// Prior band: 95 % of them move less far, mm.
     pub prior_95_mm: Option<f64>,
-    /// Posterior band instead, for a model that was fitted to trials: 5 % of its bodies move less far, mm.
+    /// Posterior band instead, for a model that was fitted to trials: 5 % of its bodies, with the model's discrepancy, move
+    /// less far, mm.
     pub posterior_5_mm: Option<f64>,
     /// 95 % of them move less far, mm.
     pub posterior_95_mm: Option<f64>,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use campaign::conduct::Desk;
 use campaign::plan::{CampaignPlan, Millimetres};
 use campaign::prompts::{Halt, Question};
-use campaign::readings::Quantity;
+use campaign::readings::{Quantity, refusal};
 use client::error::ClientError;
 use client::{Interrupt, Observer, Pacer};
 use jiff::Timestamp;
@@ -35,24 +35,43 @@ impl Who {
     }
 }
 
-/// Checks that the plan holds every answer that a person would give.
+/// Checks that the plan holds every answer that a person would give, and that none of them would be refused: the plan
+/// would give the same one again for ever.
 ///
 /// # Errors
-/// Some `about_mm` is missing.
+/// Some `about_mm` is missing, or makes a reading that no caliper of this plan shows.
 pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), String> {
-    let missing =
-        |what: &str| format!("`--yes` takes the readings from the plan, and it has no {what}");
-    if plan.readings.width_about_mm.is_none() {
-        return Err(missing("readings.width_about_mm"));
+    let because = |why: String| format!("`--yes` takes the readings from the plan, and {why}");
+    let missing = |what: String| because(format!("it has no {what}"));
+    let resolution = plan.metadata.caliper_resolution_mm;
+    let width = (plan.readings.width_about_mm)
+        .ok_or_else(|| missing("readings.width_about_mm".to_owned()))?;
+    if let Some(why) = refusal(Quantity::Width, width, None, resolution) {
+        return Err(because(format!("of its width_about_mm, {why}")));
     }
-    match plan
-        .indentations
-        .iter()
-        .find(|indentation| indentation.about_mm.is_none())
-    {
-        Some(without) => Err(missing(&format!("about_mm for {}", without.name))),
-        None => Ok(()),
+    for indentation in &plan.indentations {
+        let name = &indentation.name;
+        let about =
+            (indentation.about_mm).ok_or_else(|| missing(format!("about_mm for {name}")))?;
+        let between = between_crests(width, about);
+        let why = refusal(
+            Quantity::BetweenCrests,
+            between,
+            Some(width.mm()),
+            resolution,
+        );
+        if let Some(why) = why {
+            return Err(because(format!(
+                "of the about_mm for {name}, i = D - 2a is {why}"
+            )));
+        }
     }
+    Ok(())
+}
+
+/// The reading i = D - 2a between the crests, by Eq. 8.
+fn between_crests(width: Millimetres, about: Millimetres) -> Millimetres {
+    Millimetres::from_um(width.um - 2 * about.um)
 }
 
 /// Puts a campaign's questions to the terminal or to the plan.
@@ -137,7 +156,7 @@ impl Desk for Counter<'_, '_> {
 
 /// The answer that a person would type on the virtual bench.
 fn by_plan(plan: &CampaignPlan, question: &Question<'_>) -> String {
-    let width_um = plan.readings.width_about_mm.unwrap_or_default().um;
+    let width = plan.readings.width_about_mm.unwrap_or_default();
     match question {
         Question::Reading {
             quantity: Quantity::BetweenCrests,
@@ -150,9 +169,9 @@ fn by_plan(plan: &CampaignPlan, question: &Question<'_>) -> String {
                 .find(|known| Some(known.name.as_str()) == *indentation)
                 .and_then(|known| known.about_mm)
                 .unwrap_or_default();
-            Millimetres::from_um(width_um - 2 * about.um).to_string()
+            between_crests(width, about).to_string()
         }
-        Question::Reading { .. } => Millimetres::from_um(width_um).to_string(),
+        Question::Reading { .. } => width.to_string(),
         Question::Odd { .. } => "yes".to_owned(),
         Question::Prepare { .. }
         | Question::Ready { .. }
