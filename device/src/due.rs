@@ -1,4 +1,4 @@
-//! Samples at equal intervals, on a processor that may stall for longer than one.
+//! Counts the samples that were left out because the processor stalled.
 
 /// Samples that have come due by `now_us` after the one due at `due_us`. They are left out: the sample sent now takes
 /// the place of the last of them, and its number tells how many are missing.

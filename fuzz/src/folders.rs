@@ -244,7 +244,7 @@ impl Made {
         } else if entries.get(manifest::NAME) == self.whole.get(manifest::NAME) {
             assert_ne!(verified.findings, [], "a change that nobody notices");
         } else if is_unknown(entries) {
-            // Nothing says which files belong here. The tool has to say that, and may find nothing else.
+            // Without a manifest there is nothing to compare: the tool must report exactly that.
             assert!(!verified.campaign, "no campaign is there");
             if verified.findings.is_empty() {
                 let (_, said) = command::run(&["verify", path_of(&folder)], &Ports);

@@ -303,7 +303,7 @@ impl Server<'_> {
                     wait,
                 } => {
                     if let Some(machine) = self.board.machine(machine) {
-                        // The worker would confirm it in a thread of its own; here it cannot meanwhile.
+                        // The real worker confirms it on its own thread. Here there is one thread, so wait for nothing.
                         let (places, board) = (self.places, self.board);
                         direct::stop(places, board, machine, urgent, vec![wait], Duration::ZERO);
                     }

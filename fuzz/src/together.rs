@@ -179,7 +179,7 @@ fn ask(server: &mut Server<'_>, here: &Here, crowd: &Crowd, keys: &mut BTreeSet<
     if !sent.iter().any(Sent::may_stop) {
         assert_eq!(stops, [], "stopped by somebody who must not: {crowd:?}");
     }
-    // Something is executed for a key that nothing was executed for. Which one it was is known if there is only one.
+    // At least one key must be new: nothing was executed for it before. If only one was sent, it is known which.
     let may = sent.iter().filter(|sent| sent.may_order());
     let may: BTreeSet<_> = may.filter_map(Sent::key).collect();
     if !changes.is_empty() {

@@ -254,7 +254,7 @@ pub enum Subcommand {
     Health,
     /// Settings and name of a machine.
     Settings {
-        /// Whose: those of the rig, unless the setting is one that only the capsule has.
+        /// The machine: the rig, unless only the capsule has the setting.
         #[arg(long, value_enum, value_name = "MACHINE", global = true)]
         of: Option<MachineKind>,
         /// The operation on the settings.

@@ -332,7 +332,8 @@ pub enum HomingPhase {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum RigFault {
     /// The E-stop and end-of-travel loop opened (or its wire is cut).
-    // The schema's derive reads `rename = "..."` and not this form: names in JSON are no part of the wire.
+    // In this form, because the derive of `Schema` reads `rename = "..."`, and the name in JSON is not part of the
+    // wire.
     #[serde(rename(serialize = "estop_loop", deserialize = "estop_loop"))]
     EStopLoop,
     /// Emergency stop by frame.

@@ -136,8 +136,9 @@ impl Session {
     fn greet(&mut self, hello: &Hello, seq: u16) -> Decision {
         let again = self.open && hello.nonce == self.nonce;
         if !again {
-            // After each switching-on the boot id is 1 again, and a program that has not noticed may hold the number
-            // that follows from it. So the first nonce decides, and then each number but the last one is as likely.
+            // The boot id is 1 again after every power-on, so a program that missed the restart may hold the number
+            // that would follow. Let the first nonce choose it instead: every number but the last one is then equally
+            // likely.
             let on = if self.open { 1 } else { 1 + hello.nonce % 254 };
             self.number = ((u32::from(self.number) - 1 + on) % 255) as u8 + 1;
             self.nonce = hello.nonce;

@@ -89,8 +89,8 @@ settings! {
     SpeedGainUaCps of Capsule: "speed_gain_ua_cps", "uA/cps", 5..=25, 15, "Speed loop: proportional part.";
     ShortestFoldUm of Capsule: "shortest_fold_um", "um", 8_000..=24_000, 16_000, "A calibration that finds the end force before this was not unfolded.";
     LongestFoldUm of Capsule: "longest_fold_um", "um", 9_000..=28_000, 24_500, "A calibration that has not found the end force by then has no thread to wind.";
-    EndToleranceUm of Capsule: "end_tolerance_um", "um", 100..=250, 250, "So much before the calibrated end is an end force still the folded end, not a jam.";
-    EndOverrunUm of Capsule: "end_overrun_um", "um", 200..=1_000, 400, "So far beyond the calibrated end is a thread wound that does not reach the end force.";
+    EndToleranceUm of Capsule: "end_tolerance_um", "um", 100..=250, 250, "An end force at most this far before the calibrated end is the folded end; earlier it is a jam.";
+    EndOverrunUm of Capsule: "end_overrun_um", "um", 200..=1_000, 400, "How far beyond the calibrated end the thread is wound if it does not reach the end force.";
     DriftUm of Capsule: "drift_um", "um", 100..=400, 300, "Folded ends that have wandered by more since the reference, over four folds, take the reference away.";
     FoldTimeoutMs of Capsule: "fold_timeout_ms", "ms", 2_000..=20_000, 8_000, "A fold that takes longer is a fault.";
     UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";

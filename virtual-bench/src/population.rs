@@ -222,8 +222,8 @@ impl Workbench {
         }
         let status = self.device.capsule_status()?;
         let latched = status.fault.map(|fault| name(&fault));
-        // The amplifier's zero is checked at rest. A moved zero is latched over the motion's end; the library's verdict
-        // is the latched fault, too.
+        // The amplifier's zero is checked only at rest, after the motion has ended well. Take the fault that is latched
+        // then, as the library's verdict does.
         if kind == Kind::Offset && latched.as_deref() == Some("SenseLost") {
             verdict.name = "SenseLost".to_owned();
         }

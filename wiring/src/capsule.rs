@@ -1,4 +1,4 @@
-//! Wiring of the capsule's electronics on the development board.
+//! Which pin of the development board's chip each of the capsule's signals is on.
 
 use crate::{Pin, Signal, signal};
 
@@ -23,15 +23,15 @@ pub const SERIAL: [Pin; 2] = [Pin::new('A', 2), Pin::new('A', 3)];
 
 /// All signals, in the manual's order.
 pub const SIGNALS: [Signal; 11] = [
-    signal("IN1", IN1, "TIM3_CH1"),
-    signal("IN2", IN2, "TIM3_CH2"),
-    signal("nSLEEP", N_SLEEP, ""),
-    signal("nFAULT", N_FAULT, ""),
-    signal("encoder A", ENCODER[0], "TIM2_CH1"),
-    signal("encoder B", ENCODER[1], "TIM2_CH2"),
-    signal("motor current", CURRENT, "ADC1_IN4"),
-    signal("battery", BATTERY, "ADC1_IN8"),
-    signal("sensors", SENSORS, ""),
-    signal("serial, out", SERIAL[0], "USART2, DMA1 stream 6"),
-    signal("serial, in", SERIAL[1], "USART2, DMA1 stream 5"),
+    signal("IN1", IN1),
+    signal("IN2", IN2),
+    signal("nSLEEP", N_SLEEP),
+    signal("nFAULT", N_FAULT),
+    signal("encoder A", ENCODER[0]),
+    signal("encoder B", ENCODER[1]),
+    signal("motor current", CURRENT),
+    signal("battery", BATTERY),
+    signal("sensors", SENSORS),
+    signal("serial, out", SERIAL[0]),
+    signal("serial, in", SERIAL[1]),
 ];

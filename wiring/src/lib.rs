@@ -48,14 +48,8 @@ pub struct Signal {
     pub name: &'static str,
     /// Pin of the chip.
     pub pin: Pin,
-    /// Peripheral function of the chip there; empty for a plain input or output.
-    pub function: &'static str,
 }
 
-const fn signal(name: &'static str, pin: Pin, function: &'static str) -> Signal {
-    Signal {
-        name,
-        pin,
-        function,
-    }
+const fn signal(name: &'static str, pin: Pin) -> Signal {
+    Signal { name, pin }
 }

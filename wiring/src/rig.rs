@@ -1,4 +1,4 @@
-//! Wiring of the rig.
+//! Which pin of the chip each of the rig's signals is on.
 
 use crate::{Pin, Signal, signal};
 
@@ -29,21 +29,17 @@ pub const SERIAL: [Pin; 2] = [Pin::new('A', 2), Pin::new('A', 3)];
 
 /// All signals, in the manual's order.
 pub const SIGNALS: [Signal; 13] = [
-    signal("STEP", STEP, "TIM1_CH3, AF1"),
-    signal("DIR", DIR, ""),
-    signal("EN", ENABLE, ""),
-    signal(
-        "E-stop and end-of-travel loop",
-        ESTOP_LOOP,
-        "TIM1_BKIN, AF1",
-    ),
-    signal("step read-back", READ_BACK, "TIM2_ETR, AF1"),
-    signal("step timing", CAPTURE, "TIM5_CH2, AF2"),
-    signal("home flag", HOME_FLAG, "EXTI7"),
-    signal("far limit", FAR_LIMIT, "EXTI6"),
-    signal("stroke sync", SYNC, "TIM1_CH1, AF1"),
-    signal("start button", BUTTON, ""),
-    signal("status LED", LED, ""),
-    signal("serial, out", SERIAL[0], "USART2, DMA1 stream 6"),
-    signal("serial, in", SERIAL[1], "USART2, DMA1 stream 5"),
+    signal("STEP", STEP),
+    signal("DIR", DIR),
+    signal("EN", ENABLE),
+    signal("E-stop and end-of-travel loop", ESTOP_LOOP),
+    signal("step read-back", READ_BACK),
+    signal("step timing", CAPTURE),
+    signal("home flag", HOME_FLAG),
+    signal("far limit", FAR_LIMIT),
+    signal("stroke sync", SYNC),
+    signal("start button", BUTTON),
+    signal("status LED", LED),
+    signal("serial, out", SERIAL[0]),
+    signal("serial, in", SERIAL[1]),
 ];

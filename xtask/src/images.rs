@@ -1,4 +1,4 @@
-//! Builds the ARM images and checks them.
+//! The ARM images: finds, builds, checks and flashes them.
 
 use std::path::PathBuf;
 use std::process::Command;

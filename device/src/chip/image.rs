@@ -18,7 +18,8 @@ unsafe extern "C" {
 /// The words between two of the linker's symbols.
 fn words(from: *const u32, to: *const u32) -> impl Iterator<Item = u32> {
     let count = (to as usize).saturating_sub(from as usize) / 4;
-    // SAFETY: the linker script puts both ends, word-aligned, into the same memory; volatile, for the stack is in use.
+    // SAFETY: the linker script puts both ends, word-aligned, into the same memory. The read is volatile because the
+    // stack changes meanwhile.
     (0..count).map(move |index| unsafe { read_volatile(from.add(index)) })
 }
 

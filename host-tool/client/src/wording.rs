@@ -18,7 +18,7 @@ pub fn name(of: &impl Serialize) -> String {
     }
 }
 
-/// Serializes a path as text: in JSON there is only Unicode, and U+FFFD stands for what is none.
+/// Serializes a path as text. JSON is Unicode: U+FFFD replaces bytes that are not.
 ///
 /// # Errors
 /// Those of the serializer.

@@ -1,4 +1,4 @@
-//! The known state of one machine that is watched. `feed` fills it and `draw` shows it.
+//! The known state of one machine, as `watch` and `serve` show it.
 
 use std::collections::VecDeque;
 use std::sync::MutexGuard;
@@ -34,7 +34,7 @@ pub enum Contact {
     Window(String),
 }
 
-/// Result of a key press.
+/// The last message to the user: a stop that was confirmed, an order that failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
     /// Success.
@@ -72,7 +72,7 @@ impl Quality {
     }
 }
 
-/// State of one machine on the screen.
+/// State of one machine.
 #[derive(Clone, Debug)]
 pub struct Panel {
     /// Kind of machine.
@@ -96,7 +96,7 @@ pub struct Panel {
     pub quality: Quality,
     /// Device time in us and text of the latest events, newest last.
     pub events: VecDeque<(u64, String)>,
-    /// Result of the latest key press.
+    /// The latest message.
     pub notice: Option<Notice>,
 }
 

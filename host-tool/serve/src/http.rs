@@ -668,7 +668,7 @@ async fn order(
         kind: work.kind(),
         requested: work.requested(),
     };
-    // An order that anybody may send ends soon enough for the answer to wait for the end.
+    // Hold, resume and acknowledge end at once, so answer only when they have.
     let short = !work.is_for_owner();
     let number = match board.actions.arrive(command, Timestamp::now()) {
         Arrival::Again(number) => number,

@@ -160,7 +160,8 @@ pub(crate) fn commission(
 fn stop(device: &mut Device) -> Result<(), ClientError> {
     match device.interrupted() {
         None => device.urgent(Urgent::Stop),
-        // Ctrl-C has sent the stop. A line that was given up to find a reset board again cannot carry one.
+        // Ctrl-C has already sent the stop. A link error is no failure: the line may have been closed to find a board
+        // after its reset.
         Some(_) => match device.settle() {
             Err(ClientError::Link(_)) => Ok(()),
             settled => settled,

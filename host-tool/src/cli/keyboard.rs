@@ -41,8 +41,8 @@ fn in_foreground(_: &io::Stdin) -> bool {
     true
 }
 
-/// An Enter that comes sooner after a question was meant for the one before, or is the bounce of its key: nobody has
-/// read this one yet.
+/// An Enter sooner than this after a question is a second one for the question before, or the bounce of the key: nobody
+/// has read the new one yet.
 const READ_FIRST: Duration = Duration::from_millis(500);
 
 /// Answer to an Enter that came too soon.

@@ -19,8 +19,8 @@ use crate::cli::screen::Screen;
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
 pub struct ServeArgs {
-    /// Where to listen; port 0 takes a free one. With an address that others can reach, whoever reads along in that
-    /// network reads the token and can move the machines: there is no encryption.
+    /// Where to listen; port 0 takes a free one. There is no encryption: at an address that others can reach, anybody
+    /// who listens on that network learns the token and can move the machines.
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7080", value_parser = listen)]
     pub listen: SocketAddr,
     /// Read the token from this file, and make one there if there is none. Otherwise each start has a new one.

@@ -22,7 +22,8 @@ pub struct VerifyArgs {
     pub seal: Option<String>,
 }
 
-/// A seal as it was printed, also in capitals. What is no seal must not pass for the sign of a changed folder.
+/// A seal as it was printed, also in capitals. Refuse anything else: a typing error must not look like a changed
+/// folder.
 fn sealed(text: &str) -> Result<String, String> {
     let seal = text.trim().to_ascii_lowercase();
     match seal.len() == 64 && seal.bytes().all(|digit| digit.is_ascii_hexdigit()) {

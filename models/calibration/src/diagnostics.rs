@@ -187,8 +187,8 @@ fn effective(chains: &[Vec<f64>]) -> f64 {
     all / time
 }
 
-/// Rank-normalised split R-hat: the larger of that of the values and that of their distances from the median.
-/// `walkers` is 1 for plain chains. NaN for chains that are too short or do not move.
+/// Rank-normalised split R-hat: the larger one of two, of the values and of their distances from the median. `walkers`
+/// is 1 for plain chains. NaN for chains that are too short or do not move.
 #[must_use]
 pub fn r_hat(chains: &[Vec<f64>], walkers: usize) -> f64 {
     let Some(split) = Split::of(chains, walkers) else {

@@ -65,8 +65,8 @@ pub fn mistake(
     search.explains(search.misfit(1.0))
 }
 
-/// The same without the discrepancy, once the nearest body's chi-square without it is known: the discrepancy hides a
-/// unit that makes all displacements small. `table` is that of the whole prior.
+/// Like [`mistake`], without the discrepancy, which hides a wrong unit that makes all displacements small. `chi_square`
+/// is that of the nearest body, also without it. `table` is that of the whole prior.
 #[must_use]
 pub fn mistake_beside(
     chi_square: f64,

@@ -63,7 +63,7 @@ pub(crate) fn bend(points: &[(f64, f64)]) -> f64 {
     };
     let left = off(&|(_, y)| y);
     let squares: f64 = points.iter().map(|(_, y)| y * y).sum();
-    // The part that a bend at x explains of the squares that one line leaves.
+    // Share of the straight line's residual squares that a bend at x explains.
     let explained = |bend: f64| {
         let rise = |x: f64| (x - bend).max(0.0);
         let bent = off(&|(x, _)| rise(x));

@@ -84,9 +84,9 @@ pub(crate) fn init() -> Board {
     // Flash: no wait states at 16 MHz, so prefetch and caches would save nothing, and prefetch disturbs the ADC (ES0287,
     // docs/silicon.md). They stay off.
     //
-    // Nothing is frozen while a debugger halts the core (DBGMCU). TIM3 has no MOE: frozen, its outputs would stay at the
-    // level of that instant, and the motor could stand under full voltage. Running, they keep the last duty, and the
-    // watchdog, which must not be frozen for that reason, ends it within 1.5 s.
+    // Freeze nothing while a debugger halts the core (DBGMCU). A frozen TIM3 would hold its outputs at that instant's
+    // level (it has no MOE), perhaps the motor at full voltage. A running one keeps the last duty, until the watchdog
+    // resets the chip within 1.5 s; so that must run, too.
 
     supply::watch();
     pac::RCC.ahb1enr().modify(|w| {

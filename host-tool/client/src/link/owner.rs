@@ -116,8 +116,8 @@ impl Began {
     fn is_after(&self, stop: SystemTime, elapsed: Duration, now: SystemTime) -> bool {
         // Start of the process, by the clock as it is set now.
         let began = now.checked_sub(elapsed).unwrap_or(self.time);
-        // A stop in the future was made before the clock was set back: before the start, too, unless the clock could
-        // have shown that time since.
+        // A stop with a time in the future is from before the clock was set back. It is older than this process, unless
+        // the clock can have shown that time since the start.
         stop <= began.min(self.time) || stop > now.max(self.time + elapsed)
     }
 }
