@@ -23,7 +23,7 @@ const SUPPLY_MV: RangeInclusive<u32> = 1_700..=3_600;
 /// Largest offset of the shunt amplifier that is subtracted, mA: 0.9 N of thread force.
 pub const MOST_OFFSET_MA: u16 = 20;
 /// Sleep of the bridge after which a reading is the zero: the motor's current is gone, and the amplifier's filter
-/// (0.1 ms) has settled.
+/// (0.16 ms) has settled.
 pub const SETTLED_US: u64 = 10_000;
 
 /// Factory reading of the chip's reference.

@@ -17,8 +17,9 @@ const BATTERY_RATIO: u32 = 2;
 /// Readings per sample. The filters before both inputs leave 2 mA of the current's ripple; the readings spread over two
 /// PWM periods and more, so that their mean has none of it, wherever the sample begins.
 const ADC_PAIRS: u32 = 4;
-/// Time from power-up of encoder and amplifier to valid levels. Assumed for both; check their data sheets.
-pub(crate) const SENSORS_START: Duration = Duration::from_millis(1);
+/// Time from power-up of encoder and amplifier to valid levels: 0.5 ms for both, assumed, so check their data sheets; then
+/// the filter behind the amplifier charges, 1 kohm and 160 nF, to 0.2 mA within nine of its time constants.
+pub(crate) const SENSORS_START: Duration = Duration::from_millis(2);
 
 /// Motor, encoder, current and battery.
 pub(crate) struct DriveTrain {

@@ -27,6 +27,12 @@ const CURRENT: (Pin, u8) = (Pin::new('A', 4), 4);
 const BATTERY: (Pin, u8) = (Pin::new('B', 0), 8);
 /// Delay from supply to valid outputs of encoder and amplifier, ns [assumed].
 const SENSORS_START_NS: u64 = 500_000;
+/// Time constant of the filter between the amplifier and its input, ns: 1 kohm and 160 nF (docs/capsule.md, wire 5).
+const FILTER_NS: f64 = 160_000.0;
+/// The filter is charged after this time, to less than the converter shows, ns.
+const CHARGED_NS: u64 = 1_600_000;
+/// Interval at which its voltage is set until then, ns.
+const CHARGE_STEP_NS: u64 = 20_000;
 /// The alternate functions for TIM3 and TIM2 (DS10314 table 9).
 const AF_BRIDGE: Option<u8> = Some(2);
 const AF_ENCODER: Option<u8> = Some(1);
@@ -69,7 +75,26 @@ impl Sensors {
     }
 
     fn are_valid(&self, at_ns: u64) -> bool {
-        self.valid_from_ns().is_some_and(|from_ns| from_ns <= at_ns)
+        self.valid_ns(at_ns).is_some()
+    }
+
+    /// For how long the outputs have been valid.
+    fn valid_ns(&self, at_ns: u64) -> Option<u64> {
+        at_ns.checked_sub(self.valid_from_ns()?)
+    }
+
+    /// Share of the amplifier's voltage that has come through the filter, which was empty.
+    fn charge(&self, at_ns: u64) -> f64 {
+        let valid_ns = self.valid_ns(at_ns).unwrap_or(0);
+        1.0 - (-(valid_ns as f64) / FILTER_NS).exp()
+    }
+
+    /// When outputs or filter change next.
+    fn next_ns(&self, at_ns: u64) -> Option<u64> {
+        match self.valid_ns(at_ns) {
+            None => self.valid_from_ns(),
+            Some(valid_ns) => (valid_ns < CHARGED_NS).then_some(at_ns + CHARGE_STEP_NS),
+        }
     }
 }
 
@@ -175,7 +200,10 @@ impl Wiring for CapsuleBoard {
             pads.drive(FAULT, (!sound).then_some(false));
         }
         let voltages = [
-            (CURRENT, if valid { self.capsule.sense_mv() } else { 0.0 }),
+            (
+                CURRENT,
+                self.capsule.sense_mv() * self.sensors.charge(now_ns),
+            ),
             (BATTERY, self.capsule.battery_mv()),
         ];
         for (((pin, channel), mv), known) in voltages.into_iter().zip(&mut self.voltages) {
@@ -192,8 +220,8 @@ impl Wiring for CapsuleBoard {
         if self.supply_mv.replace(supply_mv) != Some(supply_mv) {
             pads.set_supply_mv(supply_mv);
         }
-        let valid_from = self.sensors.valid_from_ns().filter(|_| !valid);
-        if let Some(next_ns) = self.capsule.next_ns().into_iter().chain(valid_from).min() {
+        let sensors = self.sensors.next_ns(now_ns);
+        if let Some(next_ns) = self.capsule.next_ns().into_iter().chain(sensors).min() {
             pads.wake_at(next_ns);
         }
     }
