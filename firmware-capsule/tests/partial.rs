@@ -107,6 +107,60 @@ fn a_jam_under_way_is_a_jam() {
     assert!(sim.plant.peak_force_n() < 20.0);
 }
 
+/// A motion that begins near the folded end is blind for its first 30 ms, and so cannot feel where its force rose. With
+/// more friction in the worm the end force came too early for it, and was called a jam.
+#[test]
+fn more_friction_is_no_jam_where_a_motion_begins_near_the_end() {
+    for (seed, less, friction) in [0, 2, 5].into_iter().flat_map(|seed| {
+        [501, 1_500]
+            .into_iter()
+            .flat_map(move |less| [1.2, 1.4].map(|friction| (seed, less, friction)))
+    }) {
+        let mut near = Simulation::calibrated(Parameters::lifelike(seed), seed);
+        let end_um = near.capsule.calibration().expect("calibrated").folded.0;
+        near.plant.suffer(Defect::Friction(friction));
+        near.run(Command::FoldTo(Thread(end_um - less)));
+        let further = Command::FoldTo(Thread(end_um - 501));
+        let [fold, check] = [Command::Fold, Command::CheckFolded];
+        let wanted = if less > 501 {
+            &[fold, check, further][..]
+        } else {
+            &[fold, check]
+        };
+        for command in wanted {
+            let mut sim = near.clone();
+            sim.run(*command);
+            let case =
+                format!("{seed}: {command:?} from {less} um before the end, friction x {friction}");
+            assert_eq!(sim.capsule.fault(), None, "{case}");
+            if *command != further {
+                let off_mm = sim.plant.wound_mm() - f64::from(end_um) / 1e3;
+                assert!(off_mm.abs() < 0.3, "{case}: {off_mm:.3} mm off");
+            }
+        }
+    }
+}
+
+/// Something hard in the last quarter of a millimetre stops the motor, and only the origami lets it on.
+#[test]
+fn something_hard_near_the_end_is_a_jam_also_where_a_motion_begins_near_it() {
+    for (seed, less) in (0..4).flat_map(|seed| [501, 1_500].map(|less| (seed, less))) {
+        let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+        let end_um = sim.capsule.calibration().expect("calibrated").folded.0;
+        sim.run(Command::FoldTo(Thread(end_um - less)));
+        let ahead_mm = sim.plant.travel_mm() + 0.15;
+        sim.plant.suffer(Defect::Jam(ahead_mm));
+        sim.run(Command::Fold);
+        let fault = sim.capsule.fault();
+        assert!(
+            matches!(fault, Some(CapsuleFault::Jam { .. })),
+            "{seed} from {less}: {fault:?}"
+        );
+        let most_n = sim.plant.peak_force_n();
+        assert!(most_n < 20.0, "{seed} from {less}: {most_n:.1} N");
+    }
+}
+
 /// A counter that loses 0.06 mm in each cycle shifts the zero after a while. No single fold shows it.
 #[test]
 fn a_count_that_moves_pays_out_past_zero_no_more_than_another_friction() {

@@ -5,7 +5,7 @@ use super::{Actions, Capsule, Drive, Mode, ends_folded};
 use crate::calibration::Calibration;
 use crate::circuit::Reading;
 use crate::detect::Load;
-use crate::leg::{HIGHEST_ZERO, Leg, Purpose};
+use crate::leg::{HIGHEST_ZERO, Leg, Purpose, STOP_MARGIN};
 use crate::mechanics::{Counts, MOST_NO_LOAD_MA, Thread};
 use crate::sample::Spooling;
 use crate::settings::Settings;
@@ -103,6 +103,20 @@ fn crept_by(share: i32, rise_um: i32) -> i32 {
     logarithm * rise_um / 693
 }
 
+/// Length of thread over which the force grows from a quarter to half of the end force, um. It doubles there more slowly
+/// than at the end.
+fn flatter_um(calibration: &Calibration) -> i32 {
+    let rise_um = calibration.rise.0.max(1);
+    (calibration.long_rise.0 - rise_um).max(rise_um)
+}
+
+/// Whether a winding that began at this thread sees where its force rises above half of the end force, whatever the
+/// friction.
+fn feels_the_rise(calibration: &Calibration, end: Thread, began: Thread) -> bool {
+    let earliest_um = calibration.rise.0.max(1) + flatter_um(calibration) * 5 / 4;
+    end.0.saturating_sub(began.0) >= earliest_um
+}
+
 impl Capsule {
     /// Whether the folded end was reached with so little pull that friction has fallen or the thread has slipped, and
     /// it was not felt yet.
@@ -131,6 +145,24 @@ impl Capsule {
             Some(excess_ma) => Some(excess_ma >= least_ma),
             None if goes_on => None,
             None => Some(false),
+        }
+    }
+
+    /// Settings for a motion that begins here with this leg. Where the force of a winding may already have risen above
+    /// half of the end force before its first reading, it cannot feel how early that was. It gets all that friction may
+    /// take; its scale is still measured just before the end.
+    pub(super) fn settings_for(&self, leg: &Leg) -> Settings {
+        let (Leg::Wind { end, .. }, Some(calibration)) = (leg, &self.calibration) else {
+            return self.settings;
+        };
+        if feels_the_rise(calibration, *end, self.thread()) {
+            return self.settings;
+        }
+        Settings {
+            end_tolerance: Thread(self.settings.end_tolerance.0 + MOST_EARLY_UM),
+            // As slow before the end as ever, for the same reading there, and no faster at something hard.
+            near_ma: self.settings.near_ma,
+            ..self.settings.with_force(FRICTION_FORCE.1)
         }
     }
 
@@ -180,16 +212,19 @@ impl Capsule {
             }
             return;
         }
+        let began = Thread(actuation.from.0.saturating_sub(STOP_MARGIN.0));
         let Some(from) = load.rise_from else {
             return;
         };
+        if !feels_the_rise(calibration, end, began) {
+            return; // the force is seen only from where the motion began
+        }
         let risen = self.sample.counts.since(from).thread();
         if risen.0 * 2 < rise_um {
             // Something hard raises the force faster than the origami.
             return;
         }
-        // Farther from the end the force doubles more slowly: between a quarter and a half of it, over this length.
-        let flatter_um = (calibration.long_rise.0 - rise_um).max(rise_um);
+        let flatter_um = flatter_um(calibration);
         let earlier_um = end.0 - rise_um - from.since(self.zero).thread().0;
         if (0..=flatter_um * 5 / 4).contains(&earlier_um) {
             let more = grows(earlier_um, flatter_um) * SCATTERED / 1_000;

@@ -301,7 +301,7 @@ impl Capsule {
             found: None,
             calibrated: false,
             zero_known,
-            settings: self.settings,
+            settings: self.settings_for(&leg),
         });
         self.recorder
             .start(kind, self.thread(), self.sample.battery_mv);

@@ -506,7 +506,7 @@ fn a_thread_that_was_felt_has_to_pull_half_as_much_where_it_was() {
 #[test]
 fn the_end_of_a_fold_is_where_it_was_felt() {
     for (winding_ma, from_um, end_um) in [
-        (Some(150), 20_000, 20_000 - crate::leg::STOP_MARGIN.0),
+        (Some(150), 20_000, 20_000 - STOP_MARGIN.0),
         (None, 20_000, 21_000),
     ] {
         let mut capsule = moving(Mode::Stopped, Thread(0), Command::Fold);
