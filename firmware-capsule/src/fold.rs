@@ -15,7 +15,7 @@
 //! | Checking | end force | Folded |
 //! | Unfolding | zero reached | Unfolded |
 //! | Folding, Unfolding | Stop, link silent | Stopped |
-//! | Referencing, Checking | Stop, link silent | Unreferenced; Stopped if the zero is known |
+//! | Referencing, Checking | Stop, link silent | Unreferenced; Stopped if the zero is known, or a first calibration has wound |
 //! | any | EStop | Faulted |
 //! | moving | trip, jam, broken thread, time-out | Faulted |
 //! | Faulted | Acknowledge \[cause gone\] | Stopped; Unreferenced if it costs the position; WasFolded after an EStop at rest |
@@ -212,6 +212,8 @@ pub struct Capsule {
     brake_until_us: u64,
     no_load_ma: u16,
     calibration: Option<Calibration>,
+    /// Where a calibration has begun that was cut short, and nothing has moved since.
+    cut_short_from: Option<Counts>,
     /// Internal resistance of the cell, as measured in the last motion under load.
     cell_milliohm: u32,
     /// The last motion before a reset or an emergency stop ended folded, and nothing has moved since.
@@ -246,6 +248,7 @@ impl Capsule {
             no_load_ma: calibration
                 .map_or(settings.no_load_ma, |calibration| calibration.no_load_ma),
             calibration,
+            cut_short_from: None,
             cell_milliohm: CELL_MILLIOHM,
             was_folded: folded.is_some(),
             drift: Drift::default(),
@@ -702,22 +705,6 @@ impl Capsule {
         kept.is_some_and(|kept| wound.0 < kept.folded.0 - FOUND_BY_RISE.0 / 2)
     }
 
-    fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
-        if self.is_moving() {
-            let mode = self.resting_between_ends();
-            self.end(now_us, mode, outcome, actions);
-        }
-    }
-
-    /// Mode at rest between the ends. A reference run that is stopped after it has found the zero keeps its position.
-    fn resting_between_ends(&self) -> Mode {
-        if self.referenced {
-            Mode::Stopped
-        } else {
-            Mode::Unreferenced
-        }
-    }
-
     /// Latches the fault, and ends the motion if there is one.
     fn fail(&mut self, now_us: u64, fault: CapsuleFault, actions: &mut Actions) {
         let latched = self.fault();
@@ -730,6 +717,9 @@ impl Capsule {
             fault,
             CapsuleFault::Jam { .. } | CapsuleFault::LowBattery { .. }
         );
+        if keeps_position || fault == CapsuleFault::EStopFrame {
+            self.cut_calibration_short();
+        }
         self.referenced &= keeps_position;
         // Nothing has moved, and the fold was judged correctly.
         self.was_folded |= matches!(self.mode, Mode::Folded) && fault == CapsuleFault::EStopFrame;

@@ -376,6 +376,8 @@ impl<'a> Watch<'a> {
         self.hear(0);
         let now_us = self.now_us();
         self.judge.urgent(now_us, urgent);
+        let status = self.status();
+        self.judge.place(&status);
         let drive = self.control.capsule().drive;
         self.judge.look(now_us, drive, false);
         let state = self.state();

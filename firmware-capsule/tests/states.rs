@@ -1,6 +1,6 @@
 //! Every state with every event: the next state, and no other effect.
 
-use capsule_plant::Parameters;
+use capsule_plant::{Defect, Parameters};
 use device::common::{About, Effect};
 use device::settings::Values;
 use firmware_capsule::{
@@ -83,8 +83,9 @@ fn expected(sim: &Simulation, event: Event) -> Result<CapsuleState, Refusal> {
     let moving = matches!(state, Referencing | Checking | Folding | Unfolding);
     let calibrated = !matches!(state, Unreferenced | Referencing);
     let stopped = match state {
-        Referencing | Checking => Unreferenced,
-        Folding | Unfolding => Stopped,
+        Checking => Unreferenced,
+        // The first reference run is a calibration, and its beginning is the zero.
+        Referencing | Folding | Unfolding => Stopped,
         resting => resting,
     };
     match event {
@@ -192,6 +193,108 @@ fn a_stop_acts_at_once_in_every_state() {
             }
             assert!(fault.is_none() || !capsule.referenced());
         }
+    }
+}
+
+/// The refusal of a calibration, and of a reference run that is one.
+fn thread_that_is_left(sim: &mut Simulation, command: Command) -> u64 {
+    match sim.give(Event::Command(command)).refusal {
+        Some(Refusal::OutOfRange {
+            field: Field::ThreadUm,
+            requested,
+            min: 0,
+            max: 1_000,
+        }) => requested,
+        other => panic!("{command:?}: {other:?}"),
+    }
+}
+
+/// The ways to end a calibration that has wound 4 mm.
+fn cut_short(sim: &mut Simulation, how: usize) {
+    sim.run_past(Command::Calibrate, 4.0);
+    match how {
+        0 => sim.order(Command::Stop),
+        1 => {
+            sim.give(Event::LinkSilent);
+        }
+        2 => sim.plant.suffer(Defect::Jam(3.2)),
+        _ => sim.plant.suffer(Defect::Battery(2_500.0)),
+    }
+    sim.settle();
+    sim.plant.suffer(Defect::Jam(100.0));
+    sim.plant.suffer(Defect::Battery(3_700.0));
+    sim.settle();
+    if sim.capsule.fault().is_some() {
+        sim.order(Command::Acknowledge);
+    }
+}
+
+/// What a calibration has wound before it was stopped became part of the unfolded end of the next one, and `Unfolded` was
+/// not true any more.
+#[test]
+fn a_calibration_that_is_cut_short_leaves_no_thread_behind() {
+    let new = Simulation::nominal();
+    let known = sim_in(CapsuleState::Unfolded);
+    for (sim, how) in [new, known]
+        .iter()
+        .flat_map(|sim| (0..4).map(move |how| (sim, how)))
+    {
+        let mut sim = sim.clone();
+        let first = sim.kept;
+        let begins_mm = sim.plant.wound_mm();
+        cut_short(&mut sim, how);
+        let case = format!("{how}, {first:?}");
+        assert_eq!(sim.capsule.state(), CapsuleState::Stopped, "{case}");
+        let left_um = thread_that_is_left(&mut sim, Command::Calibrate);
+        assert!((3_900..4_500).contains(&left_um), "{case}: {left_um} um");
+        if first.is_none() {
+            let left_too_um = thread_that_is_left(&mut sim, Command::Reference);
+            assert_eq!(left_too_um, left_um, "{case}");
+            let refused = sim.give(Event::Command(Command::Fold)).refusal;
+            assert_eq!(refused, Some(Refusal::NotCalibrated), "{case}");
+        }
+        sim.run(Command::Unfold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded, "{case}");
+        let off_mm = sim.plant.wound_mm() - begins_mm;
+        assert!((-0.05..0.1).contains(&off_mm), "{case}: {off_mm} mm");
+        assert!(sim.plant.extremes_mm().0 >= 0.0, "{case}");
+        sim.run(Command::Calibrate);
+        let found = sim.capsule.calibration().expect("calibrated").folded.0;
+        assert!(found.abs_diff(21_500) < 200, "{case}: {found} um");
+    }
+}
+
+/// Where it began may not have been unfolded: a person has said so, and a reference run finds out.
+#[test]
+fn a_calibration_from_an_unknown_place_that_is_cut_short_is_referenced_first() {
+    for how in 0..4 {
+        let mut sim = sim_in(CapsuleState::Unfolded);
+        sim.reset(false);
+        cut_short(&mut sim, how);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unreferenced, "{how}");
+        let left_um = thread_that_is_left(&mut sim, Command::Calibrate);
+        assert!((3_900..4_500).contains(&left_um), "{how}: {left_um} um");
+        let mut restarted = sim.clone();
+        restarted.reset(false);
+        restarted.order(Command::Calibrate);
+        sim.run(Command::Reference);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded, "{how}");
+        assert!(sim.plant.extremes_mm().0 >= 0.0, "{how}");
+        sim.order(Command::Calibrate);
+    }
+}
+
+/// A capsule that a person has taken for unfolded is folded: nothing was wound, so nothing is known.
+#[test]
+fn a_calibration_that_has_hardly_wound_anything_tells_no_place() {
+    for kept in [None, sim_in(CapsuleState::Unfolded).kept] {
+        let mut sim = Simulation::nominal();
+        sim.kept = kept;
+        sim.reset(false);
+        sim.run_past(Command::Calibrate, 0.5);
+        sim.run(Command::Stop);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unreferenced);
+        sim.order(Command::Calibrate);
     }
 }
 

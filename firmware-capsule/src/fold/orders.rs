@@ -6,7 +6,7 @@ use crate::{
     detect::Detector,
     governor::{Effort, Governor},
     leg::{Leg, MOST_MA, Purpose, STOP_MARGIN, TENSION_ZONE},
-    mechanics::Thread,
+    mechanics::{Counts, Thread},
     sense::MOST_OFFSET_MA,
 };
 use protocol::{
@@ -85,11 +85,8 @@ impl Capsule {
         if let Command::FoldTo(target) = command {
             self.may_stop_at(target)?;
         }
-        // A calibration of a wound capsule could only lose its position. An unfolding may end above zero and is all
-        // that can be done.
-        let is_wound = matches!(self.mode, Mode::Folded | Mode::Stopped) && self.thread() >= WOUND;
-        if kind == ActuationKind::Calibrate && is_wound {
-            return Err(out_of_range(self.thread(), (Thread(0), WOUND)));
+        if self.is_calibration(kind) {
+            self.may_calibrate()?;
         }
         let min_mv = match kind {
             // Paying out takes little current, and a person may need it.
@@ -112,6 +109,75 @@ impl Capsule {
         };
         self.start(now_us, kind, target, actions);
         Ok(())
+    }
+
+    pub(super) fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
+        if self.is_moving() {
+            self.cut_calibration_short();
+            let mode = self.resting_between_ends();
+            self.end(now_us, mode, outcome, actions);
+        }
+    }
+
+    /// Mode at rest between the ends. A reference run that is stopped after it has found the zero keeps its position.
+    fn resting_between_ends(&self) -> Mode {
+        if self.referenced {
+            Mode::Stopped
+        } else {
+            Mode::Unreferenced
+        }
+    }
+
+    /// Keeps what is known of the place where a calibration ends that is not in force yet. A known zero stays known.
+    /// Otherwise the beginning is the zero if there is no calibration, because nothing else can lead back to it; if
+    /// there is one, a reference run does, and tells whether the person was right.
+    pub(super) fn cut_calibration_short(&mut self) {
+        let Mode::Moving(actuation) = &self.mode else {
+            return;
+        };
+        let origin = match actuation.leg {
+            Leg::Seek {
+                origin,
+                purpose: Purpose::Calibrate,
+                ..
+            } => origin,
+            _ if actuation.found.is_some() && !actuation.calibrated => self.zero,
+            _ => return,
+        };
+        self.cut_short_from = Some(origin);
+        if actuation.zero_known {
+            self.referenced = true;
+        } else if self.calibration.is_none() && self.wound_since(origin) >= WOUND {
+            self.recorder.zero_moved(self.zero.since(origin).thread());
+            self.zero = origin;
+            self.referenced = true;
+        }
+    }
+
+    fn wound_since(&self, origin: Counts) -> Thread {
+        self.sample.counts.since(origin).thread()
+    }
+
+    /// Refuses a calibration while thread is on the spool, as far as it is known: the calibration would take it for part
+    /// of the unfolded end. An unfolding or a reference run pays it out.
+    fn may_calibrate(&self) -> Result<(), Refusal> {
+        let wound = match (&self.mode, self.cut_short_from) {
+            (Mode::Folded | Mode::Stopped, _) => self.thread(),
+            // Without a calibration only a hand can help, and what it does is not seen.
+            (Mode::Unreferenced, Some(origin)) if self.calibration.is_some() => {
+                self.wound_since(origin)
+            }
+            _ => Thread(0),
+        };
+        match wound >= WOUND {
+            true => Err(out_of_range(wound, (Thread(0), WOUND))),
+            false => Ok(()),
+        }
+    }
+
+    fn is_calibration(&self, kind: ActuationKind) -> bool {
+        kind == ActuationKind::Calibrate
+            || kind == ActuationKind::Reference && self.calibration.is_none()
     }
 
     /// Refuses a partial fold whose target is too close to an end, or is the present position.
@@ -230,8 +296,7 @@ impl Capsule {
             second: false,
             purpose,
         };
-        let calibrates = kind == ActuationKind::Calibrate
-            || kind == ActuationKind::Reference && self.calibration.is_none();
+        let calibrates = self.is_calibration(kind);
         let slack =
             calibrates || kind != ActuationKind::Reference && matches!(self.mode, Mode::Unfolded);
         let pay_out = |to: Thread| match self.mode {
@@ -274,7 +339,7 @@ impl Capsule {
                 self.no_load_ma = calibration.no_load_ma;
             }
         }
-        self.was_folded = false;
+        (self.was_folded, self.cut_short_from) = (false, None);
         self.offset_before_ma = self.sample.offset_ma;
         let from_us = now_us.max(self.brake_until_us);
         let timeout_us = u64::from(self.timeout_ms(kind)) * 1_000;

@@ -55,6 +55,8 @@ struct Order {
     beyond: u32,
     /// The position was known at its start.
     placed: bool,
+    /// Count at thread zero before it.
+    zero: Option<i32>,
 }
 
 /// The judge of one capsule.
@@ -187,6 +189,7 @@ impl Judge {
             "{kind:?} with {offset_ma} mA at rest"
         );
         let calibrated = self.folded_um.is_some();
+        let zero = self.zero;
         match kind {
             ActuationKind::Fold | ActuationKind::FoldTo => {
                 assert!(self.zero.is_some() && calibrated, "{kind:?}, from where?");
@@ -216,6 +219,7 @@ impl Judge {
             overdue: 0,
             beyond: 0,
             placed: self.zero.is_some(),
+            zero,
         });
     }
 
@@ -345,7 +349,11 @@ impl Judge {
         let order = self.last().expect("it knows where it is, after no motion");
         let wound_um = um(count.wrapping_sub(order.start));
         let known_um = match order.kind {
-            ActuationKind::Calibrate => wound_um,
+            // One that is cut short may go back to what was known before.
+            ActuationKind::Calibrate => {
+                let before_um = order.zero.map(|zero| um(count.wrapping_sub(zero)));
+                wound_um.max(before_um.unwrap_or(wound_um))
+            }
             ActuationKind::Reference | ActuationKind::CheckFolded => {
                 wound_um.max(self.folded_um.unwrap_or(0) - 100)
             }

@@ -168,6 +168,9 @@ const fn way_out(state: CapsuleState, is_calibrated: bool) -> Option<&'static st
         CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is gone"),
         CapsuleState::Unreferenced if is_calibrated => Some("`retrograde capsule reference`"),
         CapsuleState::WasFolded => Some("`retrograde capsule check`, then `retrograde unfold`"),
+        CapsuleState::Stopped if !is_calibrated => {
+            Some("`retrograde unfold` instead of a hand: it knows what it has wound")
+        }
         _ => None,
     }
 }
@@ -236,6 +239,7 @@ mod tests {
                 "`retrograde capsule reference`",
             ),
             (CapsuleState::WasFolded, true, "`retrograde capsule check`"),
+            (CapsuleState::Stopped, false, "`retrograde unfold`"),
         ] {
             let told = way_out(state, is_calibrated).unwrap_or_default();
             assert!(told.starts_with(next), "{state:?}: {told}");
