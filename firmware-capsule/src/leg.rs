@@ -330,6 +330,7 @@ impl Leg {
         (known, settings): (Option<(&Calibration, Option<Thread>)>, &Settings),
     ) -> Result<Decision, CapsuleFault> {
         let thread = counts.since(zero).thread();
+        let calibrated = known.map_or(Thread(0), |(calibration, _)| calibration.folded);
         let stop_within = Thread(stopping.thread().0.saturating_add(STOP_MARGIN.0));
         let jam = CapsuleFault::Jam {
             thread_um: thread.0,
@@ -430,7 +431,9 @@ impl Leg {
             } if counts.since(origin).thread() > settings.folded_range.1 => {
                 return Err(past_the_end);
             }
-            Leg::Seek { origin, .. } if counts.since(origin).thread() >= settings.seek_limit() => {
+            Leg::Seek { origin, .. }
+                if counts.since(origin).thread() >= settings.seek_limit(calibrated) =>
+            {
                 return Err(past_the_end);
             }
             Leg::Seek { .. } => Decision::Continue,

@@ -127,10 +127,10 @@ impl Settings {
         })
     }
 
-    /// Longest search for the folded end from an unknown position: the longest calibration, plus a thread left past
-    /// zero.
-    pub fn seek_limit(&self) -> Thread {
-        Thread(self.folded_range.1.0 + 1_000)
+    /// Longest search for the folded end from an unknown position: the longest calibration, or the one in force if that is
+    /// longer, plus a thread left past zero.
+    pub fn seek_limit(&self, calibrated: Thread) -> Thread {
+        Thread(self.folded_range.1.max(calibrated).0 + 1_000)
     }
 
     /// These settings with the end force scaled by this many thousandths. The speed loop bounds the current

@@ -169,7 +169,7 @@ impl Monitor {
             prop_assert!(seeks, "drives in {:?}", state);
             let way = self.sample.counts.since(self.seek_from).thread();
             prop_assert!(
-                millivolts < 0 || way < self.capsule.settings().seek_limit(),
+                millivolts < 0 || way < self.capsule.settings().seek_limit(CALIBRATION.folded),
                 "seeks at {:?}",
                 way
             );

@@ -4,7 +4,7 @@ use capsule_plant::{Defect, Parameters};
 use device::settings::Values;
 use firmware_capsule::{
     calibration::Calibration,
-    fold::{Command, Drive, Event},
+    fold::{Capsule, Command, Drive, Event},
     mechanics::Thread,
     sample::Sample,
     settings::Settings,
@@ -346,4 +346,29 @@ fn another_end_force_moves_the_folded_end_only_once_it_is_calibrated() {
         let moved_um = end_um(&sim) - before_um;
         assert!(moved_um.abs_diff(moves_um) < 100, "{moved_um} um");
     }
+}
+
+/// `longest_fold_um` is about calibrations. Where it is below the one in force, a reference run named a slipped thread.
+#[test]
+fn a_reference_run_finds_an_end_beyond_the_longest_fold() {
+    let values = Values::DEFAULT.with(SettingKey::LongestFoldUm, 20_000);
+    let settings = Settings::new(&values.expect("within its range")).expect("keeps the rules");
+    let mut sim = unfolded();
+    sim.capsule.set_settings(settings);
+    let end_um = sim.capsule.calibration().expect("calibrated").folded.0;
+    assert!(end_um > 21_000, "{end_um}");
+    let mut snapped = sim.clone();
+    sim.run(Command::Reference);
+    assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+    assert!(sim.plant.extremes_mm().0 >= 0.0);
+    sim.run(Command::Fold);
+    sim.capsule = Capsule::new(None, sim.kept, Some(sim.capsule.margin()), settings);
+    sim.tick();
+    sim.run(Command::CheckFolded);
+    assert_eq!(sim.capsule.state(), CapsuleState::Folded);
+    snapped.plant.suffer(Defect::Snap(15.0));
+    snapped.run(Command::Reference);
+    assert_eq!(snapped.capsule.fault(), Some(CapsuleFault::ThreadBroken));
+    let wound_mm = snapped.plant.extremes_mm().1;
+    assert!(wound_mm < f64::from(end_um) / 1e3 + 1.2, "{wound_mm} mm");
 }

@@ -41,7 +41,14 @@ fn the_defaults_are_what_the_population_was_tried_with() {
     assert_eq!((settings.fold_cps, settings.pay_out_cps), (9_330, 17_100));
     assert_eq!((settings.slow_cps, settings.near_cps), (5_700, 4_000));
     assert_eq!(settings.link_timeout_us, 1_000_000);
-    assert_eq!(settings.seek_limit().0 - settings.folded_range.1.0, 1_000);
+    let longest_um = settings.folded_range.1.0;
+    for (calibrated_um, most_um) in [
+        (longest_um - 1, longest_um),
+        (longest_um + 1, longest_um + 1),
+    ] {
+        let limit = settings.seek_limit(Thread(calibrated_um));
+        assert_eq!(limit, Thread(most_um + 1_000));
+    }
 }
 
 #[test]

@@ -442,7 +442,12 @@ impl Judge {
                 (thread_um, folded_um + 800 + overrun_um)
             }
             _ => {
-                let limit_um = self.value(SettingKey::LongestFoldUm) as i32 + 1_000;
+                let longest_um = self.value(SettingKey::LongestFoldUm) as i32;
+                // A search for a known end may go there.
+                let end_um = self
+                    .folded_um
+                    .filter(|_| order.kind != ActuationKind::Calibrate);
+                let limit_um = longest_um.max(end_um.unwrap_or(0)) + 1_000;
                 (um(count.wrapping_sub(order.start)), limit_um)
             }
         };

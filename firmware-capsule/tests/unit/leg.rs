@@ -139,7 +139,7 @@ fn past_the_end_the_thread_is_broken_or_has_slipped() {
     for purpose in [Purpose::Calibrate, Purpose::Reference] {
         let limit = match purpose {
             Purpose::Calibrate => Settings::REFERENCE.folded_range.1.0 + 1,
-            _ => Settings::REFERENCE.seek_limit().0,
+            _ => Settings::REFERENCE.seek_limit(Thread(0)).0,
         };
         let far = after(ORIGIN, limit);
         let leg = seek(false, purpose);
