@@ -161,6 +161,40 @@ fn something_hard_near_the_end_is_a_jam_also_where_a_motion_begins_near_it() {
     }
 }
 
+/// An unfolding that is stopped at once has only wound a little to feel the thread. A fold from there wound further, blind
+/// for its first 30 ms, and the fourth in a row named a broken thread.
+#[test]
+fn a_folded_thread_is_not_tightened_again_and_again() {
+    for (seed, again) in
+        (0..3).flat_map(|seed| [Command::Fold, Command::CheckFolded].map(|again| (seed, again)))
+    {
+        let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
+        let end_um = sim.capsule.calibration().expect("calibrated").folded.0;
+        sim.run(Command::Fold);
+        sim.forget();
+        for time in 0..8 {
+            sim.order(Command::Unfold);
+            for _ in 0..80 {
+                sim.tick();
+            }
+            sim.run(Command::Stop);
+            sim.run(again);
+            let state = sim.capsule.state();
+            assert_eq!(state, CapsuleState::Folded, "{seed} {again:?} {time}");
+            let off_um = sim.capsule.thread().0 - end_um;
+            assert!(
+                off_um.abs() < 250,
+                "{seed} {again:?} {time}: {off_um} um off"
+            );
+        }
+        let most_n = sim.plant.peak_force_n();
+        assert!(most_n < 9.0, "{seed} {again:?}: {most_n:.1} N");
+        sim.run(Command::Unfold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded);
+        assert!(sim.plant.extremes_mm().0 >= 0.0);
+    }
+}
+
 /// A counter that loses 0.06 mm in each cycle shifts the zero after a while. No single fold shows it.
 #[test]
 fn a_count_that_moves_pays_out_past_zero_no_more_than_another_friction() {

@@ -313,12 +313,11 @@ impl Capsule {
             (ActuationKind::Unfold, _) => pay_out(self.doubt),
             (ActuationKind::FoldTo, _) if target < self.thread() => pay_out(target),
             (ActuationKind::FoldTo, Some(end)) => wind(end, false, Some(target)),
-            (ActuationKind::Fold, Some(end)) => wind(end, false, None),
-            // At the folded end, the check pays out a little first. It then asks whether the end is where it should
-            // be.
-            (ActuationKind::CheckFolded, _) if matches!(self.mode, Mode::Folded) => {
+            // A thread that is taut already is felt; to wind it further, blind at first, would tighten it each time.
+            (ActuationKind::Fold | ActuationKind::CheckFolded, _) if self.stands_at_end() => {
                 self.feel_folded()
             }
+            (ActuationKind::Fold, Some(end)) => wind(end, false, None),
             (ActuationKind::CheckFolded, Some(end)) if self.referenced => wind(end, true, None),
             (ActuationKind::CheckFolded, _) => seek(Purpose::Check {
                 believed: self.was_folded,
@@ -347,7 +346,7 @@ impl Capsule {
             kind,
             leg,
             detector: Detector::new(leg.spooling(), from_us, self.sample.battery_mv),
-            from: Thread(self.thread().0.saturating_add(STOP_MARGIN.0)),
+            from: Thread(self.comes_back_to().0.saturating_add(STOP_MARGIN.0)),
             started_us: now_us,
             deadline_us: from_us.saturating_add(timeout_us),
             governor: Governor::default(),
@@ -377,6 +376,21 @@ impl Capsule {
         // Supervise at once: a leg that is already at its end never switches the motor on.
         self.supervise(now_us, actions);
         self.govern(now_us);
+    }
+
+    /// The thread is wound to its end, or further: an unfolding that was stopped at once has only wound a little.
+    fn stands_at_end(&self) -> bool {
+        let is_past = self.folded_end().is_some_and(|end| self.thread() >= end);
+        matches!(self.mode, Mode::Folded) || self.referenced && is_past
+    }
+
+    /// Where a thread that is felt is wound to again: a folded one to where it was, one that was wound further to its
+    /// end.
+    fn comes_back_to(&self) -> Thread {
+        match (&self.mode, self.folded_end()) {
+            (Mode::Stopped, Some(end)) => self.thread().min(end),
+            _ => self.thread(),
+        }
     }
 
     /// The motion that was just accepted is driven only from now on: something else had to be done first.
