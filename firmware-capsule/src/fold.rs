@@ -572,8 +572,12 @@ impl Capsule {
                         if actuation.leg.measures_tension() {
                             return Err(CapsuleFault::SlipOrBreak);
                         }
-                        // Allow the largest end force: friction must not end the way back.
-                        actuation.settings = self.settings.with_force(FRICTION_FORCE.1);
+                        // Allow the largest end force: friction must not end the way back. It is as slow as near the end
+                        // from its start: a motor that is braked for that late has no reading when it is back.
+                        actuation.settings = Settings {
+                            near_ma: (0, 0),
+                            ..self.settings.with_force(FRICTION_FORCE.1)
+                        };
                         Leg::Wind {
                             end: end.unwrap_or_default(),
                             careful: true,
@@ -615,7 +619,7 @@ impl Capsule {
         // The old leg's effort must not drive this one, should an order come before the next reading.
         actuation.effort = Effort::Brake;
         actuation.circuit = Circuit::default();
-        actuation.near = false;
+        actuation.near = matches!(next, Leg::Wind { .. });
         actuation.slack_from = None;
         Ok(())
     }

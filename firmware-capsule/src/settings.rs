@@ -50,7 +50,7 @@ pub struct Settings {
     pub end_overrun: Thread,
     /// Allowed wandering of the folded end.
     pub drift: Thread,
-    /// Time limit of a fold, ms: the model motor takes 2 s, 2.8 s if its end is felt, and 4.4 s if something
+    /// Time limit of a fold, ms: the model motor takes 2 s, 2.9 s if its end is felt, and 4.4 s if something
     /// resists on the way.
     pub fold_timeout_ms: u32,
     /// Time limit of an unfolding, ms: the model motor takes 1.3 s, twice that with an almost empty battery.

@@ -372,3 +372,34 @@ fn a_reference_run_finds_an_end_beyond_the_longest_fold() {
     let wound_mm = snapped.plant.extremes_mm().1;
     assert!(wound_mm < f64::from(end_um) / 1e3 + 1.2, "{wound_mm} mm");
 }
+
+/// The way back of a check became slower where the thread pulls again. A motor that is braked for that reads nothing, and
+/// with little force was back before it read again: a healthy thread had slipped.
+#[test]
+fn a_check_with_little_force_reads_the_thread_until_it_is_back() {
+    for (force_ma, seed) in [(80, 0), (80, 1), (80, 2), (80, 3), (90, 18), (100, 9)] {
+        let values = Values::DEFAULT.with(SettingKey::EndForceMa, force_ma);
+        let settings = Settings::new(&values.expect("within its range")).expect("keeps the rules");
+        let mut sim = Simulation::new(Parameters::lifelike(seed), seed);
+        sim.capsule.set_settings(settings);
+        sim.run(Command::Calibrate);
+        sim.run(Command::Fold);
+        for after_ms in [0, 37, 74, 111] {
+            let mut sim = sim.clone();
+            for _ in 0..after_ms {
+                sim.tick();
+            }
+            sim.run(Command::CheckFolded);
+            let state = sim.capsule.state();
+            assert_eq!(state, CapsuleState::Folded, "{force_ma} mA, {seed}");
+        }
+        sim.plant.suffer(Defect::Slip(2.0));
+        sim.run(Command::CheckFolded);
+        let fault = sim.capsule.fault();
+        assert_eq!(
+            fault,
+            Some(CapsuleFault::SlipOrBreak),
+            "{force_ma} mA, {seed}"
+        );
+    }
+}
