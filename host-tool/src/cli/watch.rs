@@ -123,7 +123,7 @@ pub(crate) fn watch(
                 places,
                 shared,
                 leaving: &leaving,
-                met: Cell::new(0),
+                met: Cell::default(),
             };
             scope.spawn(move || feed.follow());
         }

@@ -1,7 +1,7 @@
 //! Keeps one machine's panel up to date on a thread of its own, and sends the orders of the keys.
 
 use std::cell::Cell;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -51,6 +51,8 @@ pub(crate) struct Shared {
     /// Stops ordered by keys, with those that are not confirmed yet.
     stops: Arc<Stops>,
     asks: Mutex<Vec<Ask>>,
+    /// Stops over lines of their own: begun and ended. Each leaves a mark, which a connection then meets.
+    direct: [AtomicU32; 2],
     /// Stops that were given up, with their results.
     given_up: Mutex<Vec<(Ask, Told)>>,
 }
@@ -65,6 +67,7 @@ impl Shared {
             paces: Mutex::default(),
             stops: Arc::default(),
             asks: Mutex::default(),
+            direct: Default::default(),
             given_up: Mutex::default(),
         }
     }
@@ -159,7 +162,10 @@ impl Shared {
         };
         let asks = self.asks().clone();
         let target = self.target();
+        let [begun, ended] = &self.direct;
+        begun.fetch_add(1, Ordering::SeqCst);
         let told = target.told(places.urgent(&target, urgent));
+        ended.fetch_add(1, Ordering::SeqCst);
         if told.delivery == Delivery::Stopped {
             self.confirmed(urgent, asked);
             self.tell(confirmed(urgent));
@@ -174,6 +180,12 @@ impl Shared {
             self.given_up().push((ask, told.clone()));
         }
         self.tell(Notice::Bad(notice));
+    }
+
+    /// Numbers of the stops by this program until now: ordered, begun and ended over a line of their own.
+    fn own_stops(&self, asked: u64) -> (u64, [u32; 2]) {
+        let direct = self.direct.each_ref();
+        (asked, direct.map(|count| count.load(Ordering::SeqCst)))
     }
 
     fn interrupt(&self) -> Interrupt {
@@ -200,9 +212,9 @@ pub(crate) struct Feed<'a> {
     pub(crate) shared: &'a Shared,
     /// The person leaves.
     pub(crate) leaving: &'a AtomicBool,
-    /// Number of the last stop of this program that a connection has met. A new connection meets the mark of one that
-    /// was confirmed over a line of its own.
-    pub(crate) met: Cell<u64>,
+    /// Stops of this program that a connection has met. A new connection meets the mark of one that was confirmed over
+    /// a line of its own.
+    pub(crate) met: Cell<(u64, [u32; 2])>,
 }
 
 impl Feed<'_> {
@@ -333,7 +345,9 @@ impl Feed<'_> {
         // The stop that was sent may be older or weaker than the last one ordered.
         let stops = &self.shared.stops;
         let (unconfirmed, asked) = stops.with(|stops| (stops.unconfirmed(), stops.asked()));
-        let is_own = self.met.replace(asked) < asked;
+        let own = self.shared.own_stops(asked);
+        let [begun, ended] = own.1;
+        let is_own = self.met.replace(own) != own || begun != ended;
         if let Some(urgent) = unconfirmed {
             device.urgent(urgent)?;
             self.shared.confirmed(urgent, asked);
