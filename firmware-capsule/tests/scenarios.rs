@@ -430,7 +430,7 @@ fn a_caught_thread_is_not_taken_for_a_folded_origami() {
                 "{:?}",
                 sim.capsule.fault()
             );
-            // What a first calibration has wound can be paid out again.
+            // The thread that a first calibration has wound can be paid out again.
             assert_eq!(sim.capsule.referenced(), calibration.is_none());
             assert!(sim.plant.extremes_mm().0 >= 0.0, "paid out past zero");
         }

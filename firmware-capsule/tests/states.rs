@@ -229,8 +229,8 @@ fn cut_short(sim: &mut Simulation, how: usize) {
     }
 }
 
-/// What a calibration has wound before it was stopped became part of the unfolded end of the next one, and `Unfolded` was
-/// not true any more.
+/// Thread that a calibration had wound before it was stopped became part of the unfolded end of the next one, and
+/// `Unfolded` was not true any more.
 #[test]
 fn a_calibration_that_is_cut_short_leaves_no_thread_behind() {
     let new = Simulation::nominal();

@@ -465,6 +465,17 @@ impl Judge {
         self.order = Some(order);
     }
 
+    /// It began where the folded end may be by now.
+    fn began_at_end(&self, order: &Order) -> bool {
+        let began_um = self.zero.map(|zero| um(order.start.wrapping_sub(zero)));
+        began_um
+            .zip(self.folded_um)
+            .is_some_and(|(began_um, folded_um)| {
+                // A reference run may believe it this much shorter.
+                began_um >= folded_um - 1_300
+            })
+    }
+
     /// Paying out needs thread that is known to be wound.
     fn pays_out(&self, order: &Order) {
         let count = self.counts[0];
@@ -472,6 +483,8 @@ impl Judge {
         let thread_um = self.zero.map(|zero| um(count.wrapping_sub(zero)));
         let explained = match (order.kind, thread_um) {
             _ if order.leapt => true,
+            // One that begins at the folded end feels the thread as a check does.
+            (ActuationKind::Fold, Some(_)) if self.began_at_end(order) => wound_um > -CHECKED_UM,
             // At the folded end it may feel whether the thread pulls.
             (ActuationKind::Fold, _) => um(order.top.wrapping_sub(count)) < CHECKED_UM + FELT_UM,
             (ActuationKind::Calibrate, _) => wound_um > 0,
