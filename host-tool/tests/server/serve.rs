@@ -635,6 +635,29 @@ fn a_page_that_opens_at_rest_is_not_told_that_something_moves() {
     server.end_of(&begun.json()["action"]);
 }
 
+/// Regression: it was told anew four times a second, and took the place of every other message.
+#[test]
+fn a_held_run_of_a_process_that_was_killed_is_told_once() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut run = bench.run(&["--cycles", "1", "--stroke-mm", "130", "--duration-s", "600"]);
+    bench.wait_for("Run");
+    let (code, _, err) = bench.retrograde(&["hold"]);
+    assert_eq!(code, Some(0), "{err}");
+    run.kill().expect("killed");
+    run.wait().expect("ends");
+    let server = Server::start(&bench);
+    let notice = |state: &Value| state["machines"]["rig"]["notice"].clone();
+    let is_told = |state: &Value| {
+        let notice = notice(state);
+        notice["text"]
+            .as_str()
+            .is_some_and(|text| text.contains("is not over"))
+    };
+    let told = notice(&server.until("the held run", is_told));
+    thread::sleep(Duration::from_secs(1));
+    assert_eq!(notice(&server.state()), told);
+}
+
 /// The paper's run, much shortened.
 fn short_run() -> Value {
     json!({ "cycles": 1, "stroke_mm": 20, "duration_s": 6, "note": "short" })
