@@ -265,7 +265,9 @@ impl Feed<'_> {
     /// Connects and follows until the connection is lost, the person leaves, or another process needs the line.
     fn connection(&self) -> Result<(), Failure> {
         let places = self.places;
-        *self.shared.doorway() = places.connector.doorway(&self.shared.address);
+        // Not behind the lock: a key would wait for the look-up.
+        let doorway = places.connector.doorway(&self.shared.address);
+        *self.shared.doorway() = doorway;
         let mut device = places.open(self.shared.kind, &self.shared.address, Purpose::Watch)?;
         // Fail fast, so that keys are handled between two requests.
         device.ask_once(true);
