@@ -19,7 +19,11 @@ fn get(capsule: &mut CapsuleRun, key: SettingKey) -> u32 {
     got.value
 }
 
-fn set(capsule: &mut CapsuleRun, key: SettingKey, value: u32) -> Result<Setting, Refusal> {
+pub(crate) fn set(
+    capsule: &mut CapsuleRun,
+    key: SettingKey,
+    value: u32,
+) -> Result<Setting, Refusal> {
     match capsule.device.call(Setting { key, value }) {
         Ok(setting) => Ok(setting),
         Err(ClientError::Refused { refusal, .. }) => Err(refusal),
@@ -32,7 +36,10 @@ fn name(capsule: &mut CapsuleRun) -> String {
     got.name.as_str().to_owned()
 }
 
-fn fold_to(capsule: &mut CapsuleRun, thread_um: i32) -> Result<ActuationRecord, Refusal> {
+pub(crate) fn fold_to(
+    capsule: &mut CapsuleRun,
+    thread_um: i32,
+) -> Result<ActuationRecord, Refusal> {
     match capsule.device.call(FoldTo { thread_um }) {
         Ok(accepted) => Ok(capsule
             .device

@@ -6,6 +6,7 @@ mod common;
 mod accepted;
 mod campaign;
 mod capsule;
+mod capsule_ends;
 mod capsule_settings;
 mod cli;
 mod clock;
