@@ -207,7 +207,10 @@ mod anything {
                     let found_elsewhere =
                         match before {
                             RigState::Held => matches!(asked, Command::Resume | Command::Button(_)),
-                            RigState::Ready => position != self.rest,
+                            RigState::Ready => {
+                                position != self.rest
+                                    && !matches!(asked, Command::Home | Command::Stop)
+                            }
                             _ => false,
                         } && matches!(self.machine.fault(), Some(RigFault::ReadBack { .. }));
                     let lost_at_0 = before == RigState::Ready

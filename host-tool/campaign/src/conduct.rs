@@ -411,8 +411,7 @@ impl<'a> Conduct<'a> {
 
     // Questions.
 
-    /// Tells of a stop that came since the last call: what was ordered before it does not begin. Without a person there
-    /// is nobody to order it again.
+    /// Tells of a stop that came since the last call: what was ordered before it does not begin.
     fn heed_stop(&mut self) -> Result<Then, Broken> {
         let Some(urgent) = self.machines.take_stop()? else {
             return Ok(Then::Go);
@@ -423,10 +422,15 @@ impl<'a> Conduct<'a> {
                 "  an emergency stop came meanwhile: nothing begins before `retrograde ack`"
             }
         });
-        Ok(match self.desk.is_person() {
+        Ok(self.look_again())
+    }
+
+    /// A person looks, and answers anew. With nobody there the same answer would come at once, without end.
+    fn look_again(&self) -> Then {
+        match self.desk.is_person() {
             true => Then::Look,
             false => Then::Leave,
-        })
+        }
     }
 
     /// Asks until the answer is clear. None: the operator leaves.

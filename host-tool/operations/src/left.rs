@@ -53,6 +53,28 @@ pub fn end_record(device: &mut Device, now: Timestamp) -> Result<Option<String>,
     Ok(Some(said))
 }
 
+/// Ends the record for an owner of the line that looks again and again, and tells of it once.
+#[derive(Debug, Default)]
+pub struct Once(Option<String>);
+
+impl Once {
+    /// As [`end_record`], without a message that is the same as the last one.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn end_record(
+        &mut self,
+        device: &mut Device,
+        now: Timestamp,
+    ) -> Result<Option<String>, ClientError> {
+        let said = end_record(device, now)?.filter(|said| self.0.as_ref() != Some(said));
+        if said.is_some() {
+            self.0.clone_from(&said);
+        }
+        Ok(said)
+    }
+}
+
 /// Whether the record is one of a campaign, which completes its own when it is resumed: CAMPAIGN/trials/ATTEMPT/RECORD.
 fn is_of_a_campaign(sidecar: &Path) -> bool {
     let has = |folder: &Path, name: &str| folder.join(name).exists();

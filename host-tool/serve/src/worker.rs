@@ -222,7 +222,7 @@ impl Worker<'_> {
 
     fn watch(&self, device: &mut Device, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let mut asked_us = None;
-        let mut of_left = None;
+        let mut left = left::Once::default();
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
@@ -237,11 +237,9 @@ impl Worker<'_> {
             self.settle(device)?;
             if asked_us == Some(now_us)
                 && !self.machine.panel().moves()
-                && let Some(said) = left::end_record(device, self.places.connector.now())?
-                && of_left.as_ref() != Some(&said)
+                && let Some(said) = left.end_record(device, self.places.connector.now())?
             {
-                self.board.notice(self.machine, Notice::Bad(said.clone()));
-                of_left = Some(said);
+                self.board.notice(self.machine, Notice::Bad(said));
             }
             let order = waiting.take().or_else(|| self.orders.try_recv().ok());
             if let Some(order) = order {

@@ -277,13 +277,11 @@ impl View<'_, '_> {
     }
 
     fn pace(&self, pace: Pace) {
-        // Only the rig has runs to hold and resume.
-        let mut rigs = self
-            .machines
-            .iter()
-            .filter(|machine| machine.kind == DeviceKind::Rig);
-        if let Some(rig) = rigs.next() {
-            rig.pace(pace);
+        for machine in self.machines {
+            // Only the rig has runs to hold and resume.
+            if machine.kind == DeviceKind::Rig {
+                machine.pace(pace);
+            }
         }
     }
 }

@@ -97,6 +97,9 @@ fn with_json(text: &str, pointer: &str, value: serde_json::Value) -> String {
 
 type Change<'a> = (&'a str, &'a dyn Fn(&str) -> String, &'a str);
 
+/// Changes that leave the record of the motion true.
+const GAPS: [&str; 3] = ["another end", "its thread", "its duration"];
+
 fn expect_damage(sidecar: &Path, in_csv: &[Change<'_>], in_json: &[Change<'_>]) {
     let clean = report::html(&found(sidecar), &[]).expect("a page");
     assert_eq!(clean.damaged, []);
@@ -116,11 +119,11 @@ fn expect_damage(sidecar: &Path, in_csv: &[Change<'_>], in_json: &[Change<'_>]) 
                 !html.contains("<span class=\"ok\">"),
                 "{name}: nothing is green"
             );
-            let said = [
-                "the record contradicts itself",
-                "a part of the telemetry is missing",
-            ];
-            assert!(said.iter().any(|said| html.contains(said)), "{name}");
+            let said = match GAPS.contains(name) {
+                true => "a part of the telemetry is missing",
+                false => "the record contradicts itself",
+            };
+            assert!(html.contains(said), "{name}");
         }
     }
 }

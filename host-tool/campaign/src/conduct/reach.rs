@@ -36,11 +36,7 @@ impl Conduct<'_> {
     /// Whether something may move after Enter: the machines answer, and no stop came while the question waited.
     pub(super) fn may_move(&mut self) -> Result<Then, Broken> {
         if !self.is_reached()? {
-            // With nobody there Enter would try again at once, without end.
-            return Ok(match self.desk.is_person() {
-                true => Then::Look,
-                false => Then::Leave,
-            });
+            return Ok(self.look_again());
         }
         // A stop is noticed with the next frame.
         self.machines.rig.rig_status()?;

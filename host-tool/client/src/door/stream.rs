@@ -82,7 +82,7 @@ impl Stream {
     /// of an owner that is frozen, and behind a full one the system would wait for ever.
     ///
     /// # Errors
-    /// Nobody listens; or [`io::ErrorKind::WouldBlock`], the queue is full.
+    /// [`io::ErrorKind::WouldBlock`] if the queue is full; the system's if no owner listens.
     pub fn connect(socket: &Path, port: Option<u16>) -> io::Result<Self> {
         let Some(port) = port else {
             #[cfg(unix)]

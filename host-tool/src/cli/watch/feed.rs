@@ -227,21 +227,19 @@ impl Feed<'_> {
     /// Watches until the person leaves, and reconnects whenever the line is lost.
     fn keep_connected(&self) {
         while !self.is_leaving() {
-            let result = self.connection();
-            let (failure, pause) = match result {
+            let failure = match self.connection() {
                 Ok(()) if self.is_leaving() => return,
                 // Another process waits for the line.
-                Ok(()) => (None, AGAIN),
+                Ok(()) => {
+                    self.leave_line_for(AGAIN);
+                    continue;
+                }
                 // The owner's command has ended, so the line is free.
                 Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
-                    (None, LEFT_TO_OTHERS)
+                    self.leave_line_for(LEFT_TO_OTHERS);
+                    continue;
                 }
-                Err(failure) => (Some(failure), AGAIN),
-            };
-            let Some(failure) = failure else {
-                self.shared.stop_directly(self.places);
-                thread::sleep(pause);
-                continue;
+                Err(failure) => failure,
             };
             // Said first: from now on a key sends its stop itself, while this thread may wait for another one.
             let mut panel = self.shared.panel();
@@ -256,6 +254,11 @@ impl Feed<'_> {
                 thread::sleep(Duration::from_millis(10));
             }
         }
+    }
+
+    fn leave_line_for(&self, pause: Duration) {
+        self.shared.stop_directly(self.places);
+        thread::sleep(pause);
     }
 
     fn is_leaving(&self) -> bool {
@@ -296,7 +299,7 @@ impl Feed<'_> {
             self.shared.tell(Notice::Bad(NOT_SENT.to_owned()));
         }
         let mut asked_us = None;
-        let mut of_left = None;
+        let mut left = left::Once::default();
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
@@ -315,11 +318,9 @@ impl Feed<'_> {
             }
             if asked_us == Some(now_us)
                 && !self.shared.panel().moves()
-                && let Some(said) = left::end_record(device, self.places.connector.now())?
-                && of_left.as_ref() != Some(&said)
+                && let Some(said) = left.end_record(device, self.places.connector.now())?
             {
-                self.shared.tell(Notice::Bad(said.clone()));
-                of_left = Some(said);
+                self.shared.tell(Notice::Bad(said));
             }
             for (pace, mark) in std::mem::take(&mut *self.shared.paces()) {
                 device.ordered_at(mark);
