@@ -140,6 +140,8 @@ pub struct World {
     pub end: i32,
     /// Thread from the unfolded to the folded end, um.
     pub folded_um: i32,
+    /// Readings of a slack thread: its current is measured from 9 on.
+    pub slack_readings: usize,
     /// Direction of the present leg, 0 before the first; readings since its start; how finely it is read.
     along: i32,
     readings: usize,
@@ -158,6 +160,7 @@ impl World {
             counts,
             end: counts.wrapping_add(self::counts(folded_um)),
             folded_um,
+            slack_readings: 4,
             along: 0,
             readings: 0,
             fineness: 1,
@@ -216,7 +219,7 @@ impl World {
             (_, ..1_000) if self.readings == 0 => (20, 400),
             _ if self.readings == 0 => (100, 2_000),
             // The leg may be one that feels the thread, or makes room for that.
-            (1, 4_500..) if self.readings < 4 => (100, 4_000),
+            (1, 4_500..) if self.readings < self.slack_readings => (100, 4_000),
             (-1, _) if self.readings < 12 => (60, 3_000),
             (1, 4_500..) => ((left_um - 4_000) / dice.pick(&[1, 1, 1, 3]), 4_400),
             (1, 3_000..) => (300 / self.fineness, 3_500),
