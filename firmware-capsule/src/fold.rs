@@ -212,8 +212,9 @@ pub struct Capsule {
     brake_until_us: u64,
     no_load_ma: u16,
     calibration: Option<Calibration>,
-    /// Where a calibration has begun that was cut short, and nothing has moved since.
-    cut_short_from: Option<Counts>,
+    /// Where the thread was unfolded, as far as it was known before the position was lost without a defect: by an
+    /// emergency stop, or a run that was cut short.
+    unfolded_at: Option<Counts>,
     /// Internal resistance of the cell, as measured in the last motion under load.
     cell_milliohm: u32,
     /// The last motion before a reset or an emergency stop ended folded, and nothing has moved since.
@@ -248,7 +249,7 @@ impl Capsule {
             no_load_ma: calibration
                 .map_or(settings.no_load_ma, |calibration| calibration.no_load_ma),
             calibration,
-            cut_short_from: None,
+            unfolded_at: None,
             cell_milliohm: CELL_MILLIOHM,
             was_folded: folded.is_some(),
             drift: Drift::default(),
@@ -723,6 +724,12 @@ impl Capsule {
         );
         if keeps_position || fault == CapsuleFault::EStopFrame {
             self.cut_calibration_short();
+            if self.referenced {
+                self.unfolded_at = Some(self.zero);
+            }
+        } else {
+            // A thread that has slipped, or is exchanged now, is unfolded elsewhere.
+            self.unfolded_at = None;
         }
         self.referenced &= keeps_position;
         // Nothing has moved, and the fold was judged correctly.

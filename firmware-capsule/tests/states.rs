@@ -284,6 +284,71 @@ fn a_calibration_from_an_unknown_place_that_is_cut_short_is_referenced_first() {
     }
 }
 
+/// Thread that lay on the spool when a motion was broken off became part of the unfolded end of the next calibration.
+#[test]
+fn thread_that_is_wound_where_the_place_is_lost_is_not_taken_for_unfolded() {
+    type Loss = fn(&mut Simulation);
+    let losses: [(&str, Loss); 5] = [
+        ("emergency stop in a fold", |sim| {
+            sim.run_past(Command::Fold, 4.0);
+            sim.order(Command::EStop);
+        }),
+        ("emergency stop between the ends", |sim| {
+            sim.run(Command::FoldTo(Thread(4_000)));
+            sim.order(Command::EStop);
+        }),
+        ("stop of a reference run", |sim| {
+            sim.run(Command::FoldTo(Thread(4_000)));
+            sim.run_past(Command::Reference, 5.0);
+            sim.order(Command::Stop);
+        }),
+        ("emergency stop of a reference run", |sim| {
+            sim.run(Command::FoldTo(Thread(4_000)));
+            sim.run_past(Command::Reference, 5.0);
+            sim.order(Command::EStop);
+        }),
+        ("stop of a reference run after an emergency stop", |sim| {
+            sim.run_past(Command::Fold, 4.0);
+            sim.order(Command::EStop);
+            sim.settle();
+            sim.order(Command::Acknowledge);
+            sim.run_past(Command::Reference, 5.0);
+            sim.order(Command::Stop);
+        }),
+    ];
+    for (name, lose) in losses {
+        let mut sim = sim_in(CapsuleState::Unfolded);
+        lose(&mut sim);
+        sim.settle();
+        if sim.capsule.fault().is_some() {
+            sim.order(Command::Acknowledge);
+        }
+        assert_eq!(sim.capsule.state(), CapsuleState::Unreferenced, "{name}");
+        let left_um = thread_that_is_left(&mut sim, Command::Calibrate);
+        assert!((3_900..5_700).contains(&left_um), "{name}: {left_um} um");
+        sim.run(Command::Reference);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded, "{name}");
+        sim.run(Command::Calibrate);
+        let found = sim.capsule.calibration().expect("calibrated").folded.0;
+        assert!(found.abs_diff(21_500) < 300, "{name}: {found} um");
+    }
+}
+
+/// A thread that was exchanged has another place: what a defect has left does not stand in the way of a calibration.
+#[test]
+fn a_defect_forgets_where_the_thread_was_unfolded() {
+    let mut sim = sim_in(CapsuleState::Unfolded);
+    sim.run_past(Command::Fold, 4.0);
+    sim.order(Command::EStop);
+    sim.settle();
+    sim.order(Command::Acknowledge);
+    sim.plant.suffer(Defect::Encoder);
+    sim.run(Command::Reference);
+    assert_eq!(sim.capsule.fault(), Some(CapsuleFault::EncoderLost));
+    sim.order(Command::Acknowledge);
+    sim.order(Command::Calibrate);
+}
+
 /// A capsule that a person has taken for unfolded is folded: nothing was wound, so nothing is known.
 #[test]
 fn a_calibration_that_has_hardly_wound_anything_tells_no_place() {

@@ -144,7 +144,7 @@ impl Capsule {
             _ if actuation.found.is_some() && !actuation.calibrated => self.zero,
             _ => return,
         };
-        self.cut_short_from = Some(origin);
+        self.unfolded_at = Some(origin);
         if actuation.zero_known {
             self.referenced = true;
         } else if self.calibration.is_none() && self.wound_since(origin) >= WOUND {
@@ -161,11 +161,11 @@ impl Capsule {
     /// Refuses a calibration while thread is on the spool, as far as it is known: the calibration would take it for part
     /// of the unfolded end. An unfolding or a reference run pays it out.
     fn may_calibrate(&self) -> Result<(), Refusal> {
-        let wound = match (&self.mode, self.cut_short_from) {
+        let wound = match (&self.mode, self.unfolded_at) {
             (Mode::Folded | Mode::Stopped, _) => self.thread(),
             // Without a calibration only a hand can help, and what it does is not seen.
-            (Mode::Unreferenced, Some(origin)) if self.calibration.is_some() => {
-                self.wound_since(origin)
+            (Mode::Unreferenced, Some(zero)) if self.calibration.is_some() => {
+                self.wound_since(zero)
             }
             _ => Thread(0),
         };
@@ -338,7 +338,12 @@ impl Capsule {
                 self.no_load_ma = calibration.no_load_ma;
             }
         }
-        (self.was_folded, self.cut_short_from) = (false, None);
+        self.was_folded = false;
+        if calibrates {
+            self.unfolded_at = None;
+        } else if zero_known {
+            self.unfolded_at = Some(self.zero);
+        }
         self.offset_before_ma = self.sample.offset_ma;
         let from_us = now_us.max(self.brake_until_us);
         let timeout_us = u64::from(self.timeout_ms(kind)) * 1_000;

@@ -334,7 +334,9 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
             field: Field::ThreadUm,
             min: 0,
             ..
-        } => "`retrograde unfold`: a calibration begins unfolded",
+        } => {
+            "`retrograde unfold`, or `retrograde capsule reference` after a stop: a calibration begins unfolded"
+        }
         _ => return None,
     })
 }
