@@ -1,10 +1,12 @@
 //! Common parts of both machines' control: its surroundings, and the requests that both answer alike.
 
-use crate::retained::EStop;
+use crate::{retained::EStop, settings::Values};
+use heapless::String;
 use protocol::{
     error::{Field, Refusal},
     events::EventRing,
-    system::{Chip, Done, Event, LastWords, SetTelemetry},
+    settings::{GetSetting, MAX_NAME, Name, Setting, SettingRule},
+    system::{Chip, DeviceKind, Done, Event, LastWords, SetTelemetry},
     table::{Reply, Request, Response},
 };
 
@@ -24,11 +26,29 @@ pub trait Surroundings {
     fn tell(&mut self, event: &Event);
 }
 
-/// Work left after a request, besides the machine's actions. `C` is a change of the data in flash.
+/// A change of the settings in flash. `S` is what the machine makes of all values.
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Effect<C> {
+pub enum Change<S> {
+    /// One value.
+    Value {
+        /// The value as accepted.
+        setting: Setting,
+        /// The settings with it.
+        settings: S,
+    },
+    /// The machine's name.
+    Name(String<MAX_NAME>),
+    /// The defaults of all values and of the name.
+    Reset,
+}
+
+/// Work left after a request, besides the machine's actions.
+// One exists at a time, on the stack.
+#[allow(clippy::large_enum_variant)]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Effect<S> {
     /// Nothing.
     None,
     /// Change the interval of telemetry.
@@ -39,23 +59,23 @@ pub enum Effect<C> {
     /// Record that a fault was acknowledged.
     Acknowledged,
     /// Write this to flash, then put it into force.
-    Store(C),
+    Store(Change<S>),
 }
 
 /// Outcome of a request.
 #[derive(Clone, Debug)]
-pub struct Executed<A, C> {
+pub struct Executed<A, S> {
     /// Answer for the host.
     pub reply: Reply,
     /// Actions of the state machine.
     pub actions: A,
     /// Work besides these.
-    pub effect: Effect<C>,
+    pub effect: Effect<S>,
 }
 
-impl<A, C> Executed<A, C> {
+impl<A, S> Executed<A, S> {
     /// Outcome of a request that was answered or refused.
-    pub fn new(answer: Result<(Response, Effect<C>), Refusal>, actions: A) -> Self {
+    pub fn new(answer: Result<(Response, Effect<S>), Refusal>, actions: A) -> Self {
         let (reply, effect) = match answer {
             Ok((response, effect)) => (Reply::Accepted(response), effect),
             Err(refusal) => (Reply::Refused(refusal), Effect::None),
@@ -71,20 +91,36 @@ impl<A, C> Executed<A, C> {
 /// Data for answering the common requests.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
+    /// Which machine this is.
+    pub kind: DeviceKind,
     /// Events so far.
     pub events: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
     /// Clock, supply and option bytes.
     pub chip: Chip,
+    /// Settings as single values.
+    pub values: &'a Values,
+    /// The machine's name.
+    pub name: &'a str,
 }
 
 impl About<'_> {
-    /// Answers a request; none if it is not a common one.
+    /// Answers a request; none if it is not a common one. `may_change` tells whether the settings may be changed now,
+    /// and `settings` what follows from all values.
     ///
     /// # Errors
-    /// An interval out of range.
-    pub fn answer<C>(&self, request: &Request) -> Result<Option<(Response, Effect<C>)>, Refusal> {
+    /// An interval or a setting out of range, a setting that contradicts others, a name with control characters, or a
+    /// change at the wrong time.
+    // In its callers it takes 600 bytes more.
+    #[inline(never)]
+    pub fn answer<S>(
+        &self,
+        request: &Request,
+        may_change: impl FnOnce() -> Result<(), Refusal>,
+        settings: impl FnOnce(&Values) -> Result<S, SettingRule>,
+    ) -> Result<Option<(Response, Effect<S>)>, Refusal> {
+        let store = |response, change| Ok(Some((response, Effect::Store(change))));
         let response = match request {
             Request::KeepAlive(_) => Response::KeepAlive(Done),
             Request::GetLastWords(_) => Response::GetLastWords(LastWords {
@@ -105,6 +141,37 @@ impl About<'_> {
             }
             Request::GetChip(_) => Response::GetChip(self.chip),
             Request::GetEvents(get) => Response::GetEvents(self.events.since(get.from)),
+            Request::GetSetting(GetSetting { key }) if key.is_of(self.kind) => {
+                Response::GetSetting(Setting {
+                    key: *key,
+                    value: self.values.get(*key),
+                })
+            }
+            Request::GetName(_) => Response::GetName(Name {
+                name: self.name.try_into().unwrap_or_default(),
+            }),
+            Request::SetSetting(setting) if setting.key.is_of(self.kind) => {
+                may_change()?;
+                let (setting, key) = (*setting, setting.key);
+                let values = self.values.with(key, setting.value)?;
+                let settings =
+                    settings(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
+                let change = Change::Value { setting, settings };
+                return store(Response::SetSetting(setting), change);
+            }
+            Request::SetName(name) => {
+                may_change()?;
+                // A terminal would obey an escape sequence in the name.
+                if name.name.chars().any(char::is_control) {
+                    return Err(Refusal::NameNotPrintable);
+                }
+                let change = Change::Name(name.name.clone());
+                return store(Response::SetName(name.clone()), change);
+            }
+            Request::FactoryReset(_) => {
+                may_change()?;
+                return store(Response::FactoryReset(Done), Change::Reset);
+            }
             _ => return Ok(None),
         };
         Ok(Some((response, Effect::None)))

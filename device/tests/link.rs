@@ -2,9 +2,10 @@
 //! device answers in the same way.
 
 use device::{
-    common::{About, Effect, Executed},
+    common::{About, Change, Effect, Executed},
     identity::identity,
     service::{Answers, Inbound, Incoming, Return, Service},
+    settings::Values,
 };
 use proptest::prelude::*;
 use protocol::{
@@ -14,6 +15,7 @@ use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
     rig::{GetRigStatus, Hold, Home, Resume},
     session::CACHED_REPLIES,
+    settings::{Setting, SettingKey},
     system::{
         BrownOut, BuildProfile, Chip, Clock, DeviceKind, Done, GetChip, GetEvents, GetLastWords,
         Hello, Identity, KeepAlive, LastWords, ResetCause, SetTelemetry, Urgent, What,
@@ -455,16 +457,24 @@ const CHIP: Chip = Chip {
     option_bytes: 0x00FF_AAE9,
 };
 
+/// The answer of a machine whose settings may be changed.
+fn answer(about: &About<'_>, request: &Request) -> Result<Option<(Response, Effect<()>)>, Refusal> {
+    about.answer(request, || Ok(()), |_| Ok(()))
+}
+
 #[test]
 fn common_requests_have_one_answer_for_all_devices() {
     let events = events();
     for text in ["", "tasks/link.rs:1: oh"] {
         let about = About {
+            kind: DeviceKind::Rig,
             events: &events,
             last_words: text,
             chip: CHIP,
+            values: &Values::DEFAULT,
+            name: "",
         };
-        let answer = |request| match about.answer::<()>(&request).unwrap() {
+        let answer = |request| match answer(&about, &request).unwrap() {
             Some((response, effect)) => {
                 assert_eq!(effect, Effect::None);
                 Some(response)
@@ -498,15 +508,21 @@ fn common_requests_have_one_answer_for_all_devices() {
 fn the_interval_of_telemetry_has_bounds() {
     let events = EventRing::new();
     let about = About {
+        kind: DeviceKind::Rig,
         events: &events,
         last_words: "",
         chip: CHIP,
+        values: &Values::DEFAULT,
+        name: "",
     };
     assert_eq!(SetTelemetry::PERIOD_MS, (5, 1_000));
     for period_ms in [0, 5, 6, 999, 1_000] {
         let response = Response::SetTelemetry(SetTelemetry { period_ms });
-        let effect = Effect::<()>::Telemetry { period_ms };
-        assert_eq!(about.answer(&set(period_ms)), Ok(Some((response, effect))));
+        let effect = Effect::Telemetry { period_ms };
+        assert_eq!(
+            answer(&about, &set(period_ms)),
+            Ok(Some((response, effect)))
+        );
     }
     for period_ms in [1, 4, 1_001, u16::MAX] {
         let refusal = Refusal::OutOfRange {
@@ -515,17 +531,24 @@ fn the_interval_of_telemetry_has_bounds() {
             min: 5,
             max: 1_000,
         };
-        assert_eq!(about.answer::<()>(&set(period_ms)), Err(refusal));
+        assert_eq!(answer(&about, &set(period_ms)), Err(refusal));
     }
 }
 
 #[test]
 fn an_answer_has_its_effect_and_a_refusal_has_none() {
-    let accepted = Executed::new(Ok((Response::KeepAlive(Done), Effect::Store(3))), "actions");
+    let effect = Effect::Store(Change::Value {
+        setting: Setting {
+            key: SettingKey::LeadUm,
+            value: 3,
+        },
+        settings: (),
+    });
+    let accepted = Executed::new(Ok((Response::KeepAlive(Done), effect.clone())), "actions");
     let reply = Reply::Accepted(Response::KeepAlive(Done));
-    assert_eq!((accepted.reply, accepted.effect), (reply, Effect::Store(3)));
+    assert_eq!((accepted.reply, accepted.effect), (reply, effect));
     assert_eq!(accepted.actions, "actions");
-    let refused = Executed::<_, u8>::new(Err(Refusal::NotHomed), ());
+    let refused = Executed::<_, ()>::new(Err(Refusal::NotHomed), ());
     let reply = Reply::Refused(Refusal::NotHomed);
     assert_eq!((refused.reply, refused.effect), (reply, Effect::None));
 }

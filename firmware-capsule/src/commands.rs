@@ -7,19 +7,14 @@ use crate::{
     settings::Settings,
     trace::Recording,
 };
-use device::{
-    common::{About, Effect, Executed},
-    settings::Values,
-};
-use heapless::String;
+use device::common::{About, Effect, Executed};
 use protocol::{
     capsule::{
         ActuationAccepted, ActuationKind, CapsuleCalibration, CapsuleFault, CapsuleStatus,
         CapsuleTelemetry, CapsuleTotals,
     },
     error::Refusal,
-    settings::{GetSetting, MAX_NAME, Name, Setting},
-    system::{DeviceKind, Done},
+    system::Done,
     table::{Request, Response},
 };
 
@@ -29,10 +24,6 @@ pub struct Context<'a> {
     pub recording: &'a Recording,
     /// Totals kept in flash.
     pub totals: &'a Totals,
-    /// Settings as single values.
-    pub values: &'a Values,
-    /// The capsule's name.
-    pub name: &'a str,
     /// The motor has stood still for long enough.
     pub rests: bool,
     /// Device time.
@@ -41,28 +32,12 @@ pub struct Context<'a> {
     pub about: About<'a>,
 }
 
-/// A change of the flash's content.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Change {
-    /// A setting, and the limits that follow from all settings with it.
-    Value {
-        /// The setting.
-        setting: Setting,
-        /// The limits after the change.
-        settings: Settings,
-    },
-    /// The name.
-    Name(String<MAX_NAME>),
-    /// Everything to its default.
-    Reset,
-}
-
 /// Carries out one request. A query causes no actions.
 pub fn execute(
     request: Request,
     capsule: &mut Capsule,
     context: &Context<'_>,
-) -> Executed<Option<Actions>, Change> {
+) -> Executed<Option<Actions>, Settings> {
     let command = match request {
         Request::Reference(_) => Command::Reference,
         Request::Calibrate(_) => Command::Calibrate,
@@ -100,8 +75,9 @@ fn respond(
     query: Request,
     capsule: &Capsule,
     context: &Context<'_>,
-) -> Result<(Response, Effect<Change>), Refusal> {
-    if let Some(answer) = context.about.answer(&query)? {
+) -> Result<(Response, Effect<Settings>), Refusal> {
+    let may_change = || may_write(capsule, context);
+    if let Some(answer) = (context.about).answer(&query, may_change, Settings::new)? {
         return Ok(answer);
     }
     let response = match query {
@@ -109,37 +85,6 @@ fn respond(
         Request::GetActuationRecord(_) => Response::GetActuationRecord(capsule.record()),
         Request::GetTrace(get) => Response::GetTrace(context.recording.part(&get, capsule.zero())),
         Request::GetCapsuleTotals(_) => Response::GetCapsuleTotals(totals(capsule, context.totals)),
-        Request::GetSetting(GetSetting { key }) if key.is_of(DeviceKind::Capsule) => {
-            Response::GetSetting(Setting {
-                key,
-                value: context.values.get(key),
-            })
-        }
-        Request::SetSetting(setting) if setting.key.is_of(DeviceKind::Capsule) => {
-            may_write(capsule, context)?;
-            let key = setting.key;
-            let values = context.values.with(key, setting.value)?;
-            let settings =
-                Settings::new(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
-            let change = Change::Value { setting, settings };
-            return Ok((Response::SetSetting(setting), Effect::Store(change)));
-        }
-        Request::FactoryReset(_) => {
-            may_write(capsule, context)?;
-            return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
-        }
-        Request::GetName(_) => Response::GetName(Name {
-            name: context.name.try_into().unwrap_or_default(),
-        }),
-        Request::SetName(name) => {
-            may_write(capsule, context)?;
-            // An escape sequence in the name would control the reader's terminal.
-            if name.name.chars().any(char::is_control) {
-                return Err(Refusal::NameNotPrintable);
-            }
-            let change = Change::Name(name.name.clone());
-            return Ok((Response::SetName(name), Effect::Store(change)));
-        }
         // Only the rig's requests are left: the others are handled above, and a Hello by the session.
         _ => return Err(Refusal::WrongDevice),
     };

@@ -2,7 +2,7 @@
 //! stands for the rest of the capsule, so that host tests run the same code as the control task.
 
 use crate::calibration::Calibration;
-use crate::commands::{Change, Context};
+use crate::commands::Context;
 use crate::fold::{Actions, Command, Drive, Event};
 use crate::kept::{CALIBRATION, Kept, TOTALS, Totals};
 use crate::mechanics::Counts;
@@ -12,7 +12,7 @@ use crate::trace::Recording;
 use crate::{commands, fold};
 use device::retained::{EStop, Retained};
 use device::{
-    common::{About, Effect, Surroundings},
+    common::{About, Change, Effect, Surroundings},
     last_words::LastWords,
     service::Answers,
     settings::SettingsStore,
@@ -24,7 +24,7 @@ use protocol::{
     error::Refusal,
     events::EventRing,
     settings::SettingKey,
-    system::{ResetCause, Urgent, What},
+    system::{DeviceKind, ResetCause, Urgent, What},
     table::{Reply, Request},
 };
 
@@ -243,7 +243,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     }
 
     /// Changes the flash first, so that the values in force are those that the next start finds.
-    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
+    fn change(&mut self, change: Change<Settings>) -> Result<(), StorageFailed> {
         let (settings, event) = match change {
             Change::Value { setting, settings } => {
                 self.store.set(setting.key, setting.value)?;
@@ -272,14 +272,15 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
         let context = Context {
             recording: &self.recording,
             totals: &self.store.records().totals,
-            values: self.store.values(),
-            name: self.store.name(),
             rests: self.capsule.now_us().saturating_sub(self.resting.1) >= STANDS_US,
             now_us: self.capsule.now_us(),
             about: About {
+                kind: DeviceKind::Capsule,
                 events: &self.events,
                 last_words: &self.last_words,
                 chip: self.capsule.chip(),
+                values: self.store.values(),
+                name: self.store.name(),
             },
         };
         let ordered_us = context.now_us;

@@ -4,7 +4,7 @@ use capsule_plant::{Defect, Parameters};
 use device::common::{About, Effect};
 use device::settings::Values;
 use firmware_capsule::{
-    commands::{self, Change, Context},
+    commands::{self, Context},
     fold::{Capsule, Command, Drive, Event},
     mechanics::{Counts, Thread},
     sample::Sample,
@@ -443,17 +443,16 @@ fn nothing_starts_before_the_battery_was_measured() {
     ));
 }
 
-fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
+fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Settings>) {
     let ring = EventRing::new();
     let (recording, totals) = (Recording::new(), Totals::default());
     let context = Context {
         recording: &recording,
         totals: &totals,
-        values: &Values::DEFAULT,
-        name: "c-1",
         rests: !sim.capsule.is_moving(),
         now_us: sim.now_us,
         about: About {
+            kind: system::DeviceKind::Capsule,
             events: &ring,
             last_words: "it ended badly",
             chip: system::Chip {
@@ -462,6 +461,8 @@ fn reply(sim: &mut Simulation, request: Request) -> (Reply, Effect<Change>) {
                 supply_low: true,
                 option_bytes: 0x00FF_AAE5,
             },
+            values: &Values::DEFAULT,
+            name: "c-1",
         },
     };
     let executed = commands::execute(request, &mut sim.capsule, &context);

@@ -16,8 +16,8 @@ use motion::{
 use protocol::{
     error::{Field, Refusal},
     rig::{self, LinkLossPolicy, RigFault, RigHardware, RigHealth, RigStatus, RunTiming},
-    settings::{GetSetting, MAX_NAME, Name, Setting, SettingKey},
-    system::{DeviceKind, Done},
+    settings::SettingKey,
+    system::Done,
     table::{Request, Response},
 };
 
@@ -30,32 +30,10 @@ pub struct Context<'a> {
     pub stroke: u32,
     /// Data for the requests that both machines answer alike.
     pub about: About<'a>,
-    /// Settings, value by value.
-    pub values: &'a Values,
-    /// The rig's name.
-    pub name: &'a str,
     /// Counters, when they are asked for.
     pub health: Option<RigHealth>,
     /// Findings about the hardware, when they are asked for.
     pub hardware: Option<RigHardware>,
-}
-
-/// A change of the settings.
-// One exists at a time, on the stack.
-#[allow(clippy::large_enum_variant)]
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Change {
-    /// One value.
-    Value {
-        /// The value as accepted.
-        setting: Setting,
-        /// The settings with it.
-        settings: Settings,
-    },
-    /// The rig's name.
-    Name(heapless::String<MAX_NAME>),
-    /// The defaults of all values and of the name.
-    Reset,
 }
 
 /// Carries out one request.
@@ -63,7 +41,7 @@ pub fn execute(
     request: Request,
     machine: &mut Machine,
     context: &Context<'_>,
-) -> Executed<Actions, Change> {
+) -> Executed<Actions, Settings> {
     let mut actions = Actions::default();
     let answer = respond(request, machine, context, &mut actions);
     Executed::new(answer, actions)
@@ -75,8 +53,9 @@ fn respond(
     machine: &mut Machine,
     context: &Context<'_>,
     actions: &mut Actions,
-) -> Result<(Response, Effect<Change>), Refusal> {
-    if let Some(answer) = context.about.answer(&request)? {
+) -> Result<(Response, Effect<Settings>), Refusal> {
+    let may_change = || machine.may_change_settings();
+    if let Some(answer) = (context.about).answer(&request, may_change, Settings::new)? {
         return Ok(answer);
     }
     let mut command = |machine: &mut Machine, command| {
@@ -127,37 +106,6 @@ fn respond(
                 to_steps: to.0,
                 stroke: planning::stroke(&profile, &settings.axis),
             })
-        }
-        Request::GetSetting(GetSetting { key }) if key.is_of(DeviceKind::Rig) => {
-            Response::GetSetting(Setting {
-                key,
-                value: context.values.get(key),
-            })
-        }
-        Request::GetName(_) => Response::GetName(Name {
-            name: context.name.try_into().unwrap_or_default(),
-        }),
-        Request::SetSetting(setting) if setting.key.is_of(DeviceKind::Rig) => {
-            machine.may_change_settings()?;
-            let values = context.values.with(setting.key, setting.value)?;
-            let key = setting.key;
-            let settings =
-                Settings::new(&values).map_err(|rule| Refusal::SettingRule { key, rule })?;
-            let change = Change::Value { setting, settings };
-            return Ok((Response::SetSetting(setting), Effect::Store(change)));
-        }
-        Request::FactoryReset(_) => {
-            machine.may_change_settings()?;
-            return Ok((Response::FactoryReset(Done), Effect::Store(Change::Reset)));
-        }
-        Request::SetName(name) => {
-            machine.may_change_settings()?;
-            // A terminal would obey an escape sequence in the name.
-            if name.name.chars().any(char::is_control) {
-                return Err(Refusal::NameNotPrintable);
-            }
-            let change = Change::Name(name.name.clone());
-            return Ok((Response::SetName(name), Effect::Store(change)));
         }
         Request::GetRigHealth(_) => {
             Response::GetRigHealth(context.health.ok_or(Refusal::WrongDevice)?)

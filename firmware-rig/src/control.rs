@@ -2,13 +2,13 @@
 //! rest of the rig is a trait, so that the host tests run what the control task runs.
 
 use crate::{
-    commands::{Change, Context, execute, press_button},
+    commands::{Context, execute, press_button},
     execution::Order,
     machine::{Action, Actions, Command, Event, Machine, Now, PathEnd},
     settings::Settings,
 };
 use device::{
-    common::{About, Effect, Surroundings},
+    common::{About, Change, Effect, Surroundings},
     retained::{EStop, Retained},
     service::Answers,
     settings::SettingsStore,
@@ -21,7 +21,7 @@ use protocol::{
     events::EventRing,
     rig::{RigEvent, RigFault, RigHardware, RigHealth, RigState},
     settings::SettingKey,
-    system::{Clock, ResetCause, Urgent, What},
+    system::{Clock, DeviceKind, ResetCause, Urgent, What},
     table::{Impact, Reply, Request},
 };
 
@@ -182,7 +182,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     }
 
     /// Changes a setting, in flash first: the settings in force are always those that the next start will find.
-    fn change(&mut self, change: Change) -> Result<(), StorageFailed> {
+    fn change(&mut self, change: Change<Settings>) -> Result<(), StorageFailed> {
         match change {
             Change::Value { setting, settings } => {
                 self.settings.set(setting.key, setting.value)?;
@@ -336,12 +336,13 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
             now: self.rig.now(),
             stroke: self.rig.stroke(),
             about: About {
+                kind: DeviceKind::Rig,
                 events: &self.events,
                 last_words: self.left.last_words.as_deref().unwrap_or_default(),
                 chip: self.rig.chip(),
+                values: self.settings.values(),
+                name: self.settings.name(),
             },
-            values: self.settings.values(),
-            name: self.settings.name(),
             health: matches!(request, Request::GetRigHealth(_)).then(|| self.health()),
             hardware: matches!(request, Request::GetRigHardware(_)).then(|| self.rig.hardware()),
         };

@@ -1,11 +1,11 @@
 //! The protocol's requests on the machine: every row in every state, every refusal, every number of a reply.
 
 use device::{
-    common::{About, Effect, Executed},
+    common::{About, Change, Effect, Executed},
     settings::Values,
 };
 use firmware_rig::{
-    commands::{Change, Context, execute},
+    commands::{Context, execute},
     machine::{Command, Machine},
     settings::Settings,
 };
@@ -73,13 +73,14 @@ pub(crate) const HARDWARE: RigHardware = RigHardware {
 };
 
 /// Sends a request: the reply, what the caller has to do, and how many actions there are.
-fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
+fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Settings>, usize) {
     let mut events = EventRing::new();
     events.record(7, What::Booted(ResetCause::PowerOn));
     let context = Context {
         now: now(1_234, rig.ring.counted, rig.inputs()),
         stroke: 3,
         about: About {
+            kind: DeviceKind::Rig,
             events: &events,
             last_words: "tasks/link.rs:1: oh",
             chip: system::Chip {
@@ -88,9 +89,9 @@ fn send(rig: &mut Rig, request: Request) -> (Reply, Effect<Change>, usize) {
                 supply_low: true,
                 option_bytes: 0x00FF_AAE5,
             },
+            values: &Values::DEFAULT,
+            name: "left bench",
         },
-        values: &Values::DEFAULT,
-        name: "left bench",
         health: matches!(request, Request::GetRigHealth(_)).then_some(HEALTH),
         hardware: matches!(request, Request::GetRigHardware(_)).then_some(HARDWARE),
     };
@@ -291,7 +292,7 @@ fn refused_in(request: &Request, state: RigState) -> Option<Refusal> {
     }
 }
 
-fn expected_effect(request: &Request) -> Effect<Change> {
+fn expected_effect(request: &Request) -> Effect<Settings> {
     match request {
         Request::SetTelemetry(_) => Effect::Telemetry { period_ms: 10 },
         Request::Acknowledge(_) => Effect::Acknowledged,

@@ -7,11 +7,12 @@ use crate::capsule::{CapsuleRun, referenced, referenced_with, start, start_with}
 use crate::capsule_settings::{fold_to, set};
 use protocol::{
     capsule::{
-        ActuationOutcome, ActuationRecord, Calibrate, CapsuleState, CheckFolded, GetCapsuleTotals,
+        ActuationOutcome, ActuationRecord, Calibrate, CapsuleState, CheckFolded, Fold,
+        GetCapsuleTotals,
     },
     error::Refusal,
     settings::SettingKey,
-    system::Urgent,
+    system::{Acknowledge, Urgent},
 };
 use virtual_bench::plants::capsule::{Defect, Parameters};
 
@@ -79,6 +80,27 @@ fn a_calibration_that_was_stopped_is_unfolded_before_the_next() {
     assert_eq!(calibrated.outcome, ActuationOutcome::Complete);
     let end_um = capsule.folded_um();
     assert!(end_um.abs_diff(21_500) < 200, "{end_um} um");
+}
+
+/// What lies on the spool is known to be there, although the position is not trusted any more.
+#[test]
+fn a_calibration_after_an_emergency_stop_is_refused_while_thread_is_wound() {
+    let mut capsule = referenced();
+    capsule.rest();
+    capsule.device.call(Fold).expect("accepted");
+    while capsule.look(|capsule| capsule.wound_mm()) < 4.0 {
+        capsule.idle(10_000);
+    }
+    capsule.device.urgent(Urgent::EStop).expect("confirmed");
+    capsule.rest();
+    capsule.device.call(Acknowledge).expect("accepted");
+    assert_eq!(capsule.state(), (CapsuleState::Unreferenced, None, false));
+    let refused = capsule.calibrate().expect_err("thread is wound");
+    assert!(matches!(refused, Refusal::OutOfRange { .. }), "{refused:?}");
+    let accepted = capsule.device.reference().expect("accepted");
+    let ended = capsule.device.wait_actuation(&accepted, &mut Unobserved);
+    assert_eq!(ended.expect("it ends").outcome, ActuationOutcome::Complete);
+    assert_eq!(capsule.state(), (CapsuleState::Unfolded, None, true));
 }
 
 /// The setting is about calibrations, not about the one in force.
