@@ -264,6 +264,28 @@ fn a_calibration_that_is_cut_short_leaves_no_thread_behind() {
     }
 }
 
+/// It has found the end, and has not measured the tension: the calibration is not in force, and its zero is known.
+#[test]
+fn a_calibration_that_is_stopped_after_its_end_is_unfolded_before_the_next() {
+    for mut sim in [Simulation::nominal(), sim_in(CapsuleState::Unfolded)] {
+        let kept = sim.kept;
+        sim.order(Command::Calibrate);
+        while !matches!(sim.capsule.drive(), Drive::Millivolts(..0)) {
+            assert!(sim.capsule.is_moving());
+            sim.tick();
+        }
+        sim.order(Command::Stop);
+        sim.settle();
+        assert_eq!(sim.kept, kept, "in force");
+        assert_eq!(sim.capsule.state(), CapsuleState::Stopped, "{kept:?}");
+        let left_um = thread_that_is_left(&mut sim, Command::Calibrate);
+        assert!((20_500..22_000).contains(&left_um), "{left_um} um");
+        sim.run(Command::Unfold);
+        assert_eq!(sim.capsule.state(), CapsuleState::Unfolded, "{kept:?}");
+        assert!(sim.plant.extremes_mm().0 >= 0.0, "{kept:?}");
+    }
+}
+
 /// Where it began may not have been unfolded: a person has said so, and a reference run finds out.
 #[test]
 fn a_calibration_from_an_unknown_place_that_is_cut_short_is_referenced_first() {

@@ -111,6 +111,28 @@ fn a_fold_that_feels_its_force_early_may_go_on_to_more() {
     }
 }
 
+/// Friction may bring the half of the force forward by 2.25 mm, from 1.5 mm before the end.
+#[test]
+fn a_fold_that_begins_near_its_end_may_go_on_to_all_that_friction_takes() {
+    let capsule = moving(Mode::Unfolded, Thread(0), Command::Fold);
+    let settings = |left_um| {
+        capsule.settings_for(&Leg::Wind {
+            end: Thread(capsule.thread().0 + left_um),
+            careful: false,
+            short: None,
+        })
+    };
+    let usual = Settings::REFERENCE;
+    assert_eq!(settings(3_750), usual);
+    let expected = Settings {
+        end_tolerance: Thread(usual.end_tolerance.0 + 800),
+        near_ma: usual.near_ma,
+        ..usual.with_force(1_350)
+    };
+    assert_ne!(usual.with_force(1_350).near_ma, usual.near_ma);
+    assert_eq!(settings(3_749), expected);
+}
+
 /// 750 um are half of the calibrated rise.
 #[test]
 fn a_force_that_has_just_begun_says_nothing_of_the_friction() {
