@@ -15,7 +15,7 @@ use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
     rig::{GetRigStatus, Hold, Home, Resume},
     session::CACHED_REPLIES,
-    settings::{Setting, SettingKey},
+    settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{
         BrownOut, BuildProfile, Chip, Clock, DeviceKind, Done, GetChip, GetEvents, GetLastWords,
         Hello, Identity, KeepAlive, LastWords, ResetCause, SetTelemetry, Urgent, What,
@@ -502,6 +502,100 @@ fn common_requests_have_one_answer_for_all_devices() {
         // Requests of the machine itself.
         assert_eq!(answer(Request::GetRigStatus(GetRigStatus)), None);
     }
+}
+
+/// A rig's answer, where it may be changed now and its settings follow like this.
+fn of_rig(
+    request: &Request,
+    may_change: Result<(), Refusal>,
+    settings: Result<u8, SettingRule>,
+) -> Result<Option<(Response, Effect<u8>)>, Refusal> {
+    let about = About {
+        kind: DeviceKind::Rig,
+        events: &EventRing::new(),
+        last_words: "",
+        chip: CHIP,
+        values: &Values::DEFAULT,
+        name: "left bench",
+    };
+    about.answer(request, || may_change, |_| settings)
+}
+
+#[test]
+fn settings_and_name_are_told_and_changed_alike() {
+    let key = SettingKey::LeadUm;
+    let name = |name: &str| Name {
+        name: name.try_into().unwrap(),
+    };
+    let asked = |request| of_rig(&request, Err(Refusal::NotHomed), Ok(7)).unwrap();
+    let told = |response| Some((response, Effect::None));
+    assert_eq!(
+        asked(Request::GetName(GetName)),
+        told(Response::GetName(name("left bench")))
+    );
+    let value = key.range().default;
+    assert_eq!(
+        asked(Request::GetSetting(GetSetting { key })),
+        told(Response::GetSetting(Setting { key, value }))
+    );
+    let other = SettingKey::NoLoadMa;
+    assert_eq!(asked(Request::GetSetting(GetSetting { key: other })), None);
+    let of_capsule = Request::SetSetting(Setting {
+        key: other,
+        value: 16,
+    });
+    assert_eq!(asked(of_capsule), None);
+
+    let setting = Setting { key, value: 5_000 };
+    let settings = 7;
+    for (request, response, change) in [
+        (
+            Request::SetSetting(setting),
+            Response::SetSetting(setting),
+            Change::Value { setting, settings },
+        ),
+        (
+            Request::SetName(name("c-1")),
+            Response::SetName(name("c-1")),
+            Change::Name(name("c-1").name),
+        ),
+        (
+            Request::FactoryReset(FactoryReset),
+            Response::FactoryReset(Done),
+            Change::Reset,
+        ),
+    ] {
+        let changed = of_rig(&request, Ok(()), Ok(settings));
+        assert_eq!(changed, Ok(Some((response, Effect::Store(change)))));
+        let busy = of_rig(&request, Err(Refusal::NotHomed), Ok(settings));
+        assert_eq!(busy, Err(Refusal::NotHomed), "{request:?}");
+    }
+}
+
+#[test]
+fn a_setting_or_name_that_cannot_be_is_refused() {
+    let key = SettingKey::LeadUm;
+    let setting = |value| Request::SetSetting(Setting { key, value });
+    let refused = |request, rule| of_rig(&request, Ok(()), rule).unwrap_err();
+    let beyond = key.range().max + 1;
+    assert_eq!(
+        refused(setting(beyond), Ok(7)),
+        Refusal::SettingRange {
+            key,
+            requested: beyond
+        }
+    );
+    for rule in SettingRule::ALL {
+        assert_eq!(
+            refused(setting(5_000), Err(rule)),
+            Refusal::SettingRule { key, rule }
+        );
+    }
+    let name = "\u{1b}[2J".try_into().unwrap();
+    assert_eq!(
+        refused(Request::SetName(Name { name }), Ok(7)),
+        Refusal::NameNotPrintable
+    );
 }
 
 #[test]
