@@ -533,7 +533,7 @@ impl Capsule {
             return Ok(());
         };
         let next = match decided? {
-            Decision::Continue if now_us >= actuation.deadline_us => {
+            decision if decision.goes_on() && now_us >= actuation.deadline_us => {
                 return Err(CapsuleFault::Timeout);
             }
             Decision::Continue => return Ok(()),
@@ -723,10 +723,7 @@ impl Capsule {
             CapsuleFault::Jam { .. } | CapsuleFault::LowBattery { .. }
         );
         if keeps_position || fault == CapsuleFault::EStopFrame {
-            self.cut_calibration_short();
-            if self.referenced {
-                self.unfolded_at = Some(self.zero);
-            }
+            self.cut_short();
         } else {
             // A thread that has slipped, or is exchanged now, is unfolded elsewhere.
             self.unfolded_at = None;

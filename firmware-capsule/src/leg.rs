@@ -221,6 +221,16 @@ pub enum Decision {
     Arrived,
 }
 
+impl Decision {
+    /// The motion goes on, in this leg or in another.
+    pub fn goes_on(&self) -> bool {
+        matches!(
+            self,
+            Self::Continue | Self::Reverse(_) | Self::Felt(_) | Self::Careful(_)
+        )
+    }
+}
+
 /// Lowest speed at which a motor with this no-load current coasts over this many counts. Allows for a quarter less
 /// friction than measured.
 fn coasting_cps(counts: i32, no_load_ma: u16) -> i32 {

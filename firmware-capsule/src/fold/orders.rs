@@ -113,7 +113,7 @@ impl Capsule {
 
     pub(super) fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
         if self.is_moving() {
-            self.cut_calibration_short();
+            self.cut_short();
             let mode = self.resting_between_ends();
             self.end(now_us, mode, outcome, actions);
         }
@@ -128,10 +128,13 @@ impl Capsule {
         }
     }
 
-    /// Keeps what is known of the place where a calibration ends that is not in force yet. A known zero stays known.
-    /// Otherwise the beginning is the zero if there is no calibration, because nothing else can lead back to it; if
-    /// there is one, a reference run does, and tells whether the person was right.
-    pub(super) fn cut_calibration_short(&mut self) {
+    /// Keeps what is known of the place where a motion is cut short. In a calibration that is not in force yet a known
+    /// zero stays known. Otherwise the beginning is the zero if there is no calibration, because nothing else can lead
+    /// back to it; if there is one, a reference run does, and tells whether the person was right.
+    pub(super) fn cut_short(&mut self) {
+        if self.referenced {
+            self.unfolded_at = Some(self.zero);
+        }
         let Mode::Moving(actuation) = &self.mode else {
             return;
         };

@@ -1,7 +1,7 @@
 //! The state machine from inside: single readings of a motion, with the speeds and currents that they need.
 
 use super::*;
-use crate::circuit::Reading;
+use crate::{circuit::Reading, leg::Then};
 
 pub(super) const END: Thread = Thread(21_700);
 pub(super) const KNOWN: Calibration = Calibration {
@@ -122,6 +122,27 @@ fn a_motor_that_stands_while_it_feels_is_pulled() {
     assert_eq!(capsule.fault(), None);
     let leg = actuation(&mut capsule).leg;
     assert!(leg.measures_tension(), "{leg:?}");
+}
+
+/// Sequence 1,310,777 of `tests/sequences.rs`: a fold beyond its time became careful, then felt its thread.
+#[test]
+fn a_motion_whose_time_is_over_begins_no_other_leg() {
+    let mut capsule = moving(Mode::Folded, END, Command::Unfold);
+    let leg = Leg::BackOff {
+        to: capsule.sample.counts,
+        then: Then::PayOut {
+            to: Thread(0),
+            left: 0,
+        },
+    };
+    let mut late = capsule.clone();
+    for (capsule, deadline_us) in [(&mut capsule, u64::MAX), (&mut late, 0)] {
+        let actuation = actuation(capsule);
+        (actuation.leg, actuation.deadline_us) = (leg, deadline_us);
+        read(capsule, 0, 16);
+    }
+    assert!(matches!(actuation(&mut capsule).leg, Leg::Feel { .. }));
+    assert_eq!(late.fault(), Some(CapsuleFault::Timeout));
 }
 
 /// It has paid out all that it may, and was never steady enough for a reading: nothing shows that the thread holds.
