@@ -82,7 +82,7 @@ fn a_calibration_that_was_stopped_is_unfolded_before_the_next() {
     assert!(end_um.abs_diff(21_500) < 200, "{end_um} um");
 }
 
-/// What lies on the spool is known to be there, although the position is not trusted any more.
+/// Thread on the spool is known to be there, although the position is not trusted any more.
 #[test]
 fn a_calibration_after_an_emergency_stop_is_refused_while_thread_is_wound() {
     let mut capsule = referenced();
