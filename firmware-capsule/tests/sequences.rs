@@ -444,7 +444,10 @@ impl<'a> Watch<'a> {
             Input::Battery(battery_mv) => self.world.battery_mv = battery_mv,
             Input::Offset(offset_ma) => self.world.offset_ma = offset_ma,
             Input::Fold => self.world.fold(),
-            Input::Unfold => self.world.unfold(),
+            Input::Unfold => {
+                self.world.unfold();
+                self.judge.unfolded();
+            }
             Input::Creep(by_um) => self.world.creep(by_um),
             Input::Reset(cause, clock_failed) => self.reset(cause, clock_failed),
         }
