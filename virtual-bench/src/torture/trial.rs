@@ -402,7 +402,6 @@ impl<M: Victim> Trial<M> {
         self.see()
     }
 
-    /// The host is gone.
     /// Stops the external clock for this time. The emulator raises no NMI, and the break, by which the rig notices it as
     /// well, is masked from an opening of the E-stop loop to its acknowledgement: the clock does not stop then.
     fn stop_clock(&mut self, back_ns: u64) -> Result<(), End> {
@@ -421,6 +420,7 @@ impl<M: Victim> Trial<M> {
         Ok(())
     }
 
+    /// The host is gone.
     fn fall_silent(&mut self, us: u64) -> Result<(), End> {
         let timeout_ms = u64::from(self.kept.most(SettingKey::LinkTimeoutMs));
         self.judge.gone(timeout_ms * MS + NOTICED_NS);
