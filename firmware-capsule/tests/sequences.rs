@@ -444,10 +444,7 @@ impl<'a> Watch<'a> {
             Input::Battery(battery_mv) => self.world.battery_mv = battery_mv,
             Input::Offset(offset_ma) => self.world.offset_ma = offset_ma,
             Input::Fold => self.world.fold(),
-            Input::Unfold => {
-                self.world.unfold();
-                self.judge.unfolded();
-            }
+            Input::Unfold => self.world.unfold(),
             Input::Creep(by_um) => self.world.creep(by_um),
             Input::Reset(cause, clock_failed) => self.reset(cause, clock_failed),
         }
@@ -505,7 +502,7 @@ fn works(watch: &mut Watch<'_>, dice: &mut Dice) {
     }
     watch.world.unfold();
     // The current that an earlier calibration took for that of a slack thread may be wrong.
-    watch.world.slack_readings = 9;
+    watch.world.slack_um = 900;
     for (request, state) in [
         (Request::FactoryReset(FactoryReset), None),
         (Request::Calibrate(Calibrate), Some(CapsuleState::Unfolded)),

@@ -311,13 +311,6 @@ impl Judge {
         }
     }
 
-    /// A person unfolds it. In a motion the next reading is farther away than a leg that only feels is long.
-    pub fn unfolded(&mut self) {
-        if let Some(order) = &mut self.order {
-            order.leapt = true;
-        }
-    }
-
     /// A reading is taken, this long after the one before.
     pub fn take(&mut self, sample: Sample, elapsed_us: u64) {
         let way = sample.counts.0.wrapping_sub(self.sample.counts.0);

@@ -125,6 +125,8 @@ pub enum Mishap {
     Nonsense,
 }
 
+/// Way of a leg that pays out in which it is read closely, um: that of one that feels the thread, or makes room for it.
+const CLOSELY_UM: i32 = 2_200;
 /// Readings kept for the mean of the current.
 const AVERAGED: usize = 8;
 /// Current of a slack thread, mA.
@@ -140,10 +142,11 @@ pub struct World {
     pub end: i32,
     /// Thread from the unfolded to the folded end, um.
     pub folded_um: i32,
-    /// Readings of a slack thread: its current is measured from 9 on.
-    pub slack_readings: usize,
-    /// Direction of the present leg, 0 before the first; readings since its start; how finely it is read.
+    /// Way of a winding leg in which it is read closely, um: the current of a slack thread is measured from 800 on.
+    pub slack_um: i32,
+    /// Direction of the present leg, 0 before the first; where it began; readings since then; how finely it is read.
     along: i32,
+    from: i32,
     readings: usize,
     fineness: i32,
     /// Currents above the no-load current, and the mean that they are to have.
@@ -160,8 +163,9 @@ impl World {
             counts,
             end: counts.wrapping_add(self::counts(folded_um)),
             folded_um,
-            slack_readings: 4,
+            slack_um: 400,
             along: 0,
+            from: counts,
             readings: 0,
             fineness: 1,
             excess_ma: [0; AVERAGED],
@@ -213,14 +217,15 @@ impl World {
     /// Length and speed of the way to the next reading, um and counts/s.
     fn way(&self, dice: &mut Dice) -> (i32, i32) {
         let left_um = self.left_um();
+        let leg_um = um(self.counts.wrapping_sub(self.from)).saturating_abs();
         let done_um = self.folded_um.saturating_sub(left_um);
         let (way_um, cps) = match (self.along, left_um) {
             // The current tells nothing in the first 30 ms.
             (_, ..1_000) if self.readings == 0 => (20, 400),
             _ if self.readings == 0 => (100, 2_000),
             // The leg may be one that feels the thread, or makes room for that.
-            (1, 4_500..) if self.readings < self.slack_readings => (100, 4_000),
-            (-1, _) if self.readings < 12 => (60, 3_000),
+            (1, 4_500..) if leg_um < self.slack_um => (100, 4_000),
+            (-1, _) if leg_um < CLOSELY_UM => (60, 3_000),
             (1, 4_500..) => ((left_um - 4_000) / dice.pick(&[1, 1, 1, 3]), 4_400),
             (1, 3_000..) => (300 / self.fineness, 3_500),
             (1, 1_500..) => (300 / self.fineness, 2_000),
@@ -262,7 +267,7 @@ impl World {
             return (elapsed_us, self.senseless(dice, sample));
         }
         if along != self.along {
-            (self.along, self.readings) = (along, 0);
+            (self.along, self.from, self.readings) = (along, self.counts, 0);
             self.fineness = dice.pick(&[1, 1, 1, 2, 8]);
             self.mean_ma = self.force_ma(self.left_um());
             self.excess_ma = [self.mean_ma; AVERAGED];
