@@ -3,7 +3,7 @@
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, Purpose};
 use protocol::system::DeviceKind;
 
 /// A line, or why there is none.

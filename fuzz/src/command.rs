@@ -1,7 +1,7 @@
 //! Command lines in this process. Whatever they print must leave a terminal as it is.
 
 use host_tool::cli::run_on;
-use operations::connector::Connector;
+use lab::operations::connector::Connector;
 
 /// Whether a terminal obeys the character, or shows others in another order because of it. Written down once more: the
 /// tool's own list may lack one.

@@ -180,8 +180,8 @@ fn response(request: &Request) -> Response {
 mod tests {
     use client::Device;
     use client::error::ClientError;
+    use lab::trials::fetched;
     use simulated_machines::link::Memory;
-    use trials::fetched;
 
     use super::*;
 

@@ -13,6 +13,7 @@ use client::error::ClientError;
 use client::link::{Link, LinkError};
 use client::{Device, Observer, Progress};
 use jiff::Timestamp;
+use lab::trials::fetched;
 use protocol::frame::Kind;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::settings::{GetSetting, SettingKey};
@@ -21,7 +22,6 @@ use protocol::table::{Reply, Telemetry};
 use serde::{Deserialize, Serialize};
 use simulated_machines::link::Peer;
 use tempfile::TempDir;
-use trials::fetched;
 
 use crate::exemplary::{Asked, Exemplary};
 use crate::model::{self, Good};

@@ -5,17 +5,17 @@ use std::fs;
 use std::path::Path;
 use std::sync::{Mutex, OnceLock, PoisonError};
 
-use campaign::manifest::{self, Manifest};
-use campaign::verify::verify;
 use client::{Device, Unobserved};
 use jiff::Timestamp;
+use lab::campaign::manifest::{self, Manifest};
+use lab::campaign::verify::verify;
+use lab::trials::check;
+use lab::trials::experiment;
+use lab::trials::trial::{Recording, Trial};
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::DeviceKind;
 use serde::{Deserialize, Serialize};
 use tempfile::TempDir;
-use trials::check;
-use trials::experiment;
-use trials::trial::{Recording, Trial};
 
 use crate::script::steps;
 use crate::text;

@@ -24,9 +24,9 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::sync::Semaphore;
 use tower_service::Service as _;
 
-use operations::connector::{Candidate, Connector, Purpose};
-use operations::names::Names;
-use operations::places::{Beginning, Places};
+use lab::operations::connector::{Candidate, Connector, Purpose};
+use lab::operations::names::Names;
+use lab::operations::places::{Beginning, Places};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
 use serve::board::{Board, Machine};

@@ -19,12 +19,12 @@ use client::address::Address;
 use client::decimal;
 use client::identity;
 use client::link::serial::DEFAULT_BAUD;
+use lab::operations::connector::{Connector, Ports, Purpose};
+use lab::trials::experiment::{self, PAPER_RUN};
+use lab::trials::progress::Live;
 use miette::{IntoDiagnostic, Result, miette};
-use operations::connector::{Connector, Ports, Purpose};
 use protocol::rig::{RunOutcome, RunRecord};
 use protocol::system::DeviceKind;
-use trials::experiment::{self, PAPER_RUN};
-use trials::progress::Live;
 
 fn main() -> Result<()> {
     let address: Address = std::env::args()

@@ -56,14 +56,14 @@ use clap::{CommandFactory, FromArgMatches, Parser};
 use client::address::{Address, Given};
 use client::link::serial::DEFAULT_BAUD;
 use client::{identity, visible};
-use operations::arguments::{
+use lab::operations::arguments::{
     FoldArgs, JogArgs, MachineKind, MoveArgs, PartialArgs, RunArgs, Which,
 };
-use operations::connector::Connector;
-use operations::delivery::{Delivery, Told};
-use operations::failure::{DONE, Failure, USAGE, usage, usage_text};
-use operations::names::{self, Names};
-use operations::places::{Beginning, Places};
+use lab::operations::connector::Connector;
+use lab::operations::delivery::{Delivery, Told};
+use lab::operations::failure::{DONE, Failure, USAGE, usage, usage_text};
+use lab::operations::names::{self, Names};
+use lab::operations::places::{Beginning, Places};
 use protocol::capsule::ActuationKind;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;

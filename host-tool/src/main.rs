@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
 use host_tool::cli;
-use operations::connector::Ports;
+use lab::operations::connector::Ports;
 
 fn main() -> ExitCode {
     let args: Vec<OsString> = std::env::args_os().collect();

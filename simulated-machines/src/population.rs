@@ -4,8 +4,8 @@ use crate::plant::Simulation;
 use capsule_plant::Parameters;
 use firmware_capsule::fold::Command;
 use firmware_capsule::trace::Recording;
+use lab::trials::identify::{Estimate, Identified, IdentifyError, REST_S, identify};
 use protocol::capsule::{ActuationOutcome, GetTrace, TracePoint};
-use trials::identify::{Estimate, Identified, IdentifyError, REST_S, identify};
 
 /// Runs a motion and returns its trace, fetched in parts as the host does.
 fn recorded(sim: &mut Simulation, command: Command) -> Vec<TracePoint> {

@@ -5,9 +5,9 @@ use std::sync::{Mutex, PoisonError};
 
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};
-use commissioning::hands::Hands;
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Ports, Purpose};
+use lab::commissioning::hands::Hands;
+use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::system::DeviceKind;
 
 use crate::boards::{capsule, rig};

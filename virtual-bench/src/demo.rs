@@ -3,22 +3,22 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use analysis::report;
-use analysis::report::remark::Remark;
-use analysis::report::{Existing, Found, ReportError};
 use client::decimal;
 use client::error::ClientError;
 use client::identity;
 use client::{Device, Homed, Observer};
 use jiff::Timestamp;
+use lab::trials::experiment::{
+    self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
+};
+use lab::trials::progress::Live;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
 use protocol::system::{DeviceKind, Identity};
-use trials::experiment::{
-    self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
-};
-use trials::progress::Live;
+use report::html;
+use report::html::remark::Remark;
+use report::html::{Existing, Found, ReportError};
 
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::CapsuleBoard;
@@ -143,7 +143,7 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
         left_out: vec![],
     };
     // The page of the demo before it, if there is one.
-    report::write(&found, &remarks, &page, Existing::Replace)?;
+    html::write(&found, &remarks, &page, Existing::Replace)?;
     say("Data and report");
     for sidecar in experiment.sidecars() {
         say(&format!(
@@ -330,7 +330,7 @@ impl Hooks for Judge<'_> {
     }
 
     fn homed(&mut self, homed: &Homed) {
-        say(&operations::ending::homed_text(homed));
+        say(&lab::operations::ending::homed_text(homed));
         match self.rig.visit(|visit| visit.board().rig.edges().len()) {
             Ok(edges) => self.first_edge = edges,
             Err(error) => self.failures.push(error.to_string()),

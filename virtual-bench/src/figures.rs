@@ -7,12 +7,12 @@ use std::time::Instant;
 use client::error::ClientError;
 use client::link::Link as _;
 use client::{Device, KEEP_ALIVE_US, Unobserved};
+use lab::trials::experiment::PAPER_RUN;
 use protocol::frame::{Header, Kind, encode};
 use protocol::rig::{GetRigHealth, Run as RunRequest, RunTiming};
 use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use protocol::table::Request;
-use trials::experiment::PAPER_RUN;
 
 use crate::bench::{Bench, BenchOptions};
 use crate::boards::rig::{self, RigBoard};

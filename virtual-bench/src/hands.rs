@@ -6,8 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use commissioning::halt::Halt;
-use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
+use lab::commissioning::halt::Halt;
+use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
 
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::CapsuleBoard;

@@ -5,10 +5,10 @@
 //! computer that is longer than a client waits for an answer, and what a machine cannot catch up is lost.
 
 use client::{Device, Unobserved};
+use lab::trials::experiment::{DEFAULT_TELEMETRY_MS, PAPER_RUN};
 use protocol::rig::{GetRigHardware, GetRigHealth, Hold, Jog, MoveTo, Resume, Run, RunTiming};
 use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
-use trials::experiment::{DEFAULT_TELEMETRY_MS, PAPER_RUN};
 
 use crate::boards;
 use crate::link::VirtualLink;

@@ -10,7 +10,7 @@ use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
-use operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
+use lab::operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKNOWN};
 
 /// Actions kept in memory; the oldest that are over go first.
 pub const KEPT: usize = 512;
@@ -62,7 +62,7 @@ impl Standing {
         match failure {
             // Has the exit code of a fault.
             Failure::Ended {
-                status: trials::trial::Status::LinkLost,
+                status: lab::trials::trial::Status::LinkLost,
                 ..
             } => Self::LinkLost,
             failure => match failure.exit_code() {
@@ -368,7 +368,7 @@ mod tests {
 
     #[test]
     fn an_action_that_failed_says_in_which_way() {
-        use trials::trial::Status;
+        use lab::trials::trial::Status;
         let ended = |status| Failure::Ended {
             action: "the run",
             status,

@@ -4,7 +4,7 @@ use axum::body::Body;
 use axum::http::StatusCode;
 use axum::http::header::{CONNECTION, CONTENT_TYPE, HeaderValue};
 use axum::response::Response;
-use operations::failure::{self, Failure};
+use lab::operations::failure::{self, Failure};
 use serde_json::{Value, json};
 
 /// An error response, returned in place of a value.

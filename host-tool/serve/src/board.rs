@@ -21,9 +21,9 @@ use tokio::sync::Notify;
 use crate::actions::{Action, Actions};
 use crate::orders::Work;
 use crate::stream::Stream;
-use operations::failure::Failure;
-use operations::panel::{Contact, MOVES_ALREADY, Notice, Panel, event_text, in_run, left_s};
-use operations::stops::{Ask, Stops};
+use lab::operations::failure::Failure;
+use lab::operations::panel::{Contact, MOVES_ALREADY, Notice, Panel, event_text, in_run, left_s};
+use lab::operations::stops::{Ask, Stops};
 
 /// Telemetry is sent to readers in batches of this length.
 const PORTION: Duration = Duration::from_millis(50);

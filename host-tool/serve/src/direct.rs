@@ -14,12 +14,12 @@ use serde_json::{Value, json};
 use tokio::sync::oneshot;
 
 use crate::board::{Board, Machine};
-use operations::connector::Purpose;
-use operations::delivery::{DO_NOW, Delivery, Told};
-use operations::failure::Failure;
-use operations::panel::Notice;
-use operations::places::{Places, Target, past_owners};
-use operations::stops::{self, Ask};
+use lab::operations::connector::Purpose;
+use lab::operations::delivery::{DO_NOW, Delivery, Told};
+use lab::operations::failure::Failure;
+use lab::operations::panel::Notice;
+use lab::operations::places::{Places, Target, past_owners};
+use lab::operations::stops::{self, Ask};
 
 /// Maximum questions in progress.
 const QUESTIONS: usize = 4;

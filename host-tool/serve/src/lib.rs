@@ -68,8 +68,8 @@ use crate::board::{Board, Machine};
 use crate::direct::{DirectRequest, Questions};
 use crate::http::App;
 use crate::worker::Worker;
-use operations::failure::Failure;
-use operations::places::Places;
+use lab::operations::failure::Failure;
+use lab::operations::places::Places;
 
 /// Orders that can wait for a worker; more are refused.
 pub const ORDERS: usize = 8;

@@ -2,16 +2,16 @@
 //! refusals are the same.
 
 use clap::{Args, Command};
+use lab::trials::experiment::Actuation;
+use lab::trials::plan;
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Jog, MoveTo, Run};
 use protocol::system::DeviceKind;
 use serde_json::{Map, Value, json};
-use trials::experiment::Actuation;
-use trials::plan;
 
-use operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
-use operations::failure::{self, Failure};
-use operations::folding;
+use lab::operations::arguments::{JogArgs, MoveArgs, PartialArgs, RecordArgs, RunArgs};
+use lab::operations::failure::{self, Failure};
+use lab::operations::folding;
 
 /// An order for a machine.
 #[derive(Debug)]
@@ -246,7 +246,7 @@ fn shown(field: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use trials::experiment::PAPER_RUN;
+    use lab::trials::experiment::PAPER_RUN;
 
     use super::*;
 

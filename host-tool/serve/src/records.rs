@@ -3,10 +3,10 @@
 use std::path::{Path as FilePath, PathBuf};
 
 use client::plain;
+use lab::trials::listing::Listing;
+use lab::trials::sidecar::heading;
+use lab::trials::trial::Trial;
 use serde_json::{Value, json};
-use trials::listing::Listing;
-use trials::sidecar::heading;
-use trials::trial::Trial;
 
 /// Lists the records in a folder, the oldest first.
 pub fn list(folder: &FilePath) -> Value {

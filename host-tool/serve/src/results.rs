@@ -1,6 +1,6 @@
 //! The result of an order: the carriage's position, the files, the reason of a failure.
 
-use operations::failure::Failure;
+use lab::operations::failure::Failure;
 use protocol::rig::RigStatus;
 use serde_json::{Value, json};
 
@@ -44,7 +44,7 @@ pub fn server_ends() -> Failure {
 mod tests {
     use std::path::Path;
 
-    use operations::failure::NO_DEVICE;
+    use lab::operations::failure::NO_DEVICE;
 
     use super::*;
 

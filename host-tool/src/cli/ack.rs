@@ -2,9 +2,9 @@
 
 use client::error::ClientError;
 use client::identity;
-use operations::arguments::Which;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::Which;
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
 use protocol::error::Refusal;
 use serde_json::{Value, json};
 

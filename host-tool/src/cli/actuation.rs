@@ -2,18 +2,18 @@
 
 use std::path::Path;
 
-use analysis::report::section::actuation_rows;
 use client::Device;
-use operations::arguments::RecordArgs;
-use operations::ending::completed;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
-use operations::reached::reached;
+use lab::operations::arguments::RecordArgs;
+use lab::operations::ending::completed;
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::operations::reached::reached;
+use lab::trials::experiment::{self, Actuation};
+use lab::trials::trial::Status;
 use protocol::capsule::{ActuationKind, CapsuleState, GetCapsuleTotals};
 use protocol::system::DeviceKind;
+use report::html::section::actuation_rows;
 use serde_json::{Value, json};
-use trials::experiment::{self, Actuation};
-use trials::trial::Status;
 
 use crate::cli::fresh;
 use crate::cli::screen::Screen;

@@ -5,14 +5,14 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
-use analysis::science::series::Workers;
-use analysis::science::table;
 use client::plain;
 use indicatif::ProgressBar;
+use lab::operations::failure::Failure;
+use lab::trials::progress;
 use locomotion::range::OutOfRange;
-use operations::failure::Failure;
+use report::science::series::Workers;
+use report::science::table;
 use serde::Serialize;
-use trials::progress;
 
 use crate::cli::screen::Screen;
 

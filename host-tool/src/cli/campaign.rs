@@ -4,34 +4,34 @@ mod desk;
 
 use std::path::{Path, PathBuf};
 
-use analysis::report::campaign::{Present, present, report_folder};
-use analysis::report::campaign_band::BandSource;
-use analysis::report::{self, Existing};
-use analysis::science::virtual_displacement::Models;
-use campaign::conduct::{Broken, Conduct, Ending, Machines};
-use campaign::contents::Campaign;
-use campaign::folder::Folder;
-use campaign::ledger::{LedgerEvent, LedgerRow, Source, Standing, TrialState};
-use campaign::order::doing;
-use campaign::plan::{CampaignPlan, Millimetres};
-use campaign::readings::Summary;
-use campaign::remaining::{remaining_s, text as time_text};
-use campaign::{MAKE_ROOM, resumption};
 use clap::Args;
 use client::identity::Origin;
 use client::limited;
 use client::wording::word;
-use commissioning::warning;
 use desk::{Counter, Who};
+use lab::campaign::conduct::{Broken, Conduct, Ending, Machines};
+use lab::campaign::contents::Campaign;
+use lab::campaign::folder::Folder;
+use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, Standing, TrialState};
+use lab::campaign::order::doing;
+use lab::campaign::plan::{CampaignPlan, Millimetres};
+use lab::campaign::readings::Summary;
+use lab::campaign::remaining::{remaining_s, text as time_text};
+use lab::campaign::{MAKE_ROOM, resumption};
+use lab::commissioning::warning;
+use lab::operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::trials::experiment::ExperimentError;
+use lab::trials::plan::REFERENCE_LIMITS;
+use lab::trials::trial::RecordError;
 use motion::axis::Axis;
-use operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
-use operations::failure::Failure;
-use operations::places::{Need, Places};
 use protocol::system::DeviceKind;
+use report::html::campaign::{Present, present, report_folder};
+use report::html::campaign_band::BandSource;
+use report::html::{self, Existing};
+use report::science::virtual_displacement::Models;
 use serde_json::{Value, json};
-use trials::experiment::ExperimentError;
-use trials::plan::REFERENCE_LIMITS;
-use trials::trial::RecordError;
 
 use crate::cli::failure::Own;
 use crate::cli::screen::Screen;
@@ -359,7 +359,7 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, F
         Present::Outdated { .. } => Existing::Replace,
     };
     let written =
-        report::campaign::write(folder, existing, &BandSource::default()).map_err(Own::from)?;
+        html::campaign::write(folder, existing, &BandSource::default()).map_err(Own::from)?;
     screen.say(&match present {
         Present::Outdated { fitted: true } => format!(
             "Report: {page_text}, made anew, for it was of an earlier state. The band of its fit is not in it: `retrograde report {folder_text} --force --model FILE` draws that again."

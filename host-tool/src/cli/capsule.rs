@@ -1,8 +1,8 @@
 //! The capsule's own commands.
 
-use operations::arguments::RecordArgs;
-use operations::failure::Failure;
-use operations::places::Places;
+use lab::operations::arguments::RecordArgs;
+use lab::operations::failure::Failure;
+use lab::operations::places::Places;
 use protocol::capsule::ActuationKind;
 use serde_json::Value;
 

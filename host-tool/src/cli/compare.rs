@@ -1,12 +1,12 @@
 //! `simulate compare`: the paper's sentences beside the model's values, with the probability that each is met.
 
-use analysis::science::model_file;
-use analysis::science::odds::{Judged, Poll};
-use analysis::science::posterior::Posterior;
+use lab::operations::failure::Failure;
 use locomotion::comparison::Sheet;
 use locomotion::model::Model;
 use locomotion::prior;
-use operations::failure::Failure;
+use report::science::model_file;
+use report::science::odds::{Judged, Poll};
+use report::science::posterior::Posterior;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;

@@ -1,9 +1,9 @@
 //! `simulate crescent`: the crescent as a beam. Has its own inputs and shares no other model.
 
-use analysis::science::{charts, crescent, table};
+use lab::operations::failure::Failure;
 use locomotion::beam::{NoAnswer, Validation, band, thread};
 use locomotion::paper::INDENTATIONS_MM;
-use operations::failure::Failure;
+use report::science::{charts, crescent, table};
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 
 use clap::Args;
 use client::{Unobserved, decimal};
-use operations::arguments::DATA_FOLDER;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::DATA_FOLDER;
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::trials::endurance::{Drift, Endurance, Run};
+use lab::trials::trial::Status;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
-use trials::endurance::{Drift, Endurance, Run};
-use trials::trial::Status;
 
 use crate::cli::fresh;
 use crate::cli::screen::Screen;

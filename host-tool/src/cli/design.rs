@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use analysis::science::design::{self, Report};
-use analysis::science::{charts, drawing};
 use clap::Args;
+use lab::operations::failure::Failure;
 use locomotion::kinematics::Design;
 use locomotion::range::{Ends, OutOfRange};
-use operations::failure::Failure;
+use report::science::design::{self, Report};
+use report::science::{charts, drawing};
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Named;

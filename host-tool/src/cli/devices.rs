@@ -1,8 +1,8 @@
 //! `devices`: ports, the machines at them, and every place that the user has configured.
 
 use client::identity::IdentityRecord;
-use operations::failure::Failure;
-use operations::places::{Places, line};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Places, line};
 use serde_json::{Value, json};
 
 use crate::cli::configured;

@@ -9,11 +9,11 @@ use client::diagnosis::Sign;
 use client::error::ClientError;
 use client::identity;
 use client::link::{OpenError, Reason};
+use lab::operations::arguments::Which;
+use lab::operations::connector::{Candidate, Purpose};
+use lab::operations::failure::{CommandFailure, DONE, FAILED, FAULT, Failure, NO_DEVICE};
+use lab::operations::places::{KINDS, Places, past_owners};
 use miette::Diagnostic;
-use operations::arguments::Which;
-use operations::connector::{Candidate, Purpose};
-use operations::failure::{CommandFailure, DONE, FAILED, FAULT, Failure, NO_DEVICE};
-use operations::places::{KINDS, Places, past_owners};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 

@@ -2,19 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use analysis::figures::FigureError;
-use analysis::report::ReportError;
-use analysis::report::campaign::CampaignReportError;
-use campaign::differences::Finding;
-use campaign::{CampaignError, resumption};
 use client::error::ClientError;
 use client::identity::kind_name;
-use miette::Diagnostic;
-use operations::failure::{
+use lab::campaign::differences::Finding;
+use lab::campaign::{CampaignError, resumption};
+use lab::operations::failure::{
     CommandFailure, FAILED, FAULT, REFUSED, STOPPED, UNKNOWN, USAGE, client_code,
 };
+use miette::Diagnostic;
 use protocol::error::Refusal;
 use protocol::system::DeviceKind;
+use report::figures::FigureError;
+use report::html::ReportError;
+use report::html::campaign::CampaignReportError;
 use serde_json::{Value, json};
 
 /// Failure of a single command.

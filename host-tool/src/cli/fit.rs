@@ -3,9 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use analysis::science::observations::{self, Trials, TrialsError};
-use analysis::science::posterior::{FORMAT, Posterior, SourceRecord};
-use analysis::science::{charts, draws, model_file};
 use calibration::fit::{Fit, Settings, fit_watched};
 use calibration::observation::{Case, Kind, Observation};
 use calibration::predictive::{Band, Check, bands, checks, suspicious};
@@ -16,8 +13,11 @@ use clap::Args;
 use client::identity::Origin;
 use client::visible::wrapped;
 use indicatif::{ProgressBar, ProgressStyle};
+use lab::operations::failure::Failure;
 use locomotion::model::{Model, Setting, Value as Given};
-use operations::failure::Failure;
+use report::science::observations::{self, Trials, TrialsError};
+use report::science::posterior::{FORMAT, Posterior, SourceRecord};
+use report::science::{charts, draws, model_file};
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;

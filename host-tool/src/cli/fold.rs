@@ -1,10 +1,10 @@
 //! `fold`: a full or a partial fold.
 
 use client::decimal;
-use operations::arguments::PartialArgs;
-use operations::failure::Failure;
-use operations::folding::motion;
-use operations::places::Places;
+use lab::operations::arguments::PartialArgs;
+use lab::operations::failure::Failure;
+use lab::operations::folding::motion;
+use lab::operations::places::Places;
 use serde_json::Value;
 
 use crate::cli::actuation::actuate;

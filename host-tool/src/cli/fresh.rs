@@ -3,13 +3,13 @@
 
 use client::Device;
 use client::address::Address;
-use operations::failure::Failure;
-use operations::places::Places;
+use lab::operations::failure::Failure;
+use lab::operations::places::Places;
+use lab::trials::experiment;
 use protocol::system::DeviceKind;
-use trials::experiment;
 
 use crate::cli::screen::Screen;
-use operations::ending::homed_text;
+use lab::operations::ending::homed_text;
 
 /// Homes a new virtual rig or references a new virtual capsule.
 pub(crate) fn prepare(

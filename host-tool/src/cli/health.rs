@@ -1,8 +1,8 @@
 //! `health`: the rig's counters.
 
 use client::decimal;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
 use protocol::rig::{self, RigHardware, RigHealth};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};

@@ -1,8 +1,8 @@
 //! `hold` and `resume`: pauses a run and continues it.
 
-use operations::ending::{held, millimetres};
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::ending::{held, millimetres};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
 use protocol::rig;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};

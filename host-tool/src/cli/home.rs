@@ -1,13 +1,13 @@
 //! `home`: finds the rig's position.
 
-use operations::ending::homed_text;
-use operations::failure::Failure;
-use operations::panel::SETTINGS_UNUSABLE;
-use operations::places::{Need, Places};
+use lab::operations::ending::homed_text;
+use lab::operations::failure::Failure;
+use lab::operations::panel::SETTINGS_UNUSABLE;
+use lab::operations::places::{Need, Places};
+use lab::trials::experiment;
 use protocol::rig::RigEvent;
 use protocol::system::{DeviceKind, What};
 use serde_json::{Value, json};
-use trials::experiment;
 
 use crate::cli::screen::Screen;
 

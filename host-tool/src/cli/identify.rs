@@ -1,18 +1,18 @@
 //! `capsule identify`: finds the constants of motor, friction and spring from two recordings.
 
+use lab::trials::recorded::write_recorded;
 use std::path::PathBuf;
-use trials::recorded::write_recorded;
 
 use client::{Device, Recorded, Unobserved};
-use operations::arguments::RecordArgs;
-use operations::ending::completed;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::RecordArgs;
+use lab::operations::ending::completed;
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::trials::experiment;
+use lab::trials::identify::{self, Estimate, Identified, REST_S};
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
-use trials::experiment;
-use trials::identify::{self, Estimate, Identified, REST_S};
 
 use crate::cli::fresh;
 use crate::cli::screen::Screen;

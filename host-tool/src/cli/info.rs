@@ -2,10 +2,10 @@
 
 use client::identity::{self, IdentityRecord};
 use client::{decimal, matches, visible};
-use operations::arguments::Which;
-use operations::failure::Failure;
-use operations::panel::{in_run, run_text};
-use operations::places::{Need, Places};
+use lab::operations::arguments::Which;
+use lab::operations::failure::Failure;
+use lab::operations::panel::{in_run, run_text};
+use lab::operations::places::{Need, Places};
 use protocol::capsule::{CapsuleCalibration, CapsuleState, CapsuleStatus, GetCapsuleTotals};
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};

@@ -2,10 +2,10 @@
 
 use client::error::ClientError;
 use client::{Unobserved, while_moving};
-use operations::arguments::JogArgs;
-use operations::ending::{cut_short, millimetres};
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::JogArgs;
+use lab::operations::ending::{cut_short, millimetres};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
 use protocol::rig::{self, Direction, RigState};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};

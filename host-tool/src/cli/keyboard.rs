@@ -6,7 +6,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use client::{Pace, Pacer};
-use operations::interrupt;
+use lab::operations::interrupt;
 
 use crate::cli::screen::Keyboard;
 

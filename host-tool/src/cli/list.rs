@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use campaign::catalogue::{self, Wanted};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
 use jiff::civil::Date;
-use operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
-use operations::failure::Failure;
+use lab::campaign::catalogue::{self, Wanted};
+use lab::operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
+use lab::operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use operations::failure::Failure;
+use lab::operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;

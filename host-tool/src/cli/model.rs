@@ -5,12 +5,12 @@ use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
-use analysis::science::model_file::{self, Choice, Given, ModelError};
-use analysis::science::posterior::Posterior;
 use clap::error::ErrorKind;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches};
+use lab::operations::failure::Failure;
 use locomotion::model::{Model, Setting};
-use operations::failure::Failure;
+use report::science::model_file::{self, Choice, Given, ModelError};
+use report::science::posterior::Posterior;
 
 /// A model as given by options.
 #[derive(Clone, Debug, Default)]

@@ -2,11 +2,11 @@
 
 use client::error::ClientError;
 use client::{Unobserved, decimal};
-use operations::arguments::MoveArgs;
-use operations::ending::{cut_short, millimetres};
-use operations::failure::Failure;
-use operations::places::{Need, Places};
-use operations::reached::is_there;
+use lab::operations::arguments::MoveArgs;
+use lab::operations::ending::{cut_short, millimetres};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::operations::reached::is_there;
 use protocol::rig::{self, RunOutcome};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};

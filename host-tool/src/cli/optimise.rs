@@ -4,21 +4,21 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use analysis::figures::ModelName;
-use analysis::science::design::{LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
-use analysis::science::optimise::bodies::{Bodies, Care, Per};
-use analysis::science::optimise::bounds::holding_back;
-use analysis::science::optimise::limits::Limits;
-use analysis::science::optimise::search::{self, FREE, Proposal};
-use analysis::science::optimise::{self, DesignRow};
-use analysis::science::posterior::Posterior;
-use analysis::science::{charts, model_file};
-use campaign::chance::Chance;
 use clap::{Args, ValueEnum};
+use lab::campaign::chance::Chance;
+use lab::operations::failure::Failure;
 use locomotion::beam::Validation;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
-use operations::failure::Failure;
+use report::figures::ModelName;
+use report::science::design::{LEAST_ALPHA_DEG, PAPER_INDENTATION_MM};
+use report::science::optimise::bodies::{Bodies, Care, Per};
+use report::science::optimise::bounds::holding_back;
+use report::science::optimise::limits::Limits;
+use report::science::optimise::search::{self, FREE, Proposal};
+use report::science::optimise::{self, DesignRow};
+use report::science::posterior::Posterior;
+use report::science::{charts, model_file};
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;

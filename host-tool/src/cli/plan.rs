@@ -2,14 +2,14 @@
 
 use std::path::PathBuf;
 
-use analysis::figures;
 use clap::Args;
 use client::decimal::{self, Milli};
+use lab::operations::arguments::{OnLinkLoss, Waves};
+use lab::operations::failure::Failure;
+use lab::trials::plan::{self, REFERENCE_LIMITS, Summary};
 use motion::axis::{Axis, MAX_STROKE};
-use operations::arguments::{OnLinkLoss, Waves};
-use operations::failure::Failure;
+use report::figures;
 use serde_json::{Value, json};
-use trials::plan::{self, REFERENCE_LIMITS, Summary};
 
 use crate::cli::calculation::Named;
 use crate::cli::failure::Own;

@@ -3,19 +3,19 @@
 
 use std::path::PathBuf;
 
-use analysis::figures::ModelName;
-use analysis::science::charts::trial_plan::trial_plan;
-use analysis::science::posterior::Posterior;
-use analysis::science::trial_plan::{self, Asked, Series, TrialPlan};
-use analysis::science::{model_file, table, values};
 use calibration::belief::{Belief, LEAST_SAMPLES};
 use calibration::design::{Effort, Estimate};
 use calibration::observation::{Kind, Lubrication};
 use calibration::prior::{Point, Values, unknowns};
 use calibration::tabulated::STEP_MM;
 use clap::{Args, ValueEnum};
+use lab::operations::failure::Failure;
 use locomotion::paper::INDENTATIONS_MM;
-use operations::failure::Failure;
+use report::figures::ModelName;
+use report::science::charts::trial_plan::trial_plan;
+use report::science::posterior::Posterior;
+use report::science::trial_plan::{self, Asked, Series, TrialPlan};
+use report::science::{model_file, table, values};
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Calculation;

@@ -5,11 +5,11 @@ use std::path::PathBuf;
 use clap::Args;
 use client::decimal;
 use client::identity::kind_name;
-use operations::arguments::{DATA_FOLDER, Which};
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::{DATA_FOLDER, Which};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::trials::fetched::{self, Fetched, Kept, Nothing};
 use serde_json::{Map, Value, json};
-use trials::fetched::{self, Fetched, Kept, Nothing};
 
 use crate::cli::screen::Screen;
 

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use analysis::report::campaign_band::BandSource;
-use analysis::report::{self, Existing, campaign as campaign_report};
-use campaign::files::{ORDER, PLAN};
 use clap::Args;
 use client::wording::word;
-use operations::failure::Failure;
+use lab::campaign::files::{ORDER, PLAN};
+use lab::operations::failure::Failure;
+use report::html::campaign_band::BandSource;
+use report::html::{self, Existing, campaign as campaign_report};
 use serde_json::{Value, json};
 
 use crate::cli::failure::Own;
@@ -48,8 +48,8 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
         ));
     }
     let out = args.out.clone().unwrap_or_else(|| "report.html".into());
-    let found = report::find(&args.trials).map_err(Own::from)?;
-    let report = report::write(&found, &[], &out, existing).map_err(Own::from)?;
+    let found = html::find(&args.trials).map_err(Own::from)?;
+    let report = html::write(&found, &[], &out, existing).map_err(Own::from)?;
     screen.say(&format!(
         "{} in {}",
         match found.sidecars.len() {

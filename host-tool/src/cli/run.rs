@@ -1,21 +1,21 @@
 //! `run`: a run, alone or with a fold or an unfolding at a certain place.
 
-use analysis::report::section::actuation_rows;
 use client::{Device, decimal};
-use commissioning::warning;
-use operations::arguments::{DATA_FOLDER, RunArgs};
-use operations::ending::completed;
-use operations::failure::{FIND_THREAD, Failure};
-use operations::places::{Need, Places};
+use lab::commissioning::warning;
+use lab::operations::arguments::{DATA_FOLDER, RunArgs};
+use lab::operations::ending::completed;
+use lab::operations::failure::{FIND_THREAD, Failure};
+use lab::operations::places::{Need, Places};
+use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
+use lab::trials::cue::{Coordination, Cue};
+use lab::trials::experiment::{self, ExperimentError, RunTrial, stem};
+use lab::trials::plan;
+use lab::trials::trial::Status;
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
 use protocol::system::DeviceKind;
+use report::html::section::actuation_rows;
 use serde_json::{Value, json};
-use trials::coordination::{self, Coordinated, Recordings, Shaping};
-use trials::cue::{Coordination, Cue};
-use trials::experiment::{self, ExperimentError, RunTrial, stem};
-use trials::plan;
-use trials::trial::Status;
 
 use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};

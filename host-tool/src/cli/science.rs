@@ -2,21 +2,21 @@
 
 use std::path::PathBuf;
 
-use analysis::figures::ModelName;
-use analysis::science::bands::{self, Bands};
-use analysis::science::posterior::Posterior;
-use analysis::science::series::{self, TubeCase, TubeRow, TubeRun};
-use analysis::science::values::Values;
-use analysis::science::{charts, model_file, snapshots, table};
 use calibration::observation::Kind;
 use clap::{Args, Subcommand};
+use lab::operations::failure::Failure;
 use locomotion::comparison;
 use locomotion::folded::Contact;
 use locomotion::model::Model;
 use locomotion::paper::INDENTATIONS_MM;
 use locomotion::parameter::Label;
 use locomotion::prior::Words;
-use operations::failure::Failure;
+use report::figures::ModelName;
+use report::science::bands::{self, Bands};
+use report::science::posterior::Posterior;
+use report::science::series::{self, TubeCase, TubeRow, TubeRun};
+use report::science::values::Values;
+use report::science::{charts, model_file, snapshots, table};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 

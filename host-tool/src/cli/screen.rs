@@ -4,9 +4,9 @@
 use std::io::{self, BufRead, Write};
 
 use client::visible;
-use operations::failure::{DONE, Failure};
+use lab::operations::failure::{DONE, Failure};
+use lab::trials::progress::Live;
 use serde_json::Value;
-use trials::progress::Live;
 
 /// Source of a person's typed lines.
 pub type Keyboard = Box<dyn BufRead + Send>;

@@ -7,10 +7,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use clap::Args;
-use operations::arguments::{DATA_FOLDER, Which};
-use operations::failure::Failure;
-use operations::interrupt;
-use operations::places::Places;
+use lab::operations::arguments::{DATA_FOLDER, Which};
+use lab::operations::failure::Failure;
+use lab::operations::interrupt;
+use lab::operations::places::Places;
 use serde_json::{Value, json};
 use serve::Options;
 

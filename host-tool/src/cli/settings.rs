@@ -9,9 +9,9 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use client::{Device, identity, plain};
-use operations::arguments::MachineKind;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::MachineKind;
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
 use protocol::settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey};
 use protocol::system::DeviceKind;
 use serde::Serialize;

@@ -4,10 +4,10 @@ use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use operations::arguments::Which;
-use operations::delivery::{DO_NOW, Delivery, Told};
-use operations::failure::Failure;
-use operations::places::{Places, Target};
+use lab::operations::arguments::Which;
+use lab::operations::delivery::{DO_NOW, Delivery, Told};
+use lab::operations::failure::Failure;
+use lab::operations::places::{Places, Target};
 use protocol::system::Urgent;
 use serde_json::{Value, json};
 

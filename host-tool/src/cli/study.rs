@@ -1,7 +1,7 @@
 //! Preconditions of the capsule's studies.
 
 use client::Device;
-use operations::failure::{FIND_THREAD, Failure};
+use lab::operations::failure::{FIND_THREAD, Failure};
 use protocol::capsule::CapsuleState;
 
 /// Refuses unless the capsule is unfolded and referenced.

@@ -1,19 +1,19 @@
 //! `capsule trace`, and the file of `--trace`: the capsule's own recording.
 
+use lab::trials::recorded::write_recorded;
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
-use trials::recorded::write_recorded;
 
 use clap::Args;
 use client::{Device, Recorded};
-use operations::arguments::DATA_FOLDER;
-use operations::failure::Failure;
-use operations::places::{Need, Places};
+use lab::operations::arguments::DATA_FOLDER;
+use lab::operations::failure::Failure;
+use lab::operations::places::{Need, Places};
+use lab::trials::force;
+use lab::trials::trial::RecordError;
 use protocol::capsule::{ActuationRecord, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
-use trials::force;
-use trials::trial::RecordError;
 
 use crate::cli::screen::Screen;
 

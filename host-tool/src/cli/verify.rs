@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use campaign::differences::Finding;
-use campaign::{CampaignError, manifest, verify as verification};
 use clap::Args;
-use operations::failure::Failure;
+use lab::campaign::differences::Finding;
+use lab::campaign::{CampaignError, manifest, verify as verification};
+use lab::operations::failure::Failure;
 use serde_json::{Value, json};
 
 use crate::cli::failure::Own;

@@ -2,11 +2,11 @@
 
 use std::fs;
 
-use campaign::contents::Campaign;
-use campaign::files::TRIALS;
-use campaign::folder::Folder;
-use campaign::ledger::{AttemptOutcome, Standing};
-use campaign::manifest;
+use lab::campaign::contents::Campaign;
+use lab::campaign::files::TRIALS;
+use lab::campaign::folder::Folder;
+use lab::campaign::ledger::{AttemptOutcome, Standing};
+use lab::campaign::manifest;
 use serde_json::Value;
 
 use crate::campaign::{at, campaign, findings};

@@ -3,22 +3,22 @@
 use std::fs;
 use std::path::Path;
 
-use campaign::catalogue::{Wanted, list};
-use campaign::contents::Campaign;
-use campaign::files::TRIALS;
-use campaign::folder::Folder;
-use campaign::form::Form;
-use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
-use campaign::manifest::{self, Manifest, contents};
-use campaign::order::{Planned, order};
-use campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
-use campaign::prompts::clearing;
-use campaign::readings::{Kind, Quantity, Readings, questions, refusal};
-use campaign::remaining::remaining_s;
-use campaign::verify::verify;
 use client::identity::Origin;
 use jiff::civil::date;
 use jiff::{SignedDuration, Timestamp};
+use lab::campaign::catalogue::{Wanted, list};
+use lab::campaign::contents::Campaign;
+use lab::campaign::files::TRIALS;
+use lab::campaign::folder::Folder;
+use lab::campaign::form::Form;
+use lab::campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
+use lab::campaign::manifest::{self, Manifest, contents};
+use lab::campaign::order::{Planned, order};
+use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
+use lab::campaign::prompts::clearing;
+use lab::campaign::readings::{Kind, Quantity, Readings, questions, refusal};
+use lab::campaign::remaining::remaining_s;
+use lab::campaign::verify::verify;
 use simulated_machines::machine::VIRTUAL_UID;
 
 use crate::campaign::{

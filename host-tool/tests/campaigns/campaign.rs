@@ -4,27 +4,29 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use campaign::CampaignError;
-use campaign::chance::Chance;
-use campaign::contents::{Campaign, order_text};
-use campaign::files::{ATTEMPTS, READINGS, TRIALS};
-use campaign::folder::Folder;
-use campaign::form::Form;
-use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, Standing};
-use campaign::manifest::{self, Manifest};
-use campaign::order::order;
-use campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
-use campaign::prompts::{self, Answer};
-use campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
-use campaign::verify::verify;
 use client::identity::Origin;
 use client::{Device, Unobserved};
 use jiff::Timestamp;
+use lab::campaign::CampaignError;
+use lab::campaign::chance::Chance;
+use lab::campaign::contents::{Campaign, order_text};
+use lab::campaign::files::{ATTEMPTS, READINGS, TRIALS};
+use lab::campaign::folder::Folder;
+use lab::campaign::form::Form;
+use lab::campaign::ledger::{
+    AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, Standing,
+};
+use lab::campaign::manifest::{self, Manifest};
+use lab::campaign::order::order;
+use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
+use lab::campaign::prompts::{self, Answer};
+use lab::campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
+use lab::campaign::verify::verify;
+use lab::trials::experiment;
+use lab::trials::trial::Recording;
 use proptest::prelude::*;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, link};
-use trials::experiment;
-use trials::trial::Recording;
 
 const PAPER: &str = include_str!("../../../examples/paper.toml");
 

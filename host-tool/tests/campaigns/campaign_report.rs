@@ -8,25 +8,25 @@ use std::sync::OnceLock;
 
 use crate::campaign::mm;
 use crate::support::tool::{Memory, device};
-use analysis::report::Existing;
-use analysis::report::campaign::{Written, report_folder, write};
-use analysis::report::campaign_band::BandSource;
-use analysis::report::evaluation::{clampings, evaluate};
-use analysis::science::observations::{self, TrialsError};
-use campaign::contents::Campaign;
-use campaign::folder::Folder;
-use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
-use campaign::manifest;
-use campaign::plan::{Lubrication, Millimetres, Purpose};
-use campaign::readings::{Kind, Quantity, ReadingRow};
-use campaign::statistics::{FittedLine, Spread};
 use client::Unobserved;
 use client::identity::Origin;
 use jiff::Timestamp;
+use lab::campaign::contents::Campaign;
+use lab::campaign::folder::Folder;
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
+use lab::campaign::manifest;
+use lab::campaign::plan::{Lubrication, Millimetres, Purpose};
+use lab::campaign::readings::{Kind, Quantity, ReadingRow};
+use lab::campaign::statistics::{FittedLine, Spread};
+use lab::trials::experiment::{self, Shape};
+use lab::trials::trial::Recording;
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
-use trials::experiment::{self, Shape};
-use trials::trial::Recording;
+use report::html::Existing;
+use report::html::campaign::{Written, report_folder, write};
+use report::html::campaign_band::BandSource;
+use report::html::evaluation::{clampings, evaluate};
+use report::science::observations::{self, TrialsError};
 
 /// Three indentations, dry and lubricated, twice each, and a fold test: 14 trials.
 pub(crate) const PLAN: &str = r#"
@@ -363,7 +363,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     let evaluation = evaluate(&path).expect("a campaign");
     let order = Campaign::read(&path).expect("a campaign").order;
     for row in &evaluation.conditions {
-        let of_it = |planned: &&campaign::order::Planned| {
+        let of_it = |planned: &&lab::campaign::order::Planned| {
             (planned.purpose, planned.lubrication, planned.shape)
                 == (row.purpose, row.lubrication, row.shape)
                 && planned.indentation == row.indentation

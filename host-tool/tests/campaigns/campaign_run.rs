@@ -11,23 +11,23 @@ use std::time::{Duration, Instant};
 
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::tool::Memory;
-use analysis::science::observations;
 use calibration::observation::Kind as Observed;
-use campaign::contents::Campaign;
-use campaign::form::Form;
-use campaign::ledger::{AttemptOutcome, LedgerEvent, Source, Standing};
-use campaign::plan::Purpose;
-use campaign::verify::verify;
 use client::identity::Origin;
 use host_tool::cli::run_on;
+use lab::campaign::contents::Campaign;
+use lab::campaign::form::Form;
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, Source, Standing};
+use lab::campaign::plan::Purpose;
+use lab::campaign::verify::verify;
+use lab::operations::connector::Connector;
+use lab::trials::check;
+use lab::trials::trial::{Action, Moved, RigSample, Trial};
 use locomotion::roller::{Params, isolated_pass};
-use operations::connector::Connector;
 use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
+use report::science::observations;
 use simulated_machines::machine::{Script, VIRTUAL_UID, World};
-use trials::check;
-use trials::trial::{Action, Moved, RigSample, Trial};
 
 /// The paper's plan with fewer trials, shorter runs and these changes.
 pub fn small_plan(changes: &[(&str, &str)]) -> String {
@@ -1255,8 +1255,8 @@ fn conditions_that_differ_from_the_ledger_are_found() {
         says[key] = value;
         fs::write(&file, says.to_string()).expect("written");
         let folder = Path::new(&out);
-        let forged = campaign::manifest::of_folder(folder).expect("read");
-        fs::write(folder.join(campaign::manifest::NAME), forged.text()).expect("written");
+        let forged = lab::campaign::manifest::of_folder(folder).expect("read");
+        fs::write(folder.join(lab::campaign::manifest::NAME), forged.text()).expect("written");
         let found = verify(folder).expect("a folder").findings;
         let wanted = format!("conditions.json and trials.csv differ in {what}");
         assert!(

@@ -6,17 +6,17 @@ use std::path::Path;
 
 use crate::campaign::{SMALL, accepted, at, findings, mm, reading};
 use crate::support::tool::ready;
-use campaign::contents::Campaign;
-use campaign::folder::Folder;
-use campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
-use campaign::manifest;
 use client::identity::Origin;
 use client::{Device, Unobserved};
+use lab::campaign::contents::Campaign;
+use lab::campaign::folder::Folder;
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
+use lab::campaign::manifest;
+use lab::trials::experiment;
+use lab::trials::trial::Recording;
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::link;
-use trials::experiment;
-use trials::trial::Recording;
 
 fn append(folder: &mut Folder, row: LedgerRow, time_s: i64) {
     let written = folder.append(row, at(time_s), Origin::Board);

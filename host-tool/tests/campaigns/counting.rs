@@ -8,16 +8,16 @@ use std::path::Path;
 use crate::campaign::{
     SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading,
 };
-use campaign::contents::Campaign;
-use campaign::files::{READINGS, TRIALS};
-use campaign::folder::Folder;
-use campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
-use campaign::manifest;
-use campaign::order::order;
-use campaign::plan::CampaignPlan;
-use campaign::readings::{Kind, Quantity, Readings, Summary, questions, refusal};
-use campaign::remaining::{remaining_s, text};
 use client::identity::Origin;
+use lab::campaign::contents::Campaign;
+use lab::campaign::files::{READINGS, TRIALS};
+use lab::campaign::folder::Folder;
+use lab::campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
+use lab::campaign::manifest;
+use lab::campaign::order::order;
+use lab::campaign::plan::CampaignPlan;
+use lab::campaign::readings::{Kind, Quantity, Readings, Summary, questions, refusal};
+use lab::campaign::remaining::{remaining_s, text};
 
 /// Applies the next row.
 fn step(state: &mut CampaignState, mut row: LedgerRow) -> Result<(), String> {
@@ -99,7 +99,7 @@ fn a_tally_counts_what_is_left_out_beside_what_counts() {
     }
     let tallies = state.tallies(|_| 0);
     let sum =
-        |of: &dyn Fn(&campaign::ledger::Tally) -> usize| tallies.iter().map(of).sum::<usize>();
+        |of: &dyn Fn(&lab::campaign::ledger::Tally) -> usize| tallies.iter().map(of).sum::<usize>();
     assert_eq!(sum(&|tally| tally.planned as usize), 10);
     assert_eq!(sum(&|tally| tally.excluded as usize), 4);
     assert_eq!(sum(&|tally| tally.skipped as usize), 3);

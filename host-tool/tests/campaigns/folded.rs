@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
-use campaign::form::Form;
-use campaign::ledger::Standing;
-use campaign::order::order;
-use campaign::plan::CampaignPlan;
 use client::link::{Link, LinkError};
 use client::{Device, Unobserved};
-use operations::connector::Connector;
+use lab::campaign::form::Form;
+use lab::campaign::ledger::Standing;
+use lab::campaign::order::order;
+use lab::campaign::plan::CampaignPlan;
+use lab::operations::connector::Connector;
 use protocol::capsule::{ActuationKind, Calibrate};
 use protocol::system::DeviceKind;
 use simulated_machines::link::Memory;

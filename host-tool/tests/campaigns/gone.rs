@@ -4,18 +4,18 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use campaign::conduct::Machines;
-use campaign::ledger::Standing;
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
+use lab::campaign::conduct::Machines;
+use lab::campaign::ledger::Standing;
+use lab::operations::connector::{Connector, Purpose};
+use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{Hold, MoveTo};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Script, World, estop, link};
-use trials::experiment::PAPER_RUN;
 
 use crate::campaign_run::{
     UP_TO_THE_PASSES, converse, path, place, plan_of_passes, small_plan, whole,

@@ -10,7 +10,7 @@ use client::address::Address;
 use client::link::owner::Question;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, Purpose};
 use protocol::capsule::GetCapsuleStatus;
 use protocol::system::DeviceKind;
 use protocol::table::{Endpoint as _, Reply, Response};

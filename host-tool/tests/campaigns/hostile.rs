@@ -12,12 +12,12 @@ use std::time::Duration;
 use crate::campaign::{SMALL, at, campaign, findings};
 use crate::campaign_report::made;
 use crate::support::offline::{retrograde, text};
-use campaign::chance::Chance;
-use campaign::contents::Campaign;
-use campaign::files::{ATTEMPTS, TRIALS};
-use campaign::folder::Folder;
-use campaign::manifest;
 use jiff::Timestamp;
+use lab::campaign::chance::Chance;
+use lab::campaign::contents::Campaign;
+use lab::campaign::files::{ATTEMPTS, TRIALS};
+use lab::campaign::folder::Folder;
+use lab::campaign::manifest;
 
 /// A word that stands in every file outside of the folder.
 const SECRET: &str = "not-for-the-folder";

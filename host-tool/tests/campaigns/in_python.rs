@@ -5,8 +5,8 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 use crate::campaign_report::{PLAN, made};
-use analysis::report::evaluation::evaluate;
-use campaign::folder::Folder;
+use lab::campaign::folder::Folder;
+use report::html::evaluation::evaluate;
 
 /// Starts a program in the folder of the examples; none without Python, which no test requires.
 fn python(args: &[&str]) -> Option<Output> {

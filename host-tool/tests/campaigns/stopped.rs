@@ -2,12 +2,12 @@
 
 use std::path::Path;
 
-use campaign::contents::Campaign;
-use campaign::ledger::{AttemptOutcome, Standing};
-use campaign::order::order;
-use campaign::plan::{CampaignPlan, Purpose as Figure};
 use client::link::Link;
-use operations::connector::Connector;
+use lab::campaign::contents::Campaign;
+use lab::campaign::ledger::{AttemptOutcome, Standing};
+use lab::campaign::order::order;
+use lab::campaign::plan::{CampaignPlan, Purpose as Figure};
+use lab::operations::connector::Connector;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, link};
 

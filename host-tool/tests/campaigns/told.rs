@@ -3,10 +3,10 @@
 use std::fs;
 use std::path::Path;
 
-use analysis::report;
-use campaign::ledger::{LedgerEvent, LedgerRow};
-use campaign::prompts::Question;
 use client::identity::Origin;
+use lab::campaign::ledger::{LedgerEvent, LedgerRow};
+use lab::campaign::prompts::Question;
+use report::html;
 use serde_json::Value;
 use simulated_machines::machine::VIRTUAL_UID;
 
@@ -104,7 +104,7 @@ fn a_lost_record_of_any_action_counts() {
     for other in ["runner.csv", "trace-1-20260131T120000Z.csv"] {
         fs::write(folder.join(other), "").expect("written");
     }
-    let found = report::find(std::slice::from_ref(&folder)).expect("a folder");
+    let found = html::find(std::slice::from_ref(&folder)).expect("a folder");
     let records = found.left_out.iter().filter(|left| left.is_record);
     assert_eq!((found.left_out.len(), records.count()), (10, 8));
     let page = place.path().join("report.html");

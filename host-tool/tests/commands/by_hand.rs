@@ -1,11 +1,11 @@
 //! Hold, resume, jog and move report what really happened.
 
 use crate::support::tool::{Memory, ready};
+use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{Run, RunTiming};
 use protocol::{settings::SettingKey, system::DeviceKind};
 use serde_json::Value;
 use simulated_machines::machine::{Script, World, button, estop};
-use trials::experiment::PAPER_RUN;
 
 const SHORT_RUN_US: u64 = 4_000_000;
 const SHORT_RUN: Run = Run {

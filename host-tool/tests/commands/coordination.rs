@@ -10,16 +10,16 @@ use client::error::ClientError;
 use client::link::owner::Question;
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
+use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
+use lab::trials::cue::Cue;
+use lab::trials::experiment::{ExperimentError, PAPER_RUN};
+use lab::trials::trial::{Recording, RigSample, Status, Trial};
 use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState, GetActuationRecord};
 use protocol::rig::{RigEvent, RigState, Run, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Event, Urgent, What};
 use protocol::table::Endpoint as _;
 use simulated_machines::machine::{Script, World, estop, link};
-use trials::coordination::{self, Coordinated, Recordings, Shaping};
-use trials::cue::Cue;
-use trials::experiment::{ExperimentError, PAPER_RUN};
-use trials::trial::{Recording, RigSample, Status, Trial};
 
 /// Three cycles of 10 mm, 2 s each.
 const RUN: Run = Run {

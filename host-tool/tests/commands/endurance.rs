@@ -4,11 +4,11 @@ use crate::cli::rows;
 use crate::support::tool::{Memory, ready};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
+use lab::trials::endurance::Run;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, World, link};
-use trials::endurance::Run;
 
 /// Runs `capsule cycle`. Returns exit code, rows, summary and text.
 fn cycle(script: Script, pairs: &str) -> (u8, Vec<Vec<Option<f64>>>, Value, String) {

@@ -7,12 +7,12 @@ use crate::support::tool::{Memory, ready};
 use client::identity::Origin;
 use client::{Device, Unobserved};
 use jiff::Timestamp;
+use lab::trials::fetched::{Kept, Nothing};
+use lab::trials::trial::Status;
 use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::DeviceKind;
 use serde_json::Value;
 use simulated_machines::machine::{Script, VIRTUAL_UID, button, link};
-use trials::fetched::{Kept, Nothing};
-use trials::trial::Status;
 
 /// Two strokes of 20 mm in 3 s.
 const RUN: Run = Run {
@@ -116,10 +116,10 @@ fn a_run_of_the_button_is_fetched() {
         ..ready(DeviceKind::Rig)
     };
     let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
-    let asked = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
+    let asked = lab::trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
     assert_eq!(asked, Err(Nothing::Yet));
     rig.idle(46_000_000, &mut Unobserved).expect("there");
-    let asked = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
+    let asked = lab::trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH).expect("answers");
     let fetched = asked.expect("a run");
     assert_eq!(
         (fetched.status, fetched.origin),

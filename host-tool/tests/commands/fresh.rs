@@ -6,7 +6,7 @@ use crate::support::tool;
 use client::address::Address;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, Purpose};
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Log, Script, link};
 

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use client::error::ClientError;
 use client::link::Link;
 use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
+use lab::trials::experiment::PAPER_RUN;
 use protocol::capsule::ActuationOutcome;
 use protocol::error::Refusal;
 use protocol::rig::{MoveTo, RigEvent, RigFault, RigState, Run, RunOutcome, RunTiming};
@@ -15,7 +16,6 @@ use protocol::table::Telemetry;
 use simulated_machines::link::{Memory, Peer};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, SimulatedMachine, World, link};
-use trials::experiment::PAPER_RUN;
 
 const SHORT_RUN: Run = Run {
     cycles: 2,

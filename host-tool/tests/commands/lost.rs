@@ -7,12 +7,12 @@ use client::link::owner::Owner;
 use client::link::{Link, LinkError, OpenError};
 use client::{Device, Observer, Progress};
 use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
-use operations::failure::Failure;
+use lab::operations::connector::{Connector, Purpose};
+use lab::operations::failure::Failure;
+use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::Home;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, World, link};
-use trials::experiment::PAPER_RUN;
 
 use crate::support::tool::{self, ready};
 

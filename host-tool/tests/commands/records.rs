@@ -9,23 +9,23 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::tool::device;
-use analysis::report;
-use analysis::report::remark::Remark;
-use analysis::report::{Found, LeftOut};
-use campaign::catalogue::{self, Wanted};
 use client::identity::{IdentityRecord, Origin};
 use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
 use jiff::Timestamp;
+use lab::campaign::catalogue::{self, Wanted};
+use lab::trials::check;
+use lab::trials::experiment::{
+    self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
+};
+use lab::trials::trial::{Action, Ending, Recorder, Recording, RigSample, Screw, Status, Trial};
 use protocol::capsule::{ActuationKind, ActuationOutcome};
 use protocol::rig::{MoveTo, RigState, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Identity, Urgent};
+use report::html;
+use report::html::remark::Remark;
+use report::html::{Found, LeftOut};
 use simulated_machines::machine::capsule::FOLDED_UM;
 use simulated_machines::machine::{Script, link};
-use trials::check;
-use trials::experiment::{
-    self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
-};
-use trials::trial::{Action, Ending, Recorder, Recording, RigSample, Screw, Status, Trial};
 
 const SHORT_RUN: Run = Run {
     cycles: 2,
@@ -392,10 +392,10 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     };
     assert_eq!((count("refused"), count("unknown")), (3, 0));
     // Alone, these records leave nothing to report. Beside a trial they are listed as left out, and none is lost.
-    let none = report::find(&folders).expect_err("no trial").to_string();
+    let none = html::find(&folders).expect_err("no trial").to_string();
     assert!(none.contains("nothing was done: "), "{none}");
     recorded_run(folder.path());
-    let found = report::find(&folders).expect("a folder");
+    let found = html::find(&folders).expect("a folder");
     assert_eq!(found.sidecars.len(), 1, "{found:?}");
     let left = |left: &LeftOut| left.why.contains("nothing was done: ") && !left.is_record;
     assert_eq!(found.left_out.len(), 3, "{found:?}");
@@ -644,7 +644,7 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
         sidecars,
         left_out: vec![],
     };
-    let report = report::html(&found, &[remark]).expect("report");
+    let report = html::html(&found, &[remark]).expect("report");
     assert_eq!(report.damaged, [], "a clean record has no defect");
     let html = report.html;
     assert_eq!(html.matches("<svg").count(), 10);
@@ -655,7 +655,7 @@ fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
         "nothing is loaded"
     );
     assert_eq!(
-        report::find(&[folder.path().to_owned()])
+        html::find(&[folder.path().to_owned()])
             .expect("folder")
             .sidecars
             .len(),

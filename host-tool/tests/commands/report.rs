@@ -4,15 +4,15 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::support::tool::{Memory, device};
-use analysis::report::{self, Damaged, Existing, Found};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
+use lab::trials::experiment::{self, PAPER_RUN};
+use lab::trials::trial::Recording;
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;
+use report::html::{self, Damaged, Existing, Found};
 use simulated_machines::machine::{Script, link};
-use trials::experiment::{self, PAPER_RUN};
-use trials::trial::Recording;
 
 const RUN: Run = Run {
     cycles: 2,
@@ -62,7 +62,7 @@ fn damage(file: &Path, sidecar: &Path, change: &dyn Fn(&str) -> String) -> (Stri
     let after = change(&before);
     assert_ne!(before, after, "the change changes something");
     fs::write(file, after).expect("changed");
-    let report = report::html(&found(sidecar), &[]).expect("a page");
+    let report = html::html(&found(sidecar), &[]).expect("a page");
     fs::write(file, before).expect("as before");
     (report.html, report.damaged)
 }
@@ -101,7 +101,7 @@ type Change<'a> = (&'a str, &'a dyn Fn(&str) -> String, &'a str);
 const GAPS: [&str; 3] = ["another end", "its thread", "its duration"];
 
 fn expect_damage(sidecar: &Path, in_csv: &[Change<'_>], in_json: &[Change<'_>]) {
-    let clean = report::html(&found(sidecar), &[]).expect("a page");
+    let clean = html::html(&found(sidecar), &[]).expect("a page");
     assert_eq!(clean.damaged, []);
     assert!(clean.html.contains("<span class=\"ok\">complete</span>"));
     let csv = sidecar.with_extension("csv");
@@ -335,10 +335,10 @@ fn what_is_left_out_is_listed_with_the_reason() {
         ..Script::new(DeviceKind::Rig)
     };
     let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 1).expect("a rig");
-    let fetched = trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH);
+    let fetched = lab::trials::fetched::fetch(&mut rig, Timestamp::UNIX_EPOCH);
     let fetched = fetched.expect("answers").expect("a run");
     let fetched = fetched.write(folder.path()).expect("written");
-    let found = report::find(&[folder.path().to_owned()]).expect("a folder");
+    let found = html::find(&[folder.path().to_owned()]).expect("a folder");
     assert_eq!(found.sidecars, [run]);
     let why = |name: &str| {
         let left = found.left_out.iter().find(|left| left.path.ends_with(name));
@@ -365,7 +365,7 @@ fn what_is_left_out_is_listed_with_the_reason() {
     );
     let others = ["cycle.json", "run.json.part", &fetched];
     assert!(!others.into_iter().any(is_record));
-    let html = report::html(&found, &[]).expect("a page").html;
+    let html = html::html(&found, &[]).expect("a page").html;
     for left in &found.left_out {
         assert!(html.contains(&left.why.replace('"', "&quot;")), "{left}");
     }
@@ -395,7 +395,7 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
     assert!(!html.contains("<script") && !html.contains("src=") && !html.contains("@import"));
     assert!(!folder.path().join("report.html.part").exists());
     for own in [run.clone(), run.with_extension("csv")] {
-        let error = report::write(&found(&run), &[], &own, Existing::Replace).expect_err("own");
+        let error = html::write(&found(&run), &[], &own, Existing::Replace).expect_err("own");
         assert!(error.to_string().contains("one of the records"), "{error}");
     }
     // The terminal reports a damaged record, too.
@@ -451,7 +451,7 @@ fn a_virtual_run_cannot_pass_as_a_measurement() {
             sidecars: sidecars.iter().map(|path| (*path).clone()).collect(),
             left_out: vec![],
         };
-        report::html(&found, &[]).expect("a page").html
+        html::html(&found, &[]).expect("a page").html
     };
     let measured = page(&[&run, &fold]);
     assert!(!measured.contains("class=\"banner\""));
@@ -473,7 +473,7 @@ fn a_virtual_run_cannot_pass_as_a_measurement() {
 fn one_current_is_not_told_as_two() {
     let folder = tempfile::tempdir().expect("folder");
     let [_, fold] = trials(folder.path());
-    let html = report::html(&found(&fold), &[]).expect("a page").html;
+    let html = html::html(&found(&fold), &[]).expect("a page").html;
     let json: serde_json::Value =
         serde_json::from_slice(&fs::read(&fold).expect("there")).expect("JSON");
     let record = &json["action"]["record"];
@@ -520,7 +520,7 @@ fn a_refused_fold_has_no_empty_axes() {
     let refused = experiment::actuate(&mut capsule, kind, &recording, &mut Unobserved);
     refused.expect_err("not referenced");
     let sidecar = folder.path().join("fold-19700101T000000Z.json");
-    let report = report::html(&found(&sidecar), &[]).expect("a page");
+    let report = html::html(&found(&sidecar), &[]).expect("a page");
     assert_eq!(report.damaged, [], "it is as it says");
     assert!(!report.html.contains("<svg"));
     assert!(report.html.contains("No telemetry: no figure."));
@@ -546,7 +546,7 @@ fn a_report_says_where_time_begins_with_and_without_a_start_delay() {
         ran.expect("run").sidecar
     };
     let said = |sidecar: &Path| {
-        let html = report::html(&found(sidecar), &[]).expect("a page").html;
+        let html = html::html(&found(sidecar), &[]).expect("a page").html;
         let caption = html.split("<figcaption>").nth(1).expect("a caption");
         caption
             .split("</figcaption>")

@@ -1,5 +1,5 @@
 //! An exhaustive model of stopping, with all interleavings of the steps up to a bounded depth. Its parts: a server's
-//! requests, courier and worker around the real [`operations::stops::Book`], another process that begins a run and
+//! requests, courier and worker around the real [`lab::operations::stops::Book`], another process that begins a run and
 //! dies, one that takes over its line, and a rig.
 //!
 //! Two simplifications: a frame reaches the rig as soon as it is written (in reality within a millisecond), and no
@@ -7,7 +7,7 @@
 
 use std::collections::HashSet;
 
-use operations::stops::{Ask, Book};
+use lab::operations::stops::{Ask, Book};
 use protocol::system::Urgent;
 
 /// Longest path that is explored.

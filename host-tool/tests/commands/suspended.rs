@@ -2,11 +2,11 @@
 
 use client::error::ClientError;
 use client::{Device, Unobserved};
+use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{LinkLossPolicy, MoveTo, Run, RunOutcome, RunTiming};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{World, button, link};
-use trials::experiment::PAPER_RUN;
 
 use crate::support::tool::{Memory, ready};
 

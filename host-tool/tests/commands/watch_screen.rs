@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use host_tool::cli::watch::draw::{Look, draw};
-use operations::panel::{Contact, Notice, Panel};
+use lab::operations::panel::{Contact, Notice, Panel};
 use protocol::capsule::{CapsuleFault, CapsuleState, CapsuleStatus, CapsuleTelemetry};
 use protocol::rig::{RigEvent, RigFault, RigInputs, RigState, RigStatus, RigTelemetry};
 use protocol::system::{DeviceKind, Event, What};

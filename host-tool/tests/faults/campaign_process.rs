@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use crate::support::bench::{Bench, ready};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::terminal::Terminal;
-use campaign::chance::Chance;
-use campaign::contents::Campaign;
-use campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
-use campaign::verify::verify;
+use lab::campaign::chance::Chance;
+use lab::campaign::contents::Campaign;
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
+use lab::campaign::verify::verify;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::VIRTUAL_UID;
 
@@ -30,7 +30,7 @@ fn plan(changes: &[(&str, &str)]) -> String {
 
 /// The displacements that count, with the attempts that they belong to.
 fn done(campaign: &Campaign) -> BTreeMap<u32, (u32, i64)> {
-    let of = |trial: &campaign::ledger::TrialState| {
+    let of = |trial: &lab::campaign::ledger::TrialState| {
         let mm = trial.counted()?;
         Some((trial.planned.trial, (trial.attempt()?.number, mm.value.um)))
     };

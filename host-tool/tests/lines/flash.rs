@@ -11,7 +11,7 @@ use crate::support::tool;
 use client::address::Address;
 use client::door::lock::Doorway;
 use client::link::{Link, OpenError};
-use operations::connector::{Candidate, Connector, Purpose};
+use lab::operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 use serde_json::Value;
 

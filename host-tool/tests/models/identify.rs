@@ -1,8 +1,8 @@
 //! Identification of known capsules, and the refusals of recordings that show nothing.
 
 use capsule_plant::Parameters;
+use lab::trials::identify::{IdentifyError, identify};
 use protocol::capsule::TracePoint;
-use trials::identify::{IdentifyError, identify};
 
 /// The first of those that the example `identify` of `simulated-machines` tries, of which 95 in 100 lie within. All
 /// effects are on.
@@ -19,7 +19,7 @@ fn lifelike_capsules_are_identified_within_the_stated_uncertainty() {
     let most = [0.07, 0.006, 0.12, 0.45, 0.5, 1.1];
     for (index, most) in most.into_iter().enumerate() {
         let share = |one: &Vec<_>| {
-            let (_, truth, estimate): (_, f64, trials::identify::Estimate) = one[index];
+            let (_, truth, estimate): (_, f64, lab::trials::identify::Estimate) = one[index];
             estimate.uncertainty / truth
         };
         let mut shares: Vec<f64> = found.iter().map(share).collect();

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use crate::support::offline::{self, retrograde};
-use analysis::science::series::{self, TubeCase};
 use assert_cmd::Command;
 use locomotion::comparison;
 use locomotion::comparison::frictions;
@@ -14,6 +13,7 @@ use locomotion::model::{Model, SETTINGS, Setting};
 use locomotion::paper::{INDENTATIONS_MM, pressures_pa};
 use locomotion::range::OutOfRange;
 use locomotion::{roller, tube};
+use report::science::series::{self, TubeCase};
 use serde_json::Value;
 
 fn json(args: &[&str]) -> Value {

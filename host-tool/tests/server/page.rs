@@ -3,11 +3,11 @@
 
 use client::error::ClientError;
 use client::{Device, Unobserved, wording};
+use lab::trials::experiment::PAPER_RUN;
 use protocol::capsule::{CapsuleState, CheckFolded};
 use protocol::rig::{Direction, Hold, Jog, MoveTo, Resume, RigState};
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Script, link};
-use trials::experiment::PAPER_RUN;
 
 const PAGE: &str = include_str!("../../serve/src/page.html");
 

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use crate::support::signal::{Signal, kill};
 use host_tool::cli::run_on;
-use operations::connector::Ports;
+use lab::operations::connector::Ports;
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::link::Peer;
 use simulated_machines::machine::pace::{MOST_LATE_US, Pace, TURN_US};

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
-use operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, Purpose};
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Log, Script, link};
 

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use operations::connector::Ports;
+use lab::operations::connector::Ports;
 
 use crate::support::tool;
 

@@ -8,7 +8,7 @@ use client::link::{Link, OpenError};
 use host_tool::cli::run_on;
 use host_tool::cli::screen::Keyboard;
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Purpose};
+use lab::operations::connector::{Candidate, Connector, Purpose};
 use protocol::system::DeviceKind;
 
 use simulated_machines::machine::{Log, Script, link};

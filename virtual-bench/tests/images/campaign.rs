@@ -4,12 +4,12 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::Path;
 
-use analysis::report::evaluation::evaluate;
-use campaign::contents::Campaign;
-use campaign::form::Form;
-use campaign::ledger::{Source, Standing};
-use campaign::verify::verify;
 use host_tool::cli;
+use lab::campaign::contents::Campaign;
+use lab::campaign::form::Form;
+use lab::campaign::ledger::{Source, Standing};
+use lab::campaign::verify::verify;
+use report::html::evaluation::evaluate;
 use virtual_bench::connector::BenchPorts;
 
 const PAPER: &str = include_str!("../../../examples/paper.toml");

@@ -7,7 +7,7 @@ use client::link::{Link, OpenError};
 use crate::common::RigRun;
 use host_tool::cli;
 use jiff::Timestamp;
-use operations::connector::{Candidate, Connector, Ports, Purpose};
+use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::system::DeviceKind;
 use virtual_bench::bench::Bench;
 use virtual_bench::boards::rig::RigBoard;

@@ -2,13 +2,13 @@
 
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
+use lab::trials::check;
+use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
+use lab::trials::cue::Cue;
+use lab::trials::experiment::PAPER_RUN;
+use lab::trials::trial::{CapsuleSample, Recording, Status};
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;
-use trials::check;
-use trials::coordination::{self, Coordinated, Recordings, Shaping};
-use trials::cue::Cue;
-use trials::experiment::PAPER_RUN;
-use trials::trial::{CapsuleSample, Recording, Status};
 use virtual_bench::bench::Bench;
 use virtual_bench::boards::capsule::{self, CapsuleBoard};
 use virtual_bench::boards::rig::RigBoard;

@@ -3,8 +3,8 @@
 use client::Unobserved;
 use client::error::ClientError;
 use jiff::Timestamp;
-use trials::trial::{Recording, Status};
-use trials::{check, experiment};
+use lab::trials::trial::{Recording, Status};
+use lab::trials::{check, experiment};
 
 use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
 use protocol::error::Refusal;

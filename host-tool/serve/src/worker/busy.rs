@@ -5,14 +5,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use client::error::ClientError;
 use client::{Begun, Observer, Pace, Progress};
-use operations::failure::Failure;
-use operations::panel::{self, Notice};
+use lab::operations::failure::Failure;
+use lab::operations::panel::{self, Notice};
+use lab::trials::trial::Achieved;
 use protocol::error::Refusal;
 use protocol::rig::RigEvent;
 use protocol::system::{Event, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
-use trials::trial::Achieved;
 
 use crate::board::{Board, Machine, Order};
 use crate::orders::Work;

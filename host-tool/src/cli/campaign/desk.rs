@@ -5,15 +5,15 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use campaign::conduct::Desk;
-use campaign::plan::{CampaignPlan, Millimetres};
-use campaign::prompts::{Halt, Question};
-use campaign::readings::{Quantity, refusal};
 use client::error::ClientError;
 use client::{Interrupt, Observer, Pacer};
 use jiff::Timestamp;
-use operations::interrupt;
-use operations::places::Places;
+use lab::campaign::conduct::Desk;
+use lab::campaign::plan::{CampaignPlan, Millimetres};
+use lab::campaign::prompts::{Halt, Question};
+use lab::campaign::readings::{Quantity, refusal};
+use lab::operations::interrupt;
+use lab::operations::places::Places;
 
 use crate::cli::keyboard::{self, Line, Lines, TOO_SOON};
 use crate::cli::screen::{Keyboard, Screen};

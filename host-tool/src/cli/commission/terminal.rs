@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use client::visible::wrapped;
 use client::{Interrupt, decimal};
-use commissioning::halt::Halt;
-use commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
-use commissioning::session::COLUMNS;
+use lab::commissioning::halt::Halt;
+use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
+use lab::commissioning::session::COLUMNS;
 
 use crate::cli::keyboard::{Line, Lines, TOO_SOON};
 use crate::cli::screen::Keyboard;

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use campaign::catalogue::{self, Kind, Wanted};
-use campaign::contents::Campaign;
-use campaign::ledger::Standing;
-use campaign::order::doing;
-use campaign::remaining;
-use operations::arguments::CAMPAIGNS_FOLDER;
+use lab::campaign::catalogue::{self, Kind, Wanted};
+use lab::campaign::contents::Campaign;
+use lab::campaign::ledger::Standing;
+use lab::campaign::order::doing;
+use lab::campaign::remaining;
+use lab::operations::arguments::CAMPAIGNS_FOLDER;
 use serde_json::{Value, json};
 
 /// The newest incomplete campaign.

@@ -10,7 +10,7 @@ use client::error::ClientError;
 use client::limited::{self, BY_HAND};
 use client::wording::word;
 use client::{Device, identity, wording};
-use operations::failure::Failure;
+use lab::operations::failure::Failure;
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use protocol::system::DeviceKind;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};

@@ -1,6 +1,6 @@
 //! Names and values of settings as the user writes them.
 
-use operations::failure::Failure;
+use lab::operations::failure::Failure;
 use protocol::settings::{MAX_NAME, SettingKey};
 
 /// A setting by name.

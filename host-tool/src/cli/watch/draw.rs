@@ -3,13 +3,13 @@
 use std::time::Instant;
 
 use client::{decimal, identity, visible};
-use operations::panel::{Contact, Notice, Panel, left_s, millimetres, run_text};
+use lab::operations::panel::{Contact, Notice, Panel, left_s, millimetres, run_text};
+use lab::trials::progress;
 use protocol::capsule::{CapsuleState, CapsuleStatus};
 use protocol::rig::{RigState, RigStatus};
 use ratatui_core::buffer::Buffer;
 use ratatui_core::layout::Rect;
 use ratatui_core::style::{Color, Style};
-use trials::progress;
 
 /// Minimum columns and rows.
 const LEAST: (u16, u16) = (80, 24);

@@ -1,0 +1,87 @@
+//! Campaigns: a plan of trials that is carried out over hours or days, and loses nothing to an interruption.
+//!
+//! * [`plan`]: the plan, as people write it.
+//! * [`form`]: the shape of the body. [`order`]: the order of the trials.
+//! * [`ledger`]: the events, and the state that follows from them.
+//! * [`readings`]: the readings of the caliper.
+//! * [`files`], [`contents`], [`folder`]: the files, their names, reading and writing.
+//! * [`manifest`]: the hash of every file.
+//! * [`differences`], `contradictions`, [`verify`]: find every change of a folder.
+//! * [`prompts`]: the questions, and the possible answers.
+//! * [`conduct`]: carries the trials out.
+//! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
+//! * [`statistics`]: mean, deviation, and a line with its band.
+//! * [`chance`]: random numbers from a seed.
+//! * [`remaining`]: the remaining time.
+
+pub mod catalogue;
+pub mod chance;
+pub mod conduct;
+pub mod contents;
+mod contradictions;
+pub mod differences;
+pub mod files;
+pub mod folder;
+pub mod form;
+pub mod ledger;
+pub mod manifest;
+pub mod order;
+pub mod plan;
+pub mod prompts;
+pub mod readings;
+pub mod remaining;
+pub mod statistics;
+pub mod verify;
+
+use std::path::{Path, PathBuf};
+
+use client::wording::word;
+use miette::Diagnostic;
+
+/// Why a campaign cannot be used.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+#[error("{path}: {why}", path = path.display())]
+#[diagnostic(code(retrograde::campaign), help("{remedy}"))]
+pub struct CampaignError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// The reason.
+    pub why: String,
+    /// Advice for the user.
+    pub remedy: String,
+    /// Whether only the command is wrong, not the campaign.
+    pub misuse: bool,
+}
+
+/// Remedy for a folder that cannot be written. A campaign has one folder, so there is no other to choose.
+pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run DIR` with its folder";
+
+/// The command that goes on with the campaign of a folder, as a person copies it.
+#[must_use]
+pub fn resumption(folder: &Path) -> String {
+    format!("`retrograde campaign run {}`", word(folder))
+}
+
+impl CampaignError {
+    /// The campaign is damaged.
+    pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
+        Self {
+            path: path.to_owned(),
+            why: why.to_string(),
+            remedy: remedy.to_string(),
+            misuse: false,
+        }
+    }
+
+    /// The command does not fit the campaign.
+    pub fn misuse(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
+        Self {
+            misuse: true,
+            ..Self::new(path, why, remedy)
+        }
+    }
+
+    pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
+        Self::new(path, why, MAKE_ROOM)
+    }
+}

@@ -1,0 +1,525 @@
+//! Carries out a campaign: readings, trials, displacements, in the order of the plan, until it is done or the
+//! operator leaves. Writes each result to the folder before the next step begins.
+
+mod displacement;
+pub mod modelled;
+mod reach;
+mod readings;
+mod stage;
+mod strokes;
+mod trial;
+
+use std::iter;
+
+use crate::trials::experiment::ExperimentError;
+use crate::trials::trial::{RecordError, Status};
+use client::error::ClientError;
+use client::identity::{IdentityRecord, Origin};
+use client::subject::Subject;
+use client::{Device, Homed, Observer, Pacer, Unobserved};
+use jiff::Timestamp;
+use protocol::rig::RigState;
+use protocol::settings::GetName;
+use protocol::system::{DeviceKind, Urgent};
+use serde_json::{Value, json};
+
+use crate::campaign::CampaignError;
+use crate::campaign::conduct::modelled::DisplacementModel;
+use crate::campaign::folder::Folder;
+use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
+use crate::campaign::prompts::{self, Answer, Halt, Question};
+use crate::campaign::readings::ReadingRow;
+
+/// Longest time between two calls that keep the machines' links alive while a question waits, us.
+const COMPANY_US: u64 = 50_000;
+
+/// Opens a session with a machine again, or says why not.
+pub type Connect<'a> = dyn FnMut(DeviceKind) -> Result<Device, String> + 'a;
+
+/// Shows text to the operator and asks for answers.
+pub trait Desk {
+    /// Shows a line.
+    fn say(&mut self, text: &str);
+    /// Waits for an answer. Calls `keep_alive` several times a second meanwhile.
+    ///
+    /// # Errors
+    /// [`Halt`]; nothing that was typed is lost with it.
+    fn answer(
+        &mut self,
+        question: &Question<'_>,
+        keep_alive: &mut dyn FnMut() -> Result<(), ClientError>,
+    ) -> Result<String, Halt>;
+    /// Whether a person answers, who needs to see the question and the possible answers.
+    fn is_person(&self) -> bool;
+    /// Shows the progress of a motion.
+    fn observer(&mut self) -> Box<dyn Observer + '_>;
+    /// The keys that hold and resume a run, if there are any.
+    fn pacer(&mut self) -> Option<Pacer>;
+    /// The time of day.
+    fn now(&self) -> Timestamp;
+}
+
+/// How a session ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ending {
+    /// All trials are done.
+    Through,
+    /// The requested number of trials is done.
+    Enough,
+    /// The operator left.
+    Left,
+}
+
+/// Why a session cannot continue. Everything reached so far is in the folder.
+#[derive(Debug, thiserror::Error)]
+pub enum Broken {
+    /// The folder cannot be used.
+    #[error(transparent)]
+    Campaign(#[from] CampaignError),
+    /// A machine or a record failed. This text is kept in the ledger.
+    #[error("{}", in_ledger(.0))]
+    Experiment(#[from] ExperimentError),
+    /// A motion did not end as planned.
+    #[error("{action} ended as {status:?}")]
+    Ended {
+        /// Name of the motion.
+        action: &'static str,
+        /// How it ended.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+    },
+    /// A machine is in a state in which no trial can begin.
+    #[error("{why}")]
+    NotReady {
+        /// The reason.
+        why: String,
+        /// Advice.
+        help: String,
+    },
+}
+
+impl From<ClientError> for Broken {
+    fn from(error: ClientError) -> Self {
+        Self::Experiment(error.into())
+    }
+}
+
+impl From<RecordError> for Broken {
+    fn from(error: RecordError) -> Self {
+        Self::Experiment(error.into())
+    }
+}
+
+fn in_ledger(error: &ExperimentError) -> String {
+    match error {
+        ExperimentError::Client(error) => error.in_record(),
+        error => error.to_string(),
+    }
+}
+
+impl Broken {
+    /// Outcome of the attempt in which it happened.
+    fn outcome(&self) -> AttemptOutcome {
+        match self {
+            Self::Campaign(_) => AttemptOutcome::Lost,
+            Self::NotReady { .. } => AttemptOutcome::Refused,
+            Self::Ended { status, .. } => AttemptOutcome::from(*status),
+            Self::Experiment(ExperimentError::Client(error)) => match error {
+                error if error.is_refusal() => AttemptOutcome::Refused,
+                ClientError::Interrupted { .. } => AttemptOutcome::Stopped,
+                ClientError::NotHomed {
+                    fault: None,
+                    link_lost: true,
+                } => AttemptOutcome::LinkLost,
+                ClientError::NotHomed { fault: None, .. } => AttemptOutcome::Stopped,
+                ClientError::NotHomed { .. } | ClientError::Overdue { .. } => {
+                    AttemptOutcome::Faulted
+                }
+                _ => AttemptOutcome::Lost,
+            },
+            Self::Experiment(ExperimentError::Incomplete { status, .. }) => {
+                AttemptOutcome::from(*status)
+            }
+            // The attempt counts as lost: without its record it cannot be checked.
+            Self::Experiment(
+                ExperimentError::Record(_)
+                | ExperimentError::Unrecorded { .. }
+                | ExperimentError::Both { .. },
+            ) => AttemptOutcome::Lost,
+        }
+    }
+}
+
+/// The machines, and facts about them that do not change during a session.
+pub struct Machines {
+    rig: Device,
+    capsule: Option<Device>,
+    origin: Origin,
+    /// Gaps in the rig's commissioning, or `complete`.
+    commissioning: String,
+    known: Value,
+    /// When and how the position was found; none while it is unknown.
+    homed: Option<(Timestamp, Homed)>,
+    /// A stop that a link knew of when it was given up.
+    stopped: Option<Urgent>,
+}
+
+impl Machines {
+    /// Asks the machines for their identities and settings.
+    ///
+    /// # Errors
+    /// As [`Device::call`].
+    pub fn new(
+        rig: Device,
+        capsule: Option<Device>,
+        commissioning: Option<String>,
+    ) -> Result<Self, ClientError> {
+        let origin = capsule
+            .as_ref()
+            .map_or(rig.origin(), |capsule| rig.origin().max(capsule.origin()));
+        let mut machines = Self {
+            rig,
+            capsule,
+            origin,
+            commissioning: commissioning.unwrap_or_else(|| "complete".to_owned()),
+            known: Value::Null,
+            homed: None,
+            stopped: None,
+        };
+        machines.known = machines.facts()?;
+        Ok(machines)
+    }
+
+    /// The facts that do not change during a session.
+    fn facts(&mut self) -> Result<Value, ClientError> {
+        let subject = Subject::of(&mut self.rig)?;
+        let name = self.rig.call(GetName)?.name;
+        let identity = |device: &Device| {
+            let place = device.place();
+            device
+                .identity()
+                .map(|identity| IdentityRecord::new(identity, &place))
+        };
+        let mut known = json!({
+            "rig": {
+                "identity": identity(&self.rig),
+                "name": name.as_str(),
+                "image": subject.image,
+                "settings": subject.settings,
+                "commissioning": self.commissioning,
+            },
+        });
+        if let Some(capsule) = &self.capsule {
+            known["capsule"] = json!({ "identity": identity(capsule) });
+        }
+        Ok(known)
+    }
+
+    /// Stops every motion that is still going on. Such a motion belongs to an attempt that the tool has left, which
+    /// the ledger lists as lost. Returns the machines stopped.
+    ///
+    /// # Errors
+    /// As [`Device::urgent`] and [`Device::call`].
+    pub fn come_to_rest(&mut self) -> Result<Vec<&'static str>, ClientError> {
+        let mut stopped = vec![];
+        let state = self.rig.rig_status()?.state;
+        if matches!(
+            state,
+            RigState::Running | RigState::Held | RigState::Homing | RigState::Moving
+        ) {
+            self.rig.urgent(Urgent::Stop)?;
+            stopped.push("rig");
+        }
+        self.rig.wait_rest(&mut Unobserved)?;
+        if let Some(capsule) = &mut self.capsule
+            && client::moves(capsule.capsule_status()?.state)
+        {
+            capsule.urgent(Urgent::Stop)?;
+            stopped.push("capsule");
+        }
+        Ok(stopped)
+    }
+
+    /// The strongest stop since the last call, once the machines have confirmed it. It counts for older orders only,
+    /// so later ones are sent again.
+    fn take_stop(&mut self) -> Result<Option<Urgent>, ClientError> {
+        let mut strongest = self.stopped;
+        for device in iter::once(&mut self.rig).chain(&mut self.capsule) {
+            if let Some(urgent) = device.interrupted() {
+                device.settle()?;
+                device.forget_stop();
+                strongest = strongest.max(Some(urgent));
+            }
+        }
+        self.stopped = None;
+        Ok(strongest)
+    }
+
+    fn keep_alive(&mut self) -> Result<(), ClientError> {
+        let kept = self.rig.idle(COMPANY_US, &mut Unobserved);
+        if let Some(capsule) = &mut self.capsule {
+            // Long enough to send the question of another process.
+            capsule.idle(1_000, &mut Unobserved)?;
+        }
+        kept
+    }
+}
+
+/// A session at a campaign.
+pub struct Conduct<'a> {
+    folder: &'a mut Folder,
+    machines: &'a mut Machines,
+    desk: &'a mut dyn Desk,
+    model: &'a dyn DisplacementModel,
+    connect: &'a mut Connect<'a>,
+    /// Whether a machine did not answer while a question waited, and was not reached since.
+    gone: bool,
+    /// Name of the camera's next file, if the operator has given one.
+    camera: Option<String>,
+    /// Block of the last homing in this session.
+    homed_in: Option<u32>,
+}
+
+/// The step after an answer.
+enum Then {
+    /// Begin the trial; or the value is in the ledger.
+    Go,
+    /// Find out again what comes next.
+    Look,
+    /// Leave: the operator has asked to.
+    Leave,
+}
+
+impl<'a> Conduct<'a> {
+    /// A session; asks nothing and moves nothing yet.
+    pub fn new(
+        folder: &'a mut Folder,
+        machines: &'a mut Machines,
+        desk: &'a mut dyn Desk,
+        model: &'a dyn DisplacementModel,
+        connect: &'a mut Connect<'a>,
+    ) -> Self {
+        Self {
+            folder,
+            machines,
+            desk,
+            model,
+            connect,
+            gone: false,
+            camera: None,
+            homed_in: None,
+        }
+    }
+
+    /// Continues the campaign where it stands, with at most `attempts` new attempts.
+    ///
+    /// # Errors
+    /// [`Broken`].
+    pub fn carry_out(&mut self, attempts: Option<u32>) -> Result<Ending, Broken> {
+        let ended = self.go_on(attempts);
+        self.tell_folded();
+        ended
+    }
+
+    fn go_on(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
+        loop {
+            // A stop since the last question is older than the next one.
+            if !self.gone && matches!(self.heed_stop()?, Then::Leave) {
+                return Ok(Ending::Left);
+            }
+            let Some(next) = self.folder.campaign().state.next() else {
+                return Ok(Ending::Through);
+            };
+            let (planned, number) = (next.planned.clone(), next.attempts.len() as u32);
+            let then = if next.standing() == Standing::Unmeasured {
+                self.measure(&planned, number)?
+            } else {
+                if attempts == Some(0) {
+                    return Ok(Ending::Enough);
+                }
+                match self.set_up(&planned)? {
+                    Then::Go => match self.stage(&planned)? {
+                        Then::Go => match self.ask_ready(&planned, number + 1)? {
+                            Then::Go => {
+                                attempts = attempts.map(|left| left - 1);
+                                self.attempt(&planned, number + 1)?
+                            }
+                            then => then,
+                        },
+                        then => then,
+                    },
+                    then => then,
+                }
+            };
+            if matches!(then, Then::Leave) {
+                return Ok(Ending::Left);
+            }
+        }
+    }
+
+    // Rows.
+
+    fn row(&mut self, row: LedgerRow) -> Result<(), Broken> {
+        let (now, origin) = (self.desk.now(), self.machines.origin);
+        Ok(self.folder.append(row, now, origin)?)
+    }
+
+    fn reading_row(&mut self, row: ReadingRow) -> Result<(), Broken> {
+        let (now, origin) = (self.desk.now(), self.machines.origin);
+        Ok(self.folder.append_reading(row, now, origin)?)
+    }
+
+    fn note(&mut self, trial: u32, text: String) -> Result<(), Broken> {
+        let said = format!("  noted on trial {trial}: {text}");
+        self.row(LedgerRow::of(LedgerEvent::Note, trial, None).saying(Some(text)))?;
+        self.desk.say(&said);
+        Ok(())
+    }
+
+    /// Takes the latest entry back: that a trial is left out, or else a displacement.
+    fn undo(&mut self) -> Result<(), Broken> {
+        let campaign = self.folder.campaign();
+        let not_note = |row: &&LedgerRow| row.event != LedgerEvent::Note;
+        let left_out = (campaign.rows.iter().rfind(not_note))
+            .filter(|row| matches!(row.event, LedgerEvent::Skipped | LedgerEvent::Excluded))
+            .and_then(|row| row.trial);
+        let last = campaign.state.last_measured(&campaign.rows);
+        let excluded = last.map(|(trial, _)| trial).filter(|trial| {
+            campaign.state.trial(*trial).map(TrialState::standing) == Some(Standing::Excluded)
+        });
+        let (row, said) = match (left_out.or(excluded), last) {
+            (Some(trial), _) => (
+                LedgerRow::of(LedgerEvent::Included, trial, None),
+                format!(
+                    "  trial {trial} is taken in again, as by `campaign edit ... include {trial}`"
+                ),
+            ),
+            (None, Some((trial, attempt))) => (
+                LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)),
+                format!("  the displacement of trial {trial} is taken back"),
+            ),
+            (None, None) => {
+                self.desk.say("  no displacement was entered yet");
+                return Ok(());
+            }
+        };
+        self.row(row)?;
+        self.desk.say(&said);
+        Ok(())
+    }
+
+    // Questions.
+
+    /// Tells of a stop that came since the last call: what was ordered before it does not begin.
+    fn heed_stop(&mut self) -> Result<Then, Broken> {
+        let Some(urgent) = self.machines.take_stop()? else {
+            return Ok(Then::Go);
+        };
+        self.desk.say(match urgent {
+            Urgent::Stop => "  a stop came meanwhile: nothing begins before Enter at a check-list",
+            Urgent::EStop => {
+                "  an emergency stop came meanwhile: nothing begins before `retrograde ack`"
+            }
+        });
+        Ok(self.look_again())
+    }
+
+    /// A person looks, and answers anew. With nobody there the same answer would come at once, without end.
+    fn look_again(&self) -> Then {
+        match self.desk.is_person() {
+            true => Then::Look,
+            false => Then::Leave,
+        }
+    }
+
+    /// Asks until the answer is clear. None: the operator leaves.
+    fn ask(&mut self, question: &Question<'_>) -> Result<Option<Answer>, Broken> {
+        let person = self.desk.is_person();
+        if person || !matches!(question, Question::Reading { .. }) {
+            for line in question.text() {
+                self.desk.say(&line);
+            }
+        }
+        if person {
+            self.desk.say(&format!("  ({})", question.hint()));
+        }
+        // A machine that is still gone has been named already.
+        let mut said = self.gone;
+        loop {
+            let machines = &mut *self.machines;
+            let mut keep_alive = || machines.keep_alive();
+            let text = match self.desk.answer(question, &mut keep_alive) {
+                Ok(text) => text,
+                Err(Halt::Left) => return Ok(None),
+                // The operator's stop also ends the waiting.
+                Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
+                // An answer needs no machine, so what is being typed must not be lost with the line.
+                Err(Halt::Client(error)) => {
+                    self.gone = true;
+                    if !std::mem::replace(&mut said, true) {
+                        self.desk
+                            .say(&format!("  {error}; the answer is waited for even so"));
+                    }
+                    continue;
+                }
+            };
+            match prompts::parse(&text) {
+                Answer::Quit => return Ok(None),
+                Answer::Unclear(why) => self.desk.say(&format!("  {why}")),
+                answer => return Ok(Some(answer)),
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::rig::RigFault;
+
+    #[test]
+    fn each_end_of_a_homing_is_told_as_what_it_was() {
+        let not_homed = |fault, link_lost| ClientError::NotHomed { fault, link_lost };
+        let overdue = ClientError::Overdue {
+            place: "rig".to_owned(),
+            action: "homing",
+            limit_ms: 1,
+            seen: None,
+        };
+        for (error, outcome) in [
+            (not_homed(None, false), AttemptOutcome::Stopped),
+            (not_homed(None, true), AttemptOutcome::LinkLost),
+            (
+                not_homed(Some(RigFault::EStopFrame), true),
+                AttemptOutcome::Faulted,
+            ),
+            (overdue, AttemptOutcome::Faulted),
+            (
+                ClientError::Interrupted { request: "Home" },
+                AttemptOutcome::Stopped,
+            ),
+        ] {
+            let text = error.to_string();
+            assert_eq!(Broken::from(error).outcome(), outcome, "{text}");
+        }
+    }
+
+    /// The ledger keeps this text, and whoever reads it later has nothing else.
+    #[test]
+    fn a_lost_record_is_in_the_ledger_with_its_file() {
+        let full = std::io::Error::other("the disk is full");
+        let error = RecordError::write(std::path::Path::new("trials/001-1/run.csv"), full);
+        let broken = Broken::from(error);
+        assert_eq!(broken.outcome(), AttemptOutcome::Lost);
+        let text = broken.to_string();
+        assert!(
+            text.contains("run.csv") && text.contains("the disk is full"),
+            "{text}"
+        );
+        let stopped = ClientError::Interrupted { request: "Home" };
+        let text = stopped.in_record();
+        assert_eq!(Broken::from(stopped).to_string(), text);
+        assert!(!text.is_empty());
+    }
+}

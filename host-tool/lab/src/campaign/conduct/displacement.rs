@@ -1,0 +1,231 @@
+//! The displacement of a completed trial: asks the operator or a model, and handles other answers.
+
+use client::Device;
+use client::identity::Origin;
+use protocol::capsule::{ActuationKind, CapsuleState};
+
+use crate::campaign::conduct::modelled::{Modelled, Wanted};
+use crate::campaign::conduct::{Broken, Conduct, Then};
+use crate::campaign::form::Form;
+use crate::campaign::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow, Source};
+use crate::campaign::order::Planned;
+use crate::campaign::plan::Millimetres;
+use crate::campaign::prompts::{Answer, Question};
+
+impl Conduct<'_> {
+    /// Asks for the missing displacements of a completed attempt: first those after strokes, then the net one.
+    pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+        let trial = planned.trial;
+        let missing = self.missing_stroke(planned);
+        let modelled = match self.machines.origin {
+            Origin::Virtual => Some(self.model(planned, attempt, missing.map(|(at, _)| at))?),
+            Origin::Board | Origin::Unknown => None,
+        };
+        if let Some(missing) = missing {
+            return self.measure_stroke(planned, attempt, missing, modelled);
+        }
+        let question = Question::Displacement {
+            planned,
+            attempt,
+            of: self.folder.campaign().order.len(),
+            model: modelled.as_ref().map(|modelled| modelled.value),
+        };
+        let Some(answer) = self.ask(&question)? else {
+            return Ok(Then::Leave);
+        };
+        let mut row = LedgerRow::of(LedgerEvent::Displacement, trial, Some(attempt));
+        match (answer, modelled) {
+            (Answer::Enter, Some(modelled)) => {
+                row.displacement_mm = Some(modelled.value);
+                row.source = Some(modelled.source);
+                self.row(row.saying(Some(modelled.text)))?;
+                return self.unfold_after(planned, attempt);
+            }
+            (Answer::Length(_), Some(_)) => self.say_virtual(),
+            (Answer::Length(value), None) => {
+                let campaign = self.folder.campaign();
+                let refusal = (campaign.plan.displacement.refusal(value))
+                    .or_else(|| campaign.disagreement(trial, value));
+                if let Some(why) = refusal {
+                    self.desk.say(&format!("  {why}"));
+                    return Ok(Then::Look);
+                }
+                row.displacement_mm = Some(value);
+                row.source = Some(Source::Measured);
+                self.row(row)?;
+                return self.unfold_after(planned, attempt);
+            }
+            (Answer::Enter | Answer::Yes | Answer::Again, None) => {
+                self.desk.say("  the displacement is needed here");
+            }
+            (answer, _) => return self.instead(planned, attempt, answer),
+        }
+        Ok(Then::Look)
+    }
+
+    pub(super) fn say_virtual(&mut self) {
+        self.desk
+            .say("  nothing can be measured on the virtual bench: Enter takes the model's value");
+    }
+
+    /// Handles an answer that is not a value.
+    pub(super) fn instead(
+        &mut self,
+        planned: &Planned,
+        attempt: u32,
+        answer: Answer,
+    ) -> Result<Then, Broken> {
+        let trial = planned.trial;
+        let mut ends = false;
+        match answer {
+            Answer::Undo => {
+                let campaign = self.folder.campaign();
+                let here = campaign
+                    .state
+                    .trial(trial)
+                    .and_then(|state| state.attempt());
+                if here.is_some_and(|here| here.strokes_left_out || !here.strokes.is_empty()) {
+                    self.row(LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)))?;
+                    self.desk
+                        .say("  what was said of the last stroke is taken back");
+                } else {
+                    self.undo()?;
+                }
+            }
+            Answer::Repeat(reason) => {
+                let row =
+                    LedgerRow::of(LedgerEvent::Repeated, trial, Some(attempt)).saying(Some(reason));
+                self.row(row)?;
+                self.desk.say(&format!(
+                    "  attempt {attempt} does not count; the trial is done again"
+                ));
+                ends = true;
+            }
+            Answer::Skip(reason) => {
+                self.row(LedgerRow::of(LedgerEvent::Skipped, trial, None).saying(Some(reason)))?;
+                self.desk.say(&format!(
+                    "  trial {trial} is skipped; undo takes it in again"
+                ));
+                ends = true;
+            }
+            Answer::Exclude(reason) => {
+                let row =
+                    LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt)).saying(Some(reason));
+                self.row(row)?;
+                self.desk.say(&format!("  trial {trial} is excluded"));
+                ends = true;
+            }
+            Answer::Note(text) => self.note(trial, text)?,
+            Answer::Camera(_) | Answer::Clamp => {
+                self.desk.say("  that is for the next trial");
+            }
+            Answer::Enter
+            | Answer::Length(_)
+            | Answer::Yes
+            | Answer::Again
+            | Answer::Quit
+            | Answer::Unclear(_) => self.desk.say("  the displacement is needed here"),
+        }
+        if ends {
+            return self.unfold_after(planned, attempt);
+        }
+        Ok(Then::Look)
+    }
+
+    /// The modelled displacement: after a stroke, or of the whole trial.
+    fn model(
+        &self,
+        planned: &Planned,
+        attempt: u32,
+        after_stroke: Option<usize>,
+    ) -> Result<Modelled, Broken> {
+        let campaign = self.folder.campaign();
+        let sidecar = campaign
+            .run_sidecar(planned.trial, attempt)
+            .unwrap_or_default();
+        let a_mm = campaign
+            .state
+            .trial(planned.trial)
+            .and_then(|trial| trial.attempt()?.indentation_mm)
+            .map_or(0.0, Millimetres::mm);
+        let modelled = self.model.displacement(&Wanted {
+            plan: &campaign.plan,
+            planned,
+            attempt,
+            indentation_mm: a_mm,
+            sidecar: &sidecar,
+            after_stroke,
+        });
+        modelled.map_err(|error| {
+            let folder = Attempt::folder(planned.trial, attempt);
+            Broken::NotReady {
+                why: format!("{folder} has no displacement: {error}"),
+                help: "change the plan to what the models cover, and begin another campaign"
+                    .to_owned(),
+            }
+        })
+    }
+
+    /// Unfolds the capsule at the end of a fold trial, so that the thread does not stay under tension.
+    fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+        let campaign = self.folder.campaign();
+        let began = |row: &&LedgerRow| row.event == LedgerEvent::Began;
+        // Unfold only for the latest attempt: a corrected displacement says nothing about the present state of the
+        // capsule.
+        let is_last =
+            campaign.rows.iter().rfind(began).is_some_and(|row| {
+                (row.trial, row.attempt) == (Some(planned.trial), Some(attempt))
+            });
+        let folder = campaign.attempt_folder(planned.trial, attempt);
+        let capsule = self.machines.capsule.as_mut();
+        let Some(capsule) = capsule.filter(|_| planned.shape != Form::Unfolded && is_last) else {
+            return Ok(Then::Look);
+        };
+        match capsule.capsule_status() {
+            Ok(status) if status.state == CapsuleState::Folded => {}
+            Ok(_) => return Ok(Then::Look),
+            // The trial has ended all the same, and the next one may need no capsule.
+            Err(error) => {
+                self.gone = true;
+                self.desk.say(&format!(
+                    "  {error}; was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`"
+                ));
+                return Ok(Then::Look);
+            }
+        }
+        // A stop that came while the question waited is younger than the question.
+        let then = self.heed_stop()?;
+        if !matches!(then, Then::Go) {
+            self.desk.say(
+                "  the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`",
+            );
+            return Ok(then);
+        }
+        let unfolded = self.actuate(ActuationKind::Unfold, &folder);
+        self.folder.seal_attempt(planned.trial, attempt)?;
+        match unfolded {
+            Err(broken) if broken.outcome() == AttemptOutcome::Stopped => Ok(Then::Leave),
+            unfolded => unfolded.map(|()| Then::Look),
+        }
+    }
+
+    /// Tells that the capsule is left folded, or half way: its thread pulls until somebody unfolds it.
+    pub(super) fn tell_folded(&mut self) {
+        let capsule = self.machines.capsule.as_mut();
+        let Some(Ok(status)) = capsule.map(Device::capsule_status) else {
+            return;
+        };
+        self.desk.say(match status.state {
+            CapsuleState::Folded => {
+                "The capsule is folded still, and its thread pulls: `retrograde unfold`."
+            }
+            CapsuleState::WasFolded => {
+                "The capsule is folded still, and its thread pulls: `retrograde capsule check`, then `retrograde unfold`."
+            }
+            CapsuleState::Stopped => {
+                "The capsule stands between its ends, and its thread may pull: `retrograde unfold`."
+            }
+            _ => return,
+        });
+    }
+}

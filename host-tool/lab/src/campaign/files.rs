@@ -1,0 +1,32 @@
+//! Names of the files in the folder of a campaign, and of those of any record.
+
+use crate::trials::experiment::{ACTUATIONS, stem};
+
+/// The plan as the user wrote it.
+pub const PLAN: &str = crate::trials::trial::CAMPAIGN_PLAN;
+/// The trials in their order.
+pub const ORDER: &str = "order.csv";
+/// The ledger.
+pub const TRIALS: &str = crate::trials::trial::CAMPAIGN_LEDGER;
+/// The caliper's readings.
+pub const READINGS: &str = "readings.csv";
+/// Locked by the process that writes to the folder. The file is empty and not in the manifest.
+pub const LOCK: &str = ".lock";
+/// A folder for each attempt at a trial.
+pub const ATTEMPTS: &str = "trials";
+
+/// First parts of the names of a rig's records: of a run, and of a pass.
+pub const MOTIONS: [&str; 2] = ["run", "pass"];
+
+/// Whether a file's name is one that the record of an action gets, of either machine.
+#[must_use]
+pub fn is_record(name: &str) -> bool {
+    let mut stems = MOTIONS.into_iter().chain(ACTUATIONS.map(stem));
+    stems.any(|stem| is_of(name, stem))
+}
+
+/// Whether a name begins with this first part.
+pub(crate) fn is_of(name: &str, stem: &str) -> bool {
+    let rest = name.strip_prefix(stem);
+    rest.is_some_and(|rest| rest.starts_with('-'))
+}

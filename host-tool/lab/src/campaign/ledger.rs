@@ -1,0 +1,655 @@
+//! The ledger: one row per event, never changed afterwards; and the state that follows from the rows.
+//!
+//! A trial is done when one of its attempts was completed and has a displacement. Attempts that were refused,
+//! stopped, lost or given up stay listed and never count. Replaying the rows finds every gap, repetition and
+//! contradiction.
+
+use std::collections::BTreeMap;
+
+use crate::outcomes;
+use crate::trials::trial::Status;
+use client::identity::Origin;
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+
+use crate::campaign::order::{Condition, Planned};
+use crate::campaign::plan::Millimetres;
+
+/// Kind of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LedgerEvent {
+    /// An attempt at a trial begins; nothing has moved yet.
+    Began,
+    /// It ended, as `outcome` says.
+    Ended,
+    /// The displacement of the tail was entered. A later one of the same attempt corrects it.
+    Displacement,
+    /// The displacement after the next stroke of the run was entered. The first one is after stroke 1; all come
+    /// before the net one.
+    Stroke,
+    /// The displacements after strokes are omitted for this attempt.
+    StrokesLeftOut,
+    /// The last entry was taken back: the displacement, or else the one after a stroke, or the omission of those.
+    Undone,
+    /// The attempt is given up, and the trial is done again.
+    Repeated,
+    /// The trial is left out.
+    Skipped,
+    /// The trial was done, and is left out of the evaluation.
+    Excluded,
+    /// The trial is no longer skipped or excluded.
+    Included,
+    /// A remark.
+    Note,
+}
+
+impl LedgerEvent {
+    /// The event as a participle, for a refusal: `trial 3 is done, not to be begun`.
+    const fn words(self) -> &'static str {
+        match self {
+            Self::Began => "begun",
+            Self::Ended => "ended",
+            Self::Displacement => "measured",
+            Self::Stroke => "measured after a stroke",
+            Self::StrokesLeftOut => "left without its strokes",
+            Self::Undone => "taken back",
+            Self::Repeated => "repeated",
+            Self::Skipped => "skipped",
+            Self::Excluded => "excluded",
+            Self::Included => "taken in again",
+            Self::Note => "remarked on",
+        }
+    }
+}
+
+outcomes! {
+    /// How an attempt ended.
+    AttemptOutcome {
+        /// As planned.
+        Complete: "complete",
+        /// The machine refused it.
+        Refused: "refused",
+        /// The operator stopped it.
+        Stopped: "stopped",
+        /// The machine stopped by itself because it no longer heard from the tool.
+        LinkLost: "link_lost",
+        /// A fault ended it.
+        Faulted: "faulted",
+        /// The tool ended during the attempt, or lost the machine.
+        Lost: "lost",
+    }
+}
+
+impl From<Status> for AttemptOutcome {
+    fn from(status: Status) -> Self {
+        match status {
+            Status::Complete => Self::Complete,
+            Status::Refused => Self::Refused,
+            Status::Stopped => Self::Stopped,
+            Status::LinkLost => Self::LinkLost,
+            Status::Faulted => Self::Faulted,
+            Status::Running | Status::Unknown => Self::Lost,
+        }
+    }
+}
+
+/// Origin of a displacement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Source {
+    /// A person measured it.
+    Measured,
+    /// A model calculated it.
+    Model,
+    /// A model calculated it, and the plan's scatter was added.
+    ModelWithScatter,
+}
+
+/// A row of `trials.csv`. Columns that do not apply to the event are empty.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LedgerRow {
+    /// From 1, without gaps.
+    pub row: u32,
+    /// Time by the computer's clock.
+    pub time_utc: Timestamp,
+    /// Kind of event.
+    pub event: LedgerEvent,
+    /// The trial; empty for a note on the whole campaign.
+    pub trial: Option<u32>,
+    /// The attempt at it, from 1.
+    pub attempt: Option<u32>,
+    /// With `ended`: how it ended.
+    pub outcome: Option<AttemptOutcome>,
+    /// With `displacement` and `stroke`: of the tail since the beginning, + headward.
+    pub displacement_mm: Option<Millimetres>,
+    /// With `displacement` and `stroke`: its origin.
+    pub source: Option<Source>,
+    /// With `began`: the set of readings in `readings.csv` that gives the indentation.
+    pub readings_set: Option<u32>,
+    /// With `began`: a_n by Eq. 8, from these readings.
+    pub indentation_mm: Option<Millimetres>,
+    /// With `began`: the camera's file.
+    pub camera_file: Option<String>,
+    /// A reason, a remark.
+    pub text: Option<String>,
+    /// Origin of the data.
+    pub origin: Origin,
+}
+
+impl LedgerRow {
+    /// A row about a trial; the ledger adds its number.
+    #[must_use]
+    pub fn of(event: LedgerEvent, trial: u32, attempt: Option<u32>) -> Self {
+        Self {
+            row: 0,
+            time_utc: Timestamp::UNIX_EPOCH,
+            event,
+            trial: Some(trial),
+            attempt,
+            outcome: None,
+            displacement_mm: None,
+            source: None,
+            readings_set: None,
+            indentation_mm: None,
+            camera_file: None,
+            text: None,
+            origin: Origin::Unknown,
+        }
+    }
+
+    /// Adds a reason or remark.
+    #[must_use]
+    pub fn saying(mut self, text: Option<String>) -> Self {
+        self.text = text.filter(|text| !text.is_empty());
+        self
+    }
+}
+
+/// The first contradiction in a ledger.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("row {row}: {why}")]
+pub struct Contradiction {
+    /// Number of the row in the file, from 1.
+    pub row: u32,
+    /// The contradiction.
+    pub why: String,
+}
+
+/// A displacement, as last entered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Displacement {
+    /// Of the tail, + headward.
+    pub value: Millimetres,
+    /// Its origin.
+    pub source: Source,
+    /// Number of entries: more than one if it was corrected.
+    pub entered: u32,
+}
+
+/// An attempt at a trial.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Attempt {
+    /// From 1.
+    pub number: u32,
+    /// When it began.
+    pub began: Timestamp,
+    /// When it ended.
+    pub ended: Option<Timestamp>,
+    /// How it ended; none while it goes on.
+    pub outcome: Option<AttemptOutcome>,
+    /// Why it did not end as planned.
+    pub reason: Option<String>,
+    /// The net displacement.
+    pub displacement: Option<Displacement>,
+    /// Displacement of the tail since the beginning, after each stroke so far.
+    pub strokes: Vec<Millimetres>,
+    /// Whether the displacements after strokes are omitted.
+    pub strokes_left_out: bool,
+    /// Number of displacements entered, including those taken back.
+    pub entries: u32,
+    /// Why the operator gave it up; none if the operator did not.
+    pub given_up: Option<String>,
+    /// The set of readings that gives its indentation.
+    pub readings_set: Option<u32>,
+    /// Its indentation a_n.
+    pub indentation_mm: Option<Millimetres>,
+    /// The camera's file.
+    pub camera_file: Option<String>,
+}
+
+impl Attempt {
+    /// Whether it was completed and is not given up.
+    #[must_use]
+    pub fn stands(&self) -> bool {
+        self.outcome == Some(AttemptOutcome::Complete) && self.given_up.is_none()
+    }
+
+    /// The displacements after all strokes of a run with `count` strokes; none if they are omitted or incomplete.
+    #[must_use]
+    pub fn all_strokes(&self, count: usize) -> Option<&[Millimetres]> {
+        (!self.strokes_left_out && self.strokes.len() == count).then_some(&*self.strokes)
+    }
+
+    /// Name of its folder.
+    #[must_use]
+    pub fn folder(trial: u32, attempt: u32) -> String {
+        format!("{trial:03}-{attempt}")
+    }
+}
+
+/// State of a trial.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// Not done yet.
+    Open,
+    /// An attempt has begun and not ended.
+    UnderWay,
+    /// Run, but the displacement is missing.
+    Unmeasured,
+    /// Counts.
+    Done,
+    /// Done, but left out of the evaluation.
+    Excluded,
+    /// Skipped.
+    Skipped,
+}
+
+impl Standing {
+    /// The state in words.
+    const fn words(self) -> &'static str {
+        match self {
+            Self::Open => "not done yet",
+            Self::UnderWay => "under way",
+            Self::Unmeasured => "not measured yet",
+            Self::Done => "done",
+            Self::Excluded => "excluded",
+            Self::Skipped => "skipped",
+        }
+    }
+
+    /// Why a trial in this state does not take the event.
+    fn refusal(self, trial: u32, event: LedgerEvent) -> String {
+        format!(
+            "trial {trial} is {}, not to be {}",
+            self.words(),
+            event.words()
+        )
+    }
+}
+
+/// A trial and its history.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrialState {
+    /// As planned.
+    pub planned: Planned,
+    /// All attempts, including those that do not count.
+    pub attempts: Vec<Attempt>,
+    /// Why it is skipped; none if it is not.
+    pub skipped: Option<String>,
+    /// Why it is excluded; none if it is not.
+    pub excluded: Option<String>,
+    /// Remarks.
+    pub notes: Vec<String>,
+}
+
+impl TrialState {
+    /// The attempt that counts, if there is one.
+    #[must_use]
+    pub fn attempt(&self) -> Option<&Attempt> {
+        self.attempts.last().filter(|attempt| attempt.stands())
+    }
+
+    /// Its state.
+    #[must_use]
+    pub fn standing(&self) -> Standing {
+        if self.skipped.is_some() {
+            return Standing::Skipped;
+        }
+        match self.attempts.last() {
+            Some(last) if last.outcome.is_none() => Standing::UnderWay,
+            Some(last) if last.stands() => match (last.displacement, &self.excluded) {
+                (_, Some(_)) => Standing::Excluded,
+                (None, None) => Standing::Unmeasured,
+                (Some(_), None) => Standing::Done,
+            },
+            _ => Standing::Open,
+        }
+    }
+
+    /// How it is left out, if it is.
+    fn left_out(&self) -> Option<&'static str> {
+        match self.standing() {
+            Standing::Skipped => Some("skipped"),
+            Standing::Excluded => Some("excluded"),
+            _ => None,
+        }
+    }
+
+    /// The displacement, if it counts.
+    #[must_use]
+    pub fn counted(&self) -> Option<Displacement> {
+        (self.standing() == Standing::Done)
+            .then(|| self.attempt()?.displacement)
+            .flatten()
+    }
+}
+
+/// Progress of a condition.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tally {
+    /// The condition.
+    pub condition: Condition,
+    /// Number of planned trials.
+    pub planned: u32,
+    /// Trials that count: n.
+    pub counted: Vec<(u32, Displacement)>,
+    /// Number of excluded trials.
+    pub excluded: u32,
+    /// Number of skipped trials.
+    pub skipped: u32,
+}
+
+/// Row numbers and origin, as checked in `trials.csv` and `readings.csv`: numbers from 1 without gaps, and one origin
+/// for all.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sequence {
+    rows: u32,
+    origin: Option<Origin>,
+}
+
+impl Sequence {
+    /// The number of the next row.
+    #[must_use]
+    pub fn next_row(&self) -> u32 {
+        self.rows + 1
+    }
+
+    /// Origin of all rows; none before the first one.
+    #[must_use]
+    pub fn origin(&self) -> Option<Origin> {
+        self.origin
+    }
+
+    /// Checks whether a row with this number and origin can come next. The error is the reason.
+    pub(crate) fn check(&self, row: u32, origin: Origin) -> Result<(), String> {
+        if row != self.next_row() {
+            return Err(format!("it is numbered {row}"));
+        }
+        match self.origin {
+            Some(before) if before != origin => Err(format!(
+                "its origin is {origin}, that of the rows before it {before}"
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    /// Counts a row.
+    pub(crate) fn take(&mut self, origin: Origin) {
+        self.rows += 1;
+        self.origin = Some(origin);
+    }
+}
+
+/// The state that follows from a ledger.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CampaignState {
+    /// All trials in their order.
+    pub trials: Vec<TrialState>,
+    /// Remarks on the whole campaign.
+    pub notes: Vec<String>,
+    /// Numbers and origin of the rows.
+    pub sequence: Sequence,
+}
+
+impl CampaignState {
+    /// State before the first row.
+    #[must_use]
+    pub fn new(order: &[Planned]) -> Self {
+        let trial = |planned: &Planned| TrialState {
+            planned: planned.clone(),
+            attempts: vec![],
+            skipped: None,
+            excluded: None,
+            notes: vec![],
+        };
+        Self {
+            trials: order.iter().map(trial).collect(),
+            notes: vec![],
+            sequence: Sequence::default(),
+        }
+    }
+
+    /// State after all these rows.
+    ///
+    /// # Errors
+    /// The first row that cannot follow the earlier ones.
+    pub fn replay(order: &[Planned], rows: &[LedgerRow]) -> Result<Self, Contradiction> {
+        let mut state = Self::new(order);
+        for row in rows {
+            state.apply(row)?;
+        }
+        Ok(state)
+    }
+
+    /// Applies one more row.
+    ///
+    /// # Errors
+    /// It cannot come next; nothing has changed.
+    pub fn apply(&mut self, row: &LedgerRow) -> Result<(), Contradiction> {
+        let number = self.sequence.next_row();
+        let wrong = |why: String| Contradiction { row: number, why };
+        self.sequence.check(row.row, row.origin).map_err(wrong)?;
+        match row.trial {
+            None if row.event == LedgerEvent::Note => {
+                self.notes.push(row.text.clone().unwrap_or_default());
+            }
+            None => return Err(wrong("it names no trial".to_owned())),
+            Some(trial) => {
+                let Some(state) = (trial as usize)
+                    .checked_sub(1)
+                    .and_then(|index| self.trials.get_mut(index))
+                else {
+                    return Err(wrong(format!("there is no trial {trial}")));
+                };
+                let left_out = state
+                    .left_out()
+                    .filter(|_| row.event == LedgerEvent::Undone);
+                if let Some(how) = left_out {
+                    return Err(wrong(format!(
+                        "trial {trial} is {how}: `include {trial}` takes it in again"
+                    )));
+                }
+                state.apply(row).map_err(wrong)?;
+            }
+        }
+        self.sequence.take(row.origin);
+        Ok(())
+    }
+
+    /// The trial to do next: first one whose displacement is missing, then a new one.
+    #[must_use]
+    pub fn next(&self) -> Option<&TrialState> {
+        let with = |wanted: Standing| {
+            self.trials
+                .iter()
+                .find(move |trial| trial.standing() == wanted)
+        };
+        with(Standing::UnderWay)
+            .or_else(|| with(Standing::Unmeasured))
+            .or_else(|| with(Standing::Open))
+    }
+
+    /// A trial by its number.
+    #[must_use]
+    pub fn trial(&self, number: u32) -> Option<&TrialState> {
+        self.trials.get((number as usize).checked_sub(1)?)
+    }
+
+    /// The trial and attempt of the latest displacement that was not taken back.
+    #[must_use]
+    pub fn last_measured(&self, rows: &[LedgerRow]) -> Option<(u32, u32)> {
+        rows.iter().rev().find_map(|row| {
+            let (trial, attempt) = (row.trial?, row.attempt?);
+            let last = self.trial(trial)?.attempt()?;
+            (row.event == LedgerEvent::Displacement
+                && last.number == attempt
+                && last.displacement.is_some())
+            .then_some((trial, attempt))
+        })
+    }
+
+    /// All conditions in the order of purpose, lubrication and shape; indentations in the order of `rank`.
+    #[must_use]
+    pub fn tallies(&self, rank: impl Fn(&str) -> usize) -> Vec<Tally> {
+        let mut tallies = BTreeMap::new();
+        for trial in &self.trials {
+            let condition = trial.planned.condition();
+            let key = (
+                condition.purpose,
+                condition.lubrication,
+                rank(&condition.indentation),
+                condition.shape,
+            );
+            let tally = tallies.entry(key).or_insert_with(|| Tally {
+                condition,
+                planned: 0,
+                counted: vec![],
+                excluded: 0,
+                skipped: 0,
+            });
+            tally.planned += 1;
+            match trial.standing() {
+                Standing::Excluded => tally.excluded += 1,
+                Standing::Skipped => tally.skipped += 1,
+                _ => tally
+                    .counted
+                    .extend(trial.counted().map(|mm| (trial.planned.trial, mm))),
+            }
+        }
+        tallies.into_values().collect()
+    }
+}
+
+impl TrialState {
+    fn apply(&mut self, row: &LedgerRow) -> Result<(), String> {
+        let number = self.planned.trial;
+        match row.event {
+            LedgerEvent::Began => return self.begin(row),
+            LedgerEvent::Note => {
+                self.notes.push(row.text.clone().unwrap_or_default());
+                return Ok(());
+            }
+            LedgerEvent::Skipped => {
+                return match self.standing() {
+                    Standing::Open | Standing::Unmeasured => {
+                        self.skipped = Some(row.text.clone().unwrap_or_default());
+                        Ok(())
+                    }
+                    standing => Err(standing.refusal(number, row.event)),
+                };
+            }
+            LedgerEvent::Included => {
+                let was = self.skipped.take().or(self.excluded.take());
+                return match was {
+                    Some(_) => Ok(()),
+                    None => Err(format!("trial {number} is neither skipped nor excluded")),
+                };
+            }
+            LedgerEvent::Ended
+            | LedgerEvent::Displacement
+            | LedgerEvent::Stroke
+            | LedgerEvent::StrokesLeftOut
+            | LedgerEvent::Undone
+            | LedgerEvent::Repeated
+            | LedgerEvent::Excluded => {}
+        }
+        let standing = self.standing();
+        let attempts = self.attempts.len();
+        let Some(last) = self.attempts.last_mut() else {
+            return Err(format!("trial {number} has no attempt"));
+        };
+        if row.attempt != Some(last.number) {
+            return Err(format!("trial {number} is at attempt {attempts}"));
+        }
+        match (row.event, standing) {
+            (LedgerEvent::Ended, Standing::UnderWay) => {
+                let Some(outcome) = row.outcome else {
+                    return Err("an end without an outcome".to_owned());
+                };
+                last.outcome = Some(outcome);
+                last.ended = Some(row.time_utc);
+                last.reason = row.text.clone();
+            }
+            (
+                LedgerEvent::Displacement,
+                Standing::Unmeasured | Standing::Done | Standing::Excluded,
+            ) => {
+                let (Some(value), Some(source)) = (row.displacement_mm, row.source) else {
+                    return Err("a displacement without a value or a source".to_owned());
+                };
+                last.entries += 1;
+                last.displacement = Some(Displacement {
+                    value,
+                    source,
+                    entered: last.entries,
+                });
+            }
+            (LedgerEvent::Stroke, Standing::Unmeasured) if !last.strokes_left_out => {
+                let (Some(value), Some(_)) = (row.displacement_mm, row.source) else {
+                    return Err("a displacement without a value or a source".to_owned());
+                };
+                last.strokes.push(value);
+            }
+            (LedgerEvent::StrokesLeftOut, Standing::Unmeasured) if !last.strokes_left_out => {
+                last.strokes_left_out = true;
+            }
+            (LedgerEvent::Undone, Standing::Done) => last.displacement = None,
+            (LedgerEvent::Undone, Standing::Unmeasured) if last.strokes_left_out => {
+                last.strokes_left_out = false;
+            }
+            (LedgerEvent::Undone, Standing::Unmeasured) if !last.strokes.is_empty() => {
+                last.strokes.pop();
+            }
+            (LedgerEvent::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
+                last.given_up = Some(row.text.clone().unwrap_or_default());
+                self.excluded = None;
+            }
+            (LedgerEvent::Excluded, Standing::Done | Standing::Unmeasured) => {
+                let Some(reason) = row.text.clone() else {
+                    return Err("excluded without a reason".to_owned());
+                };
+                self.excluded = Some(reason);
+            }
+            (event, standing) => return Err(standing.refusal(number, event)),
+        }
+        Ok(())
+    }
+
+    fn begin(&mut self, row: &LedgerRow) -> Result<(), String> {
+        let number = self.planned.trial;
+        let next = self.attempts.len() as u32 + 1;
+        if self.standing() != Standing::Open {
+            return Err(self.standing().refusal(number, row.event));
+        }
+        if row.attempt != Some(next) {
+            return Err(format!("attempt {next} of trial {number} comes next"));
+        }
+        self.attempts.push(Attempt {
+            number: next,
+            began: row.time_utc,
+            ended: None,
+            outcome: None,
+            reason: None,
+            displacement: None,
+            strokes: vec![],
+            strokes_left_out: false,
+            entries: 0,
+            given_up: None,
+            readings_set: row.readings_set,
+            indentation_mm: row.indentation_mm,
+            camera_file: row.camera_file.clone(),
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,414 @@
+//! The questions of a campaign and the possible answers. A trait hides who answers: a person at a terminal, or
+//! nobody.
+
+use client::decimal::DecimalError;
+use client::error::ClientError;
+use protocol::rig::Direction;
+
+use crate::campaign::form::Form;
+use crate::campaign::ledger::Attempt;
+use crate::campaign::order::{Planned, doing};
+use crate::campaign::plan::{Lubrication, Millimetres, Passes, Purpose};
+use crate::campaign::readings::Quantity;
+
+/// Why there is no answer.
+#[derive(Debug)]
+pub enum Halt {
+    /// The operator has left.
+    Left,
+    /// The link to a machine failed while the question waited.
+    Client(ClientError),
+}
+
+/// A question.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Question<'a> {
+    /// The operator has to prepare something by hand.
+    Prepare {
+        /// The preparations, one per line.
+        todo: Vec<String>,
+    },
+    /// A reading of the caliper.
+    Reading {
+        /// D or i_n.
+        quantity: Quantity,
+        /// Name of the indentation, for i_n.
+        indentation: Option<&'a str>,
+        /// Number of the reading, from 1.
+        number: u32,
+        /// Number of readings of the set.
+        count: u32,
+    },
+    /// A set of readings is implausible.
+    Odd {
+        /// The reasons, as questions.
+        questions: &'a [String],
+    },
+    /// A trial is about to begin.
+    Ready {
+        /// The trial.
+        planned: &'a Planned,
+        /// The attempt.
+        attempt: u32,
+        /// The check-list, one item per line.
+        checks: Vec<String>,
+    },
+    /// The displacement of the tail after one stroke of the run.
+    Stroke {
+        /// The trial.
+        planned: &'a Planned,
+        /// The attempt.
+        attempt: u32,
+        /// Number of trials of the campaign.
+        of: usize,
+        /// Number of the stroke, from 1.
+        number: usize,
+        /// Number of strokes.
+        count: usize,
+        /// The modelled value, on the virtual bench.
+        model: Option<Millimetres>,
+    },
+    /// The displacement of the tail.
+    Displacement {
+        /// The trial.
+        planned: &'a Planned,
+        /// The attempt.
+        attempt: u32,
+        /// Number of trials of the campaign.
+        of: usize,
+        /// The modelled value, on the virtual bench.
+        model: Option<Millimetres>,
+    },
+}
+
+impl Question<'_> {
+    /// The question in words, line by line.
+    #[must_use]
+    pub fn text(&self) -> Vec<String> {
+        match self {
+            Self::Prepare { todo } => todo.clone(),
+            Self::Reading {
+                quantity,
+                indentation,
+                number,
+                count,
+            } => {
+                let what = match (quantity, indentation) {
+                    (Quantity::BetweenCrests, Some(name)) => {
+                        format!("i at {name}, between the crests of the wave")
+                    }
+                    _ => "D, between the walls".to_owned(),
+                };
+                vec![format!("Reading {number} of {count}: {what}, mm:")]
+            }
+            Self::Odd { questions } => {
+                let mut lines = questions.to_vec();
+                lines.push("Is that so?".to_owned());
+                lines
+            }
+            Self::Ready { checks, .. } => checks.clone(),
+            Self::Stroke {
+                planned,
+                attempt,
+                of,
+                number,
+                count,
+                model,
+            } => {
+                let way = match number % 2 {
+                    1 => "antegrade",
+                    _ => "returning",
+                };
+                let asked = match model {
+                    None => format!(
+                        "Displacement since the beginning after stroke {number} of {count} ({way}), mm, + headward:"
+                    ),
+                    Some(model) => format!(
+                        "Displacement after stroke {number} of {count} by the model: {model} mm (not a measurement)."
+                    ),
+                };
+                vec![heading(planned, *attempt, *of), asked]
+            }
+            Self::Displacement {
+                planned,
+                attempt,
+                of,
+                model,
+            } => {
+                let asked = match model {
+                    None => "Displacement of the tail, mm, + headward:".to_owned(),
+                    Some(model) => {
+                        format!("Displacement by the model: {model} mm (not a measurement).")
+                    }
+                };
+                vec![heading(planned, *attempt, *of), asked]
+            }
+        }
+    }
+
+    /// The possible answers, for the prompt.
+    #[must_use]
+    pub fn hint(&self) -> &'static str {
+        match self {
+            Self::Prepare { .. } => "Enter when it is done; q leaves",
+            Self::Reading { .. } => "the number and Enter; undo takes the last one back; q leaves",
+            Self::Odd { .. } => {
+                "yes takes the readings as they are; undo takes the last one back; again, or no, measures all anew; q leaves"
+            }
+            Self::Ready { .. } => {
+                "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q leaves"
+            }
+            Self::Stroke { model: None, .. } => {
+                "the number and Enter; Enter alone leaves all strokes of this trial out; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+            }
+            Self::Stroke { model: Some(_), .. } => {
+                "Enter takes it; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+            }
+            Self::Displacement { model: None, .. } => {
+                "the number and Enter; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+            }
+            Self::Displacement { model: Some(_), .. } => {
+                "Enter takes it; repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
+            }
+        }
+    }
+}
+
+/// An answer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// Enter alone.
+    Enter,
+    /// A length.
+    Length(Millimetres),
+    /// Yes.
+    Yes,
+    /// Repeat.
+    Again,
+    /// Take the last entry back.
+    Undo,
+    /// Do the trial once more.
+    Repeat(String),
+    /// Leave the trial out.
+    Skip(String),
+    /// Leave the trial out of the evaluation.
+    Exclude(String),
+    /// A remark.
+    Note(String),
+    /// The camera's file.
+    Camera(String),
+    /// The rollers were clamped anew.
+    Clamp,
+    /// Leave.
+    Quit,
+    /// Unclear, with the reason.
+    Unclear(String),
+}
+
+/// Parses a typed answer.
+#[must_use]
+pub fn parse(text: &str) -> Answer {
+    // A key that a terminal does not know may arrive as a control character.
+    let text = text.replace(char::is_control, " ");
+    let text = text.trim();
+    let (word, rest) = text.split_once(char::is_whitespace).unwrap_or((text, ""));
+    let rest = rest.trim().to_owned();
+    let alone = |answer: Answer| match rest.is_empty() {
+        true => answer,
+        false => Answer::Unclear(format!("`{word}` stands alone")),
+    };
+    let needs = |answer: fn(String) -> Answer, what: &str| match rest.is_empty() {
+        true => Answer::Unclear(format!(
+            "`{word}` needs {what}: `{word} {}`",
+            what.to_uppercase()
+        )),
+        false => answer(rest.clone()),
+    };
+    match word.to_lowercase().as_str() {
+        "" => Answer::Enter,
+        "y" | "yes" => alone(Answer::Yes),
+        "n" | "no" | "again" => alone(Answer::Again),
+        "undo" => alone(Answer::Undo),
+        "clamp" => alone(Answer::Clamp),
+        "q" | "quit" => alone(Answer::Quit),
+        "repeat" => Answer::Repeat(rest),
+        "skip" => Answer::Skip(rest),
+        "exclude" => needs(Answer::Exclude, "a reason"),
+        "note" => needs(Answer::Note, "a text"),
+        "camera" => needs(Answer::Camera, "a file"),
+        _ => length(text),
+    }
+}
+
+fn length(text: &str) -> Answer {
+    let plain = match text.strip_prefix('+') {
+        Some(digits) if !digits.starts_with('-') => digits,
+        _ => text,
+    };
+    let numeric = plain.starts_with(|first: char| first.is_ascii_digit() || "-.".contains(first));
+    let unit = plain.ends_with(|last: char| last.is_alphabetic());
+    match plain.parse::<Millimetres>() {
+        Ok(length) => Answer::Length(length),
+        Err(DecimalError::Comma) => Answer::Unclear(format!(
+            "{text} has a comma: write a point, for example 12.5"
+        )),
+        Err(_) if numeric && unit => Answer::Unclear(format!(
+            "{text} has a unit: write the number of millimetres alone, for example 12.5"
+        )),
+        Err(error) if numeric => Answer::Unclear(format!("{text}: {error}")),
+        Err(_) => Answer::Unclear(format!("`{text}` is neither a number nor a word of these")),
+    }
+}
+
+/// The trial that a question is about: after a correction, displacements of several may be missing.
+fn heading(planned: &Planned, attempt: u32, of: usize) -> String {
+    format!(
+        "Trial {} of {of}{}: {}, {}, {}, repeat {}.",
+        planned.trial,
+        match attempt {
+            1 => String::new(),
+            _ => format!(", attempt {attempt}"),
+        },
+        planned.indentation,
+        planned.lubrication.name(),
+        doing(planned.purpose, planned.shape),
+        planned.repeat,
+    )
+}
+
+/// Check-list before a trial.
+#[must_use]
+pub fn checks(
+    planned: &Planned,
+    attempt: u32,
+    of: usize,
+    camera_file: Option<&str>,
+    passes: Option<Passes>,
+) -> Vec<String> {
+    let mut lines = vec![heading(planned, attempt, of)];
+    lines.push(match planned.lubrication {
+        Lubrication::Dry => "  [ ] the walls are dry".to_owned(),
+        Lubrication::Lubricated => "  [ ] soapy water is on both walls, anew".to_owned(),
+    });
+    if planned.purpose == Purpose::FoldTest {
+        lines.push(match planned.shape {
+            Form::Unfolded => "  [ ] the capsule is connected; it will be unfolded".to_owned(),
+            Form::Folded => "  [ ] the capsule is connected; it will be folded now".to_owned(),
+            Form::Folding => {
+                "  [ ] the capsule is connected; it will be unfolded, and fold in the run"
+                    .to_owned()
+            }
+        });
+    }
+    match (planned.purpose.pass(), passes) {
+        (Some(direction), Some(passes)) => {
+            let (stand, go) = match direction {
+                Direction::Away => ("at home", "to the far end"),
+                Direction::Home => ("at the far end", "home"),
+            };
+            lines.push(format!(
+                "  [ ] the rollers stand {stand}; they go {go} once"
+            ));
+            lines.push(format!(
+                "  [ ] the body is laid in at rest, its tail {} mm from the rollers' axes at the far end; no roller touches it",
+                passes.tail_mm
+            ));
+            lines.push("  [ ] no hand is in the way of the carriage".to_owned());
+        }
+        _ => {
+            lines.push("  [ ] the tail is at its mark, the way of the carriage is free".to_owned())
+        }
+    }
+    if let Some(file) = camera_file {
+        lines.push(format!("  [ ] the camera records, as {file}"));
+    }
+    lines
+}
+
+/// Check-list before the rollers move to the start of a trial.
+#[must_use]
+pub fn clearing(planned: &Planned) -> Vec<String> {
+    let to = match planned.purpose.pass() {
+        Some(Direction::Home) => "to the far end",
+        _ => "home",
+    };
+    vec![
+        String::new(),
+        format!(
+            "Trial {}, {}: the rollers go {to} before the body is laid in.",
+            planned.trial,
+            doing(planned.purpose, planned.shape)
+        ),
+        "  [ ] the body is taken out: the rollers would run over it".to_owned(),
+        "  [ ] no hand is in the way of the carriage".to_owned(),
+    ]
+}
+
+/// Proposed name of the camera's file.
+#[must_use]
+pub fn camera_file(name: &str, trial: u32, attempt: u32) -> String {
+    format!("{name}-{}", Attempt::folder(trial, attempt))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn an_answer_is_a_number_or_a_word() {
+        let um = |um| Answer::Length(Millimetres::from_um(um));
+        for (text, answer) in [
+            ("", Answer::Enter),
+            ("  ", Answer::Enter),
+            ("46.5", um(46_500)),
+            ("+46.5", um(46_500)),
+            (" -3 ", um(-3_000)),
+            ("undo", Answer::Undo),
+            ("Repeat it slipped", Answer::Repeat("it slipped".to_owned())),
+            ("repeat", Answer::Repeat(String::new())),
+            (
+                "exclude  wall torn ",
+                Answer::Exclude("wall torn".to_owned()),
+            ),
+            ("note 21 degC", Answer::Note("21 degC".to_owned())),
+            ("q", Answer::Quit),
+            ("Quit", Answer::Quit),
+            ("y", Answer::Yes),
+            ("yes", Answer::Yes),
+            ("n", Answer::Again),
+            ("no", Answer::Again),
+            ("again", Answer::Again),
+            ("clamp", Answer::Clamp),
+            ("skip", Answer::Skip(String::new())),
+            ("skip no soap", Answer::Skip("no soap".to_owned())),
+            ("camera IMG_1.MOV", Answer::Camera("IMG_1.MOV".to_owned())),
+        ] {
+            assert_eq!(parse(text), answer, "{text:?}");
+        }
+        for (text, says) in [
+            ("46,5", "comma"),
+            ("46.5 mm", "unit"),
+            ("46.5mm", "unit"),
+            ("4.65 cm", "unit"),
+            ("46.5555", "more than 3 decimals"),
+            ("--3", "-3"),
+            ("+-3", "neither"),
+            ("exclude", "needs a reason"),
+            ("undo that", "stands alone"),
+            ("folded", "neither"),
+        ] {
+            let Answer::Unclear(why) = parse(text) else {
+                panic!("{text:?}: {:?}", parse(text));
+            };
+            assert!(why.contains(says), "{text:?}: {why}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_text_panics(text in "\\PC*") {
+            let _ = parse(&text);
+        }
+    }
+}

@@ -1,0 +1,252 @@
+//! Hands at the machine, which press, pull and measure: a person at the terminal, or the virtual bench.
+//!
+//! The bench's hands listen on a TCP port of their own. Each side sends lines of text:
+//!
+//! | line | meaning | answer |
+//! |---|---|---|
+//! | `do PART on`, `do PART off` | an [`Act`]; the parts are those of [`Part::name`] | `done` |
+//! | `read WHAT` | a [`Reading`] | `value N` |
+//! | anything else, or what this machine does not have | | `error TEXT` |
+
+use std::fmt;
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpStream;
+use std::str::FromStr;
+use std::time::Duration;
+
+use client::error::ClientError;
+
+use crate::commissioning::halt::Halt;
+
+/// Time allowed for the bench's hands: pulling a cable takes some seconds.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+macro_rules! named {
+    ($(#[$doc:meta])* $type:ident { $($(#[$variant_doc:meta])* $variant:ident: $name:literal,)* }) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum $type { $($(#[$variant_doc])* $variant,)* }
+
+        impl $type {
+            /// All of them.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+
+            /// Name in the line protocol.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name),* }
+            }
+
+            fn of(name: &str) -> Option<Self> {
+                Self::ALL.iter().copied().find(|one| one.name() == name)
+            }
+        }
+    };
+}
+
+named! {
+    /// Parts that a hand can act on.
+    Part {
+        /// The home flag, actuated or let go.
+        HomeFlag: "home-flag",
+        /// The far limit, actuated or let go.
+        FarLimit: "far-limit",
+        /// The E-stop button, pressed or released.
+        EStop: "e-stop",
+        /// The end-of-travel switch beyond home, actuated or let go.
+        HomeEnd: "home-end",
+        /// The end-of-travel switch beyond the far end, actuated or let go.
+        FarEnd: "far-end",
+        /// The read-back jumper D2-A0, plugged or pulled.
+        Jumper: "jumper",
+        /// The motor supply.
+        Supply: "motor-supply",
+        /// The cable to the host, plugged or pulled.
+        Cable: "cable",
+        /// The capsule's motor shaft, held or let go.
+        Rotor: "rotor",
+        /// The carriage: `on` moves it to the middle of its travel by hand.
+        Carriage: "carriage",
+    }
+}
+
+named! {
+    /// Quantities that a hand can measure.
+    Reading {
+        /// EN (D8) against GND while the reset button is held, mV. The board starts again afterwards.
+        EnableInReset: "enable-in-reset-mv",
+        /// Distance of the carriage from any fixed point, um, by a caliper.
+        Carriage: "carriage-um",
+        /// Battery voltage, mV, by a meter.
+        Battery: "battery-mv",
+    }
+}
+
+/// An act for the hands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Act {
+    /// The part to act on.
+    pub part: Part,
+    /// True: actuated, pressed, plugged, switched on.
+    pub on: bool,
+}
+
+/// A line to the bench's hands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wish {
+    /// Do this.
+    Do(Act),
+    /// Measure this.
+    Read(Reading),
+}
+
+impl fmt::Display for Wish {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Do(act) => {
+                let how = if act.on { "on" } else { "off" };
+                write!(f, "do {} {how}", act.part.name())
+            }
+            Self::Read(reading) => write!(f, "read {}", reading.name()),
+        }
+    }
+}
+
+impl FromStr for Wish {
+    type Err = String;
+
+    fn from_str(line: &str) -> Result<Self, String> {
+        let words: Vec<_> = line.split_whitespace().collect();
+        let wish = match words[..] {
+            ["do", part, how @ ("on" | "off")] => Part::of(part).map(|part| {
+                Self::Do(Act {
+                    part,
+                    on: how == "on",
+                })
+            }),
+            ["read", what] => Reading::of(what).map(Self::Read),
+            _ => None,
+        };
+        wish.ok_or_else(|| {
+            let parts: Vec<_> = Part::ALL.iter().map(|part| part.name()).collect();
+            let readings: Vec<_> = Reading::ALL.iter().map(|reading| reading.name()).collect();
+            format!(
+                "`{line}` is neither `do PART on|off` nor `read WHAT`; parts: {}; what: {}",
+                parts.join(", "),
+                readings.join(", ")
+            )
+        })
+    }
+}
+
+/// Prints a line for the operator.
+pub type Say<'a> = dyn FnMut(&str) + 'a;
+
+/// Checks the machine for the effect of an act, and keeps its link alive. True when the effect is there.
+pub type Watch<'a> = dyn FnMut() -> Result<bool, ClientError> + 'a;
+
+/// Hands at the machine.
+pub trait Hands {
+    /// Whether any hands are there.
+    fn present(&self) -> bool {
+        true
+    }
+
+    /// Has an act done, and returns when it is done or when `watch` sees its effect. `shows`: an input shows the
+    /// effect.
+    ///
+    /// # Errors
+    /// [`Halt::Left`], [`Halt::NotShown`] if it is not done, or what `watch` returns.
+    fn act(
+        &mut self,
+        act: Act,
+        shows: bool,
+        say: &mut Say<'_>,
+        watch: &mut Watch<'_>,
+    ) -> Result<(), Halt>;
+
+    /// Has a quantity measured.
+    ///
+    /// # Errors
+    /// As [`Hands::act`].
+    fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt>;
+}
+
+/// No hands: nothing can be done or measured.
+#[derive(Clone, Copy, Debug)]
+pub struct Nobody;
+
+impl Nobody {
+    fn halt() -> Halt {
+        Halt::NotShown("needs a person at the machine".to_owned())
+    }
+}
+
+impl Hands for Nobody {
+    fn present(&self) -> bool {
+        false
+    }
+
+    fn act(&mut self, _: Act, _: bool, _: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
+        Err(Self::halt())
+    }
+
+    fn read(&mut self, _: Reading, _: &mut Say<'_>) -> Result<i64, Halt> {
+        Err(Self::halt())
+    }
+}
+
+/// The hands of a virtual bench, at its port for hands.
+pub struct Bench {
+    place: String,
+    stream: BufReader<TcpStream>,
+}
+
+impl Bench {
+    /// Connects to `HOST:PORT`.
+    ///
+    /// # Errors
+    /// No bench listens there.
+    pub fn connect(place: &str) -> std::io::Result<Self> {
+        let stream = TcpStream::connect(place)?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(PATIENCE))?;
+        Ok(Self {
+            place: place.to_owned(),
+            stream: BufReader::new(stream),
+        })
+    }
+
+    fn ask(&mut self, wish: Wish, say: &mut Say<'_>) -> Result<Option<i64>, Halt> {
+        say(&format!("  hands: {wish}"));
+        let mut answer = String::new();
+        let asked = writeln!(self.stream.get_mut(), "{wish}")
+            .and_then(|()| self.stream.read_line(&mut answer));
+        let lost = |why: &str| Halt::NoHands(format!("the hands at {}: {why}", self.place));
+        match asked {
+            Err(io) => Err(lost(&io.to_string())),
+            Ok(0) => Err(lost("the other end closed the connection")),
+            Ok(_) => match answer.trim().split_once(' ') {
+                None if answer.trim() == "done" => Ok(None),
+                Some(("value", number)) => number
+                    .parse()
+                    .map(Some)
+                    .map_err(|_| lost(&format!("no number: {number}"))),
+                Some(("error", why)) => Err(Halt::NotShown(why.to_owned())),
+                _ => Err(lost(&format!("no answer: {}", answer.trim()))),
+            },
+        }
+    }
+}
+
+impl Hands for Bench {
+    fn act(&mut self, act: Act, _: bool, say: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
+        self.ask(Wish::Do(act), say).map(|_| ())
+    }
+
+    fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
+        let wish = Wish::Read(reading);
+        self.ask(wish, say)?
+            .ok_or_else(|| Halt::NoHands(format!("the hands at {} measured nothing", self.place)))
+    }
+}

@@ -1,0 +1,127 @@
+//! Decides which step is next, from the record and its subject alone. No machine is involved.
+
+use std::collections::BTreeSet;
+
+use client::subject::Subject;
+use jiff::Timestamp;
+
+use crate::commissioning::record::{Commissioning, Finding, StepOutcome, StepResult};
+use crate::commissioning::step::Step;
+
+/// Whether a step's result still counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It passed, with this image and these settings.
+    Holds,
+    /// It has not passed yet.
+    NotPassed,
+    /// It passed with another image.
+    OtherImage,
+    /// It passed with another value of this setting.
+    OtherSetting(&'static str),
+}
+
+/// Whether the result of `step` in `record` counts for `subject`.
+#[must_use]
+pub fn standing(step: &Step, record: &Commissioning, subject: &Subject) -> Standing {
+    let Some(result) = record.result(step.name) else {
+        return Standing::NotPassed;
+    };
+    if result.outcome != StepOutcome::Passed {
+        return Standing::NotPassed;
+    }
+    if step.of_image && result.image.as_ref() != Some(&subject.image) {
+        return Standing::OtherImage;
+    }
+    let changed = step.settings.iter().find(|key| {
+        let name = key.name();
+        result.settings.get(name) != subject.settings.get(name)
+    });
+    changed.map_or(Standing::Holds, |key| Standing::OtherSetting(key.name()))
+}
+
+/// Goes through the steps once. It skips a step whose result holds, and does not repeat a step that was carried out in
+/// this session, whatever its result.
+#[derive(Debug)]
+pub struct Procedure {
+    steps: &'static [Step],
+    tried: BTreeSet<&'static str>,
+}
+
+impl Procedure {
+    /// A new session.
+    #[must_use]
+    pub fn new(steps: &'static [Step]) -> Self {
+        Self {
+            steps,
+            tried: BTreeSet::new(),
+        }
+    }
+
+    /// The next step to carry out with its number from 1; none at the end.
+    pub fn next(
+        &mut self,
+        record: &Commissioning,
+        subject: &Subject,
+    ) -> Option<(usize, &'static Step)> {
+        let (number, step) = (1..).zip(self.steps).find(|(_, step)| {
+            !self.tried.contains(step.name) && standing(step, record, subject) != Standing::Holds
+        })?;
+        self.tried.insert(step.name);
+        Some((number, step))
+    }
+
+    /// Enters the finding about `step` into `record`, in the order of the steps.
+    pub fn enter(
+        &self,
+        record: &mut Commissioning,
+        step: &Step,
+        finding: Finding,
+        subject: &Subject,
+        now: Timestamp,
+    ) {
+        let depends = step.settings.iter().map(|key| {
+            let name = key.name().to_owned();
+            (name, subject.setting(*key))
+        });
+        let result = StepResult {
+            step: step.name.to_owned(),
+            shows: step.shows.to_owned(),
+            outcome: finding.outcome,
+            reason: finding.reason,
+            measured: finding.measured,
+            date_utc: now,
+            image: step.of_image.then(|| subject.image.clone()),
+            settings: depends.collect(),
+        };
+        record.steps.retain(|known| known.step != step.name);
+        record.steps.push(result);
+        // Results of steps that this tool does not know come last.
+        record.steps.sort_by_key(|result| {
+            let mut names = self.steps.iter().map(|step| step.name);
+            names
+                .position(|name| name == result.step)
+                .unwrap_or(usize::MAX)
+        });
+        *record = Commissioning {
+            begun_utc: record.begun_utc,
+            complete: open(self.steps, record, subject).is_empty(),
+            steps: std::mem::take(&mut record.steps),
+            ..Commissioning::new(subject, now)
+        };
+    }
+}
+
+/// The steps that do not hold, with the reason.
+#[must_use]
+pub fn open(
+    steps: &'static [Step],
+    record: &Commissioning,
+    subject: &Subject,
+) -> Vec<(&'static Step, Standing)> {
+    steps
+        .iter()
+        .map(|step| (step, standing(step, record, subject)))
+        .filter(|(_, standing)| *standing != Standing::Holds)
+        .collect()
+}

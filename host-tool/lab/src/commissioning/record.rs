@@ -1,0 +1,191 @@
+//! The record of a commissioning: one JSON file per board. It is replaced as a whole after each step, so that a session
+//! can end at any instant.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+use crate::trials::trial::{RecordError, json};
+use client::identity::{Origin, kind_name};
+use client::plain::{self, replace};
+use client::subject::Subject;
+use client::{limited, wording};
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+/// Version of the format; incremented when a field changes its meaning.
+pub const FORMAT: u32 = 1;
+
+/// Verdict of a step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StepOutcome {
+    /// Observed and correct.
+    Passed,
+    /// Observed and wrong.
+    Failed,
+    /// Not observed.
+    NotShown,
+}
+
+/// Result of one step.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepResult {
+    /// Name of the step.
+    pub step: String,
+    /// Text: what a pass proves.
+    pub shows: String,
+    /// The verdict.
+    #[serde(rename = "result")]
+    pub outcome: StepOutcome,
+    /// The defect, or why nothing was shown; none with a pass.
+    pub reason: Option<String>,
+    /// The numbers that were measured, with the unit in their names.
+    pub measured: Map<String, Value>,
+    /// Date and time of the result.
+    pub date_utc: Timestamp,
+    /// The image that was tested; none if the result does not depend on the image.
+    pub image: Option<String>,
+    /// The settings that it depends on.
+    pub settings: BTreeMap<String, u32>,
+}
+
+/// A commissioning, finished or not.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Commissioning {
+    /// [`FORMAT`].
+    pub format: u32,
+    /// `rig` or `capsule`.
+    pub machine: String,
+    /// Unique number of the board, 24 hex digits.
+    pub board_uid: String,
+    /// Whether it is a real machine.
+    #[serde(default)]
+    pub origin: Origin,
+    /// Name and version of the host tool that wrote it last.
+    pub tool: String,
+    /// The image at the last session, as in [`Subject::image`].
+    pub image: String,
+    /// Its commit.
+    pub firmware: String,
+    /// Its protocol.
+    pub protocol: String,
+    /// All settings at the last session.
+    pub settings: BTreeMap<String, u32>,
+    /// First session.
+    pub begun_utc: Timestamp,
+    /// Last result.
+    pub changed_utc: Timestamp,
+    /// All steps have passed with this image and these settings.
+    pub complete: bool,
+    /// Results, in the order of the steps.
+    pub steps: Vec<StepResult>,
+}
+
+/// Finding of a session about a step.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Finding {
+    /// The verdict.
+    pub outcome: StepOutcome,
+    /// The defect, or why nothing was shown.
+    pub reason: Option<String>,
+    /// Measured numbers.
+    pub measured: Map<String, Value>,
+}
+
+impl Commissioning {
+    /// A board of which nothing is known yet.
+    #[must_use]
+    pub fn new(subject: &Subject, now: Timestamp) -> Self {
+        Self {
+            format: FORMAT,
+            machine: kind_name(subject.machine).to_owned(),
+            board_uid: subject.uid.clone(),
+            origin: subject.origin,
+            tool: concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned(),
+            image: subject.image.clone(),
+            firmware: subject.firmware.clone(),
+            protocol: subject.protocol.clone(),
+            settings: subject.settings.clone(),
+            begun_utc: now,
+            changed_utc: now,
+            complete: false,
+            steps: vec![],
+        }
+    }
+
+    /// Reads a record; none if there is no such file.
+    ///
+    /// # Errors
+    /// The file cannot be read or is not a record of this format.
+    pub fn read(path: &Path) -> Result<Option<Self>, RecordError> {
+        let error = |why: String| RecordError {
+            path: path.to_owned(),
+            why,
+            remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`",
+        };
+        let text = match plain::read_text(path, limited::RECORD) {
+            Ok(text) => text,
+            Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
+            Err(io) => return Err(error(io.to_string())),
+        };
+        let record: Self =
+            serde_json::from_str(&text).map_err(|json| error(wording::unreadable(&json)))?;
+        if record.format != FORMAT {
+            return Err(error(format!(
+                "format {}, this tool reads {FORMAT}",
+                record.format
+            )));
+        }
+        Ok(Some(record))
+    }
+
+    /// Reads the record of `subject`, or begins one.
+    ///
+    /// # Errors
+    /// As [`Commissioning::read`]; the record is that of another board.
+    pub fn resume(path: &Path, subject: &Subject, now: Timestamp) -> Result<Self, RecordError> {
+        let Some(record) = Self::read(path)? else {
+            return Ok(Self::new(subject, now));
+        };
+        if record.board_uid != subject.uid || record.machine != kind_name(subject.machine) {
+            return Err(RecordError {
+                path: path.to_owned(),
+                why: format!(
+                    "this is the record of the {} with board {}, not of the {} with board {}",
+                    record.machine,
+                    record.board_uid,
+                    kind_name(subject.machine),
+                    subject.uid
+                ),
+                remedy: "each board has a record of its own: leave `--record` out, or give another file",
+            });
+        }
+        Ok(record)
+    }
+
+    /// The result of a step.
+    #[must_use]
+    pub fn result(&self, step: &str) -> Option<&StepResult> {
+        self.steps.iter().find(|result| result.step == step)
+    }
+
+    /// Replaces the file by renaming: a reader finds the old record or the new one, never a part of it.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), RecordError> {
+        let folder = path.parent().filter(|folder| *folder != Path::new(""));
+        folder
+            .map_or(Ok(()), fs::create_dir_all)
+            .and_then(|()| json(self))
+            .and_then(|bytes| replace(path, &bytes))
+            .map_err(|io| RecordError {
+                path: path.to_owned(),
+                why: io.to_string(),
+                remedy: "choose a file in a folder that can be written, with free space: `--record FILE`",
+            })
+    }
+}

@@ -1,0 +1,138 @@
+//! Carries the open steps out, one after the other, and writes the record after each.
+
+use std::path::Path;
+
+use crate::trials::trial::RecordError;
+use client::error::ClientError;
+use client::visible::wrapped;
+use jiff::Timestamp;
+
+use crate::commissioning::halt::Halt;
+use crate::commissioning::procedure::Procedure;
+use crate::commissioning::record::{Commissioning, Finding, StepOutcome};
+use crate::commissioning::step::Step;
+use crate::commissioning::steps;
+use crate::commissioning::work::Work;
+
+/// How a session ended.
+#[derive(Debug)]
+pub enum Ending {
+    /// All steps were gone through.
+    Through,
+    /// A step failed: its name, and the defect.
+    Defect(&'static str, String),
+    /// The operator left. The step in progress, if any, has no result.
+    Left(Option<&'static str>),
+}
+
+/// Why a session was broken off.
+#[derive(Debug)]
+pub enum Broken {
+    /// The machine failed, or the link to it.
+    Client(ClientError),
+    /// The record could not be written.
+    Record(RecordError),
+    /// The connection to the bench's hands was lost.
+    NoHands(String),
+}
+
+/// Line width of the output, columns: fits a terminal of 80.
+pub const COLUMNS: usize = 78;
+
+/// Carries out the steps whose results do not hold. A failed step ends the session: later steps may rely on it.
+///
+/// # Errors
+/// [`Broken`]; the results so far are in the file.
+pub fn carry_out(
+    work: &mut Work<'_>,
+    record: &mut Commissioning,
+    path: &Path,
+    now: &dyn Fn() -> Timestamp,
+) -> Result<Ending, Broken> {
+    let all = steps::of(work.subject.machine);
+    let mut procedure = Procedure::new(all);
+    while let Some((number, step)) = procedure.next(record, &work.subject) {
+        announce(work, number, all.len(), step);
+        let finding = match begin(work, step) {
+            Ok(()) => Finding {
+                outcome: StepOutcome::Passed,
+                reason: None,
+                measured: work.take_measured(),
+            },
+            Err(Halt::Defect(why)) => found(work, StepOutcome::Failed, why),
+            Err(Halt::NotShown(why)) => found(work, StepOutcome::NotShown, why),
+            Err(Halt::Left) => return Ok(Ending::Left(Some(step.name))),
+            Err(Halt::Client(error)) => return Err(Broken::Client(error)),
+            Err(Halt::NoHands(why)) => return Err(Broken::NoHands(why)),
+        };
+        tell(work, &finding);
+        let (outcome, reason) = (finding.outcome, finding.reason.clone());
+        procedure.enter(record, step, finding, &work.subject, now());
+        record.write(path).map_err(Broken::Record)?;
+        if outcome == StepOutcome::Failed {
+            return Ok(Ending::Defect(step.name, reason.unwrap_or_default()));
+        }
+        if work.unless_left().is_err() {
+            return Ok(Ending::Left(None));
+        }
+    }
+    Ok(Ending::Through)
+}
+
+fn begin(work: &mut Work<'_>, step: &Step) -> Result<(), Halt> {
+    work.take_measured();
+    // Also notices an operator who has left.
+    work.pause(0)?;
+    if step.needs_hands && !work.has_hands() {
+        return Err(Halt::NotShown("needs a person at the machine".to_owned()));
+    }
+    (step.check)(work)
+}
+
+fn found(work: &mut Work<'_>, outcome: StepOutcome, why: String) -> Finding {
+    Finding {
+        outcome,
+        reason: Some(why),
+        measured: work.take_measured(),
+    }
+}
+
+fn announce(work: &mut Work<'_>, number: usize, count: usize, step: &Step) {
+    say_wrapped(
+        work,
+        &format!("[{number}/{count}] {}: {}", step.name, step.shows),
+        "  ",
+    );
+    if !step.look.is_empty() {
+        say_wrapped(work, &format!("  look: {}", step.look), "        ");
+    }
+}
+
+fn tell(work: &mut Work<'_>, finding: &Finding) {
+    let numbers: Vec<_> = finding
+        .measured
+        .iter()
+        .map(|(name, value)| match value.as_str() {
+            Some(text) => format!("{name} {text}"),
+            None => format!("{name} {value}"),
+        })
+        .collect();
+    let outcome = match finding.outcome {
+        StepOutcome::Passed => "passed",
+        StepOutcome::Failed => "FAILED",
+        StepOutcome::NotShown => "not shown",
+    };
+    if !numbers.is_empty() {
+        say_wrapped(work, &format!("  {}", numbers.join(", ")), "  ");
+    }
+    match &finding.reason {
+        None => work.say(&format!("  {outcome}")),
+        Some(reason) => say_wrapped(work, &format!("  {outcome}: {reason}"), "    "),
+    }
+}
+
+fn say_wrapped(work: &mut Work<'_>, text: &str, indent: &str) {
+    for line in wrapped(text, COLUMNS, indent) {
+        work.say(&line);
+    }
+}

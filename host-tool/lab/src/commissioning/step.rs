@@ -1,0 +1,25 @@
+//! A step of the commissioning: what it shows and what its result depends on.
+
+use protocol::settings::SettingKey;
+
+use crate::commissioning::halt::Halt;
+use crate::commissioning::work::Work;
+
+/// A step.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    /// Name, in records and on the screen.
+    pub name: &'static str,
+    /// One line: what a pass proves.
+    pub shows: &'static str,
+    /// Hint for the operator: what to watch meanwhile, because nothing measures it; may be empty.
+    pub look: &'static str,
+    /// Its result is that of an image: another image needs another result.
+    pub of_image: bool,
+    /// The settings on which its result depends.
+    pub settings: &'static [SettingKey],
+    /// It cannot be shown without somebody at the machine.
+    pub needs_hands: bool,
+    /// Carries it out.
+    pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
+}

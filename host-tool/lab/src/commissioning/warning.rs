@@ -1,0 +1,62 @@
+//! Warnings before a run, about the commissioning of its board.
+
+use std::path::PathBuf;
+
+use client::Device;
+use client::error::ClientError;
+use client::subject::Subject;
+
+use crate::commissioning::procedure::{self, Standing};
+use crate::commissioning::record::Commissioning;
+use crate::commissioning::steps;
+
+/// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.
+///
+/// # Errors
+/// As [`Subject::of`].
+pub fn of_record(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>, ClientError> {
+    let Some(identity) = rig.identity().copied() else {
+        return Ok(None);
+    };
+    let name = Subject::of_identity(&identity).file_name();
+    let paths = folders.iter().map(|folder| folder.join(&name));
+    let found = paths.filter_map(|path| Commissioning::read(&path).transpose());
+    let record = match found.into_iter().next() {
+        None => {
+            return Ok(Some(
+                "this board has no commissioning record: `retrograde commission rig` makes one"
+                    .to_owned(),
+            ));
+        }
+        Some(Err(error)) => {
+            return Ok(Some(format!(
+                "the commissioning record cannot be read: {error}"
+            )));
+        }
+        Some(Ok(record)) => record,
+    };
+    let subject = Subject::of(rig)?;
+    let open = procedure::open(steps::of(subject.machine), &record, &subject);
+    let Some((step, standing)) = open.first() else {
+        return Ok(None);
+    };
+    let why = match standing {
+        Standing::OtherImage => format!(
+            "the commissioning record is of image {}, this is {}",
+            record
+                .result(step.name)
+                .and_then(|result| result.image.as_deref())
+                .unwrap_or("?"),
+            subject.image
+        ),
+        Standing::OtherSetting(name) => {
+            format!("the commissioning record is older than the present {name}")
+        }
+        Standing::NotPassed | Standing::Holds => {
+            format!("commissioning is not complete: {} is open", step.name)
+        }
+    };
+    Ok(Some(format!(
+        "{why}: `retrograde commission rig` shows what is left"
+    )))
+}

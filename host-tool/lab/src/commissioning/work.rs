@@ -1,0 +1,198 @@
+//! A session with a machine in commissioning: what all measurements need.
+
+pub mod rig;
+
+use std::path::PathBuf;
+
+use client::subject::Subject;
+use client::{Device, Unobserved};
+use protocol::settings::SettingKey;
+use serde_json::{Map, Value};
+
+use crate::commissioning::halt::Halt;
+use crate::commissioning::hands::{Act, Hands, Part, Reading};
+
+/// Interval between two looks at the machine, us.
+pub(crate) const LOOK_US: u64 = 50_000;
+/// Longest search for a board after a reset or after its cable was plugged in, us.
+const RETURN_US: u64 = 30_000_000;
+
+/// Options of the measurements.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Cycles of the read-back test, of two strokes each.
+    pub read_back_cycles: u16,
+    /// Cycles of the run at the end.
+    pub cycles: u16,
+    /// How long the clocks are compared, us.
+    pub clock_us: u64,
+    /// The image that should be on the board.
+    pub image: Option<PathBuf>,
+}
+
+/// Opens the machine again after it was reset or unplugged; the text says why not.
+pub type Reopen<'a> = dyn Fn() -> Result<Device, String> + 'a;
+
+/// A session with a machine.
+pub struct Work<'a> {
+    /// The machine.
+    pub device: Device,
+    /// Identity of the device.
+    pub subject: Subject,
+    /// The user's options.
+    pub options: Options,
+    hands: &'a mut dyn Hands,
+    say: &'a mut dyn FnMut(&str),
+    reopen: &'a Reopen<'a>,
+    /// The motor supply, as far as it is known.
+    supply: Option<bool>,
+    /// Measurements of the present step so far.
+    pub(crate) measured: Map<String, Value>,
+}
+
+impl<'a> Work<'a> {
+    /// A new session.
+    pub fn new(
+        device: Device,
+        subject: Subject,
+        options: Options,
+        hands: &'a mut dyn Hands,
+        say: &'a mut dyn FnMut(&str),
+        reopen: &'a Reopen<'a>,
+    ) -> Self {
+        Self {
+            device,
+            subject,
+            options,
+            hands,
+            say,
+            reopen,
+            supply: None,
+            measured: Map::new(),
+        }
+    }
+
+    /// Whether somebody is at the machine.
+    #[must_use]
+    pub fn has_hands(&self) -> bool {
+        self.hands.present()
+    }
+
+    /// Prints a line.
+    pub fn say(&mut self, text: &str) {
+        (self.say)(text);
+    }
+
+    /// Keeps a measured number; its name has the unit.
+    pub fn note(&mut self, name: &str, value: impl Into<Value>) {
+        self.measured.insert(name.to_owned(), value.into());
+    }
+
+    /// Takes the measurements made since the last call.
+    pub fn take_measured(&mut self) -> Map<String, Value> {
+        std::mem::take(&mut self.measured)
+    }
+
+    /// Value of a setting.
+    #[must_use]
+    pub fn setting(&self, key: SettingKey) -> u32 {
+        self.subject.setting(key)
+    }
+
+    /// Number of the board's starts since its supply came: a new one tells that it was reset.
+    #[must_use]
+    pub fn boot_id(&self) -> Option<u32> {
+        self.device.identity().map(|identity| identity.boot_id)
+    }
+
+    /// Lets time pass.
+    ///
+    /// # Errors
+    /// [`Halt`]
+    pub fn pause(&mut self, duration_us: u64) -> Result<(), Halt> {
+        self.device.idle(duration_us, &mut Unobserved)?;
+        self.unless_left()
+    }
+
+    /// Ends a measurement whose operator has left.
+    ///
+    /// # Errors
+    /// [`Halt::Left`]
+    pub fn unless_left(&self) -> Result<(), Halt> {
+        match self.device.interrupted() {
+            Some(_) => Err(Halt::Left),
+            None => Ok(()),
+        }
+    }
+
+    /// Has something done that no input shows.
+    ///
+    /// # Errors
+    /// [`Halt`]
+    pub fn hand(&mut self, part: Part, on: bool) -> Result<(), Halt> {
+        let device = &mut self.device;
+        let mut keep = || {
+            device.idle(LOOK_US, &mut Unobserved)?;
+            Ok(false)
+        };
+        self.hands
+            .act(Act { part, on }, false, self.say, &mut keep)?;
+        self.unless_left()
+    }
+
+    /// Has something measured.
+    ///
+    /// # Errors
+    /// [`Halt`]
+    pub fn read(&mut self, reading: Reading) -> Result<i64, Halt> {
+        let value = self.hands.read(reading, self.say)?;
+        self.unless_left()?;
+        Ok(value)
+    }
+
+    /// Pulls the cable, plugs it in again and finds the board.
+    ///
+    /// # Errors
+    /// [`Halt`]
+    pub fn pull_the_cable(&mut self) -> Result<(), Halt> {
+        let device = &mut self.device;
+        let mut gone = || Ok(device.idle(LOOK_US, &mut Unobserved).is_err());
+        let act = |on| Act {
+            part: Part::Cable,
+            on,
+        };
+        self.hands.act(act(false), true, self.say, &mut gone)?;
+        self.hands
+            .act(act(true), false, self.say, &mut || Ok(false))
+            .and_then(|()| self.unless_left())?;
+        self.find_again()
+    }
+
+    /// Opens the machine again.
+    ///
+    /// # Errors
+    /// [`Halt::Defect`] if it does not come back.
+    pub fn find_again(&mut self) -> Result<(), Halt> {
+        // Close it first: a port is opened exclusively.
+        self.device.hang_up();
+        self.unless_left()?;
+        let begin = std::time::Instant::now();
+        loop {
+            match (self.reopen)() {
+                Ok(device) => {
+                    self.device = device;
+                    return self.unless_left();
+                }
+                Err(why) if begin.elapsed().as_micros() > RETURN_US.into() => {
+                    return Err(Halt::Defect(format!("the board does not come back: {why}")));
+                }
+                Err(_) => {
+                    // Fails without a link, but notices that the operator wants to leave.
+                    let _ = self.device.keep_alive();
+                    self.unless_left()?;
+                    std::thread::sleep(std::time::Duration::from_millis(300));
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! Shared by the command line and the server: access to machines, and failures and stops of their actions.
+//!
+//! * [`arguments`]: arguments of commands, which are the fields of requests.
+//! * [`connector`]: sources of links. [`names`] and [`places`]: find the machine and open a session with it.
+//! * [`failure`]: the reason why a command failed, its remedy and exit code.
+//! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
+//! * [`folding`], [`ending`], [`reached`], [`left`]: tasks before and after a motion.
+//! * [`panel`]: the known state of a machine that is watched.
+
+pub mod arguments;
+pub mod connector;
+pub mod delivery;
+pub mod ending;
+pub mod failure;
+pub mod folding;
+pub mod interrupt;
+pub mod left;
+pub mod names;
+pub mod panel;
+pub mod places;
+pub mod reached;
+pub mod stops;

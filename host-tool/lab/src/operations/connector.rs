@@ -1,0 +1,400 @@
+//! Sources of links, nonces and the time of day. [`Ports`] takes them from this computer; the virtual bench has a
+//! connector of its own.
+
+use std::hash::{BuildHasher, RandomState};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::commissioning::hands::Hands;
+use client::address::Address;
+use client::door::lock::Doorway;
+use client::door::server::GUESTS;
+use client::door::shared::Shared;
+use client::door::window::Window;
+use client::link::halves::Halves;
+use client::link::owner::Owner;
+use client::link::serial::{self, Serial};
+use client::link::tcp::Tcp;
+use client::link::{Link, OpenError, Reason};
+use jiff::Timestamp;
+use protocol::system::DeviceKind;
+
+/// A place where there may be a machine.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Candidate {
+    /// Its address.
+    pub address: Address,
+    /// The kind of machine, if it is known without asking.
+    pub kind: Option<DeviceKind>,
+    /// The system's description of the place.
+    pub description: String,
+    /// Whether Hello may be sent there without disturbing some other instrument.
+    pub may_ask: bool,
+}
+
+/// Purpose of a link. It decides how long opening may take, and how a line is treated that somebody else owns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// Anything that a machine can do.
+    Work,
+    /// Looking for as long as the user likes. As the owner of the line it offers the line to others from the
+    /// beginning, see [`Link::is_line_wanted`].
+    Watch,
+    /// Looking once and briefly; a place that does not answer in time is reported as such.
+    Look,
+    /// A stop only, which does not wait for a place that does not answer.
+    Stop,
+    /// A stop that bypasses the owner of the line, because the owner has not passed it on to the machine.
+    StopDirectly,
+}
+
+/// Opens links. Several threads may call it, so that a stop goes to all machines at once.
+pub trait Connector: Sync {
+    /// Opens a link to a machine; sends nothing. It does not search: the caller resolves [`Address::Auto`].
+    ///
+    /// # Errors
+    /// [`OpenError`] with what to do about it.
+    fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        purpose: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError>;
+
+    /// Whether the machine there is created when it is opened: it is neither homed nor referenced, and nobody is near
+    /// it.
+    fn is_made_anew(&self, address: &Address) -> bool {
+        let _ = address;
+        false
+    }
+
+    /// Lock and door of the line there, if several processes can share it.
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
+        let _ = address;
+        None
+    }
+
+    /// The places where there may be a machine, for `auto` and `devices`.
+    fn candidates(&self) -> Vec<Candidate> {
+        vec![]
+    }
+
+    /// A nonce for the next session, different from the last one.
+    fn nonce(&self) -> u32;
+
+    /// The time of day, for records.
+    fn now(&self) -> Timestamp;
+
+    /// The simulated hands at the machine of this kind and address, if they are part of this program. A board needs a
+    /// person's hands.
+    fn hands(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Hands>> {
+        let _ = (kind, address);
+        None
+    }
+}
+
+/// Time limits for the steps of opening a line.
+struct Patience {
+    /// For a connection.
+    connect: Duration,
+    /// For an owner with an open door to answer a greeting.
+    answer: Duration,
+    /// For a line that is taken but has no door: its owner is starting or leaving, and its disk may be slow.
+    change: Duration,
+}
+
+impl Purpose {
+    fn patience(self) -> Patience {
+        let [connect, answer, change] = match self {
+            Self::Work | Self::Watch => [5_000, 2_000, 5_000],
+            // A diagnosis should take at most 1 s. Declaring a machine silent takes 0.8 s of that.
+            Self::Look => [200, 500, 500],
+            // After this time the user should be at the emergency stop button.
+            Self::Stop | Self::StopDirectly => [1_000, 250, 250],
+        }
+        .map(Duration::from_millis);
+        Patience {
+            connect,
+            answer,
+            change,
+        }
+    }
+}
+
+/// Interval between attempts at a line whose owner is starting or leaving.
+const AGAIN: Duration = Duration::from_millis(5);
+
+/// Opens the line as its owner, or a window through its owner's door if another process has it.
+fn way_in(
+    doorway: &Doorway,
+    purpose: Purpose,
+    halves: &dyn Fn() -> Result<Halves, OpenError>,
+) -> Result<Box<dyn Link>, OpenError> {
+    let (patience, yields) = (purpose.patience(), purpose == Purpose::Watch);
+    let begin = Instant::now();
+    loop {
+        if let Some(lock) = doorway.claim()? {
+            lock.announce()?;
+            return Ok(Box::new(Shared::new(lock, halves()?, yields)?));
+        }
+        let owner = doorway.owner();
+        let limit = if owner.is_some() && doorway.is_open() {
+            patience.answer
+        } else {
+            patience.change
+        };
+        let left = limit.saturating_sub(begin.elapsed());
+        if left.is_zero() {
+            return Err(silent(doorway, owner));
+        }
+        if let Ok(window) = Window::open(doorway, left) {
+            if window.is_full() && purpose != Purpose::Stop {
+                return Err(OpenError {
+                    place: doorway.place().to_owned(),
+                    reason: Reason::Busy,
+                    why: format!("{GUESTS} other processes look at it already"),
+                    remedy: "close a `watch` or a page that nobody needs; a stop goes through all the same".to_owned(),
+                });
+            }
+            return Ok(Box::new(window));
+        }
+        thread::sleep(AGAIN);
+    }
+}
+
+/// Opens the line for a stop: through its owner, or else directly. If the owner has the port exclusively, there is no
+/// other way; on a busy computer it may need longer than usual, so it is asked again while `may_wait`.
+fn way_to_stop<L>(
+    through: impl Fn() -> Result<L, OpenError>,
+    direct: impl Fn() -> Result<L, OpenError>,
+    may_wait: impl Fn() -> bool,
+) -> Result<L, OpenError> {
+    loop {
+        if let Ok(link) = through() {
+            return Ok(link);
+        }
+        match direct() {
+            Err(error) if error.reason == Reason::Busy && may_wait() => {}
+            opened => return opened,
+        }
+    }
+}
+
+/// Error for an owner of the line that does not answer. If this server is the owner, does not advise to end it.
+fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
+    let (why, remedy) = match owner {
+        Some(owner) if owner.pid == std::process::id() => {
+            ("this server is busy with it".to_owned(), "try again")
+        }
+        owner => {
+            let who = owner.map_or_else(
+                || "another `retrograde`".to_owned(),
+                |owner| owner.to_string(),
+            );
+            (
+                format!("it belongs to {who}, which does not answer"),
+                "wait until that process ends, or end it with Ctrl-C in its terminal; one that hangs ends with `kill -9`, and the rig stops by itself 1 s later",
+            )
+        }
+    };
+    OpenError {
+        place: doorway.place().to_owned(),
+        reason: Reason::OwnerSilent,
+        why,
+        remedy: remedy.to_owned(),
+    }
+}
+
+/// Opens the line, split for two threads.
+fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenError> {
+    let opened = match address {
+        Address::Serial(path) => Serial::open(path, baud)?.halves(),
+        Address::Tcp(place) => Tcp::open_within(place, limit)?.halves(),
+        Address::Auto | Address::Virtual => return Err(nowhere(address)),
+    };
+    opened.map_err(|why| OpenError {
+        place: address.to_string(),
+        reason: Reason::Other,
+        why: why.to_string(),
+        remedy: "try again; `retrograde devices` lists the ports".to_owned(),
+    })
+}
+
+/// Opens the line without lock or door, whatever other processes do.
+fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>, OpenError> {
+    match address {
+        Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
+        Address::Tcp(place) => Ok(Box::new(Tcp::open_within(place, limit)?)),
+        Address::Auto | Address::Virtual => Err(nowhere(address)),
+    }
+}
+
+/// The error for an address without a line.
+fn nowhere(address: &Address) -> OpenError {
+    let (why, remedy) = if *address == Address::Virtual {
+        (
+            "the program `virtual-bench` is not beside this one",
+            "build it where this one was built: `cargo build -p virtual-bench --ignore-rust-version`, and the images by `cargo xtask images`; `cargo xtask demo` does all of it",
+        )
+    } else {
+        (
+            "it does not say where the machine is",
+            "give a serial port or tcp:HOST:PORT",
+        )
+    };
+    OpenError {
+        place: address.to_string(),
+        reason: Reason::Absent,
+        why: why.to_owned(),
+        remedy: remedy.to_owned(),
+    }
+}
+
+/// Takes links from serial ports and TCP, nonces from random numbers, and the time from the computer's clock.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Ports;
+
+impl Connector for Ports {
+    fn open(
+        &self,
+        _kind: DeviceKind,
+        address: &Address,
+        baud: u32,
+        purpose: Purpose,
+    ) -> Result<Box<dyn Link>, OpenError> {
+        let limit = purpose.patience().connect;
+        let through =
+            |doorway: &Doorway| way_in(doorway, purpose, &|| halves(address, baud, limit));
+        let doorway = match (Doorway::of(address), purpose) {
+            // If lock or door do not work, send a stop the direct way.
+            (Err(_), Purpose::Stop | Purpose::StopDirectly) => None,
+            (doorway, _) => doorway?,
+        };
+        match (doorway, purpose) {
+            (Some(doorway), Purpose::Stop) => {
+                let begin = Instant::now();
+                return way_to_stop(
+                    || through(&doorway),
+                    || direct(address, baud, limit),
+                    || begin.elapsed() < limit,
+                );
+            }
+            (Some(_), Purpose::StopDirectly) | (None, _) => {}
+            (Some(doorway), _) => return through(&doorway),
+        }
+        direct(address, baud, limit)
+    }
+
+    fn doorway(&self, address: &Address) -> Option<Doorway> {
+        // Ignore errors of the lock: opening the line reports them.
+        Doorway::of(address).ok().flatten()
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        serial::ports()
+            .into_iter()
+            .map(|port| Candidate {
+                address: Address::Serial(port.path),
+                kind: None,
+                description: port.description,
+                may_ask: port.stlink,
+            })
+            .collect()
+    }
+
+    fn nonce(&self) -> u32 {
+        // The standard library's hasher keys are the only source of randomness without a dependency.
+        RandomState::new().hash_one(Timestamp::now().as_nanosecond()) as u32
+    }
+
+    fn now(&self) -> Timestamp {
+        Timestamp::now()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    #[test]
+    fn a_server_is_not_told_to_end_itself() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = Doorway::new(folder.path().to_owned(), "line", "line".to_owned());
+        let own = silent(&doorway, Some(Owner::this_process()));
+        assert_eq!(own.remedy, "try again");
+        let other = Owner {
+            pid: 1,
+            ..Owner::this_process()
+        };
+        let other = silent(&doorway, Some(other));
+        assert!(other.why.contains("process 1") && other.remedy.contains("kill -9"));
+    }
+
+    /// The owner of a port is the only way to its machine, and was given up as soon as it had been slow once.
+    #[test]
+    fn a_stop_asks_the_owner_of_a_port_again_while_it_may_wait() {
+        let closed = |reason| OpenError {
+            place: "line".to_owned(),
+            reason,
+            why: String::new(),
+            remedy: String::new(),
+        };
+        for (answers_at, reason, patience, wanted, asked) in [
+            (1, Reason::Busy, 9, Ok("owner"), 1),
+            (4, Reason::Busy, 9, Ok("owner"), 4),
+            (9, Reason::Busy, 3, Err(Reason::Busy), 4),
+            (9, Reason::Absent, 9, Err(Reason::Absent), 1),
+        ] {
+            let (asks, waits) = (Cell::new(0), Cell::new(0));
+            let through = || {
+                asks.set(asks.get() + 1);
+                match asks.get() < answers_at {
+                    true => Err(closed(Reason::OwnerSilent)),
+                    false => Ok("owner"),
+                }
+            };
+            let may_wait = || {
+                waits.set(waits.get() + 1);
+                waits.get() <= patience
+            };
+            let opened = way_to_stop(through, || Err(closed(reason)), may_wait);
+            assert_eq!(opened.map_err(|error| error.reason), wanted);
+            assert_eq!(asks.get(), asked);
+        }
+        // The owner has left, and the port is free.
+        let silent = || Err(closed(Reason::OwnerSilent));
+        let opened = way_to_stop(silent, || Ok("port"), || true);
+        assert_eq!(opened.ok(), Some("port"));
+    }
+
+    /// A slow disk or port may delay an owner between writing its name and opening its door.
+    #[test]
+    fn an_owner_without_a_door_is_waited_for_longer_than_one_that_does_not_answer() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let doorway = Doorway::new(folder.path().to_owned(), "line", "line".to_owned());
+        let owned = doorway.claim().expect("possible").expect("free");
+        owned.announce().expect("possible");
+        assert!(doorway.owner().is_some() && !doorway.is_open());
+        let leaves = thread::spawn(move || {
+            thread::sleep(Purpose::Work.patience().answer + Duration::from_millis(500));
+            drop(owned);
+        });
+        let opened = || {
+            Err(OpenError {
+                place: "line".to_owned(),
+                reason: Reason::Absent,
+                why: "it was free at last".to_owned(),
+                remedy: String::new(),
+            })
+        };
+        let error = way_in(&doorway, Purpose::Work, &opened).err();
+        leaves.join().expect("it left");
+        assert_eq!(
+            error.map(|error| error.why).as_deref(),
+            Some("it was free at last")
+        );
+    }
+}

@@ -1,0 +1,590 @@
+//! Finds the machine that `--rig` or `--capsule` means, and opens a session with it.
+
+use std::panic::resume_unwind;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use client::address::Address;
+use client::door::lock::Doorway;
+use client::error::ClientError;
+use client::identity;
+use client::link::LinkError;
+use client::link::owner::{Began, StopMark};
+use client::{Device, Interrupt, matches, visible};
+use protocol::settings::GetName;
+use protocol::system::{DeviceKind, Identity, Urgent};
+
+use crate::operations::arguments::Which;
+use crate::operations::connector::{Candidate, Connector, Purpose};
+use crate::operations::delivery::{Delivery, Told};
+use crate::operations::failure::Failure;
+use crate::operations::interrupt;
+use crate::operations::left;
+use crate::operations::names::Names;
+
+/// Both machines.
+pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
+
+/// Maximum owners of a line that may end while this process looks through their doors.
+const OWNERS: u32 = 5;
+
+/// Time for an owner that only looks to give up its line.
+const YIELDING: Duration = Duration::from_secs(10);
+
+/// Longest wait for another process that only looks briefly.
+const SHORT_LOOK: Duration = Duration::from_millis(100);
+
+/// Interval between attempts at a line that is about to be free.
+const AGAIN: Duration = Duration::from_millis(10);
+
+/// Interval between two looks at Ctrl-C while a command waits for the line.
+const PRESSED: Duration = Duration::from_millis(20);
+
+/// A place and its answer.
+pub struct Found {
+    /// The place.
+    pub candidate: Candidate,
+    /// The machine that answered, or the reason why none did.
+    pub answer: Result<Identity, Failure>,
+}
+
+/// A machine to stop.
+pub struct Target {
+    /// Its kind, if it is known.
+    pub kind: Option<DeviceKind>,
+    /// Its place, unless it has to be found.
+    pub address: Option<Address>,
+}
+
+impl Target {
+    /// Name of the machine for messages.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.kind.map_or("machine", identity::kind_name)
+    }
+
+    /// Result of a stop of this machine.
+    #[must_use]
+    pub fn told(&self, result: Result<String, Failure>) -> Told {
+        let (machine, delivery, why) = match result {
+            Ok(place) => (place, Delivery::Stopped, String::new()),
+            Err(failure) => (self.to_string(), delivery(&failure), failure.to_string()),
+        };
+        Told {
+            machine,
+            delivery,
+            why,
+        }
+    }
+}
+
+/// Name and place, in the user's words.
+impl std::fmt::Display for Target {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.address {
+            Some(address) => write!(f, "{} at {address}", self.name()),
+            None => f.write_str(self.name()),
+        }
+    }
+}
+
+/// Result of a stop that failed this way. If the link broke, the stop may have been sent: that counts as not
+/// confirmed.
+fn delivery(failure: &Failure) -> Delivery {
+    match failure {
+        Failure::Client(ClientError::StopUnconfirmed { .. } | ClientError::Link(_)) => {
+            Delivery::NotConfirmed
+        }
+        _ => Delivery::NotDelivered,
+    }
+}
+
+/// Access to the line that a command needs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// Reading, stopping, holding: the owner of the line does this for other processes as well.
+    Look,
+    /// Reading or changing the machine's name, which may differ from the name by which it was called. If the command
+    /// changes the name, the text is the command's name.
+    Name(Option<&'static str>),
+    /// Moving something, writing settings, or using the whole line: only for the owner. The text is the command's
+    /// name.
+    Own(&'static str),
+}
+
+impl Need {
+    /// The command, if only the owner of the line may send it.
+    fn of_owner(self) -> Option<&'static str> {
+        match self {
+            Self::Look => None,
+            Self::Name(command) => command,
+            Self::Own(command) => Some(command),
+        }
+    }
+
+    /// Refuses a command for the owner before anything is sent or recorded.
+    ///
+    /// # Errors
+    /// Another process owns the line, and only the owner may send the command.
+    pub fn admit(self, device: &Device) -> Result<(), ClientError> {
+        match (device.owner(), self.of_owner()) {
+            (Some(owner), Some(request)) => Err(ClientError::Owned {
+                place: device.place(),
+                request,
+                owner: Box::new(owner.clone()),
+            }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The beginning of a command line: a stop since then is newer than its orders, however long the search for the machine
+/// takes.
+pub struct Beginning {
+    began: Began,
+    /// Whether it has already connected to rig and capsule.
+    connected: [AtomicBool; 2],
+}
+
+impl Beginning {
+    /// A command line that begins now.
+    #[must_use]
+    pub fn now() -> Self {
+        Self {
+            began: Began::now(),
+            connected: Default::default(),
+        }
+    }
+
+    /// The last stop that is older than the orders to this machine, where `now` is the last of all. A command line
+    /// that connects again continues after stops that were reported.
+    fn mark(&self, kind: DeviceKind, now: StopMark) -> StopMark {
+        let connected = &self.connected[usize::from(kind == DeviceKind::Capsule)];
+        match connected.swap(true, Ordering::Relaxed) {
+            true => now,
+            false => now.before(self.began),
+        }
+    }
+}
+
+/// The addresses that the user gave, and the connector to open links to them.
+pub struct Places<'a> {
+    /// The rig's address, if one was given.
+    pub rig: Option<Address>,
+    /// The capsule's address, if one was given.
+    pub capsule: Option<Address>,
+    /// The names by which the two addresses were given.
+    pub names: Names,
+    /// Speed of serial ports.
+    pub baud: u32,
+    /// Opens the links.
+    pub connector: &'a dyn Connector,
+    /// The beginning of the command line.
+    pub beginning: Beginning,
+}
+
+impl Places<'_> {
+    /// The address that the user gave.
+    #[must_use]
+    pub fn address(&self, kind: DeviceKind) -> Option<&Address> {
+        match kind {
+            DeviceKind::Rig => self.rig.as_ref(),
+            DeviceKind::Capsule => self.capsule.as_ref(),
+        }
+    }
+
+    /// Checks that a rig called by name has this name. The name of a capsule is not checked.
+    ///
+    /// # Errors
+    /// [`Failure::WrongName`], and those of the line.
+    pub fn require_name(&self, device: &mut Device) -> Result<(), Failure> {
+        let Some(identity) = device.identity().copied().filter(matches) else {
+            return Ok(());
+        };
+        let name = self.names.of(identity.device);
+        let Some(name) = name.filter(|_| identity.device == DeviceKind::Rig) else {
+            return Ok(());
+        };
+        let carried = device.call(GetName)?.name;
+        if carried == name {
+            return Ok(());
+        }
+        Err(Failure::WrongName {
+            place: device.place(),
+            name: name.to_owned(),
+            carried: carried.as_str().to_owned(),
+        })
+    }
+
+    /// The machines for which the user gave an address.
+    fn addressed(&self) -> Vec<DeviceKind> {
+        KINDS
+            .into_iter()
+            .filter(|kind| self.address(*kind).is_some())
+            .collect()
+    }
+
+    /// Opens a session with a machine that speaks the same protocol. From then on Ctrl-C stops the machine.
+    pub fn connect(&self, kind: DeviceKind, need: Need) -> Result<Device, Failure> {
+        let device = self.greet(kind, need)?;
+        device.require(kind)?;
+        Ok(device)
+    }
+
+    /// Opens a session with a machine of this kind, whatever protocol version it speaks.
+    pub fn greet(&self, kind: DeviceKind, need: Need) -> Result<Device, Failure> {
+        let address = self.resolve(kind)?;
+        // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
+        let doorway = self.connector.doorway(&address);
+        let now = Doorway::last_stops(doorway.as_ref());
+        let mark = self.beginning.mark(kind, now);
+        let pressed = interrupt::install();
+        let interrupt = told(doorway, Arc::clone(&pressed));
+        let mut device = self.open_stoppable(kind, &address, need, &pressed)?;
+        // The owner of the line may end while it is asked; then the line is free, and a new attempt succeeds.
+        for attempt in 1.. {
+            need.admit(&device)?;
+            device.ordered_at(mark);
+            device.set_interrupt(Arc::clone(&interrupt));
+            match device.hello(self.connector.nonce()) {
+                Err(ClientError::Link(_)) if device.owner().is_some() && attempt < OWNERS => {
+                    device = self.open_stoppable(kind, &address, need, &pressed)?;
+                }
+                Err(error) => return Err(error.into()),
+                Ok(_) => break,
+            }
+        }
+        if let Err(error @ ClientError::WrongDevice { .. }) = device.require(kind) {
+            return Err(error.into());
+        }
+        if device.left_record().is_some()
+            && device.require(kind).is_ok()
+            && let Some(said) = left::end_record(&mut device, self.connector.now())?
+        {
+            eprintln!("{}", visible::lines(&said));
+        }
+        // A command that gives the machine a name does not need it to have one.
+        if !matches!(need, Need::Name(_)) {
+            self.require_name(&mut device)?;
+        }
+        Ok(device)
+    }
+
+    /// Sends an urgent stop before anything else, without a session. Returns the place that confirmed it.
+    pub fn urgent(&self, target: &Target, urgent: Urgent) -> Result<String, Failure> {
+        let kind = target.kind.unwrap_or(DeviceKind::Rig);
+        let address = match &target.address {
+            Some(address) => address,
+            None => &self.resolve(kind)?,
+        };
+        if let Some(doorway) = self.connector.doorway(address) {
+            doorway.mark_stop(urgent);
+        }
+        for _ in 1..OWNERS {
+            match self.stop_by(kind, address, urgent, Purpose::Stop) {
+                // The owner of the line has ended, so the line is free.
+                (Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))), _) => {}
+                (Err(failure), true) => {
+                    let (past, _) = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
+                    return past.map_err(|_| failure);
+                }
+                // A stop sent without an owner has already been sent directly.
+                (result, _) => return result,
+            }
+        }
+        self.stop_by(kind, address, urgent, Purpose::StopDirectly).0
+    }
+
+    /// Sends a stop one way; also returns whether it went through the owner of the line.
+    fn stop_by(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        urgent: Urgent,
+        purpose: Purpose,
+    ) -> (Result<String, Failure>, bool) {
+        let mut device = match self.open(kind, address, purpose) {
+            Ok(device) => device,
+            Err(failure) => return (Err(failure), false),
+        };
+        let result = device.urgent(urgent).map(|()| device.place());
+        (result.map_err(Into::into), device.owner().is_some())
+    }
+
+    /// The targets of an urgent stop: the machines given by the user, or else every place that may be probed. Sends
+    /// nothing, except to find a machine given as `auto`.
+    pub fn targets_to_stop(&self, which: &Which) -> Vec<Target> {
+        let kinds = match which.machine {
+            Some(machine) => vec![machine.into()],
+            None => self.addressed(),
+        };
+        if kinds.is_empty() {
+            let candidates = self.connector.candidates().into_iter();
+            return candidates
+                .filter(|candidate| candidate.may_ask)
+                .map(|candidate| Target {
+                    kind: candidate.kind,
+                    address: Some(candidate.address),
+                })
+                .collect();
+        }
+        let target = |kind| Target {
+            kind: Some(kind),
+            address: self
+                .address(kind)
+                .filter(|address| **address != Address::Auto)
+                .cloned(),
+        };
+        kinds.into_iter().map(target).collect()
+    }
+
+    /// Like [`Places::open_for_command`], which may wait for seconds. Ctrl-C meanwhile stops the machine at once, as
+    /// `retrograde stop` does: there is no session yet that would send the stop.
+    ///
+    /// # Errors
+    /// [`ClientError::Interrupted`] after a confirmed stop, [`Failure::Stops`] after any other.
+    fn open_stoppable(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        need: Need,
+        interrupt: &Interrupt,
+    ) -> Result<Device, Failure> {
+        // The session sends a stop that was pressed before.
+        let before = interrupt();
+        let pressed = || interrupt().filter(|urgent| Some(*urgent) != before);
+        let target = Target {
+            kind: Some(kind),
+            address: Some(address.clone()),
+        };
+        let waits = AtomicBool::new(true);
+        // The line, until a stop needs it.
+        let opened = Mutex::new(None);
+        let line = || opened.lock().unwrap_or_else(PoisonError::into_inner);
+        thread::scope(|scope| {
+            let stopper = scope.spawn(|| {
+                let (mut sent, mut result) = (None, Ok(()));
+                loop {
+                    match pressed().filter(|urgent| sent != Some(*urgent)) {
+                        Some(urgent) => {
+                            sent = Some(urgent);
+                            drop(line().take());
+                            result = Err(self.stopped(&target, urgent, need));
+                        }
+                        None if waits.load(Ordering::Relaxed) => thread::park_timeout(PRESSED),
+                        None => return result,
+                    }
+                }
+            });
+            let device = self.open_for_command(kind, address, need, &pressed);
+            *line() = pressed().is_none().then_some(device);
+            waits.store(false, Ordering::Relaxed);
+            stopper.thread().unpark();
+            stopper.join().unwrap_or_else(|why| resume_unwind(why))?;
+            line().take().unwrap_or_else(|| Err(interrupted(need)))
+        })
+    }
+
+    /// Stops the machine of a command that has no session yet. Returns the failure of the command.
+    fn stopped(&self, target: &Target, urgent: Urgent, need: Need) -> Failure {
+        let told = target.told(self.urgent(target, urgent));
+        match told.delivery {
+            Delivery::Stopped => interrupted(need),
+            Delivery::NotConfirmed | Delivery::NotDelivered => Failure::Stops { told: vec![told] },
+        }
+    }
+
+    /// Like [`Places::open`]. If the command is for the owner of the line, a present owner that only looks gives the
+    /// line up. The wait for it ends when a stop is `pressed`.
+    fn open_for_command(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        need: Need,
+        pressed: &dyn Fn() -> Option<Urgent>,
+    ) -> Result<Device, Failure> {
+        let begin = Instant::now();
+        loop {
+            let mut device = self.open(kind, address, Purpose::Work)?;
+            if need.of_owner().is_none() || device.owner().is_none() {
+                return Ok(device);
+            }
+            let limit = if device.want_line() {
+                YIELDING
+            } else {
+                SHORT_LOOK
+            };
+            if begin.elapsed() > limit || pressed().is_some() {
+                return Ok(device);
+            }
+            drop(device);
+            thread::sleep(AGAIN);
+        }
+    }
+
+    /// The machine at this address, not yet greeted.
+    pub fn open(
+        &self,
+        kind: DeviceKind,
+        address: &Address,
+        purpose: Purpose,
+    ) -> Result<Device, Failure> {
+        let link = self.connector.open(kind, address, self.baud, purpose)?;
+        Ok(Device::new(link, self.connector.nonce()))
+    }
+
+    /// Address of a machine: as given by the user, or the only place where such a machine answers.
+    pub fn resolve(&self, kind: DeviceKind) -> Result<Address, Failure> {
+        match self.address(kind) {
+            Some(Address::Auto) | None => {}
+            Some(address) => return Ok(address.clone()),
+        }
+        let found = self.survey(Some(kind));
+        let mut matching = found
+            .iter()
+            .filter(|found| matches!(&found.answer, Ok(identity) if identity.device == kind));
+        match (matching.next(), matching.next()) {
+            (Some(one), None) => Ok(one.candidate.address.clone()),
+            (None, _) => Err(Failure::NotFound {
+                wanted: kind,
+                there: list(&found),
+            }),
+            (Some(_), Some(_)) => Err(Failure::Ambiguous {
+                wanted: kind,
+                there: list(&found),
+            }),
+        }
+    }
+
+    /// Asks every place that may be probed for its identity. With `wanted`, skips places known to belong to the other
+    /// machine.
+    pub fn survey(&self, wanted: Option<DeviceKind>) -> Vec<Found> {
+        self.connector
+            .candidates()
+            .into_iter()
+            .filter(|candidate| {
+                wanted.is_none() || candidate.kind.is_none() || candidate.kind == wanted
+            })
+            .map(|candidate| {
+                let answer = self.ask(&candidate, wanted);
+                Found { candidate, answer }
+            })
+            .collect()
+    }
+
+    fn ask(&self, candidate: &Candidate, wanted: Option<DeviceKind>) -> Result<Identity, Failure> {
+        if !candidate.may_ask {
+            return Err(Failure::NothingFound {
+                there: "not asked: not an ST-LINK port".to_owned(),
+            });
+        }
+        let kind = candidate.kind.or(wanted).unwrap_or(DeviceKind::Rig);
+        let mut device = self.open(kind, &candidate.address, Purpose::Work)?;
+        Ok(device.hello(self.connector.nonce())?)
+    }
+
+    /// The machines that a command addresses.
+    ///
+    /// # Errors
+    /// No address was given and no machine is found.
+    pub fn machines(&self, which: &Which) -> Result<Vec<DeviceKind>, Failure> {
+        if let Some(machine) = which.machine {
+            return Ok(vec![machine.into()]);
+        }
+        let addressed = self.addressed();
+        if !addressed.is_empty() {
+            return Ok(addressed);
+        }
+        let found = self.survey(None);
+        let there: Vec<_> = KINDS
+            .into_iter()
+            .filter(|kind| {
+                found
+                    .iter()
+                    .any(|found| matches!(&found.answer, Ok(identity) if identity.device == *kind))
+            })
+            .collect();
+        if there.is_empty() {
+            return Err(Failure::NothingFound {
+                there: list(&found),
+            });
+        }
+        Ok(there)
+    }
+}
+
+/// The failure of a command that was stopped before it sent anything.
+fn interrupted(need: Need) -> Failure {
+    let request = need.of_owner().unwrap_or("Hello");
+    Failure::Client(ClientError::Interrupted { request })
+}
+
+/// This process's interrupt, extended to announce each stop to the other processes before it is sent.
+fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
+    let told = [AtomicBool::new(false), AtomicBool::new(false)];
+    Arc::new(move || {
+        let wanted = interrupt();
+        if let Some(urgent) = wanted
+            && let Some(doorway) = &doorway
+            && !told[usize::from(urgent == Urgent::EStop)].swap(true, Ordering::Relaxed)
+        {
+            doorway.mark_stop(urgent);
+        }
+        wanted
+    })
+}
+
+/// Looks through the door of a line's owner. Repeats if the owner ends meanwhile: then the line is free.
+pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
+    let mut found = look();
+    for _ in 1..OWNERS {
+        if !matches!(
+            found,
+            Err(Failure::Client(ClientError::Link(
+                LinkError::OwnerGone { .. }
+            )))
+        ) {
+            break;
+        }
+        found = look();
+    }
+    found
+}
+
+/// Describes all places, one line each.
+pub fn list(found: &[Found]) -> String {
+    if found.is_empty() {
+        return "there is no port with an ST-LINK".to_owned();
+    }
+    let lines: Vec<_> = found.iter().map(line).collect();
+    format!("there is:\n  {}", lines.join("\n  "))
+}
+
+/// Describes a place.
+pub fn line(found: &Found) -> String {
+    let candidate = &found.candidate;
+    let who = match &found.answer {
+        Ok(identity) => identity::line(identity),
+        Err(Failure::NothingFound { there }) => there.clone(),
+        Err(failure) => failure.to_string(),
+    };
+    format!("{} ({}): {who}", candidate.address, candidate.description)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unknown_kind_is_called_a_machine() {
+        let target = |kind| Target {
+            kind,
+            address: Some("COM3".parse().expect("an address")),
+        };
+        assert_eq!(target(None).to_string(), "machine at COM3");
+        let rig = Some(DeviceKind::Rig);
+        assert_eq!(target(rig).to_string(), "rig at COM3");
+    }
+}

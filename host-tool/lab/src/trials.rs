@@ -1,0 +1,35 @@
+//! Actions that are executed once and recorded.
+//!
+//! * [`trial`]: the record of an action: telemetry CSV and JSON sidecar.
+//! * [`status`]: how a trial ended.
+//! * [`writer`]: writes files on a thread of its own.
+//! * [`check`]: whether a record contradicts itself.
+//! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
+//! * [`listing`]: the trials in a folder.
+//! * [`experiment`]: recorded actions, and the paper's experiment.
+//! * [`coordination`]: an actuation that begins at a position of a run, its [`cue`].
+//! * [`plan`]: a run, calculated before it is sent.
+//! * [`progress`]: progress for people, as a bar or as lines.
+//! * [`fetched`]: a machine's own record of its last action.
+//! * [`endurance`]: repeated folds and unfoldings, and the drift over them.
+//! * [`force`]: force against thread from a recording.
+//! * [`identify`]: a capsule's parameters, from its recordings.
+
+pub mod check;
+pub mod coordination;
+pub mod cue;
+pub mod endurance;
+pub mod experiment;
+pub mod fetched;
+pub mod force;
+pub mod identify;
+mod left;
+pub mod listing;
+mod older;
+pub mod plan;
+pub mod progress;
+pub mod recorded;
+pub mod sidecar;
+pub mod status;
+pub mod trial;
+pub mod writer;

@@ -1,0 +1,684 @@
+//! Checks a trial's telemetry against its sidecar, so that a contradictory record does not look complete.
+//!
+//! Each defect is a sentence with its numbers. Pure, except for [`read`] and what reads by it.
+
+use std::path::Path;
+
+use client::decimal;
+use client::identity::Origin;
+use client::plain;
+use protocol::capsule::{ActuationRecord, CapsuleEvent};
+use protocol::rig::{RigEvent, Run};
+use protocol::settings::SettingKey;
+use protocol::system::What;
+use serde::Deserialize;
+
+use crate::trials::trial::{
+    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial,
+};
+
+/// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
+const LATE_US: u64 = 10_000;
+/// Distance that the thread may settle between the end of a motion and the last sample, um.
+const SETTLES_UM: u32 = 300;
+
+/// Common fields of the telemetry rows of both machines.
+pub trait Sample: for<'de> Deserialize<'de> {
+    /// Device time, us.
+    fn time_us(&self) -> u64;
+    /// Samples lost just before.
+    fn missed(&self) -> u16;
+    /// Origin as the row states it.
+    fn origin(&self) -> Origin;
+    /// An invalid number of the row, or one that contradicts another.
+    fn wrong(&self, _trial: &Trial) -> Option<String> {
+        None
+    }
+}
+
+impl Sample for RigSample {
+    fn time_us(&self) -> u64 {
+        self.time_us
+    }
+    fn missed(&self) -> u16 {
+        self.missed
+    }
+    fn origin(&self) -> Origin {
+        self.origin
+    }
+    fn wrong(&self, trial: &Trial) -> Option<String> {
+        for (name, text) in [
+            ("position_mm", &self.position_mm),
+            ("speed_mm_s", &self.speed_mm_s),
+        ] {
+            if !text.parse::<f64>().is_ok_and(f64::is_finite) {
+                return Some(format!("{name} is `{text}`"));
+            }
+        }
+        let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &trial.action else {
+            return None;
+        };
+        let exact = decimal::write_signed(screw.nm(self.position_steps.into()), 6);
+        (self.position_mm != exact).then(|| {
+            format!(
+                "position_mm is {}, and {} steps are {exact} mm",
+                self.position_mm, self.position_steps
+            )
+        })
+    }
+}
+
+impl Sample for CapsuleSample {
+    fn time_us(&self) -> u64 {
+        self.time_us
+    }
+    fn missed(&self) -> u16 {
+        self.missed
+    }
+    fn origin(&self) -> Origin {
+        self.origin
+    }
+}
+
+/// Reads the telemetry up to the first unreadable row; reports what is wrong with the file as defects.
+pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
+    let path = sidecar.with_file_name(&trial.telemetry);
+    let name = &trial.telemetry;
+    let mut reader = match plain::rows(&path) {
+        Ok(rows) => csv::Reader::from_reader(rows),
+        Err(error) => return (vec![], vec![format!("{name} cannot be read: {error}")]),
+    };
+    let mut samples = vec![];
+    let mut rows = reader.deserialize();
+    while let Some(row) = rows.next() {
+        match row {
+            Ok(sample) => samples.push(sample),
+            // The tool was killed while it wrote it.
+            Err(_) if trial.status == Status::Running && rows.next().is_none() => break,
+            Err(error) => {
+                // Do not trust the rows after it.
+                let row = samples.len() + 1;
+                return (
+                    samples,
+                    vec![format!("row {row} of {name} cannot be read: {error}")],
+                );
+            }
+        }
+    }
+    (samples, vec![])
+}
+
+/// Defects of a record.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Defects {
+    /// The contradictions within it.
+    pub contradictions: Vec<String>,
+    /// Missing telemetry. The record of the motion is still true: the machine may have moved on while nobody listened.
+    pub gaps: Vec<String>,
+}
+
+impl Defects {
+    /// All of them.
+    #[must_use]
+    pub fn all(&self) -> Vec<String> {
+        let mut all = [&self.contradictions[..], &self.gaps].concat();
+        all.dedup();
+        all
+    }
+
+    fn say(&mut self, contradiction: impl Into<String>) {
+        self.contradictions.push(contradiction.into());
+    }
+
+    fn lack(&mut self, gap: impl Into<String>) {
+        self.gaps.push(gap.into());
+    }
+
+    fn agree(&mut self, holds: bool, otherwise: &str) {
+        if !holds {
+            self.say(otherwise);
+        }
+    }
+
+    /// Compares the outcome by the machine's record with the sidecar's status.
+    fn ends_alike(&mut self, says: Status, trial: &Trial, of: &str) {
+        // A fault that was latched behind the end of the motion is in the sidecar only.
+        let ended = [Status::Complete, Status::Stopped, Status::LinkLost].contains(&says);
+        let later = ended && trial.status == Status::Faulted;
+        if says != trial.status && !(later && trial.error.is_some()) {
+            self.say(format!("{of} and the sidecar's status differ"));
+        }
+    }
+
+    /// Puts the defects of the files first.
+    fn after(self, files: Vec<String>) -> Self {
+        Self {
+            contradictions: [files, self.contradictions].concat(),
+            ..self
+        }
+    }
+}
+
+/// The defects of a record: its sidecar, its telemetry, and the two together.
+#[must_use]
+pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
+    match trial.action {
+        Action::Run { .. } | Action::Move { .. } => rig(sidecar, trial).1,
+        Action::Actuation { .. } => capsule(sidecar, trial).1,
+    }
+}
+
+/// The readable telemetry of a record of the rig, and the defects of the record.
+#[must_use]
+pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Defects) {
+    let (samples, unreadable) = read::<RigSample>(sidecar, trial);
+    let defects = match trial.action {
+        Action::Move { .. } => movement(trial, &samples),
+        _ => run(trial, &samples),
+    };
+    let files = [misnamed(sidecar, trial), unreadable].concat();
+    (samples, defects.after(files))
+}
+
+/// The readable telemetry of a record of the capsule, and the defects of the record.
+#[must_use]
+pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Defects) {
+    let (samples, unreadable) = read::<CapsuleSample>(sidecar, trial);
+    let files = [misnamed(sidecar, trial), unreadable].concat();
+    let defects = actuation(trial, &samples).after(files);
+    (samples, defects)
+}
+
+/// Names that the record contradicts: that of its telemetry, and the start in its own.
+fn misnamed(sidecar: &Path, trial: &Trial) -> Vec<String> {
+    let beside = sidecar.with_extension("csv");
+    let other = beside
+        .file_name()
+        .is_none_or(|name| *name != *trial.telemetry);
+    let other = other.then(|| format!("the record names {} as its telemetry", trial.telemetry));
+    other
+        .into_iter()
+        .chain(begun_as_named(sidecar, trial))
+        .collect()
+}
+
+/// A start that is not the one in the file's name. Files with other names than this program gives are not judged.
+fn begun_as_named(sidecar: &Path, trial: &Trial) -> Option<String> {
+    let name = sidecar.file_stem()?.to_string_lossy();
+    let stamp = name.split('-').find(|part| {
+        let form = b"00000000T000000Z";
+        let fits = |(byte, like): (u8, &u8)| match like {
+            b'0' => byte.is_ascii_digit(),
+            like => byte == *like,
+        };
+        part.len() == form.len() && part.bytes().zip(form).all(fits)
+    })?;
+    let begun = trial.started_utc.strftime("%Y%m%dT%H%M%SZ").to_string();
+    (begun != stamp).then(|| format!("it began at {begun}, by its name at {stamp}"))
+}
+
+/// Defects of a rig's run.
+#[must_use]
+pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
+    let mut defects = telemetry(trial, samples);
+    let Action::Run {
+        screw,
+        requested,
+        achieved,
+        executed,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    if let (Some(achieved), Some(executed)) = (achieved, executed) {
+        planned_and_done(trial, screw, requested, achieved, executed, &mut defects);
+        covers(
+            trial,
+            samples,
+            run_start_us(trial),
+            executed.ticks / 100,
+            &mut defects,
+        );
+        travelled(screw, achieved, executed, samples, &mut defects);
+    } else if trial.status == Status::Complete {
+        defects.say("it is called complete, without what was planned or executed");
+    }
+    if let Some(executed) = executed {
+        defects.ends_alike(executed.outcome.into(), trial, "the record's outcome");
+    }
+    defects
+}
+
+/// Defects of the record of a move.
+#[must_use]
+pub fn movement(trial: &Trial, samples: &[RigSample]) -> Defects {
+    let mut defects = telemetry(trial, samples);
+    let Action::Move {
+        screw,
+        requested,
+        accepted,
+        moved,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    let (Some(accepted), Some(moved)) = (accepted, moved) else {
+        if trial.status == Status::Complete {
+            defects.say("it is called complete, without what was accepted or done");
+        }
+        return defects;
+    };
+    defects.ends_alike(moved.outcome.into(), trial, "the outcome of the move");
+    defects.agree(
+        screw.steps(requested.position_um) == accepted.to_steps,
+        "the rig accepted another place than was requested",
+    );
+    let (from, to) = (i64::from(accepted.from_steps), i64::from(accepted.to_steps));
+    defects.agree(
+        (to - from).unsigned_abs() == u64::from(accepted.stroke.steps),
+        "the steps that were accepted are not those between the two places",
+    );
+    if trial.status != Status::Complete {
+        return defects;
+    }
+    if moved.position_steps != accepted.to_steps {
+        defects.say(format!(
+            "it is called complete at {} steps, and {to} were to be reached",
+            moved.position_steps
+        ));
+    }
+    let (least, most) = (from.min(to), from.max(to));
+    let outside = |sample: &&RigSample| !(least..=most).contains(&i64::from(sample.position_steps));
+    if let Some(sample) = samples.iter().find(outside) {
+        defects.say(format!(
+            "a sample is at {} steps, outside of {least} to {most}",
+            sample.position_steps
+        ));
+    }
+    // A move has no recorded duration: the samples have to span it, except for one interval at either end.
+    if let [first, .., last] = samples {
+        let lasted_us = last.time_us.saturating_sub(first.time_us);
+        let every_us = samples
+            .windows(2)
+            .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
+            .max()
+            .unwrap_or(0);
+        let least_us = accepted.stroke.duration_ticks / 100;
+        if lasted_us.saturating_add(every_us.saturating_mul(2) + LATE_US) < least_us {
+            defects.lack(format!(
+                "the telemetry lasts {} s, and the move took {} s",
+                seconds(lasted_us),
+                seconds(least_us)
+            ));
+        }
+    } else if samples.is_empty() {
+        defects.lack("the move has no telemetry");
+    }
+    defects
+}
+
+/// Defects of a capsule's trial.
+#[must_use]
+pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Defects {
+    let mut defects = telemetry(trial, samples);
+    let Action::Actuation {
+        actuation,
+        accepted,
+        record,
+    } = &trial.action
+    else {
+        return defects;
+    };
+    let Some(record) = record else {
+        if trial.status == Status::Complete {
+            defects.say("it is called complete, without the capsule's record");
+        }
+        return defects;
+    };
+    defects.ends_alike(record.outcome.into(), trial, "the record's outcome");
+    defects.agree(
+        record.kind == *actuation,
+        "the record is that of another kind of actuation",
+    );
+    defects.agree(
+        accepted.is_none_or(|accepted| accepted.actuation == record.actuation),
+        "the record is that of another actuation than was accepted",
+    );
+    if record.end_current_ma > record.peak_current_ma {
+        defects.say(format!(
+            "the current at the end, {} mA, is above the largest one, {} mA",
+            record.end_current_ma, record.peak_current_ma
+        ));
+    }
+    covers(
+        trial,
+        samples,
+        actuation_start_us(trial),
+        u64::from(record.duration_ms) * 1_000,
+        &mut defects,
+    );
+    ends_at(trial, record, samples, &mut defects);
+    defects
+}
+
+/// Start of a run according to its event, device time.
+#[must_use]
+pub fn run_start_us(trial: &Trial) -> Option<u64> {
+    let started = |what: &What| matches!(what, What::Rig(RigEvent::RunStarted { .. }));
+    let event = trial.events.iter().find(|event| started(&event.what))?;
+    Some(event.time_us)
+}
+
+/// Start of an actuation according to its event, device time.
+#[must_use]
+pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
+    let started = |what: &What| matches!(what, What::Capsule(CapsuleEvent::Started { .. }));
+    let event = trial.events.iter().find(|event| started(&event.what))?;
+    Some(event.time_us)
+}
+
+/// Checks that apply to the telemetry of both machines.
+fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
+    let mut defects = Defects::default();
+    if trial.status == Status::Refused && trial.has_begun() {
+        defects.say("it is called refused, and the machine accepted it");
+    }
+    let name = &trial.telemetry;
+    // While a trial runs, its sidecar does not know the final number of samples.
+    if trial.status != Status::Running {
+        if samples.len() as u64 != trial.samples {
+            defects.say(format!(
+                "{name} has {} rows, {} were recorded",
+                samples.len(),
+                trial.samples
+            ));
+        }
+        let missed: u64 = samples
+            .iter()
+            .map(|sample| u64::from(sample.missed()))
+            .sum();
+        if missed != trial.missed_samples {
+            defects.say(format!(
+                "by the rows of {name} {missed} samples were lost, by the sidecar {}",
+                trial.missed_samples
+            ));
+        }
+    }
+    let wrong = samples
+        .iter()
+        .enumerate()
+        .find_map(|(index, sample)| Some((index + 1, sample.wrong(trial)?)));
+    if let Some((row, why)) = wrong {
+        defects.say(format!("row {row} of {name}: {why}"));
+    }
+    let other =
+        |sample: &T| sample.origin() != Origin::Unknown && sample.origin() != trial.device.origin;
+    if let Some(sample) = samples.iter().find(|sample| other(sample)) {
+        defects.say(format!(
+            "{name} is of origin {}, the sidecar of origin {}",
+            sample.origin(),
+            trial.device.origin
+        ));
+    }
+    let back = samples
+        .windows(2)
+        .position(|pair| pair[1].time_us() <= pair[0].time_us());
+    match back {
+        Some(row) => defects.say(format!(
+            "time does not go on between rows {} and {} of {name}",
+            row + 1,
+            row + 2
+        )),
+        None => gaps(trial, samples, &mut defects),
+    }
+    if trial.lost_events == 0
+        && let Some(pair) = trial
+            .events
+            .windows(2)
+            .find(|pair| pair[1].index != pair[0].index.wrapping_add(1))
+    {
+        defects.say(format!(
+            "event {} follows event {}",
+            pair[1].index, pair[0].index
+        ));
+    }
+    defects
+}
+
+/// Time between samples, us: the median of those without a loss between them.
+fn interval_us<T: Sample>(samples: &[T]) -> Option<u64> {
+    let mut all: Vec<u64> = samples
+        .windows(2)
+        .filter(|pair| pair[1].missed() == 0)
+        .map(|pair| pair[1].time_us().saturating_sub(pair[0].time_us()))
+        .collect();
+    all.sort_unstable();
+    all.get(all.len() / 2).copied()
+}
+
+/// Longest plausible time between two samples with `missed` lost ones between them.
+fn longest_us(interval_us: u64, missed: u16) -> u64 {
+    let missed_us = interval_us.saturating_mul(u64::from(missed) + 1);
+    missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
+}
+
+fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Defects) {
+    let Some(interval_us) = interval_us(samples) else {
+        return;
+    };
+    let is_gap = |pair: &&[T]| {
+        pair[1].time_us() - pair[0].time_us() > longest_us(interval_us, pair[1].missed())
+    };
+    let gaps: Vec<_> = samples.windows(2).filter(is_gap).collect();
+    if let Some(first) = gaps.first() {
+        defects.lack(format!(
+            "{} gaps in {} that no lost samples explain, the first of {} s at {} s",
+            gaps.len(),
+            trial.telemetry,
+            seconds(first[1].time_us() - first[0].time_us()),
+            seconds(first[0].time_us())
+        ));
+    }
+}
+
+/// Checks that the telemetry begins and ends with the motion.
+fn covers<T: Sample>(
+    trial: &Trial,
+    samples: &[T],
+    start_us: Option<u64>,
+    duration_us: u64,
+    defects: &mut Defects,
+) {
+    if trial.status != Status::Complete {
+        return;
+    }
+    let name = &trial.telemetry;
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        defects.lack(format!("{name} is empty"));
+        return;
+    };
+    let start_us = start_us.unwrap_or(first.time_us());
+    let interval_us = interval_us(samples).unwrap_or(0);
+    let begins_us = start_us
+        .saturating_add(longest_us(interval_us, first.missed()))
+        .saturating_add(interval_us);
+    if first.time_us() > begins_us {
+        defects.lack(format!(
+            "{name} begins {} s after the motion",
+            seconds(first.time_us() - start_us)
+        ));
+    }
+    let end_us = start_us.saturating_add(duration_us);
+    // No row reports samples that the link lost after the last row.
+    if last.time_us().saturating_add(longest_us(interval_us, 2)) < end_us {
+        defects.lack(format!(
+            "{name} ends {} s before the motion",
+            seconds(end_us - last.time_us())
+        ));
+    }
+}
+
+/// Compares plan and execution of a run whose status is complete.
+fn planned_and_done(
+    trial: &Trial,
+    screw: &Screw,
+    requested: &Run,
+    achieved: &Achieved,
+    executed: &Executed,
+    defects: &mut Defects,
+) {
+    let cycle_steps = u64::from(achieved.forward.steps) + u64::from(achieved.back.steps);
+    let planned = u64::from(requested.cycles) * cycle_steps;
+    if planned != achieved.edges {
+        defects.say(format!(
+            "{} cycles of {cycle_steps} steps are {planned}, the plan says {}",
+            requested.cycles, achieved.edges
+        ));
+    }
+    let stroke_nm = screw.nm(achieved.forward.steps.into());
+    let step_nm = screw.nm(1).max(1);
+    if (stroke_nm - i64::from(requested.stroke_um) * 1_000).abs() > step_nm {
+        defects.say(format!(
+            "{} steps are {} mm, and {} mm were asked for",
+            achieved.forward.steps,
+            decimal::write_signed(stroke_nm, 6),
+            decimal::write(requested.stroke_um.into(), 3)
+        ));
+    }
+    defects.agree(
+        executed.plan_hash == achieved.plan_hash,
+        "the executed plan has another fingerprint than the accepted one",
+    );
+    if trial.status != Status::Complete {
+        return;
+    }
+    if executed.counted_edges != executed.commanded_edges {
+        defects.say(format!(
+            "{} steps were commanded, {} were seen at the pin",
+            executed.commanded_edges, executed.counted_edges
+        ));
+    }
+    if executed.commanded_edges != achieved.edges {
+        defects.say(format!(
+            "it is called complete with {} of {} steps",
+            executed.commanded_edges, achieved.edges
+        ));
+    }
+    let strokes = u32::from(requested.cycles) * 2;
+    if executed.strokes != strokes {
+        defects.say(format!(
+            "it is called complete with {} of {strokes} strokes",
+            executed.strokes
+        ));
+    }
+    if executed.holds == 0 && executed.ticks != achieved.total_ticks {
+        defects.say(format!(
+            "it took {} s, the plan {} s",
+            decimal::seconds(executed.ticks),
+            decimal::seconds(achieved.total_ticks)
+        ));
+    }
+    let done = |what: &What| matches!(what, What::Rig(RigEvent::StrokeDone { .. }));
+    let done = trial
+        .events
+        .iter()
+        .filter(|event| done(&event.what))
+        .count();
+    if trial.lost_events == 0 && done as u64 != u64::from(executed.strokes) {
+        defects.say(format!(
+            "{} strokes have an event of their end, {} were counted",
+            done, executed.strokes
+        ));
+    }
+}
+
+/// Compares the distance in the telemetry with the counted steps. A reversal between two samples hides at most the
+/// distance that the rig can travel meanwhile, there and back.
+fn travelled(
+    screw: &Screw,
+    achieved: &Achieved,
+    executed: &Executed,
+    samples: &[RigSample],
+    defects: &mut Defects,
+) {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return;
+    };
+    let seen: u64 = samples
+        .windows(2)
+        .map(|pair| u64::from(pair[1].position_steps.abs_diff(pair[0].position_steps)))
+        .sum();
+    if seen > executed.counted_edges {
+        defects.say(format!(
+            "the telemetry goes {seen} steps, {} were counted",
+            executed.counted_edges
+        ));
+    }
+    let longest_us = samples
+        .windows(2)
+        .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
+        .max()
+        .unwrap_or(0);
+    let fastest_um_s = achieved.forward.peak_um_s.max(achieved.back.peak_um_s);
+    let hidden_um = f64::from(fastest_um_s) * longest_us as f64 * 1e-6;
+    let hidden = hidden_um * f64::from(screw.steps_per_rev) / f64::from(screw.lead_um.max(1));
+    let ends = u64::from(
+        first
+            .position_steps
+            .unsigned_abs()
+            .max(last.position_steps.unsigned_abs()),
+    );
+    let most = (f64::from(executed.strokes) + 2.0) * hidden + ends as f64;
+    let missing = executed.counted_edges.saturating_sub(seen);
+    if missing as f64 > most {
+        defects.lack(format!(
+            "the telemetry goes {seen} steps, {} were counted; its reversals hide at most {most:.0}",
+            executed.counted_edges
+        ));
+    }
+    let (least, most) = (executed.min_steps, executed.max_steps);
+    // A sample before a cut already counts steps that the cut then held back; the record does not.
+    let kept = executed.prepared_edges.map_or(0, |prepared| {
+        prepared.saturating_sub(executed.commanded_edges)
+    });
+    let kept = i32::try_from(kept).unwrap_or(i32::MAX);
+    let commanded = least.saturating_sub(kept)..=most.saturating_add(kept);
+    let out = (samples.iter()).find(|sample| !commanded.contains(&sample.commanded_steps));
+    if let Some(sample) = out {
+        defects.say(format!(
+            "the telemetry is at {} steps, the record says {least} to {most}",
+            sample.commanded_steps
+        ));
+    }
+}
+
+fn ends_at(
+    trial: &Trial,
+    record: &ActuationRecord,
+    samples: &[CapsuleSample],
+    defects: &mut Defects,
+) {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return;
+    };
+    let start_us = actuation_start_us(trial).unwrap_or(first.time_us);
+    let end_us = start_us.saturating_add(u64::from(record.duration_ms) * 1_000);
+    // The thread still moves between the last sample and the end of the motion.
+    let fastest_um_s = u64::from(SettingKey::UnfoldUmS.range().max);
+    let hidden_um = end_us.saturating_sub(last.time_us) * fastest_um_s / 1_000_000;
+    let apart_um = u64::from(last.thread_um.abs_diff(record.thread_um));
+    if trial.status == Status::Complete && apart_um > u64::from(SETTLES_UM) + hidden_um {
+        defects.lack(format!(
+            "the telemetry ends at {} mm of thread, the record says {} mm",
+            decimal::fixed(last.thread_um.into(), 3),
+            decimal::fixed(record.thread_um.into(), 3)
+        ));
+    }
+}
+
+fn seconds(us: u64) -> String {
+    decimal::write(us, 6)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,613 @@
+//! The bounds of what a record may lack, and the contradictions in it.
+
+use super::*;
+use crate::trials::experiment::PAPER_RUN;
+use crate::trials::trial::{Moved, Recording};
+use jiff::Timestamp;
+use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome};
+use protocol::rig::{MoveAccepted, MoveTo, RunOutcome, Stroke};
+use protocol::system::Event;
+
+/// A step is 2.5 um.
+const SCREW: Screw = Screw {
+    lead_um: 4_000,
+    steps_per_rev: 1_600,
+    stroke_um: 20_000,
+};
+
+fn trial(action: Action) -> Trial {
+    let recording = Recording {
+        folder: "x".into(),
+        stem: "run".to_owned(),
+        now: Timestamp::UNIX_EPOCH,
+        note: None,
+        telemetry_ms: 20,
+    };
+    let mut trial = Trial::new(action, crate::trials::trial::tests::device(), &recording);
+    trial.status = Status::Complete;
+    trial
+}
+
+fn rig_sample(time_us: u64, steps: i32) -> RigSample {
+    RigSample {
+        time_us,
+        state: "running".to_owned(),
+        position_mm: decimal::write_signed(SCREW.nm(steps.into()), 6),
+        speed_mm_s: "0.000".to_owned(),
+        stroke: 0,
+        position_steps: steps,
+        commanded_steps: steps,
+        residual_steps: 0,
+        home_flag_open: false,
+        far_limit_open: false,
+        estop_loop_open: false,
+        missed: 0,
+        origin: Origin::Virtual,
+    }
+}
+
+fn event(index: u32, time_us: u64, event: RigEvent) -> Event {
+    Event {
+        index,
+        time_us,
+        what: What::Rig(event),
+    }
+}
+
+const STROKE: Stroke = Stroke {
+    steps: 4_000,
+    duration_ticks: 100_000_000,
+    ramp_ticks: 10_000_000,
+    peak_um_s: 11_000,
+    accel_um_s2: 100_000,
+};
+
+/// One cycle of 10 mm, 1 s each way, sampled each 20 ms.
+fn run_record() -> (Trial, Vec<RigSample>) {
+    let plan_hash = "0123456789abcdef".to_owned();
+    let achieved = Achieved {
+        run: 1,
+        forward: STROKE,
+        back: STROKE,
+        total_ticks: 200_000_000,
+        edges: 8_000,
+        plan_hash: plan_hash.clone(),
+    };
+    let executed = Executed {
+        outcome: RunOutcome::Complete,
+        strokes: 2,
+        commanded_edges: 8_000,
+        counted_edges: 8_000,
+        ticks: 200_000_000,
+        plan_hash,
+        min_steps: 0,
+        max_steps: 4_000,
+        worst_residual_steps: 0,
+        min_queue: None,
+        glitches: 0,
+        holds: 0,
+        image_hash: String::new(),
+        prepared_edges: None,
+        edges_timed: 0,
+        worst_interval_error_ticks: 0,
+    };
+    let mut trial = trial(Action::Run {
+        screw: SCREW,
+        requested: Run {
+            cycles: 1,
+            stroke_um: 10_000,
+            ..PAPER_RUN
+        },
+        achieved: Some(achieved),
+        executed: Some(executed),
+    });
+    let samples: Vec<_> = (0..=100_u64)
+        .map(|index| {
+            let steps = 80 * (50 - 50_i32.abs_diff(index as i32) as i32);
+            rig_sample(1_000_000 + 20_000 * index, steps)
+        })
+        .collect();
+    trial.samples = samples.len() as u64;
+    (trial, samples)
+}
+
+fn executed(trial: &mut Trial) -> &mut Executed {
+    match &mut trial.action {
+        Action::Run {
+            executed: Some(executed),
+            ..
+        } => executed,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The single defect of a record, in parts.
+fn only(defects: &Defects) -> &str {
+    match (&defects.contradictions[..], &defects.gaps[..]) {
+        ([one], []) | ([], [one]) => one,
+        _ => panic!("{defects:?}"),
+    }
+}
+
+/// The record of a run with a change, and whether it is a defect.
+fn changed(change: impl FnOnce(&mut Trial, &mut Vec<RigSample>)) -> Defects {
+    let (mut trial, mut samples) = run_record();
+    for stroke in 0..2 {
+        let at_us = 2_000_000 + 1_000_000 * u64::from(stroke);
+        let done = RigEvent::StrokeDone {
+            stroke,
+            residual_steps: 0,
+        };
+        trial.events.push(event(stroke, at_us, done));
+    }
+    change(&mut trial, &mut samples);
+    run(&trial, &samples)
+}
+
+#[test]
+fn a_whole_record_has_no_defect() {
+    assert_eq!(changed(|_, _| {}), Defects::default());
+}
+
+/// A sample may be 90 % of an interval late, or 10 ms if that is more.
+#[test]
+fn a_late_sample_is_no_gap() {
+    for (interval_us, missed, longest) in [
+        (20_000, 0, 38_000),
+        (20_000, 1, 58_000),
+        (5_000, 0, 15_000),
+        (5_000, 3, 30_000),
+        (1_000, 0, 11_000),
+        (100_000, 0, 190_000),
+    ] {
+        assert_eq!(longest_us(interval_us, missed), longest, "{interval_us}");
+    }
+    for (late_us, gaps) in [(18_000, 0), (18_001, 1)] {
+        let found = changed(|_, samples| {
+            for sample in &mut samples[50..] {
+                sample.time_us += late_us;
+            }
+        });
+        assert_eq!(found.gaps.len(), gaps, "{found:?}");
+        assert_eq!(found.contradictions.len(), 0);
+    }
+}
+
+/// The median of those without a loss between them.
+#[test]
+fn lost_samples_do_not_change_the_interval() {
+    let mut samples: Vec<_> = [0, 20_000, 40_000, 100_000, 160_000, 180_000]
+        .map(|time_us| rig_sample(time_us, 0))
+        .into();
+    assert_eq!(interval_us(&samples), Some(20_000));
+    samples[3].missed = 2;
+    samples[4].missed = 2;
+    assert_eq!(interval_us(&samples), Some(20_000));
+    assert_eq!(interval_us(&samples[2..5]), None);
+    assert_eq!(interval_us(&samples[..1]), None);
+}
+
+/// The run begins at its event. One interval more may pass before the first sample; two samples may be lost unnoticed
+/// behind the last.
+#[test]
+fn the_telemetry_begins_and_ends_with_the_motion() {
+    let begun = |trial: &mut Trial, at_us: u64| {
+        let started = RigEvent::RunStarted { run: 1 };
+        trial.events.clear();
+        trial.events.push(event(7, at_us, started));
+        trial.lost_events = 1;
+    };
+    for (early_us, gap) in [(58_000, false), (58_001, true)] {
+        let found = changed(|trial, _| begun(trial, 1_000_000 - early_us));
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+        assert!(!gap || only(&found).contains("begins"), "{found:?}");
+    }
+    // 60 ms and 18 ms after the last sample.
+    for (late_us, gap) in [(78_000, false), (78_001, true)] {
+        let found = changed(|trial, _| begun(trial, 1_000_000 + late_us));
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+        assert!(!gap || only(&found).contains("ends"), "{found:?}");
+    }
+    let found = changed(|trial, samples| {
+        samples.clear();
+        trial.samples = 0;
+    });
+    assert!(only(&found).contains("is empty"));
+}
+
+/// A reversal hides the way there and back between two samples: 11 mm/s for 20 ms are 88 steps, and four of them may
+/// be hidden by two strokes.
+#[test]
+fn steps_that_the_telemetry_does_not_show_are_told() {
+    for (missing, gap) in [(352, false), (353, true)] {
+        let found = changed(|trial, _| {
+            let executed = executed(trial);
+            executed.counted_edges += missing;
+            executed.commanded_edges += missing;
+            let Action::Run { achieved, .. } = &mut trial.action else {
+                panic!("a run");
+            };
+            achieved.as_mut().expect("planned").edges += missing;
+        });
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+    }
+    let found = changed(|_, samples| samples[100].position_steps = -1);
+    assert!(
+        found
+            .contradictions
+            .iter()
+            .any(|one| one.contains("goes 8001")),
+        "{found:?}"
+    );
+    for (steps, outside) in [(0, false), (-1, true), (4_000, false), (4_001, true)] {
+        let found = changed(|_, samples| samples[30].commanded_steps = steps);
+        assert_eq!(
+            found.contradictions.len(),
+            usize::from(outside),
+            "{found:?}"
+        );
+    }
+}
+
+/// Four strokes have up to six reversals: six times 88 steps, and the 100 at which the telemetry begins and ends.
+#[test]
+fn each_stroke_and_both_ends_may_hide_steps() {
+    for (missing, gap) in [(628, false), (629, true)] {
+        let (mut trial, mut samples) = run_record();
+        for sample in &mut samples {
+            sample.position_steps += 100;
+        }
+        executed(&mut trial).strokes = 4;
+        executed(&mut trial).counted_edges += missing;
+        let Action::Run {
+            achieved: Some(achieved),
+            executed: Some(executed),
+            ..
+        } = &trial.action
+        else {
+            panic!("a run");
+        };
+        let mut defects = Defects::default();
+        travelled(&SCREW, achieved, executed, &samples, &mut defects);
+        assert_eq!(defects.gaps.len(), usize::from(gap), "{defects:?}");
+    }
+}
+
+/// A fault that was latched behind the end of a motion is in the sidecar only, and is told there.
+#[test]
+fn only_a_fault_behind_the_end_may_differ_from_the_machines_record() {
+    for (outcome, status, error, differs) in [
+        (RunOutcome::Stopped, Status::Faulted, true, false),
+        (RunOutcome::Stopped, Status::Faulted, false, true),
+        (RunOutcome::Complete, Status::Faulted, true, false),
+        (RunOutcome::LinkLost, Status::Faulted, true, false),
+        (RunOutcome::Complete, Status::Faulted, false, true),
+        (RunOutcome::Stopped, Status::Complete, true, true),
+        (RunOutcome::Complete, Status::Stopped, true, true),
+    ] {
+        let found = changed(|trial, _| {
+            executed(trial).outcome = outcome;
+            trial.status = status;
+            trial.error = error.then(|| "an emergency stop".to_owned());
+        });
+        assert_eq!(
+            found.contradictions.len(),
+            usize::from(differs),
+            "{found:?}"
+        );
+    }
+}
+
+#[test]
+fn what_was_executed_is_what_was_planned() {
+    let one = |change: &dyn Fn(&mut Executed)| changed(|trial, _| change(executed(trial)));
+    let found = one(&|executed| executed.plan_hash.push('0'));
+    assert!(only(&found).contains("fingerprint"));
+    let found = one(&|executed| executed.commanded_edges -= 1);
+    assert_eq!(found.contradictions.len(), 2, "{found:?}");
+    let found = one(&|executed| executed.strokes = 1);
+    assert_eq!(found.contradictions.len(), 2, "{found:?}");
+    let found = one(&|executed| executed.ticks += 1);
+    assert!(only(&found).contains("it took"));
+    let held = one(&|executed| (executed.ticks, executed.holds) = (200_000_001, 1));
+    assert_eq!(held, Defects::default());
+    let found = one(&|executed| executed.outcome = RunOutcome::Stopped);
+    assert!(only(&found).contains("differ"));
+    // A step more or less than was asked for is rounding.
+    for (stroke_um, differs) in [
+        (10_002, false),
+        (10_003, true),
+        (9_998, false),
+        (9_997, true),
+    ] {
+        let found = changed(|trial, _| {
+            let Action::Run { requested, .. } = &mut trial.action else {
+                panic!("a run");
+            };
+            requested.stroke_um = stroke_um;
+        });
+        assert_eq!(
+            found.contradictions.len(),
+            usize::from(differs),
+            "{found:?}"
+        );
+    }
+}
+
+#[test]
+fn rows_and_events_agree_with_the_sidecar() {
+    let found = changed(|trial, _| trial.samples += 1);
+    assert!(only(&found).contains("101 rows, 102 were recorded"));
+    let found = changed(|trial, _| trial.missed_samples = 2);
+    assert!(only(&found).contains("0 samples were lost, by the sidecar 2"));
+    let lost = changed(|trial, samples| (trial.missed_samples, samples[4].missed) = (2, 2));
+    assert_eq!(lost, Defects::default());
+    let found = changed(|_, samples| samples[5].position_mm = "1.0".to_owned());
+    assert!(only(&found).contains("row 6"));
+    let found = changed(|_, samples| samples[5].speed_mm_s = "inf".to_owned());
+    assert!(only(&found).contains("speed_mm_s is `inf`"));
+    let found = changed(|_, samples| samples[5].origin = Origin::Board);
+    assert!(only(&found).contains("origin"));
+    let unknown = changed(|_, samples| samples[5].origin = Origin::Unknown);
+    assert_eq!(unknown, Defects::default());
+    let found = changed(|_, samples| samples[6].time_us = samples[5].time_us);
+    assert!(only(&found).contains("between rows 6 and 7"));
+    let found = changed(|trial, _| trial.events[1].index = 2);
+    assert!(only(&found).contains("event 2 follows event 0"));
+    let dropped = changed(|trial, _| (trial.events[1].index, trial.lost_events) = (2, 1));
+    assert_eq!(dropped, Defects::default());
+    // While a trial runs, the final numbers are not known.
+    let running = changed(|trial, samples| {
+        trial.status = Status::Running;
+        let Action::Run { executed, .. } = &mut trial.action else {
+            panic!("a run");
+        };
+        *executed = None;
+        (trial.samples, samples[4].missed) = (0, 1);
+    });
+    assert_eq!(running, Defects::default());
+}
+
+/// From 100 to 1,100 steps within 0.5 s.
+fn move_record(change: impl FnOnce(&mut Trial, &mut Vec<RigSample>)) -> Defects {
+    let mut trial = trial(Action::Move {
+        screw: SCREW,
+        requested: MoveTo {
+            position_um: 2_750,
+            speed_um_s: 10_000,
+        },
+        accepted: Some(MoveAccepted {
+            from_steps: 100,
+            to_steps: 1_100,
+            stroke: Stroke {
+                steps: 1_000,
+                duration_ticks: 50_000_000,
+                ..STROKE
+            },
+        }),
+        moved: Some(Moved {
+            outcome: RunOutcome::Complete,
+            position_steps: 1_100,
+        }),
+    });
+    let mut samples: Vec<_> = (0..=25)
+        .map(|index| {
+            rig_sample(
+                1_000_000 + 20_000 * u64::from(index as u32),
+                100 + 40 * index,
+            )
+        })
+        .collect();
+    change(&mut trial, &mut samples);
+    trial.samples = samples.len() as u64;
+    movement(&trial, &samples)
+}
+
+fn accepted(trial: &mut Trial) -> &mut MoveAccepted {
+    match &mut trial.action {
+        Action::Move {
+            accepted: Some(accepted),
+            ..
+        } => accepted,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_move_goes_from_place_to_place_and_its_telemetry_with_it() {
+    assert_eq!(move_record(|_, _| {}), Defects::default());
+    let found = move_record(|trial, _| accepted(trial).stroke.steps = 999);
+    assert!(only(&found).contains("between the two places"));
+    let found = move_record(|trial, _| accepted(trial).from_steps = 101);
+    assert_eq!(found.contradictions.len(), 2, "{found:?}");
+    let found = move_record(|trial, _| {
+        let Action::Move { moved, .. } = &mut trial.action else {
+            panic!("a move");
+        };
+        moved.as_mut().expect("moved").position_steps = 1_099;
+    });
+    assert!(only(&found).contains("1099 steps, and 1100"));
+    for (steps, outside) in [(100, false), (99, true), (1_100, false), (1_101, true)] {
+        let found = move_record(|_, samples| samples[12] = rig_sample(1_240_000, steps));
+        assert_eq!(
+            found.contradictions.len(),
+            usize::from(outside),
+            "{found:?}"
+        );
+    }
+    let found = move_record(|_, samples| samples.clear());
+    assert!(only(&found).contains("no telemetry"));
+    // An interval at either end, and 10 ms: 450 ms are enough.
+    for (took_us, gap) in [(450_000, false), (449_999, true)] {
+        let found = move_record(|_, samples| {
+            samples.truncate(24);
+            samples[23].time_us = 1_000_000 + took_us;
+            samples[22].time_us = 1_000_000 + took_us - 20_000;
+            samples[21].time_us = 1_000_000 + took_us - 40_000;
+            samples[20].time_us = 1_000_000 + took_us - 59_000;
+        });
+        let gaps = found.gaps.iter().filter(|gap| gap.contains("lasts"));
+        assert_eq!(gaps.count(), usize::from(gap), "{found:?}");
+    }
+}
+
+/// The thread may settle by 0.3 mm behind the last sample.
+#[test]
+fn an_actuation_ends_where_its_telemetry_does() {
+    let record = ActuationRecord {
+        actuation: 4,
+        kind: ActuationKind::Fold,
+        outcome: ActuationOutcome::Complete,
+        duration_ms: 400,
+        thread_um: 21_000,
+        end_current_ma: 150,
+        peak_current_ma: 150,
+        engaged_um: 1_000,
+        energy_mj: 240,
+        min_battery_mv: 3_600,
+    };
+    let defects = |record: ActuationRecord, number: u32, last_um: i32| {
+        let mut trial = trial(Action::Actuation {
+            actuation: ActuationKind::Fold,
+            accepted: Some(ActuationAccepted {
+                actuation: number,
+                timeout_ms: 6_000,
+            }),
+            record: Some(record),
+        });
+        let samples: Vec<_> = (0..=20)
+            .map(|index| CapsuleSample {
+                time_us: 1_000_000 + 20_000 * index,
+                state: "folding".to_owned(),
+                thread_um: last_um,
+                current_ma: 30,
+                battery_mv: 3_700,
+                drive_mv: 2_000,
+                missed: 0,
+                origin: Origin::Virtual,
+            })
+            .collect();
+        trial.samples = samples.len() as u64;
+        actuation(&trial, &samples)
+    };
+    for (last_um, gap) in [
+        (20_700, false),
+        (20_699, true),
+        (21_300, false),
+        (21_301, true),
+    ] {
+        let found = defects(record, 4, last_um);
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+        assert_eq!(found.contradictions.len(), 0);
+    }
+    // From the last sample to the end it goes 21 mm/s at most.
+    for (duration_ms, last_um, gap) in [(420, 20_281, false), (420, 20_280, true)] {
+        let longer = ActuationRecord {
+            duration_ms,
+            ..record
+        };
+        let found = defects(longer, 4, last_um);
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+    }
+    // 78 ms may pass behind the last sample.
+    for (duration_ms, gap) in [(478, false), (479, true)] {
+        let longer = ActuationRecord {
+            duration_ms,
+            ..record
+        };
+        let found = defects(longer, 4, 21_000);
+        assert_eq!(found.gaps.len(), usize::from(gap), "{found:?}");
+    }
+    assert!(only(&defects(record, 5, 21_000)).contains("another actuation"));
+    let unfold = ActuationRecord {
+        kind: ActuationKind::Unfold,
+        ..record
+    };
+    assert!(only(&defects(unfold, 4, 21_000)).contains("another kind"));
+    let above = ActuationRecord {
+        end_current_ma: 151,
+        ..record
+    };
+    assert!(only(&defects(above, 4, 21_000)).contains("above the largest"));
+}
+
+#[test]
+fn a_record_is_named_after_its_start_and_its_telemetry_after_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, telemetry, wrong) in [
+        ("run-19700101T000000Z", "run-19700101T000000Z.csv", 0),
+        ("run-19700101T000001Z", "run-19700101T000001Z.csv", 1),
+        ("run-19700101T000000Z-2", "run-19700101T000000Z.csv", 1),
+        ("run-19700101t000001Z", "run-19700101t000001Z.csv", 0),
+        ("run-1970", "run-1970.csv", 0),
+    ] {
+        let sidecar = folder.path().join(format!("{name}.json"));
+        let mut trial = run_record().0;
+        trial.telemetry = telemetry.to_owned();
+        let found = misnamed(&sidecar, &trial);
+        assert_eq!(found.len(), wrong, "{found:?}");
+        // The telemetry itself is not there.
+        let found = record(&sidecar, &trial).contradictions;
+        assert!(found.len() > wrong, "{found:?}");
+        assert!(found[wrong].contains("cannot be read"), "{found:?}");
+    }
+}
+
+/// The tool was killed while it wrote the last row of a running trial; anywhere else a row that cannot be read is a
+/// defect.
+#[test]
+fn only_a_running_trial_may_end_within_a_row() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let sidecar = folder.path().join("fold.json");
+    let header = "time_us,state,thread_um,current_ma,battery_mv,drive_mv,missed,origin\n";
+    let row = "20000,Folding,1,2,3,4,0,virtual\n";
+    for (status, rows, found, defects) in [
+        (Status::Running, [row, "4000"], 1, 0),
+        (Status::Complete, [row, "4000"], 1, 1),
+        (Status::Running, ["4000\n", row], 0, 1),
+    ] {
+        let mut trial = trial(Action::Actuation {
+            actuation: ActuationKind::Fold,
+            accepted: None,
+            record: None,
+        });
+        (trial.status, trial.telemetry) = (status, "fold.csv".to_owned());
+        let text = [header, &rows.concat()].concat();
+        std::fs::write(folder.path().join("fold.csv"), text).expect("written");
+        let (samples, wrong) = read::<CapsuleSample>(&sidecar, &trial);
+        assert_eq!((samples.len(), wrong.len()), (found, defects), "{wrong:?}");
+    }
+}
+
+#[test]
+fn a_status_that_the_record_does_not_bear_out_is_told() {
+    let found = changed(|trial, _| {
+        let Action::Run { achieved, .. } = &mut trial.action else {
+            panic!("a run");
+        };
+        *achieved = None;
+    });
+    assert!(only(&found).contains("without what was planned or executed"));
+    let found = move_record(|trial, _| {
+        let Action::Move { moved, .. } = &mut trial.action else {
+            panic!("a move");
+        };
+        *moved = None;
+    });
+    assert!(only(&found).contains("without what was accepted or done"));
+    let bare = trial(Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    });
+    let found = actuation(&bare, &[]);
+    assert!(only(&found).contains("without the capsule's record"));
+    let found = changed(|trial, _| {
+        trial.status = Status::Refused;
+        let Action::Run { executed, .. } = &mut trial.action else {
+            panic!("a run");
+        };
+        *executed = None;
+    });
+    assert!(only(&found).contains("called refused, and the machine accepted it"));
+}

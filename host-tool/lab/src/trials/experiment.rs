@@ -1,0 +1,676 @@
+//! Recorded actions, and the paper's experiment, which is a sequence of them.
+
+use std::path::PathBuf;
+
+use client::decimal;
+use client::diagnosis::Sign;
+use client::error::ClientError;
+use client::identity::IdentityRecord;
+use client::{Begun, Both, Clock, Device, Homed, Observer, Pace, Progress};
+use jiff::Timestamp;
+use miette::Diagnostic;
+use protocol::capsule::{
+    ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
+};
+use protocol::error::Refusal;
+use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunOutcome, RunRecord, RunTiming};
+use protocol::system::{DeviceKind, Event, Identity};
+use protocol::table::Telemetry;
+
+use crate::trials::trial::{
+    Action, Ending, Moved, RecordError, Recorder, Recording, Screw, Status, Trial,
+};
+
+/// The paper's run: 5 cycles of 130 mm in 40 s.
+pub const PAPER_RUN: Run = Run {
+    cycles: 5,
+    stroke_um: 130_000,
+    timing: RunTiming::Total {
+        total_us: 40_000_000,
+        accel_um_s2: DEFAULT_ACCEL_UM_S2,
+    },
+    far_dwell_us: 0,
+    home_dwell_us: 0,
+    start_delay_us: 0,
+    link_loss: LinkLossPolicy::Stop,
+};
+
+/// Default acceleration of a run, um/s2.
+pub const DEFAULT_ACCEL_UM_S2: u32 = 100_000;
+
+/// Default telemetry interval, ms: 100 Hz take a third of 115200 baud.
+pub const DEFAULT_TELEMETRY_MS: u16 = 10;
+
+/// Why a recorded action failed.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+pub enum ExperimentError {
+    /// The device or the link to it failed.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
+    /// The record could not be written.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Record(#[from] RecordError),
+    /// The action ended, but its record is incomplete.
+    #[error("{ended}; but {record}")]
+    #[diagnostic(
+        code(retrograde::record),
+        help(
+            "the machine is well, what it did is said above; what was recorded until then is kept. Free space, or choose another folder: `--out DIR`"
+        )
+    )]
+    Unrecorded {
+        /// The device's account of the action.
+        ended: String,
+        /// Why the record is incomplete.
+        record: RecordError,
+    },
+    /// Both machines of a run were lost, and the capsule may be moving.
+    #[error("{rig}; and the capsule: {capsule}")]
+    #[diagnostic(
+        code(retrograde::outcome_unknown),
+        help(
+            "look at both machines; press the emergency stop button and switch the capsule off NOW if anything moves"
+        )
+    )]
+    Both {
+        /// How the rig was lost.
+        rig: Box<ExperimentError>,
+        /// How the capsule was lost.
+        capsule: ClientError,
+    },
+    /// A step of the experiment did not end as planned, so the remaining steps were skipped.
+    #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
+    #[diagnostic(
+        code(retrograde::incomplete),
+        help("the data so far is in {}", sidecar.display())
+    )]
+    Incomplete {
+        /// Name of the step.
+        step: &'static str,
+        /// How it ended.
+        status: Status,
+        /// The fault, if there was one.
+        reason: Option<String>,
+        /// Its record.
+        sidecar: PathBuf,
+    },
+}
+
+/// A recorded action, with the device's account of it.
+#[derive(Clone, Debug)]
+pub struct RecordedTrial<R> {
+    /// As executed.
+    pub record: R,
+    /// Contents of the sidecar.
+    pub trial: Trial,
+    /// Path of the telemetry.
+    pub csv: PathBuf,
+    /// Path of the sidecar.
+    pub sidecar: PathBuf,
+}
+
+/// A recorded run.
+pub type RunTrial = RecordedTrial<RunRecord>;
+
+/// A recorded move: as planned by the rig, and as it ended.
+pub type MoveTrial = RecordedTrial<(MoveAccepted, Moved)>;
+
+/// A recorded actuation.
+pub type ActuationTrial = RecordedTrial<ActuationRecord>;
+
+/// Executes one run and records it, whatever its outcome.
+///
+/// # Errors
+/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn run(
+    rig: &mut Device,
+    run: Run,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<RunTrial, ExperimentError> {
+    let identity = identity(rig, DeviceKind::Rig)?;
+    let action = Action::Run {
+        screw: Screw::from(&rig.rig_status()?),
+        requested: run,
+        achieved: None,
+        executed: None,
+    };
+    record(
+        rig,
+        &identity,
+        action,
+        recording,
+        observer,
+        |rig, observer| {
+            let accepted = rig.run(run)?;
+            let record = rig.wait_run(&accepted, observer)?;
+            Ok((record, Ending::Run(record)))
+        },
+    )
+}
+
+/// Moves the carriage once and records it, whatever the outcome.
+///
+/// # Errors
+/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn move_to(
+    rig: &mut Device,
+    requested: MoveTo,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<MoveTrial, ExperimentError> {
+    let identity = identity(rig, DeviceKind::Rig)?;
+    let action = Action::Move {
+        screw: Screw::from(&rig.rig_status()?),
+        requested,
+        accepted: None,
+        moved: None,
+    };
+    record(
+        rig,
+        &identity,
+        action,
+        recording,
+        observer,
+        |rig, observer| {
+            let accepted = rig.call(requested)?;
+            let (outcome, status) = rig.wait_move(&accepted, observer)?;
+            let moved = Moved {
+                outcome,
+                position_steps: status.position_steps,
+            };
+            Ok(((accepted, moved), Ending::Move(moved)))
+        },
+    )
+}
+
+/// An order to the capsule.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Actuation {
+    /// Kind of actuation.
+    pub kind: ActuationKind,
+    /// Thread at which a partial fold stops; the other motions have their own ends.
+    pub target_um: i32,
+}
+
+impl From<ActuationKind> for Actuation {
+    fn from(kind: ActuationKind) -> Self {
+        Self { kind, target_um: 0 }
+    }
+}
+
+impl Actuation {
+    /// A fold or an unfolding that stops with this much thread on the spool.
+    #[must_use]
+    pub const fn fold_to(target_um: i32) -> Self {
+        Self {
+            kind: ActuationKind::FoldTo,
+            target_um,
+        }
+    }
+}
+
+/// All kinds of actuations.
+pub const ACTUATIONS: [ActuationKind; 6] = [
+    ActuationKind::Reference,
+    ActuationKind::Calibrate,
+    ActuationKind::CheckFolded,
+    ActuationKind::Fold,
+    ActuationKind::Unfold,
+    ActuationKind::FoldTo,
+];
+
+/// Prefix of the actuation's files.
+#[must_use]
+pub const fn stem(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Reference => "reference",
+        ActuationKind::Calibrate => "calibrate",
+        ActuationKind::CheckFolded => "check-folded",
+        ActuationKind::Fold => "fold",
+        ActuationKind::Unfold => "unfold",
+        ActuationKind::FoldTo => "fold-to",
+    }
+}
+
+/// The capsule's activity during the actuation, in words.
+#[must_use]
+pub const fn doing(kind: ActuationKind) -> &'static str {
+    match kind {
+        ActuationKind::Reference => "referencing",
+        ActuationKind::Calibrate => "calibrating",
+        ActuationKind::CheckFolded => "checking",
+        ActuationKind::Fold => "folding",
+        ActuationKind::Unfold => "unfolding",
+        ActuationKind::FoldTo => "folding partly",
+    }
+}
+
+/// Time after a calibration within which the capsule writes it to its flash, or says that it could not, us.
+const KEPT_US: u64 = 1_000_000;
+
+/// Executes one actuation and records it, whatever its outcome.
+///
+/// # Errors
+/// The capsule refused or was lost, or the record could not be written. Both files exist before anything moves.
+pub fn actuate(
+    capsule: &mut Device,
+    motion: impl Into<Actuation>,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+) -> Result<ActuationTrial, ExperimentError> {
+    let Actuation { kind, target_um } = motion.into();
+    let identity = identity(capsule, DeviceKind::Capsule)?;
+    let action = Action::Actuation {
+        actuation: kind,
+        accepted: None,
+        record: None,
+    };
+    let act = |capsule: &mut Device, observer: &mut dyn Observer| {
+        let accepted = match kind {
+            ActuationKind::Reference => capsule.reference()?,
+            ActuationKind::Calibrate => capsule.call(Calibrate)?,
+            ActuationKind::CheckFolded => capsule.call(CheckFolded)?,
+            ActuationKind::Fold => capsule.fold()?,
+            ActuationKind::Unfold => capsule.unfold()?,
+            ActuationKind::FoldTo => capsule.call(FoldTo {
+                thread_um: target_um,
+            })?,
+        };
+        let record = capsule.wait_actuation(&accepted, observer)?;
+        if kind == ActuationKind::Calibrate {
+            // The actuation has ended, whatever becomes of the link now.
+            let _ = capsule.idle(KEPT_US, observer);
+        }
+        Ok((record, Ending::Actuation(record)))
+    };
+    record(capsule, &identity, action, recording, observer, act)
+}
+
+/// Records what `act` orders and waits for. Both files exist before it begins. A failed record hides neither what the
+/// device did nor how it was lost.
+fn record<R>(
+    device: &mut Device,
+    identity: &Identity,
+    action: Action,
+    recording: &Recording,
+    observer: &mut dyn Observer,
+    act: impl FnOnce(&mut Device, &mut dyn Observer) -> Result<(R, Ending), ClientError>,
+) -> Result<RecordedTrial<R>, ExperimentError> {
+    let identity = IdentityRecord::new(identity, &device.place());
+    let mut recorder = Recorder::create(Trial::new(action, identity, recording), recording)?;
+    let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
+    device.records(Some(&sidecar));
+    let mut recorded = Recorded {
+        recorder: &mut recorder,
+        observer,
+    };
+    let outcome = listen(device, recording.telemetry_ms).and_then(|()| act(device, &mut recorded));
+    let lost_events = device.take_lost_events();
+    let ended = match outcome {
+        Ok((record, ending)) => {
+            let ended = verdict(&ending);
+            // Ignore the error: the action has ended. The next request will notice a device that does not answer.
+            let _ = device.set_telemetry(0);
+            // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the
+            // record.
+            recorder.latched(after_stops(device, &ending));
+            match recorder.finish(ending, lost_events) {
+                Ok(trial) => Ok(RecordedTrial {
+                    record,
+                    trial,
+                    csv,
+                    sidecar,
+                }),
+                Err(record) => Err(ExperimentError::Unrecorded { ended, record }),
+            }
+        }
+        Err(error) => {
+            let ending = without_record(&recorder, &error);
+            if let Err(record) = recorder.finish(ending, lost_events) {
+                observer.unrecorded(&record.to_string());
+            }
+            Err(error.into())
+        }
+    };
+    device.records(None);
+    ended
+}
+
+/// Turns the telemetry on and discards what came before: telemetry, events and losses of an earlier action.
+pub(crate) fn listen(device: &mut Device, telemetry_ms: u16) -> Result<(), ClientError> {
+    device.set_telemetry(telemetry_ms)?;
+    device.take_telemetry();
+    device.take_events()?;
+    device.take_lost_events();
+    Ok(())
+}
+
+/// Passes everything on to the record and to the observer; also tells the observer about failures of the record.
+struct Recorded<'a> {
+    recorder: &'a mut Recorder,
+    observer: &'a mut dyn Observer,
+}
+
+impl Recorded<'_> {
+    fn both(&mut self) -> Both<'_> {
+        Both(self.recorder, self.observer)
+    }
+
+    fn tell(&mut self) {
+        if let Some(error) = self.recorder.news() {
+            self.observer.unrecorded(&error.to_string());
+        }
+    }
+}
+
+impl Observer for Recorded<'_> {
+    fn begun(&mut self, begun: &Begun) {
+        self.both().begun(begun);
+    }
+    fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
+        self.both().telemetry(sample, missed);
+        self.tell();
+    }
+    fn event(&mut self, event: &Event) {
+        self.both().event(event);
+    }
+    fn progress(&mut self, progress: &Progress) {
+        self.both().progress(progress);
+        self.tell();
+    }
+    fn refused(&mut self, pace: Pace, refusal: &Refusal) {
+        self.both().refused(pace, refusal);
+    }
+    fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
+        self.both().turn(now_us, clock);
+    }
+}
+
+/// The device's account of an action, in a sentence.
+fn verdict(ending: &Ending) -> String {
+    match ending {
+        Ending::Run(record) => format!(
+            "the run ended as {:?} after {} strokes and {} steps",
+            record.outcome, record.strokes, record.counted_edges
+        ),
+        Ending::Actuation(record) => format!(
+            "the actuation ended as {:?} with {} mm of thread after {} s",
+            record.outcome,
+            decimal::fixed(record.thread_um.into(), 3),
+            decimal::fixed(record.duration_ms.into(), 3)
+        ),
+        Ending::Move(moved) => format!(
+            "the move ended as {:?} at {} steps",
+            moved.outcome, moved.position_steps
+        ),
+        Ending::Refused(why) | Ending::Lost(why) => why.clone(),
+    }
+}
+
+/// The fault after an action that ended by a stop, or that a stop followed immediately. If the device no longer
+/// answers, the fault is missing in the record.
+pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String> {
+    let is_stopped = match ending {
+        Ending::Run(record) => record.outcome == RunOutcome::Stopped,
+        Ending::Actuation(record) => record.outcome == ActuationOutcome::Stopped,
+        Ending::Move(moved) => moved.outcome == RunOutcome::Stopped,
+        Ending::Refused(_) | Ending::Lost(_) => false,
+    };
+    if !is_stopped && device.interrupted().is_none() {
+        return None;
+    }
+    device.latched_fault().ok().flatten()
+}
+
+/// The end of an action of which the machine has given no record.
+pub(crate) fn without_record(recorder: &Recorder, error: &ClientError) -> Ending {
+    if error.is_refusal() && !recorder.has_begun() {
+        Ending::Refused(error.to_string())
+    } else {
+        Ending::Lost(error.to_string())
+    }
+}
+
+pub(crate) fn identity(device: &Device, wanted: DeviceKind) -> Result<Identity, ClientError> {
+    device.require(wanted)?;
+    device
+        .identity()
+        .copied()
+        .ok_or_else(|| ClientError::NoAnswer {
+            sign: Sign::Silence,
+            place: device.place(),
+        })
+}
+
+/// Homes the rig.
+///
+/// # Errors
+/// As [`Device::home`] and [`Device::wait_homing`].
+pub fn home(rig: &mut Device, observer: &mut dyn Observer) -> Result<Homed, ClientError> {
+    // Discard old events: the end of another host's homing must not count as the end of this one.
+    rig.take_events()?;
+    let accepted = rig.home()?;
+    rig.wait_homing(&accepted, observer)
+}
+
+/// Shape of the capsule's origami during a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Shape {
+    /// The waves carry it forward.
+    Unfolded,
+    /// The same waves carry it the other way.
+    Folded,
+}
+
+impl Shape {
+    /// `unfolded` or `folded`, as in records.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Unfolded => "unfolded",
+            Self::Folded => "folded",
+        }
+    }
+}
+
+/// Observes the experiment's steps and their results. By default every method except [`Hooks::observer`] does
+/// nothing.
+pub trait Hooks {
+    /// A step is about to begin.
+    fn begins(&mut self, step: &str) {
+        let _ = step;
+    }
+    /// The observer of the present step.
+    fn observer(&mut self) -> &mut dyn Observer;
+    /// Both machines have identified themselves.
+    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
+        let _ = (rig, capsule);
+    }
+    /// The capsule found its zero.
+    fn referenced(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+    /// The rig found its zero.
+    fn homed(&mut self, homed: &Homed) {
+        let _ = homed;
+    }
+    /// A run is complete. Its verdict and the body's displacement can be determined here.
+    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
+        let _ = (shape, trial);
+    }
+    /// The capsule is folded.
+    fn folded(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+    /// The capsule is unfolded.
+    fn unfolded(&mut self, trial: &ActuationTrial) {
+        let _ = trial;
+    }
+}
+
+/// The experiment's run and the folder of its records.
+#[derive(Clone, Debug)]
+pub struct Procedure {
+    /// The run, carried out once unfolded and once folded.
+    pub run: Run,
+    /// Folder of all records.
+    pub folder: PathBuf,
+    /// Interval of telemetry, 5..=1000 ms.
+    pub telemetry_ms: u16,
+}
+
+/// The experiment's records, in the order of the steps.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// Search for the thread's zero.
+    pub reference: ActuationTrial,
+    /// Result of homing the rig.
+    pub homed: Homed,
+    /// The run with the capsule unfolded.
+    pub unfolded_run: RunTrial,
+    /// Folding.
+    pub fold: ActuationTrial,
+    /// The same run with the capsule folded.
+    pub folded_run: RunTrial,
+    /// Unfolding.
+    pub unfold: ActuationTrial,
+}
+
+impl Experiment {
+    /// The sidecars, in the order of the steps.
+    #[must_use]
+    pub fn sidecars(&self) -> Vec<PathBuf> {
+        vec![
+            self.reference.sidecar.clone(),
+            self.unfolded_run.sidecar.clone(),
+            self.fold.sidecar.clone(),
+            self.folded_run.sidecar.clone(),
+            self.unfold.sidecar.clone(),
+        ]
+    }
+}
+
+/// The paper's experiment: identities; reference and home; run unfolded; fold; the same run folded; unfold. Each step
+/// begins only if the previous one is complete. Calls `now` once per record.
+///
+/// # Errors
+/// The first step that was refused, lost, or did not end as planned.
+pub fn paper(
+    rig: &mut Device,
+    capsule: &mut Device,
+    procedure: &Procedure,
+    now: &dyn Fn() -> Timestamp,
+    hooks: &mut dyn Hooks,
+) -> Result<Experiment, ExperimentError> {
+    let recording = |stem: &str, note: Option<Shape>| Recording {
+        folder: procedure.folder.clone(),
+        stem: stem.to_owned(),
+        now: now(),
+        note: note.map(|shape| format!("capsule {}", shape.name())),
+        telemetry_ms: procedure.telemetry_ms,
+    };
+    hooks.identified(
+        &identity(rig, DeviceKind::Rig)?,
+        &identity(capsule, DeviceKind::Capsule)?,
+    );
+
+    let mut actuated = |begins: &'static str, kind: ActuationKind, hooks: &mut dyn Hooks| {
+        hooks.begins(begins);
+        let trial = actuate(
+            capsule,
+            kind,
+            &recording(stem(kind), None),
+            hooks.observer(),
+        )?;
+        complete(doing(kind), &trial.trial, &trial.sidecar)?;
+        Ok::<_, ExperimentError>(trial)
+    };
+    let ran = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
+        hooks.begins(match shape {
+            Shape::Unfolded => "run, capsule unfolded",
+            Shape::Folded => "run, capsule folded",
+        });
+        let recording = recording(&format!("run-{}", shape.name()), Some(shape));
+        let trial = run(rig, procedure.run, &recording, hooks.observer())?;
+        complete("the run", &trial.trial, &trial.sidecar)?;
+        hooks.ran(shape, &trial);
+        Ok::<_, ExperimentError>(trial)
+    };
+
+    let reference = actuated("reference the capsule", ActuationKind::Reference, hooks)?;
+    hooks.referenced(&reference);
+
+    hooks.begins("home the rig");
+    let homed = home(rig, hooks.observer())?;
+    hooks.homed(&homed);
+
+    let unfolded_run = ran(rig, Shape::Unfolded, hooks)?;
+
+    let fold = actuated("fold the capsule", ActuationKind::Fold, hooks)?;
+    hooks.folded(&fold);
+
+    let folded_run = ran(rig, Shape::Folded, hooks)?;
+
+    let unfold = actuated("unfold the capsule", ActuationKind::Unfold, hooks)?;
+    hooks.unfolded(&unfold);
+
+    Ok(Experiment {
+        reference,
+        homed,
+        unfolded_run,
+        fold,
+        folded_run,
+        unfold,
+    })
+}
+
+/// Fails unless a step is complete.
+fn complete(
+    step: &'static str,
+    trial: &Trial,
+    sidecar: &std::path::Path,
+) -> Result<(), ExperimentError> {
+    if trial.status == Status::Complete {
+        return Ok(());
+    }
+    Err(ExperimentError::Incomplete {
+        step,
+        status: trial.status,
+        reason: trial.error.clone(),
+        sidecar: sidecar.to_owned(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two kinds with one prefix would be taken for each other in a folder.
+    #[test]
+    fn each_actuation_has_a_name_of_its_own() {
+        let kinds = ACTUATIONS;
+        for name in [stem, doing] {
+            let names: std::collections::BTreeSet<_> = kinds.map(name).into();
+            assert!(
+                names.len() == kinds.len() && !names.contains(""),
+                "{names:?}"
+            );
+        }
+        assert_eq!(stem(ActuationKind::FoldTo), "fold-to");
+    }
+
+    /// If the record is lost, this sentence is all that is left of the motion.
+    #[test]
+    fn the_verdict_of_a_motion_says_how_and_where_it_ended() {
+        let moved = Ending::Move(Moved {
+            outcome: RunOutcome::Stopped,
+            position_steps: 1_234,
+        });
+        assert_eq!(verdict(&moved), "the move ended as Stopped at 1234 steps");
+        let lost = Ending::Lost("it went away".to_owned());
+        assert_eq!(verdict(&lost), "it went away");
+    }
+}

@@ -1,0 +1,667 @@
+//! Figures as SVG and PDF: each has a title, and states the origin of its values in words and in its description.
+//!
+//! The size of a chart makes its letters 12 px high on a telephone 390 px wide, and lets two charts fit beside each
+//! other on a desktop screen.
+
+mod clip;
+pub(crate) mod escaped;
+mod heading;
+mod measures;
+pub(crate) mod palette;
+mod pdf;
+mod profile;
+
+use client::identity::Origin;
+use lab::trials::trial::{CapsuleSample, RigSample};
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+
+use crate::figures::clip::{clipped, edges};
+use crate::figures::escaped::escaped;
+pub use crate::figures::heading::{Heading, ModelName, Source};
+use crate::figures::measures::{LETTERS, SIZE};
+use crate::figures::palette::{INK, MEASURED, PLANNED};
+use crate::figures::pdf::{Drawn, Page};
+pub use crate::figures::profile::{Planned, planned, position_at};
+
+/// Mean width of a letter.
+const LETTER_WIDTH: i32 = 22;
+
+/// Opacity of an area.
+const PALE: f64 = 0.16;
+
+/// Why a figure could not be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("a figure could not be drawn: {0}")]
+pub struct FigureError(String);
+
+/// How a curve is drawn.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Mark {
+    /// A line of this width.
+    Line(u32),
+    /// Dots of this radius.
+    Dots(i32),
+    /// Each pair of points is a line of this width.
+    Segments(u32),
+    /// The points are the outline of a pale area.
+    Area,
+    /// The same behind all other curves: it does not widen the axis, and ends where the plot does.
+    Backdrop,
+}
+
+/// One curve. Without a label it has no entry in the legend.
+pub(crate) struct Curve {
+    pub(crate) label: String,
+    pub(crate) colour: RGBColor,
+    pub(crate) mark: Mark,
+    pub(crate) points: Vec<(f64, f64)>,
+}
+
+pub(crate) fn curve(
+    label: impl Into<String>,
+    colour: RGBColor,
+    mark: Mark,
+    points: Vec<(f64, f64)>,
+) -> Curve {
+    Curve {
+        label: label.into(),
+        colour,
+        mark,
+        points,
+    }
+}
+
+/// One chart of a figure.
+pub(crate) struct Chart {
+    pub(crate) x_label: &'static str,
+    pub(crate) y_label: String,
+    /// The y axis includes 0, so that differences appear in proportion.
+    pub(crate) y_from_zero: bool,
+    pub(crate) curves: Vec<Curve>,
+}
+
+/// Keeps, for each of `stretches` equal stretches, the points with the least and the greatest value: the curve looks
+/// the same.
+pub(crate) fn thinned(points: &[(f64, f64)], stretches: usize) -> Vec<(f64, f64)> {
+    if points.len() <= stretches * 2 {
+        return points.to_vec();
+    }
+    let mut thin = vec![];
+    for part in points.chunks(points.len().div_ceil(stretches)) {
+        let of = |worse: fn(&f64, &f64) -> bool| {
+            let better = |a: usize, b: usize| if worse(&part[a].1, &part[b].1) { b } else { a };
+            (0..part.len()).reduce(better)
+        };
+        let (Some(least), Some(most)) = (of(|a, b| b < a), of(|a, b| b > a)) else {
+            continue;
+        };
+        thin.push(part[least.min(most)]);
+        if least != most {
+            thin.push(part[least.max(most)]);
+        }
+    }
+    thin
+}
+
+/// Position and velocity against time, measured over planned.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn run_figures(
+    name: &str,
+    origin: Origin,
+    planned: Planned,
+    samples: &[RigSample],
+    start_us: u64,
+) -> Result<[String; 2], FigureError> {
+    let heading = |what| Heading::new(format!("{name}: {what}"), Source::Records(origin));
+    let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
+    let measured = |value: &dyn Fn(&RigSample) -> f64| {
+        samples
+            .iter()
+            .map(|sample| (since(start_us, sample.time_us), value(sample)))
+            .collect::<Vec<_>>()
+    };
+    Ok([
+        over_time(
+            &heading("position"),
+            "position / mm",
+            vec![
+                plan_curve(planned.position),
+                measured_curve(origin, measured(&|sample| number(&sample.position_mm))),
+            ],
+        )?,
+        over_time(
+            &heading("velocity"),
+            "velocity / (mm/s)",
+            vec![
+                plan_curve(planned.velocity),
+                measured_curve(origin, measured(&|sample| number(&sample.speed_mm_s))),
+            ],
+        )?,
+    ])
+}
+
+/// Thread and motor current against time.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn actuation_figures(
+    name: &str,
+    origin: Origin,
+    samples: &[CapsuleSample],
+    start_us: u64,
+) -> Result<[String; 2], FigureError> {
+    let heading = |what| Heading::new(format!("{name}: {what}"), Source::Records(origin));
+    let curve = |value: &dyn Fn(&CapsuleSample) -> f64| {
+        measured_curve(
+            origin,
+            samples
+                .iter()
+                .map(|sample| (since(start_us, sample.time_us), value(sample)))
+                .collect(),
+        )
+    };
+    Ok([
+        over_time(
+            &heading("thread"),
+            "thread wound / mm",
+            vec![curve(&|sample| f64::from(sample.thread_um) / 1e3)],
+        )?,
+        over_time(
+            &heading("motor current"),
+            "motor current / mA",
+            vec![curve(&|sample| f64::from(sample.current_ma))],
+        )?,
+    ])
+}
+
+/// Position of a plan alone.
+///
+/// # Errors
+/// If the drawing library fails.
+pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
+    over_time(
+        &Heading::new("Planned position", Source::Plan),
+        "position / mm",
+        vec![plan_curve(planned.position)],
+    )
+}
+
+fn plan_curve(points: Vec<(f64, f64)>) -> Curve {
+    curve("planned", PLANNED, Mark::Line(8), points)
+}
+
+/// Label of a machine's samples: those of a simulated one are not measured.
+pub(crate) const fn sampled(origin: Origin) -> &'static str {
+    match origin {
+        Origin::Board => "measured",
+        Origin::Unknown => "recorded",
+        Origin::Virtual => "simulated",
+    }
+}
+
+fn measured_curve(origin: Origin, points: Vec<(f64, f64)>) -> Curve {
+    curve(sampled(origin), MEASURED, Mark::Line(3), points)
+}
+
+/// Seconds from `start_us`, negative before it.
+fn since(start_us: u64, time_us: u64) -> f64 {
+    let us = i128::from(time_us) - i128::from(start_us);
+    us as f64 * 1e-6
+}
+
+fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<String, FigureError> {
+    let chart = Chart {
+        x_label: "time / s",
+        y_label: y_label.to_owned(),
+        y_from_zero: false,
+        curves,
+    };
+    figure(heading, vec![chart])
+}
+
+/// Draws charts one below the other, as one SVG.
+///
+/// # Errors
+/// If the drawing library fails.
+pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, FigureError> {
+    Figure::new(heading.clone(), charts).svg()
+}
+
+/// A figure in a file of its own: charts one below the other.
+pub struct Figure {
+    heading: Heading,
+    charts: Vec<Chart>,
+}
+
+impl Figure {
+    pub(crate) fn new(heading: Heading, charts: Vec<Chart>) -> Self {
+        Self { heading, charts }
+    }
+
+    fn size(&self) -> (u32, u32) {
+        let (width, height) = SIZE;
+        (
+            width,
+            self.heading.height() + height * self.charts.len() as u32,
+        )
+    }
+
+    /// Draws it as SVG, for a page and for drawing programs.
+    ///
+    /// # Errors
+    /// If the drawing library fails.
+    pub fn svg(&self) -> Result<String, FigureError> {
+        let mut svg = String::new();
+        draw(SVGBackend::with_string(&mut svg, self.size()), self)
+            .map_err(|error| FigureError(error.to_string()))?;
+        described(&svg, &self.heading)
+            .ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
+    }
+
+    /// Draws it as PDF, for a manuscript.
+    ///
+    /// # Errors
+    /// If the drawing library fails.
+    pub fn pdf(&self) -> Result<Vec<u8>, FigureError> {
+        let (mut drawn, size) = (Drawn::new(), self.size());
+        let page = Page {
+            drawn: &mut drawn,
+            size,
+        };
+        draw(page, self).map_err(|error| FigureError(error.to_string()))?;
+        let source = format!("Origin: {}", self.heading.description());
+        Ok(drawn.into_pdf(size, &self.heading.title, &source))
+    }
+}
+
+/// Adds title and description, for screen readers and for a file that is passed on alone.
+fn described(svg: &str, heading: &Heading) -> Option<String> {
+    let body = svg.find("<svg")?;
+    let (opening, rest) = svg[body..].split_once('>')?;
+    let title = escaped(&heading.title);
+    let source = escaped(heading.description());
+    // A model's figure is a file of its own. On a dark page its dark letters need a white background; a report's page
+    // has its own.
+    let paper = match heading.model {
+        Some(_) => "\n<rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>",
+        None => "",
+    };
+    Some(format!(
+        "{opening} role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{paper}{rest}"
+    ))
+}
+
+fn draw<B: DrawingBackend>(backend: B, figure: &Figure) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let Figure { heading, charts } = figure;
+    let root = backend.into_drawing_area();
+    let (head, body) = root.split_vertically(heading.height());
+    for line in heading.lines() {
+        let style = ("sans-serif", line.size).into_font().color(&line.colour);
+        let style = style.pos(Pos::new(HPos::Left, VPos::Center));
+        head.draw(&Text::new(line.text, line.at, style))?;
+    }
+    let areas = body.split_evenly((charts.len(), 1));
+    for (chart, area) in charts.iter().zip(&areas) {
+        draw_chart(area, chart)?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+fn draw_chart<B: DrawingBackend>(
+    root: &DrawingArea<B, plotters::coord::Shift>,
+    chart: &Chart,
+) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let Chart {
+        x_label,
+        y_label,
+        y_from_zero,
+        curves,
+    } = chart;
+    let all = || curves.iter().flat_map(|curve| &curve.points);
+    // Leave room for dots and bars at the ends.
+    let wide = |curve: &Curve| matches!(curve.mark, Mark::Dots(_) | Mark::Segments(_));
+    let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
+    let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
+    let zero = (*y_from_zero).then_some(0.0);
+    let shown = curves.iter().filter(|curve| curve.mark != Mark::Backdrop);
+    let heights = shown.flat_map(|curve| &curve.points).map(|point| point.1);
+    let (y_low, y_high) = span(heights.chain(zero), 0.06);
+    let legend = Legend::of(curves);
+    let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
+    let mut chart = ChartBuilder::on(root)
+        .margin(16)
+        .margin_top(legend.height())
+        .margin_right(44)
+        .x_label_area_size(124)
+        .y_label_area_size(176)
+        .build_cartesian_2d(x_low..x_high, y_low..y_high)?;
+    chart
+        .configure_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(INK.mix(0.12).stroke_width(2))
+        .axis_style(INK.stroke_width(2))
+        .x_labels(8)
+        .y_labels(7)
+        .label_style(text(LETTERS - 2))
+        .axis_desc_style(text(LETTERS))
+        .x_label_formatter(&|value| tick_label(*value))
+        .y_label_formatter(&|value| tick_label(*value))
+        .x_desc(*x_label)
+        .y_desc(y_label)
+        .draw()?;
+    // Put the legend above the plot, where no curve runs.
+    let labelled = curves.iter().filter(|curve| !curve.label.is_empty());
+    for (entry, curve) in labelled.enumerate() {
+        draw_entry(root, legend.place(entry), curve)?;
+    }
+    // A backdrop would cover the dots of the curves before it.
+    let (behind, before): (Vec<_>, Vec<_>) =
+        (curves.iter()).partition(|curve| curve.mark == Mark::Backdrop);
+    for curve in behind.into_iter().chain(before) {
+        draw_curve(&mut chart, curve, (y_low, y_high))?;
+    }
+    Ok(())
+}
+
+/// A curve's entry in the legend.
+fn draw_entry<B: DrawingBackend>(
+    root: &DrawingArea<B, plotters::coord::Shift>,
+    (x, y): (i32, i32),
+    curve: &Curve,
+) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let colour = curve.colour;
+    let line = |y: i32, style: ShapeStyle| PathElement::new([(x, y), (x + 60, y)], style);
+    match curve.mark {
+        Mark::Line(width) | Mark::Segments(width) => {
+            root.draw(&line(y, colour.stroke_width(width)))?;
+        }
+        Mark::Area | Mark::Backdrop => {
+            let corners = [(x, y - 14), (x + 60, y + 14)];
+            root.draw(&Rectangle::new(corners, colour.mix(PALE).filled()))?;
+        }
+        Mark::Dots(radius) => root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?,
+    }
+    if curve.mark == Mark::Backdrop {
+        for y in [y - 14, y + 14] {
+            root.draw(&line(y, edge(colour)))?;
+        }
+    }
+    let letters = ("sans-serif", LETTERS - 2).into_font().color(&INK);
+    let anchored = letters.pos(Pos::new(HPos::Left, VPos::Center));
+    root.draw(&Text::new(curve.label.clone(), (x + 76, y), anchored))?;
+    Ok(())
+}
+
+/// The edge of a backdrop, which shows where a pale area on a dark page ends.
+fn edge(colour: RGBColor) -> ShapeStyle {
+    colour.mix(0.6).stroke_width(2)
+}
+
+type Plot<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// A curve in the plot, which goes from one height to another.
+fn draw_curve<B: DrawingBackend>(
+    plot: &mut Plot<'_, B>,
+    curve: &Curve,
+    (low, high): (f64, f64),
+) -> Result<(), Box<dyn std::error::Error>>
+where
+    B::ErrorType: 'static,
+{
+    let colour = curve.colour;
+    let is_finite = |point: &&(f64, f64)| point.0.is_finite() && point.1.is_finite();
+    let points: Vec<_> = curve.points.iter().filter(is_finite).copied().collect();
+    match curve.mark {
+        Mark::Line(width) => {
+            plot.draw_series(LineSeries::new(points, colour.stroke_width(width)))?;
+        }
+        Mark::Dots(radius) => {
+            let dots = points.into_iter();
+            plot.draw_series(dots.map(|at| Circle::new(at, radius, colour.filled())))?;
+        }
+        Mark::Segments(width) => {
+            let segments = points.chunks_exact(2);
+            let style = colour.stroke_width(width);
+            plot.draw_series(segments.map(|ends| PathElement::new(ends.to_vec(), style)))?;
+        }
+        Mark::Area => {
+            plot.draw_series([Polygon::new(points, colour.mix(PALE).filled())])?;
+        }
+        Mark::Backdrop => {
+            let area = clipped(&points, low, high);
+            plot.draw_series([Polygon::new(area, colour.mix(PALE).filled())])?;
+            let lines = edges(&points, low, high).into_iter();
+            plot.draw_series(lines.map(|ends| PathElement::new(ends, edge(colour))))?;
+        }
+    }
+    Ok(())
+}
+
+/// Left edge of the legend, units of the drawing.
+const LEFT: i32 = 60;
+
+/// Layout of a legend: rows of entries above the plot.
+struct Legend {
+    entries: usize,
+    column: i32,
+    columns: usize,
+}
+
+impl Legend {
+    const ROW: i32 = 56;
+
+    fn of(curves: &[Curve]) -> Self {
+        let labels = || curves.iter().filter(|curve| !curve.label.is_empty());
+        let longest = labels().map(|curve| curve.label.chars().count()).max();
+        let column = (110 + LETTER_WIDTH * longest.unwrap_or(0) as i32).max(300);
+        Self {
+            entries: labels().count(),
+            column,
+            columns: usize::max(1, ((SIZE.0 as i32 - LEFT) / column) as usize),
+        }
+    }
+
+    fn height(&self) -> i32 {
+        16 + Self::ROW * self.entries.div_ceil(self.columns).max(1) as i32
+    }
+
+    fn place(&self, entry: usize) -> (i32, i32) {
+        let (row, column) = (entry / self.columns, entry % self.columns);
+        (
+            LEFT + self.column * column as i32,
+            30 + Self::ROW * row as i32,
+        )
+    }
+}
+
+/// A number without trailing zeros.
+fn tick_label(value: f64) -> String {
+    let text = format!("{value:.3}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0" } else { text }.to_owned()
+}
+
+/// Range of finite values with a margin; never empty.
+fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
+    let (low, high) = values
+        .filter(|value| value.is_finite())
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+            (low.min(value), high.max(value))
+        });
+    if low >= high {
+        let middle = if low.is_finite() { low } else { 0.0 };
+        return (middle - 1.0, middle + 1.0);
+    }
+    let margin = (high - low) * margin;
+    (low - margin, high + margin)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thinned_curve_keeps_its_extremes_and_its_order() {
+        let points: Vec<_> = (0..10_000)
+            .map(|index| (f64::from(index), (f64::from(index) / 37.0).sin()))
+            .chain([(10_000.0, 5.0), (10_001.0, -7.0)])
+            .collect();
+        let thin = thinned(&points, 200);
+        assert!(thin.len() <= 400 && thin.is_sorted_by(|a, b| a.0 < b.0));
+        for wanted in [5.0, -7.0] {
+            assert!(thin.iter().any(|point| point.1 == wanted), "{wanted}");
+        }
+        assert_eq!(thinned(&points[..300], 200), points[..300]);
+    }
+
+    #[test]
+    fn a_figure_without_data_is_still_a_figure() {
+        let heading = Heading::new("a < b", Source::Records(Origin::Virtual));
+        let curve = measured_curve(Origin::Virtual, vec![(f64::NAN, 1.0)]);
+        let svg = over_time(&heading, "y", vec![curve]).expect("drawn");
+        assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"));
+        assert!(svg.contains("<title>a &lt; b</title>"), "{svg}");
+        let said = svg.matches("virtual: simulated, not a measurement").count();
+        assert_eq!(said, 2, "in the description and in the picture: {svg}");
+    }
+
+    #[test]
+    fn a_long_title_is_not_cut() {
+        let title = format!(
+            "Trial 102: lubricated, {}, repeat 10",
+            "indentation-".repeat(3)
+        );
+        let heading = Heading::new(title.clone(), Source::Records(Origin::Board));
+        let svg = over_time(&heading, "y", vec![]).expect("drawn");
+        let texts = svg.split("<text").skip(1);
+        let texts: Vec<_> = texts
+            .filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim()))
+            .collect();
+        let first = texts.iter().position(|text| title.starts_with(text));
+        let first = first.expect("the title");
+        assert!(texts[first].chars().count() < 54, "{texts:?}");
+        assert!(texts[first + 1].ends_with("repeat 10"), "{texts:?}");
+        let height = format!("height=\"{}\"", 116 + 54 + SIZE.1);
+        assert!(svg.contains(&height), "{svg}");
+    }
+
+    /// The numbers at the axes of a drawing.
+    fn numbers(svg: &str) -> Vec<f64> {
+        let texts = svg.split("<text").skip(1);
+        let texts = texts.filter_map(|text| text.split_once('>')?.1.split_once('<'));
+        texts
+            .filter_map(|(text, _)| text.trim().parse().ok())
+            .collect()
+    }
+
+    #[test]
+    fn a_backdrop_does_not_widen_the_axis_and_ends_with_the_plot() {
+        let drawn = |mark| {
+            let curve = |mark, points| Curve {
+                label: "a label".to_owned(),
+                colour: MEASURED,
+                mark,
+                points,
+            };
+            let wide = vec![(0.0, -50.0), (0.0, 100.0), (2.0, 100.0), (2.0, -50.0)];
+            let dots = vec![(0.0, 1.0), (1.0, 3.0), (2.0, 2.0)];
+            let chart = Chart {
+                x_label: "x",
+                y_label: "y".to_owned(),
+                y_from_zero: true,
+                curves: vec![curve(mark, wide), curve(Mark::Dots(7), dots)],
+            };
+            let heading = Heading::new("a", Source::Model);
+            figure(&heading, vec![chart]).expect("drawn")
+        };
+        let most = |svg: &str| numbers(svg).into_iter().fold(0.0, f64::max);
+        assert_eq!(most(&drawn(Mark::Area)), 100.0);
+        let svg = drawn(Mark::Backdrop);
+        assert_eq!(most(&svg), 3.0, "{svg}");
+        let outline = svg
+            .split("<polygon")
+            .nth(1)
+            .and_then(|rest| rest.split("points=\"").nth(1))
+            .and_then(|rest| rest.split('"').next());
+        let heights = outline
+            .expect("an area")
+            .split(' ')
+            .filter_map(|point| point.split_once(','));
+        let heights: Vec<u32> = heights.map(|(_, y)| y.parse().expect("within")).collect();
+        let head = Heading::new("a", Source::Model).height();
+        let plot = head..head + SIZE.1 - 124;
+        assert!(
+            heights.len() >= 4 && heights.iter().all(|y| plot.contains(y)),
+            "{heights:?}"
+        );
+    }
+
+    /// A band of one series would else hide the dots of another.
+    #[test]
+    fn backdrops_lie_behind_all_other_curves() {
+        let curve = |mark| Curve {
+            label: String::new(),
+            colour: MEASURED,
+            mark,
+            points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
+        };
+        let heading = Heading::new("a", Source::Model);
+        let curves = vec![curve(Mark::Dots(7)), curve(Mark::Backdrop)];
+        let svg = over_time(&heading, "y", curves).expect("drawn");
+        let place = |what| svg.find(what).expect(what);
+        assert!(place("<polygon") < place("<circle"), "{svg}");
+    }
+
+    #[test]
+    fn a_pdf_says_all_that_the_svg_says() {
+        let heading = Heading::new("Fig. 9: a test", Source::Records(Origin::Board));
+        let curves = [
+            Mark::Line(3),
+            Mark::Dots(7),
+            Mark::Segments(2),
+            Mark::Area,
+            Mark::Backdrop,
+        ]
+        .map(|mark| Curve {
+            label: "a label".to_owned(),
+            colour: MEASURED,
+            mark,
+            points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
+        });
+        let chart = Chart {
+            x_label: "time / s",
+            y_label: "way / mm".to_owned(),
+            y_from_zero: true,
+            curves: curves.into(),
+        };
+        let figure = Figure::new(heading, vec![chart]);
+        let (svg, pdf) = (figure.svg().expect("drawn"), figure.pdf().expect("drawn"));
+        assert_eq!(pdf, figure.pdf().expect("drawn"), "the same each time");
+        let pdf = String::from_utf8_lossy(&pdf).into_owned();
+        assert!(pdf.starts_with("%PDF-1.") && pdf.trim_end().ends_with("%%EOF"));
+        let texts: Vec<_> = svg
+            .split("<text")
+            .skip(1)
+            .filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim()))
+            .collect();
+        assert!(texts.len() > 15, "{svg}");
+        for text in texts {
+            assert!(pdf.contains(&format!("({text}) Tj")), "{text}");
+        }
+        assert!(pdf.contains("/Title (Fig. 9: a test)"), "{pdf}");
+    }
+}

@@ -1,0 +1,392 @@
+//! One trial of the report: its request, its result, its figures, its defects and its origin.
+
+use std::path::Path;
+
+use client::decimal;
+use lab::trials::check::{self, Defects};
+use lab::trials::sidecar::heading;
+use lab::trials::trial::{
+    Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
+};
+use maud::{Markup, PreEscaped, html};
+use protocol::capsule::{ActuationKind, ActuationRecord};
+use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunTiming, Stroke};
+
+use crate::figures::{FigureError, actuation_figures, planned, run_figures};
+use crate::html::page;
+use crate::html::remark::Remark;
+
+/// The section of a trial and the defects of its record.
+pub(crate) struct Section {
+    /// Its defects.
+    pub(crate) defects: Defects,
+    pub(crate) body: Markup,
+}
+
+/// Makes the section of a trial. Unreadable files are defects, not errors: the page lists them.
+pub(crate) fn section<'a>(
+    sidecar: &Path,
+    trial: &Trial,
+    remarks: impl Iterator<Item = &'a Remark>,
+) -> Result<Section, FigureError> {
+    let (defects, content) = match &trial.action {
+        Action::Run {
+            screw,
+            requested,
+            achieved,
+            executed,
+        } => {
+            let (samples, defects) = check::rig(sidecar, trial);
+            let (achieved, executed) = (achieved.as_ref(), executed.as_ref());
+            let content = run(trial, &samples, screw, requested, achieved, executed)?;
+            (defects, content)
+        }
+        Action::Move {
+            screw,
+            requested,
+            accepted,
+            moved,
+        } => {
+            let (_, defects) = check::rig(sidecar, trial);
+            let content = page::rows(move_rows(
+                screw,
+                requested,
+                accepted.as_ref(),
+                moved.as_ref(),
+            ));
+            (defects, content)
+        }
+        Action::Actuation {
+            actuation, record, ..
+        } => {
+            let (samples, defects) = check::capsule(sidecar, trial);
+            let content = actuation_section(trial, &samples, *actuation, record.as_ref())?;
+            (defects, content)
+        }
+    };
+    let listed = defects.all();
+    let device = &trial.device;
+    let body = html! {
+        h2 { (heading(trial)) " " (status(trial.status, &defects)) (page::tag(device.origin)) }
+        p {
+            (trial.started_utc)
+            @if let Some(note) = &trial.note { ", " (note) }
+            @if let Some(error) = &trial.error { br; span.bad { (error) } }
+        }
+        (reasons(&listed))
+        (content)
+        @for remark in remarks { (remark_table(remark)) }
+        h3 { "Provenance" }
+        (page::rows([
+            ("origin", device.origin.meaning().to_owned()),
+            ("device", format!("{}, UID {}", device.device, device.uid)),
+            ("firmware", format!("{} ({}), start {} ({})", device.firmware, device.profile, device.boot_id, device.reset_cause)),
+            ("protocol, schema", format!("{}, {}", device.protocol, device.schema_key)),
+            ("host tool", format!("{}, protocol {}, schema {}", trial.tool, trial.protocol, trial.schema_key)),
+            ("telemetry", format!("{} samples in {}, {} lost; {} events, {} lost", trial.samples, trial.telemetry, trial.missed_samples, trial.events.len(), trial.lost_events)),
+        ]))
+    };
+    Ok(Section { defects, body })
+}
+
+/// The defects as a list.
+pub(crate) fn reasons(defects: &[String]) -> Markup {
+    html! {
+        @if !defects.is_empty() {
+            ul.bad { @for defect in defects { li { (defect) } } }
+        }
+    }
+}
+
+fn run(
+    trial: &Trial,
+    samples: &[RigSample],
+    screw: &Screw,
+    requested: &Run,
+    achieved: Option<&Achieved>,
+    executed: Option<&Executed>,
+) -> Result<Markup, FigureError> {
+    let figures = match (achieved, samples.first()) {
+        (Some(achieved), Some(first)) => {
+            let start_us = check::run_start_us(trial).unwrap_or(first.time_us);
+            let plan = planned(screw, requested, achieved);
+            let origin = trial.device.origin;
+            Some(run_figures("Run", origin, plan, samples, start_us)?)
+        }
+        _ => None,
+    };
+    let asked = |total: bool| match requested.timing {
+        RunTiming::Total { total_us, .. } if total => format!("{} s", decimal::write(total_us, 6)),
+        RunTiming::Speeds {
+            forward_um_s,
+            return_um_s,
+            ..
+        } if !total => format!("{} / {} mm/s", milli(forward_um_s), milli(return_um_s)),
+        _ => "-".to_owned(),
+    };
+    let (RunTiming::Total { accel_um_s2, .. } | RunTiming::Speeds { accel_um_s2, .. }) =
+        requested.timing;
+    let both = |of: &dyn Fn(&Stroke) -> String| {
+        achieved.map_or_else(dash, |achieved| {
+            format!("{} / {}", of(&achieved.forward), of(&achieved.back))
+        })
+    };
+    let planned_of = |of: &dyn Fn(&Achieved) -> String| achieved.map_or_else(dash, of);
+    let done = |of: &dyn Fn(&Executed) -> String| executed.map_or_else(dash, of);
+    Ok(html! {
+        @if let Some([position, velocity]) = figures {
+            figure {
+                (PreEscaped(position)) (PreEscaped(velocity))
+                figcaption { "Position by the read-back counter and mean velocity between samples, over the plan. " (time_0(trial, requested)) }
+            }
+        }
+        @else { p { "No telemetry: no figure." } }
+        div.wide { table {
+            thead { tr { th {} th { "requested" } th { "planned by the rig" } th { "executed" } } }
+            tbody {
+                (row4("strokes", (u32::from(requested.cycles) * 2).to_string(), "", done(&|e| e.strokes.to_string())))
+                (row4("stroke", format!("{} mm", milli(requested.stroke_um)), both(&|s| format!("{} mm", decimal::write_signed(screw.nm(s.steps.into()), 6))), done(&|e| format!("{} to {} mm", decimal::write_signed(screw.nm(e.min_steps.into()), 6), decimal::write_signed(screw.nm(e.max_steps.into()), 6)))))
+                (row4("duration", asked(true), planned_of(&|a| format!("{} s", decimal::seconds(a.total_ticks))), done(&|e| format!("{} s", decimal::seconds(e.ticks)))))
+                (row4("peak speed, out / home", asked(false), both(&|s| format!("{} mm/s", milli(s.peak_um_s))), ""))
+                (row4("acceleration, out / home", format!("{} mm/s²", milli(accel_um_s2)), both(&|s| format!("{} mm/s²", milli(s.accel_um_s2))), ""))
+                (row4("dwell, far / home", format!("{} / {} s", decimal::write(requested.far_dwell_us.into(), 6), decimal::write(requested.home_dwell_us.into(), 6)), "", ""))
+                (row4("steps", "", planned_of(&|a| a.edges.to_string()), done(&|e| format!("{} commanded, {} counted at the pin", e.commanded_edges, e.counted_edges))))
+                (row4("fingerprint of the plan", "", planned_of(&|a| a.plan_hash.clone()), done(&|e| e.plan_hash.clone())))
+                (row4("residual at the home flag", "", "", done(&|e| format!("{} steps at worst", e.worst_residual_steps))))
+                (row4("shortest queue of the step generator", "", "", done(&|e| e.min_queue.map_or_else(|| "never short".to_owned(), |periods| periods.to_string()))))
+                (row4("intervals between steps, timed at the pin", "", "", done(&intervals)))
+                (row4("filtered pulses on the switches", "", "", done(&|e| e.glitches.to_string())))
+                (row4("holds", "", "", done(&|e| e.holds.to_string())))
+                (row4("fingerprint of the image", "", "", done(&|e| e.image_hash.clone())))
+                (row4("when the host falls silent", match requested.link_loss { LinkLossPolicy::Stop => "stop", LinkLossPolicy::Finish => "finish" }, "", ""))
+            }
+        } }
+    })
+}
+
+/// Where the time of a run's figures begins.
+fn time_0(trial: &Trial, requested: &Run) -> String {
+    let start = match (check::run_start_us(trial), requested.start_delay_us) {
+        (None, _) => {
+            return "Time 0 is the first sample: the record does not say when the run began."
+                .to_owned();
+        }
+        (Some(_), 0) => "at once".to_owned(),
+        (Some(_), us) => format!(
+            "after its start delay, at {} s",
+            decimal::write(us.into(), 6)
+        ),
+    };
+    format!("Time 0 is the run's start; its first stroke begins {start}.")
+}
+
+/// Result of the rig's timing of its own steps.
+fn intervals(executed: &Executed) -> String {
+    let Executed {
+        edges_timed,
+        counted_edges,
+        ..
+    } = executed;
+    match (edges_timed, executed.worst_interval_error_ticks) {
+        (0, _) => "not timed".to_owned(),
+        (_, u32::MAX) => {
+            format!("{edges_timed} edges timed, and not one for each of {counted_edges} steps")
+        }
+        (_, worst) => format!(
+            "{edges_timed} of {counted_edges} steps timed, {} ns off the plan at worst",
+            u64::from(worst) * 10
+        ),
+    }
+}
+
+fn actuation_section(
+    trial: &Trial,
+    samples: &[CapsuleSample],
+    kind: ActuationKind,
+    record: Option<&ActuationRecord>,
+) -> Result<Markup, FigureError> {
+    let figures = match samples.first() {
+        Some(first) => {
+            let start_us = check::actuation_start_us(trial).unwrap_or(first.time_us);
+            let origin = trial.device.origin;
+            Some(actuation_figures(
+                &heading(trial),
+                origin,
+                samples,
+                start_us,
+            )?)
+        }
+        None => None,
+    };
+    let largest_ma = samples.iter().map(|sample| sample.current_ma).max();
+    let mut table = record.map_or_else(Vec::new, |record| actuation_rows(kind, record));
+    if let Some(largest_ma) = largest_ma {
+        let after = table.iter().position(|(name, _)| *name == AFTER_INRUSH);
+        let at = after.map_or(table.len(), |at| at + 1);
+        let text = format!("{largest_ma} mA");
+        table.insert(
+            at,
+            ("largest current in the telemetry, with the inrush", text),
+        );
+    }
+    Ok(html! {
+        @if let Some([thread, current]) = figures {
+            figure {
+                (PreEscaped(thread)) (PreEscaped(current))
+                figcaption {
+                    "Thread wound up by the encoder, and motor current as sampled, with the inrush. Time 0 is the first "
+                    @if check::actuation_start_us(trial).is_some() { "drive." }
+                    @else { "sample: the record does not say when the motor was first driven." }
+                }
+            }
+        }
+        @else { p { "No telemetry: no figure." } }
+        @if !table.is_empty() { (page::rows(table)) }
+    })
+}
+
+/// The capsule ignores the inrush current when it measures its peak.
+const AFTER_INRUSH: &str = "largest current after the inrush, by the capsule";
+
+/// An actuation's record as names and values with units.
+#[must_use]
+pub fn actuation_rows(
+    kind: ActuationKind,
+    record: &ActuationRecord,
+) -> Vec<(&'static str, String)> {
+    let mut rows = vec![
+        (
+            "time",
+            format!("{} s", decimal::fixed(record.duration_ms.into(), 3)),
+        ),
+        (
+            "thread at the end",
+            format!("{} mm", decimal::fixed(record.thread_um.into(), 3)),
+        ),
+        (
+            "current at the end",
+            format!("{} mA", record.end_current_ma),
+        ),
+        (AFTER_INRUSH, format!("{} mA", record.peak_current_ma)),
+    ];
+    if kind == ActuationKind::Fold {
+        let engaged = match record.engaged_um {
+            0 => "never".to_owned(),
+            um => format!("{} mm", decimal::fixed(um.into(), 3)),
+        };
+        rows.push(("load first felt at", engaged));
+    }
+    rows.push(("energy of the motor", format!("{} mJ", record.energy_mj)));
+    rows.push((
+        "lowest battery voltage",
+        format!("{} V", decimal::fixed(record.min_battery_mv.into(), 3)),
+    ));
+    rows
+}
+
+fn move_rows(
+    screw: &Screw,
+    requested: &MoveTo,
+    accepted: Option<&MoveAccepted>,
+    moved: Option<&Moved>,
+) -> Vec<(&'static str, String)> {
+    let mm = |steps: i32| format!("{} mm", decimal::write_signed(screw.nm(steps.into()), 6));
+    vec![
+        ("to", format!("{} mm", milli(requested.position_um))),
+        ("speed", format!("{} mm/s", milli(requested.speed_um_s))),
+        (
+            "from",
+            accepted.map_or_else(dash, |accepted| mm(accepted.from_steps)),
+        ),
+        (
+            "planned",
+            accepted.map_or_else(dash, |accepted| {
+                let stroke = &accepted.stroke;
+                format!(
+                    "{} steps in {} s, {} mm/s at most, ramps of {} mm/s²",
+                    stroke.steps,
+                    decimal::write(stroke.duration_ticks, 8),
+                    milli(stroke.peak_um_s),
+                    milli(stroke.accel_um_s2)
+                )
+            }),
+        ),
+        (
+            "at rest",
+            moved.map_or_else(dash, |moved| mm(moved.position_steps)),
+        ),
+    ]
+}
+
+pub(crate) fn in_short(trial: &Trial) -> String {
+    match &trial.action {
+        Action::Run {
+            executed: Some(executed),
+            ..
+        } => format!(
+            "{} strokes, {} steps, {} s",
+            executed.strokes,
+            executed.counted_edges,
+            decimal::write(executed.ticks, 8)
+        ),
+        Action::Move {
+            accepted: Some(accepted),
+            ..
+        } => format!(
+            "{} steps, {} s",
+            accepted.stroke.steps,
+            decimal::write(accepted.stroke.duration_ticks, 8)
+        ),
+        Action::Actuation {
+            record: Some(record),
+            ..
+        } => format!(
+            "{} s, {} mm of thread, {} mA",
+            decimal::fixed(record.duration_ms.into(), 3),
+            decimal::fixed(record.thread_um.into(), 3),
+            record.end_current_ma
+        ),
+        _ => dash(),
+    }
+}
+
+/// How it ended, and whether its record is reliable.
+pub(crate) fn status(status: Status, defects: &Defects) -> Markup {
+    let (text, good) = match status {
+        Status::Running => ("no end is recorded: it is under way, or was cut off", false),
+        Status::Complete => ("complete", true),
+        Status::Refused => ("refused; nothing was done", false),
+        Status::Stopped => ("stopped on request", false),
+        Status::LinkLost => ("ended by link loss", false),
+        Status::Faulted => ("ended by a fault", false),
+        Status::Unknown => ("outcome unknown", false),
+    };
+    html! {
+        @if !defects.contradictions.is_empty() {
+            span.bad { "said to be “" (text) "”, but the record contradicts itself" }
+        } @else if !defects.gaps.is_empty() {
+            span.bad { (text) "; a part of the telemetry is missing" }
+        } @else {
+            span class=(if good { "ok" } else { "bad" }) { (text) }
+        }
+    }
+}
+
+pub(crate) fn remark_table(remark: &Remark) -> Markup {
+    html! {
+        h3 { (remark.title) }
+        (page::rows(remark.rows.iter().map(|(name, value)| (name.as_str(), value.clone()))))
+    }
+}
+
+fn row4(name: &str, a: impl AsRef<str>, b: impl AsRef<str>, c: impl AsRef<str>) -> Markup {
+    html! { tr { th { (name) } td { (a.as_ref()) } td { (b.as_ref()) } td { (c.as_ref()) } } }
+}
+
+fn milli(value: u32) -> String {
+    decimal::write(value.into(), 3)
+}
+
+fn dash() -> String {
+    "-".to_owned()
+}

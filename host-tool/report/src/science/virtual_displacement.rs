@@ -1,0 +1,308 @@
+//! The modelled displacement of an attempt on the virtual bench, where the rollers touch nothing. The recorded
+//! telemetry drives the model, so it follows what the carriage really did.
+
+use std::error::Error;
+use std::path::Path;
+
+use client::plain;
+use lab::campaign::chance::Chance;
+use lab::campaign::conduct::modelled::{DisplacementModel, Modelled, Wanted};
+use lab::campaign::form::Form;
+use lab::campaign::ledger::Source;
+use lab::campaign::order::Planned;
+use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres};
+use lab::trials::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
+use locomotion::kinematics::Design;
+use locomotion::model::Model;
+use locomotion::range::OutOfRange;
+use locomotion::{folded, roller};
+use protocol::rig::Direction;
+
+use crate::science::model_file;
+use crate::science::series::LUBRICATION;
+
+/// Slack of the thread before it pulls, mm: the same as in the bench's capsule.
+const SLACK_MM: f64 = 1.0;
+
+/// Why there is no model displacement.
+#[derive(Debug, thiserror::Error)]
+pub enum ModelError {
+    /// A record of the attempt cannot be read.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The models do not cover these numbers.
+    #[error("the model does not cover it: {0}")]
+    Range(#[from] OutOfRange),
+    /// The telemetry misses a whole stroke.
+    #[error(
+        "the telemetry is too coarse to tell the strokes apart: choose a smaller run.telemetry_ms"
+    )]
+    Strokes,
+    /// The record of the fold is missing.
+    #[error("there is no record of a completed fold")]
+    NoFold,
+}
+
+/// The models of this tool, for campaigns on virtual machines.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Models;
+
+impl DisplacementModel for Models {
+    fn displacement(&self, wanted: &Wanted<'_>) -> Result<Modelled, Box<dyn Error>> {
+        let Wanted {
+            plan,
+            planned,
+            attempt,
+            indentation_mm,
+            sidecar,
+            after_stroke: stroke,
+        } = *wanted;
+        Ok(match stroke {
+            None => displacement(plan, planned, attempt, indentation_mm, sidecar)?,
+            Some(stroke) => after_stroke(plan, planned, attempt, indentation_mm, sidecar, stroke)?,
+        })
+    }
+}
+
+/// The modelled displacement of an attempt with this indentation, with the scatter that the plan declares.
+///
+/// # Errors
+/// [`ModelError`].
+pub fn displacement(
+    plan: &CampaignPlan,
+    planned: &Planned,
+    attempt: u32,
+    indentation_mm: f64,
+    sidecar: &Path,
+) -> Result<Modelled, ModelError> {
+    let run = Trial::read(sidecar)?;
+    let samples: Vec<RigSample> = run.samples(sidecar)?;
+    let screw = match &run.action {
+        Action::Run { screw, .. } => screw,
+        Action::Move { screw, moved, .. } => {
+            let rest = moved.map(|moved| screw.mm(moved.position_steps.into()));
+            let mm = pass(plan, planned, indentation_mm, screw, &samples, rest)?;
+            let (friction, name) = (friction(planned.lubrication), "roller model, one pass");
+            return Ok(noted(plan, planned, attempt, 0, mm, name, friction));
+        }
+        Action::Actuation { .. } => {
+            let why = "it is not the record of a run or a pass";
+            return Err(RecordError::read(sidecar, why).into());
+        }
+    };
+    let friction = friction(planned.lubrication);
+    let positions = |samples: &[RigSample]| -> Vec<f64> {
+        let steps = samples.iter().map(|sample| sample.position_steps);
+        steps.map(|steps| screw.mm(f64::from(steps))).collect()
+    };
+    let unfolded = |samples: &[RigSample]| -> Result<f64, OutOfRange> {
+        let params = rollers(plan, planned.lubrication);
+        let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
+        for position in positions(samples) {
+            body.carriage_to(position)?;
+        }
+        Ok(body.displacement_mm())
+    };
+    let folded = |samples: &[RigSample], fold: &Fold, moved_mm: f64| -> Result<f64, OutOfRange> {
+        let design = Design::paper_printed();
+        let mut params = folded::Params::PAPER.folded_by(&design, fold.thread_mm - SLACK_MM)?;
+        params.friction = friction;
+        // As far along the stroke as in the paper.
+        params.tail_mm *= stroke_mm(plan) / params.stroke_mm;
+        params.stroke_mm = stroke_mm(plan);
+        params.tail_mm += moved_mm;
+        let mut body = folded::FoldedBody::new(params, indentation_mm)?;
+        for position in positions(samples) {
+            body.carriage_to(position)?;
+        }
+        Ok(body.displacement_mm())
+    };
+    let attempt_folder = sidecar.parent().unwrap_or(sidecar);
+    let (mm, name) = match planned.shape {
+        Form::Unfolded => (unfolded(&samples)?, "roller model"),
+        Form::Folded => {
+            let fold = last_fold(attempt_folder)?;
+            (folded(&samples, &fold, 0.0)?, "folded block model")
+        }
+        Form::Folding => {
+            let fold = last_fold(attempt_folder)?;
+            let cue_us = fold.cue_us.ok_or(ModelError::NoFold)?;
+            let (before, after) =
+                samples.split_at(samples.partition_point(|sample| sample.time_us < cue_us));
+            let moved_mm = unfolded(before)?;
+            (
+                moved_mm + folded(after, &fold, moved_mm)?,
+                "roller model until the fold begins, folded block model from then on",
+            )
+        }
+    };
+    Ok(noted(plan, planned, attempt, 0, mm, name, friction))
+}
+
+/// Displacement of the unfolded body after one of the run's strokes, counted from 1; after the last one it is the net
+/// one.
+///
+/// # Errors
+/// [`ModelError`].
+pub fn after_stroke(
+    plan: &CampaignPlan,
+    planned: &Planned,
+    attempt: u32,
+    indentation_mm: f64,
+    sidecar: &Path,
+    stroke: usize,
+) -> Result<Modelled, ModelError> {
+    if Some(stroke) == plan.strokes_of(planned.purpose, planned.shape) {
+        return displacement(plan, planned, attempt, indentation_mm, sidecar);
+    }
+    let run = Trial::read(sidecar)?;
+    let samples: Vec<RigSample> = run.samples(sidecar)?;
+    let Action::Run { screw, .. } = &run.action else {
+        return Err(RecordError::read(sidecar, "it is not the record of a run").into());
+    };
+    let friction = friction(planned.lubrication);
+    let params = rollers(plan, planned.lubrication);
+    let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
+    let mut strokes = samples
+        .iter()
+        .map(|sample| sample.stroke as usize)
+        .collect::<Vec<_>>();
+    strokes.dedup();
+    // All strokes up to this one, and the next one, must be present once each.
+    if strokes.iter().take(stroke + 1).copied().ne(0..=stroke) {
+        return Err(ModelError::Strokes);
+    }
+    for sample in samples
+        .iter()
+        .take_while(|sample| (sample.stroke as usize) < stroke)
+    {
+        body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
+    }
+    let name = "roller model";
+    let (mm, draws) = (body.displacement_mm(), stroke);
+    Ok(noted(plan, planned, attempt, draws, mm, name, friction))
+}
+
+/// Simulates one stroke over a fresh body at the plan's position.
+fn pass(
+    plan: &CampaignPlan,
+    planned: &Planned,
+    indentation_mm: f64,
+    screw: &Screw,
+    samples: &[RigSample],
+    rest_mm: Option<f64>,
+) -> Result<f64, OutOfRange> {
+    let mut params = rollers(plan, planned.lubrication);
+    params.body.tail_mm = plan.passes.map_or(0.0, |passes| passes.tail_mm.mm());
+    let begins_mm = match planned.purpose.pass() {
+        Some(Direction::Home) => params.stroke_mm,
+        Some(Direction::Away) | None => 0.0,
+    };
+    let mut body = roller::UnfoldedBody::laid_in(params, indentation_mm, begins_mm)?;
+    for sample in samples {
+        body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
+    }
+    // The last sample may lie before the end: move the carriage there.
+    if let Some(rest_mm) = rest_mm {
+        body.carriage_to(rest_mm)?;
+    }
+    Ok(body.displacement_mm())
+}
+
+/// Adds the scatter that the plan declares to a displacement, and describes how it was made. `draws` distinguishes
+/// the strokes of a run.
+fn noted(
+    plan: &CampaignPlan,
+    planned: &Planned,
+    attempt: u32,
+    draws: usize,
+    mut mm: f64,
+    name: &str,
+    friction: f64,
+) -> Modelled {
+    let body = model_file::short_origin(&Model::ONE, None);
+    let mut text = format!("{name} ({body}), friction {friction}");
+    let scatter = plan.virtual_bench;
+    let source = if scatter.scatter_mm.um > 0 {
+        // The seed does not depend on the session, so an interrupted campaign gives the same values.
+        let seed = u64::from(scatter.seed) << 32
+            | u64::from(planned.trial) << 8
+            | u64::from(attempt & 0xFF);
+        let mut chance = Chance::new(seed);
+        let draw = (0..=draws).map(|_| chance.normal()).last();
+        mm += scatter.scatter_mm.mm() * draw.unwrap_or_default();
+        text.push_str(&format!(
+            ", scatter of {} mm added, seed {}",
+            scatter.scatter_mm, scatter.seed
+        ));
+        Source::ModelWithScatter
+    } else {
+        Source::Model
+    };
+    let step_um = plan.metadata.caliper_resolution_mm.um.max(1);
+    let um = (mm * 1_000.0 / step_um as f64).round() as i64 * step_um;
+    Modelled {
+        value: Millimetres::from_um(um),
+        source,
+        text,
+    }
+}
+
+/// The rollers and the body of the paper, with the plan's stroke: at home the rollers stand as far from the body's start
+/// as the plan lets them travel.
+fn rollers(plan: &CampaignPlan, lubrication: Lubrication) -> roller::Params {
+    let mut params = roller::Params::PAPER;
+    params.body.friction = friction(lubrication);
+    params.stroke_mm = stroke_mm(plan);
+    params
+}
+
+fn stroke_mm(plan: &CampaignPlan) -> f64 {
+    f64::from(plan.run.stroke_um) / 1e3
+}
+
+/// An end of the paper's range of friction, as in `simulate roller`.
+fn friction(lubrication: Lubrication) -> f64 {
+    let [(_, with), (_, without)] = LUBRICATION;
+    match lubrication {
+        Lubrication::Dry => without,
+        Lubrication::Lubricated => with,
+    }
+}
+
+/// A completed fold.
+struct Fold {
+    /// Thread wound up, mm.
+    thread_mm: f64,
+    /// Time of the cue for the fold by the rig's clock, us; none if the fold came before the run.
+    cue_us: Option<u64>,
+}
+
+/// The last completed fold of an attempt.
+fn last_fold(folder: &Path) -> Result<Fold, ModelError> {
+    let mut folds = plain::files(folder);
+    folds.retain(|path| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with("fold-") && name.ends_with(".json")
+    });
+    for path in folds.iter().rev() {
+        let trial = Trial::read(path)?;
+        if let (
+            Status::Complete,
+            Action::Actuation {
+                record: Some(record),
+                ..
+            },
+        ) = (trial.status, &trial.action)
+        {
+            return Ok(Fold {
+                thread_mm: f64::from(record.thread_um) / 1_000.0,
+                cue_us: trial
+                    .coordination
+                    .as_ref()
+                    .and_then(|tied| tied.cue_time_us),
+            });
+        }
+    }
+    Err(ModelError::NoFold)
+}
