@@ -1,6 +1,6 @@
 //! Assigns the signals to the chip's pins, and tells where NUCLEO-F411RE and CNC shield bring them out.
 //!
-//! The images take their pins from here, and the diagrams of the manual are drawn from here (`cargo xtask pictures`).
+//! The images take their pins from here, and a test compares the diagrams of the manual.
 #![no_std]
 #![forbid(unsafe_code)]
 
