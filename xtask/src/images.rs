@@ -1,92 +1,89 @@
-//! The ARM images: finds, builds, checks and flashes them.
+//! The ARM images: builds, checks and flashes them.
 
 use std::path::PathBuf;
 use std::process::Command;
 
-use crate::layout::{Budget, Layout};
+use object::read::elf::ElfFile32;
+use object::{Object as _, ObjectSection as _, SectionFlags, elf};
+
 use crate::process::{Failure, Result, root, run};
-use crate::toolchain::{self, TARGET, Toolchain};
+use crate::toolchain::{self, TARGET};
 
 /// Name of the chip for `probe-rs`.
 const CHIP: &str = "STM32F411RETx";
 
-/// An image and the memory that it may take.
-struct Image {
-    name: &'static str,
-    budget: Budget,
-}
+/// Name of each image's file without `firmware-`: both machines, and the measurements on a board.
+const IMAGES: [&str; 3] = ["rig", "capsule", "board"];
 
-/// Budgets are far below the 512 KiB of flash and 128 KiB of RAM of the STM32F411, to leave room for features. The
-/// rest of the RAM is stack.
-const IMAGES: [Image; 3] = [
-    Image {
-        name: "firmware-rig",
-        budget: Budget {
-            flash_bytes: 80 * 1024,
-            ram_bytes: 48 * 1024,
-        },
-    },
-    Image {
-        name: "firmware-capsule",
-        // A larger flash budget: code is needed to tell a capsule's own changes from a fault, and flash takes no energy
-        // from the cell.
-        budget: Budget {
-            flash_bytes: 96 * 1024,
-            ram_bytes: 32 * 1024,
-        },
-    },
-    // Measures what only a board can tell: the rig's motion without its tasks.
-    Image {
-        name: "firmware-board",
-        budget: Budget {
-            flash_bytes: 64 * 1024,
-            ram_bytes: 48 * 1024,
-        },
-    },
-];
+/// Where the chip reads its vectors from.
+const VECTORS: u64 = 0x0800_0000;
 
-/// Packages of the images.
-const PACKAGES: [&str; 4] = ["--package", "firmware-rig", "--package", "firmware-capsule"];
-
-/// Builds all images, then [`check`]s them.
-///
-/// # Errors
-/// No compiler, a compile error, or an image that must not be flashed.
-pub(crate) fn build() -> Result<()> {
-    let toolchain = toolchain::find()?;
-    println!("Images: {toolchain}.");
-    let mut cargo = command(&toolchain, "build");
-    run(&mut cargo, "fix what the compiler reports above")?;
-    check()
-}
-
-/// The image of the peers that the bench compares with the firmware. It is never flashed, so nothing checks its layout.
-const PEERS: [&str; 2] = ["--package", "step-peers"];
-
-/// Builds the image of the peers, separately: the features that its crates request of shared crates must not get into
-/// the firmware.
-///
-/// # Errors
-/// No compiler, or a compile error.
-pub(crate) fn build_peers() -> Result<()> {
-    let mut cargo = toolchain::find()?.cargo("build");
-    cargo
-        .args(PEERS)
-        .arg("--target-dir")
-        .arg(root().join("target"));
-    run(&mut cargo, "fix what the compiler reports above")
-}
+/// Where RAM begins.
+const RAM: u64 = 0x2000_0000;
 
 /// Options that let a reset be a reset while the log is open. By default `probe-rs run` halts the core at each reset
 /// and processor fault: the reset button, a panic and the watchdog would then leave the machine standing.
 const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
+
+/// Builds all images, checks that each has its vector table where the chip looks for it, and prints the sizes. The
+/// linker has checked regions and budgets: memory.x.
+///
+/// # Errors
+/// No compiler, a compile error, or an image that would not boot.
+pub(crate) fn build() -> Result<()> {
+    toolchain::ensure_target()?;
+    let mut cargo = command("build");
+    run(
+        &mut cargo,
+        "fix what the compiler or linker reports above; the budgets are in memory.x",
+    )?;
+    println!("image                   flash        RAM   (bytes; RAM without stack)");
+    for name in IMAGES {
+        let path = find(name)?;
+        let wrong =
+            |why: String| Failure::new(format!("{}: {why}", path.display()), "see memory.x");
+        let file = std::fs::read(&path).map_err(|error| wrong(error.to_string()))?;
+        let (flash_bytes, ram_bytes) = sizes(&file).map_err(wrong)?;
+        println!("firmware-{name:<12} {flash_bytes:>8} {ram_bytes:>10}");
+    }
+    Ok(())
+}
+
+/// Bytes of flash and RAM that an image takes.
+fn sizes(file: &[u8]) -> std::result::Result<(u64, u64), String> {
+    let elf = ElfFile32::<object::LittleEndian>::parse(file).map_err(|error| error.to_string())?;
+    let table = elf
+        .section_by_name(".vector_table")
+        .map(|table| table.address());
+    if table != Some(VECTORS) {
+        return Err(format!(
+            "no vector table at {VECTORS:#010x}: the chip would not boot"
+        ));
+    }
+    let (mut flash_bytes, mut ram_bytes) = (0, 0);
+    for section in elf.sections() {
+        let SectionFlags::Elf { sh_flags } = section.flags() else {
+            continue;
+        };
+        if sh_flags & u64::from(elf::SHF_ALLOC) == 0 {
+            continue;
+        }
+        if section.file_range().is_some() {
+            flash_bytes += section.size();
+        }
+        if section.address() >= RAM {
+            ram_bytes += section.size();
+        }
+    }
+    Ok((flash_bytes, ram_bytes))
+}
 
 /// Builds all images and flashes one of them, the same file that the bench tests.
 ///
 /// # Errors
 /// As [`build`]; no such machine, no `probe-rs`, or no board.
 pub(crate) fn flash(machine: &str) -> Result<()> {
-    of(machine)?;
+    find(machine)?;
     build()?;
     run(
         &mut log_of(machine)?,
@@ -99,12 +96,9 @@ pub(crate) fn flash(machine: &str) -> Result<()> {
 /// # Errors
 /// No such machine.
 pub(crate) fn log_of(machine: &str) -> Result<Command> {
-    let image = of(machine)?;
     let mut command = Command::new("probe-rs");
-    command
-        .args(["run", "--chip", CHIP])
-        .args(KEEP_RESETS)
-        .arg(path_of(image));
+    command.args(["run", "--chip", CHIP]).args(KEEP_RESETS);
+    command.arg(find(machine)?);
     Ok(command)
 }
 
@@ -113,20 +107,14 @@ pub(crate) fn log_of(machine: &str) -> Result<Command> {
 /// # Errors
 /// No such machine.
 pub(crate) fn find(machine: &str) -> Result<PathBuf> {
-    of(machine).map(path_of)
-}
-
-fn of(machine: &str) -> Result<&'static Image> {
-    let name = format!("firmware-{machine}");
-    IMAGES
-        .iter()
-        .find(|image| image.name == name)
-        .ok_or_else(|| {
-            Failure::new(
-                format!("there is no machine `{machine}`"),
-                "it is `rig`, `capsule`, or `board` for the image of the measurements",
-            )
-        })
+    if !IMAGES.contains(&machine) {
+        return Err(Failure::new(
+            format!("there is no machine `{machine}`"),
+            "it is `rig`, `capsule`, or `board` for the image of the measurements",
+        ));
+    }
+    let folder = root().join("target").join(TARGET).join("firmware");
+    Ok(folder.join(format!("firmware-{machine}")))
 }
 
 /// Lints all images as they are compiled for their chips.
@@ -134,70 +122,19 @@ fn of(machine: &str) -> Result<&'static Image> {
 /// # Errors
 /// No compiler, or a warning.
 pub(crate) fn lint() -> Result<()> {
-    let toolchain = toolchain::find()?;
-    let mut cargo = command(&toolchain, "clippy");
-    cargo.args(PEERS).args(["--", "-D", "warnings"]);
-    run(&mut cargo, "fix what the linter reports above")
+    run(
+        command("clippy").args(["--", "-D", "warnings"]),
+        "fix what clippy reports above",
+    )
 }
 
-/// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look,
-/// whatever the caller's environment says.
-fn command(toolchain: &Toolchain, subcommand: &str) -> Command {
-    let mut cargo = toolchain.cargo(subcommand);
-    cargo.args(PACKAGES);
+/// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look, whatever the
+/// caller's environment says.
+fn command(subcommand: &str) -> Command {
+    let mut cargo = toolchain::cargo(subcommand);
+    cargo.args(["--package", "firmware-rig", "--package", "firmware-capsule"]);
     cargo.arg("--target-dir").arg(root().join("target"));
     cargo
-}
-
-/// Reads all images, prints their sizes and checks layout and budgets.
-///
-/// # Errors
-/// An image is missing, misplaced or over budget; every objection is listed.
-pub(crate) fn check() -> Result<()> {
-    println!(
-        "image                             flash  of budget       RAM  of budget   (bytes; RAM without stack)"
-    );
-    let mut objections = Vec::new();
-    for image in &IMAGES {
-        let path = path_of(image);
-        let file = std::fs::read(&path).map_err(|error| {
-            let what = format!("{} cannot be read: {error}", path.display());
-            Failure::new(what, "build it with `cargo xtask images`")
-        })?;
-        let layout = match Layout::read(&file) {
-            Ok(layout) => layout,
-            Err(reason) => {
-                objections.push(format!("{}: {reason}", image.name));
-                continue;
-            }
-        };
-        let Budget {
-            flash_bytes,
-            ram_bytes,
-        } = image.budget;
-        println!(
-            "{:<29} {:>9} {:>10} {:>9} {:>10}",
-            image.name, layout.flash_bytes, flash_bytes, layout.ram_bytes, ram_bytes
-        );
-        let found = layout.objections(image.budget);
-        objections.extend(found.iter().map(|text| format!("{}: {text}", image.name)));
-    }
-    if objections.is_empty() {
-        return Ok(());
-    }
-    Err(Failure::new(
-        objections.join("\n       "),
-        "addresses come from memory.x and device/link_arguments.rs; for size see `cargo bloat`, or argue \
-         for a new budget in xtask/src/images.rs",
-    ))
-}
-
-fn path_of(image: &Image) -> PathBuf {
-    root()
-        .join("target")
-        .join(TARGET)
-        .join("firmware")
-        .join(image.name)
 }
 
 #[cfg(test)]
@@ -213,5 +150,12 @@ mod tests {
         for flag in KEEP_RESETS {
             assert!(runner.contains(flag), "{runner} lacks {flag}");
         }
+    }
+
+    #[test]
+    fn a_file_without_a_vector_table_is_refused() {
+        let this_program = std::fs::read(std::env::current_exe().unwrap()).unwrap();
+        assert!(sizes(&this_program).is_err());
+        assert!(sizes(b"MZ, or so").is_err());
     }
 }

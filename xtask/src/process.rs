@@ -1,12 +1,9 @@
 //! Child processes and their environment.
 
 use std::fmt;
-use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{Command, Stdio};
 use std::sync::OnceLock;
-use std::thread::sleep;
-use std::time::{Duration, Instant};
 
 /// A failure, with advice for the user.
 #[derive(Debug)]
@@ -82,11 +79,9 @@ pub(crate) fn host_cargo(subcommand: &str) -> Command {
     command
 }
 
-/// A command of a cargo for the images, without the variables meant for the host's compiler.
-pub(crate) fn image_cargo(program: impl AsRef<Path>, subcommand: &str) -> Command {
-    let mut command = Command::new(program.as_ref());
-    command.arg(subcommand).current_dir(root());
-    forget_own_package(&mut command);
+/// As [`host_cargo`] for the images, without the variables meant for the host's compiler.
+pub(crate) fn image_cargo(subcommand: &str) -> Command {
+    let mut command = host_cargo(subcommand);
     for variable in STEERS_A_COMPILER {
         command.env_remove(variable);
     }
@@ -117,25 +112,14 @@ fn forget_own_package(command: &mut Command) {
 /// # Errors
 /// It cannot be started or does not end with code 0; `remedy` says what the user can do.
 pub(crate) fn run(command: &mut Command, remedy: &str) -> Result<()> {
-    let status = status_of(command, remedy)?;
-    if status.success() {
-        Ok(())
-    } else {
-        let what = format!("{} ended with {status}", spelled(command));
-        Err(Failure::new(what, remedy))
-    }
-}
-
-/// As [`run`], for a command whose exit code is its result.
-///
-/// # Errors
-/// It cannot be started.
-pub(crate) fn status_of(command: &mut Command, remedy: &str) -> Result<ExitStatus> {
-    println!("$ {}", spelled(command));
-    command.status().map_err(|error| {
-        let what = format!("{} does not start: {error}", spelled(command));
-        Failure::new(what, remedy)
-    })
+    let text = spelled(command);
+    println!("$ {text}");
+    let why = match command.status() {
+        Ok(status) if status.success() => return Ok(()),
+        Ok(status) => format!("{text} ended with {status}"),
+        Err(error) => format!("{text} does not start: {error}"),
+    };
+    Err(Failure::new(why, remedy))
 }
 
 /// As [`run`], and returns the lines of its standard output.
@@ -155,74 +139,10 @@ pub(crate) fn lines_of(command: &mut Command, remedy: &str) -> Result<Vec<String
     Ok(text.lines().map(str::to_owned).collect())
 }
 
-/// As [`run`], and returns the lines of its standard error, which also appear on the terminal as they come.
-pub(crate) fn errors_of(command: &mut Command, remedy: &str) -> (Vec<String>, Result<()>) {
-    let text = spelled(command);
-    println!("$ {text}");
-    let failure = |reason: String| Failure::new(format!("{text} {reason}"), remedy);
-    let mut child = match command.stderr(Stdio::piped()).spawn() {
-        Ok(child) => child,
-        Err(error) => return (vec![], Err(failure(format!("does not start: {error}")))),
-    };
-    let mut lines = vec![];
-    if let Some(errors) = child.stderr.take() {
-        // A test may print bytes that are no text.
-        for line in BufReader::new(errors)
-            .split(b'\n')
-            .map_while(io::Result::ok)
-        {
-            let line = String::from_utf8_lossy(&line).into_owned();
-            eprintln!("{line}");
-            lines.push(line);
-        }
-    }
-    let outcome = match child.wait() {
-        Ok(status) if status.success() => Ok(()),
-        Ok(status) => Err(failure(format!("ended with {status}"))),
-        Err(error) => Err(failure(format!("cannot be watched: {error}"))),
-    };
-    (lines, outcome)
-}
-
-/// As [`run`], but kills the child if it takes longer than `limit`.
-pub(crate) fn run_within(limit: Duration, command: &mut Command, remedy: &str) -> Result<()> {
-    let text = spelled(command);
-    println!("$ {text}");
-    let failure = |reason: String| Failure::new(format!("{text} {reason}"), remedy);
-    let mut child = command
-        .stdin(Stdio::null())
-        .spawn()
-        .map_err(|error| failure(format!("does not start: {error}")))?;
-    let start = Instant::now();
-    loop {
-        match child.try_wait() {
-            Ok(Some(status)) if status.success() => return Ok(()),
-            Ok(Some(status)) => return Err(failure(format!("ended with {status}"))),
-            Ok(None) if start.elapsed() < limit => sleep(Duration::from_millis(50)),
-            Ok(None) => {
-                // If it has ended meanwhile, neither call has an effect.
-                let _ = child.kill();
-                let _ = child.wait();
-                return Err(failure(format!("took longer than {} s", limit.as_secs())));
-            }
-            Err(error) => return Err(failure(format!("cannot be watched: {error}"))),
-        }
-    }
-}
-
 /// The first line of a command's output, if it succeeds.
 pub(crate) fn first_line(command: &mut Command) -> Option<String> {
     let text = output_of(command)?;
     text.lines().next().map(|line| line.trim().to_owned())
-}
-
-/// Whether cargo has a subcommand of this name, built in or installed.
-pub(crate) fn installed(subcommand: &str) -> bool {
-    let mut cargo = host_cargo("--list");
-    output_of(cargo.env("CARGO_TERM_COLOR", "never")).is_some_and(|list| {
-        list.lines()
-            .any(|line| line.split_whitespace().next() == Some(subcommand))
-    })
 }
 
 /// A command's output, if it succeeds.
@@ -250,15 +170,6 @@ fn spelled(command: &Command) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_child_that_hangs_is_ended() {
-        let start = Instant::now();
-        let mut sleeper = Command::new("sleep");
-        let outcome = run_within(Duration::from_millis(200), sleeper.arg("60"), "none");
-        assert!(outcome.is_err_and(|failure| failure.what.contains("longer than")));
-        assert!(start.elapsed() < Duration::from_secs(30));
-    }
 
     #[test]
     fn a_failing_child_carries_the_remedy() {
