@@ -240,6 +240,7 @@ fn without_the_jumper_nothing_is_timed() {
     assert_eq!(timing.timed(), Timed::default());
     timing.compare(iter::once(7));
     assert_eq!(timing.timed(), Timed::default());
+    assert!(timing.timing.is_over());
 }
 
 #[test]
@@ -247,7 +248,9 @@ fn after_a_loss_nothing_more_is_compared() {
     let mut timing = Watch::default();
     timing.expect(steps(100, 5));
     timing.compare([0, 100].into_iter());
+    assert!(!timing.timing.is_over());
     timing.timing.lose();
+    assert!(timing.timing.is_over());
     timing.compare(iter::once(900));
     let expected = Timed {
         edges: 2,
@@ -255,6 +258,7 @@ fn after_a_loss_nothing_more_is_compared() {
     };
     assert_eq!(timing.timed(), expected);
     timing.clear();
+    assert!(!timing.timing.is_over());
     timing.expect(steps(100, 0));
     timing.compare(iter::once(5));
     assert_eq!(timing.timed().edges, 1);
@@ -345,24 +349,6 @@ fn intervals_are_counted_by_their_error() {
     };
     assert_eq!(timing.timing.intervals(), expected);
     assert_eq!(timing.timed().worst_error_ticks, u32::MAX);
-}
-
-#[test]
-fn a_comparison_is_over_with_a_loss_until_the_next_path() {
-    let mut timing = Watch::default();
-    timing.expect(steps(100, 1));
-    timing.compare(iter::once(1_000));
-    assert!(!timing.timing.is_over());
-    timing.timing.lose();
-    assert!(timing.timing.is_over());
-    timing.clear();
-    assert!(!timing.timing.is_over());
-    // Without the jumper no edge comes, and the timeline forgets steps before they were compared.
-    for _ in 0..10_000 {
-        timing.expect(steps(100, 0));
-    }
-    timing.compare(iter::empty());
-    assert!(timing.timing.is_over());
 }
 
 /// Several edges that no step has may come in one look, as from a bouncing line: none of them ends an interval.

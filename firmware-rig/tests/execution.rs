@@ -854,18 +854,6 @@ mod with_the_machine {
         }
     }
 
-    #[test]
-    fn homes_from_everywhere() {
-        for place in [-1_000, 0, 799, 800, 801, 50_000, 104_000] {
-            let mut rig = Rig::new(SETTINGS, place);
-            rig.ring.ahead = Ahead::Slots;
-            rig.command(Command::Home).unwrap();
-            rig.finish();
-            assert_eq!(rig.machine.state(), RigState::Ready);
-            assert_eq!((rig.place, rig.ring.counted), (0, 0), "{place}");
-        }
-    }
-
     /// A hold comes at any time, in ramps, cruise and dwells: each step is made once, in its direction.
     #[test]
     fn a_held_run_loses_no_step() {

@@ -5,7 +5,6 @@ use firmware_rig::{
     settings::Settings,
 };
 use motion::{
-    axis::Direction,
     run::{RunPlan, RunRequest, Timing},
     units::Micrometres,
 };
@@ -287,27 +286,6 @@ fn the_button_resumes_and_the_policy_of_the_run_stays() {
     assert_eq!(rig.machine.state(), RigState::Ready);
 }
 
-#[test]
-fn a_held_run_can_be_abandoned() {
-    let mut rig = started(slow());
-    rig.pulses(5_000);
-    hold(&mut rig);
-    rig.events.clear();
-    rig.command(Command::Stop).unwrap();
-    let (position_steps, outcome) = (rig.ring.counted, RunOutcome::Stopped);
-    assert_eq!(
-        rig.events,
-        [
-            RigEvent::RunEnded { run: 1, outcome },
-            RigEvent::Stopped { position_steps }
-        ]
-    );
-    assert!(!rig.moving() && rig.machine.homed());
-    assert_eq!(rig.machine.state(), RigState::Ready);
-    assert_eq!(rig.command(Command::Resume), Err(Refusal::NothingToResume));
-    assert_eq!(rig.machine.record().commanded_edges, rig.pulses);
-}
-
 /// A stop while the hold is still braking: one ramp, then the run is over.
 #[test]
 fn a_stop_during_a_hold_wins() {
@@ -323,47 +301,6 @@ fn a_stop_during_a_hold_wins() {
     assert_eq!(rig.machine.record().holds, 0);
     let braking = rig.pulses - begun;
     assert_eq!(braking, 161, "0.2 mm of braking, as without the stop");
-}
-
-#[test]
-fn whatever_cuts_a_held_run_ends_it() {
-    type Mishap = fn(&mut Rig);
-    let faults: [(Mishap, RigFault); 3] = [
-        (Rig::press, RigFault::EStopLoop),
-        (
-            |rig| rig.command(Command::EStop).unwrap(),
-            RigFault::EStopFrame,
-        ),
-        (|rig| rig.event(Event::FarLimit), RigFault::FarLimit),
-    ];
-    for (cut, fault) in faults {
-        for braking in [true, false] {
-            let mut rig = started(slow());
-            rig.pulses(2_000);
-            rig.command(Command::Hold).unwrap();
-            if braking {
-                rig.pulses(10);
-            } else {
-                rig.finish();
-            }
-            let pulses = rig.pulses;
-            cut(&mut rig);
-            rig.finish();
-            assert_eq!((rig.fault(), rig.pulses), (Some(fault), pulses));
-            let record = rig.machine.record();
-            assert_eq!(record.outcome, RunOutcome::Faulted(fault));
-            assert_eq!(record.counted_edges, pulses, "the true count");
-            // The release moves nothing; after the acknowledgement the run is gone.
-            rig.pressed = false;
-            assert_eq!(
-                rig.command(Command::Resume),
-                Err(Refusal::RigFaulted(fault))
-            );
-            rig.command(Command::Acknowledge).unwrap();
-            assert_eq!(rig.command(Command::Resume), Err(Refusal::NothingToResume));
-            assert_eq!((rig.moving(), rig.pulses), (false, pulses));
-        }
-    }
 }
 
 /// A resume reads the switches; a refused one can be repeated.
@@ -383,38 +320,6 @@ fn a_resume_with_an_open_switch_is_refused() {
     rig.command(Command::Resume).unwrap();
     rig.finish();
     assert_complete(&rig, &slow(), 1);
-}
-
-/// Edges on the pin that were not commanded: the position has changed since the hold.
-#[test]
-fn a_count_that_changed_during_the_hold_is_a_fault() {
-    let mut rig = started(slow());
-    rig.pulses(2_000);
-    hold(&mut rig);
-    let commanded = rig.ring.counted;
-    rig.ring.counted += 1;
-    let counted = rig.ring.counted;
-    let fault = RigFault::ReadBack { commanded, counted };
-    assert_eq!(
-        rig.command(Command::Resume),
-        Err(Refusal::RigFaulted(fault))
-    );
-    assert_eq!((rig.fault(), rig.moving()), (Some(fault), false));
-    assert_eq!(rig.machine.record().outcome, RunOutcome::Faulted(fault));
-}
-
-/// A stop is never refused, but it does not make the position right.
-#[test]
-fn a_stop_of_a_held_run_finds_a_count_that_changed() {
-    let mut rig = started(slow());
-    rig.pulses(2_000);
-    hold(&mut rig);
-    let commanded = rig.ring.counted;
-    rig.ring.counted += 1;
-    let counted = rig.ring.counted;
-    rig.command(Command::Stop).unwrap();
-    let fault = RigFault::ReadBack { commanded, counted };
-    assert_eq!((rig.fault(), rig.machine.homed()), (Some(fault), false));
 }
 
 /// Steps lost before, in and after a hold; the hold before, across and behind the flag (step 800 of the way home,
@@ -500,22 +405,5 @@ fn a_flag_that_opens_at_rest_is_met() {
         rig.stuck_flag = Some(false); // no further edge
         rig.finish();
         assert_eq!(rig.machine.record().outcome, outcome);
-    }
-}
-
-/// A resumed stroke goes on in its direction.
-#[test]
-fn a_resumed_run_goes_on_in_its_direction() {
-    for (pulses, direction) in [(1_000, Direction::Away), (STROKE + 1_000, Direction::Home)] {
-        let mut rig = started(slow());
-        rig.pulses(pulses);
-        hold(&mut rig);
-        let at = rig.place;
-        rig.command(Command::Resume).unwrap();
-        rig.pulses(1);
-        assert_eq!(
-            (rig.place > at, rig.place != at),
-            (direction == Direction::Away, true)
-        );
     }
 }

@@ -1,6 +1,5 @@
 //! The state machine: homing, runs, and the table of every pair of state and input.
 
-use device::settings::Values;
 use firmware_rig::{
     machine::{Action, Actions, Command, Event, Machine, PathEnd, PathReport},
     settings::Settings,
@@ -18,8 +17,10 @@ use protocol::{
     },
     settings::SettingKey,
 };
+use simulated_machines::carriage::ring::Ahead;
 use simulated_machines::carriage::{
-    CLOSED, IMAGE_HASH, Pulse, Rig, flag_edge, now, path_ended, plan, run, small, stroke_done,
+    CLOSED, IMAGE_HASH, Pulse, Rig, flag_edge, now, path_ended, plan, run, settings, small,
+    stroke_done,
 };
 
 const SETTINGS: Settings = Settings::REFERENCE;
@@ -107,17 +108,13 @@ mod homing {
     /// It failed half way, as a flag that is not found.
     #[test]
     fn is_refused_on_an_axis_that_is_too_fine_for_its_speed() {
-        let mut values = Values::DEFAULT;
-        for (key, value) in [
+        let fine = settings(&[
             (SettingKey::LeadUm, 500),
             (SettingKey::FullSteps, 400),
             (SettingKey::Microsteps, 256),
             (SettingKey::SeekUmS, 100),
             (SettingKey::LocateUmS, 100),
-        ] {
-            values = values.with(key, value).unwrap();
-        }
-        let fine = Settings::new(&values).unwrap();
+        ]);
         let mut machine = Machine::new(fine, None, IMAGE_HASH);
         let actions = machine.step(&now(1, 0, CLOSED), Event::Command(&Command::Home));
         assert_eq!(actions.refusal, Some(Refusal::TooSlow));
@@ -128,8 +125,7 @@ mod homing {
     /// The longest way off the flag, at twice the slowest speed; from an open flag it comes first.
     #[test]
     fn is_begun_on_the_finest_axis_at_the_slowest_measuring_speed() {
-        let mut values = Values::DEFAULT;
-        for (key, value) in [
+        let fine = settings(&[
             (SettingKey::LeadUm, 500),
             (SettingKey::FullSteps, 400),
             (SettingKey::Microsteps, 256),
@@ -139,10 +135,7 @@ mod homing {
             (SettingKey::OvertravelUm, 20_000),
             (SettingKey::SeekUmS, 300),
             (SettingKey::LocateUmS, 100),
-        ] {
-            values = values.with(key, value).unwrap();
-        }
-        let fine = Settings::new(&values).unwrap();
+        ]);
         let open = RigInputs {
             home_flag: true,
             ..CLOSED
@@ -173,8 +166,11 @@ mod homing {
 
     #[test]
     fn finds_zero_from_everywhere() {
-        for place in [-1_000, 0, 799, 800, 801, 2_000, 50_000, 104_000] {
-            let rig = home_from(place, |_| ());
+        for (place, ahead) in [-1_000, 0, 799, 800, 801, 2_000, 50_000, 104_000]
+            .into_iter()
+            .flat_map(|place| [Ahead::Nothing, Ahead::Slots].map(|ahead| (place, ahead)))
+        {
+            let rig = home_from(place, |rig| (rig.ring.ahead, rig.bounces) = (ahead, 3));
             assert_eq!(rig.machine.state(), RigState::Ready, "{place}");
             assert!(rig.machine.homed());
             assert_eq!((rig.place, rig.ring.counted), (0, 0), "{place}");
@@ -201,14 +197,6 @@ mod homing {
         };
         assert_eq!(rig.events, [homed]);
         assert_eq!((rig.place, rig.ring.counted), (0, 0));
-    }
-
-    #[test]
-    fn a_bouncing_flag_does_no_harm() {
-        for place in [0, 5_000] {
-            let rig = home_from(place, |rig| rig.bounces = 3);
-            assert_eq!((rig.fault(), rig.place), (None, 0));
-        }
     }
 
     #[test]
@@ -322,18 +310,15 @@ mod homing {
     }
 
     #[test]
-    fn a_stop_in_each_phase_leaves_it_unhomed() {
-        for rig in in_each_phase(|rig| rig.command(Command::Stop).unwrap()) {
+    fn a_stop_and_a_silent_host_in_each_phase_leave_it_unhomed() {
+        let stops: [fn(&mut Rig); 2] = [
+            |rig| rig.command(Command::Stop).unwrap(),
+            |rig| rig.event(Event::LinkSilent),
+        ];
+        for rig in stops.into_iter().flat_map(in_each_phase) {
             assert_eq!(rig.machine.state(), RigState::Unhomed);
             let position_steps = rig.ring.counted;
             assert_eq!(rig.events, [RigEvent::Stopped { position_steps }]);
-        }
-    }
-
-    #[test]
-    fn a_silent_host_in_each_phase_leaves_it_unhomed() {
-        for rig in in_each_phase(|rig| rig.event(Event::LinkSilent)) {
-            assert_eq!(rig.machine.state(), RigState::Unhomed);
         }
     }
 
@@ -457,6 +442,11 @@ mod running {
         // 10 us for the last pulse and 10 us without one follow.
         assert_eq!(rig.now - from, plan.total().0 + 2_000);
         assert_eq!((rig.machine.state(), rig.place), (RigState::Ready, 0));
+        let record = *rig.machine.record();
+        rig.command(Command::Home).unwrap();
+        rig.glitches += 4;
+        rig.finish();
+        assert_eq!(*rig.machine.record(), record, "homing leaves it alone");
         // The next run is number 2, with a record of its own.
         rig.command(run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop))
             .unwrap();
@@ -464,27 +454,6 @@ mod running {
         assert_eq!(rig.machine.record().commanded_edges, 0);
         rig.finish();
         assert_eq!(rig.machine.record().strokes, 2);
-    }
-
-    /// Homing after a run leaves the run's record alone.
-    #[test]
-    fn the_record_outlives_homing() {
-        let mut rig = started(LinkLossPolicy::Stop);
-        rig.finish();
-        let record = *rig.machine.record();
-        rig.command(Command::Home).unwrap();
-        rig.glitches = 7;
-        rig.finish();
-        assert_eq!(*rig.machine.record(), record);
-    }
-
-    #[test]
-    fn strokes_shorter_than_the_flag_complete() {
-        let mut rig = Rig::homed(SETTINGS);
-        rig.command(run(&SETTINGS, 3, 500, LinkLossPolicy::Stop))
-            .unwrap();
-        rig.finish();
-        assert_eq!(rig.machine.record().outcome, RunOutcome::Complete);
     }
 
     #[test]
@@ -829,15 +798,6 @@ mod running {
     }
 
     #[test]
-    fn a_bouncing_flag_loses_no_steps() {
-        let mut rig = started(LinkLossPolicy::Stop);
-        rig.bounces = 2;
-        rig.finish();
-        assert_eq!(rig.fault(), None);
-        assert_eq!(rig.machine.record().worst_residual_steps, 0);
-    }
-
-    #[test]
     fn a_missing_jumper_is_found_at_once() {
         // In the first stroke, in the last one, and in the last steps of all.
         for pulses in [100, 24_100, 31_990] {
@@ -860,41 +820,11 @@ mod running {
         }
     }
 
-    /// Execution compares the counts itself; the machine does not rely on it.
-    #[test]
-    fn a_stroke_with_missing_edges_is_a_fault() {
-        let mut rig = started(LinkLossPolicy::Stop);
-        rig.pulses(100);
-        rig.event(stroke_done(0, 8_000, 100));
-        let fault = RigFault::ReadBack {
-            commanded: 8_000,
-            counted: 100,
-        };
-        assert_eq!(rig.machine.record().counted_edges, 100);
-        assert_latched(rig, fault);
-    }
-
-    #[test]
-    fn underrun_and_guard_are_faults() {
-        for (end, fault) in [
-            (PathEnd::Underrun, RigFault::Underrun),
-            (PathEnd::Guard, RigFault::WindowGuard),
-        ] {
-            let mut rig = started(LinkLossPolicy::Stop);
-            rig.pulses(5_000);
-            let ended = path_ended(end, 5_000, 5_000);
-            let actions = rig.machine.step(&now(0, 5_000, CLOSED), ended);
-            assert_eq!(kinds(&actions), ["Cut", "RunEnded", "Faulted"]);
-            assert_record(&rig, RunOutcome::Faulted(fault), 0);
-            assert_eq!(rig.machine.record().ticks, 1);
-            assert_eq!(rig.fault(), Some(fault));
-        }
-    }
-
     #[test]
     fn a_hundred_runs_do_not_drift() {
         let mut rig = Rig::homed(small());
         for _ in 0..100 {
+            rig.bounces = 2;
             rig.command(run(&small(), 5, 20_000, LinkLossPolicy::Stop))
                 .unwrap();
             rig.finish();
@@ -902,28 +832,6 @@ mod running {
             assert_eq!(rig.machine.record().worst_residual_steps, 0);
         }
         assert_eq!(rig.machine.record().run, 100);
-    }
-}
-
-#[test]
-fn a_fault_of_the_last_start_has_to_be_acknowledged() {
-    for fault in [RigFault::Watchdog, RigFault::Panic] {
-        let mut machine = Machine::new(SETTINGS, Some(fault), 0);
-        let mut refusal = |command| {
-            let actions = machine.step(&now(0, 0, CLOSED), Event::Command(&command));
-            assert!(actions.list.is_empty());
-            (actions.refusal, machine.state())
-        };
-        for command in [
-            Command::Home,
-            run(&SETTINGS, 1, 1_000, LinkLossPolicy::Stop),
-        ] {
-            let refused = Some(Refusal::AcknowledgeFirst);
-            assert_eq!(refusal(command), (refused, RigState::Faulted));
-        }
-        assert_eq!(refusal(Command::Acknowledge), (None, RigState::Unhomed));
-        let refused = Some(Refusal::NothingToAcknowledge);
-        assert_eq!(refusal(Command::Acknowledge), (refused, RigState::Unhomed));
     }
 }
 
@@ -1051,57 +959,9 @@ mod table {
             Button,
             ButtonNoPlan,
             Stop,
+            StopElsewhere,
             EStop,
             Acknowledge,
-        }
-    }
-
-    /// No arm for "everything else": a new variant has to be added here, and then to the table.
-    fn inputs_of_event(event: &Event) -> &'static [Input] {
-        match event {
-            Event::Command(command) => inputs_of_command(command),
-            Event::FlagEdge { .. } => &[FlagOpens, FlagOpensLate, FlagCloses, FlagClosesLate],
-            Event::FarLimit => &[FarLimit],
-            Event::SwitchNoise(_) => &[SwitchNoise],
-            Event::LoopOpened => &[LoopOpened],
-            Event::StrokeDone { .. } => &[StrokeDone, StrokeMismatch],
-            Event::PathEnded(end, _) => match end {
-                PathEnd::Complete => &[Complete, EndMismatch],
-                PathEnd::Stopped => STOPPED,
-                PathEnd::Cut => &[Cut],
-                PathEnd::Underrun => &[Underrun],
-                PathEnd::Guard => &[Guard],
-            },
-            Event::LinkSilent => &[LinkSilent],
-            Event::Tick => TICKS,
-        }
-    }
-
-    fn inputs_of_command(command: &Command) -> &'static [Input] {
-        match command {
-            Command::Home => &[Home],
-            Command::Run { .. } => &[Run, RunOffFlag],
-            Command::Hold => &[Hold],
-            Command::Resume => &[Resume, ResumeElsewhere],
-            Command::Jog { .. } => &[JogSame, JogOther],
-            Command::MoveTo { .. } => &[MoveTo, MoveOffFlag],
-            Command::Button(_) => &[Button, ButtonNoPlan],
-            Command::Stop => &[Stop],
-            Command::EStop => &[EStop],
-            Command::Acknowledge => &[Acknowledge],
-        }
-    }
-
-    fn starts_of(state: RigState) -> &'static [Start] {
-        match state {
-            RigState::Unhomed => &[Unhomed],
-            RigState::Homing => HOMING,
-            RigState::Ready => READY,
-            RigState::Running => RUNNING,
-            RigState::Held => HELD,
-            RigState::Moving => MOVING,
-            RigState::Stopping => STOPPING,
-            RigState::Faulted => FAULTED,
         }
     }
 
@@ -1152,7 +1012,7 @@ mod table {
             MoveTo | MoveOffFlag => move_to(2_000),
             Button => Command::Button(Some(plan(&SETTINGS, 1, 10_000, 40_000))),
             ButtonNoPlan => Command::Button(None),
-            Stop => Command::Stop,
+            Stop | StopElsewhere => Command::Stop,
             EStop => Command::EStop,
             Acknowledge => Command::Acknowledge,
             event => panic!("{event:?} is no command"),
@@ -1316,7 +1176,7 @@ mod table {
             HeldMet => 500,
             _ => 0,
         };
-        position + i32::from(input == ResumeElsewhere)
+        position + i32::from(matches!(input, ResumeElsewhere | StopElsewhere))
     }
 
     /// The flag is open at 0, where that matters.
@@ -1351,81 +1211,10 @@ mod table {
         }
         text
     }
-
-    const HOMING: &[Start] = &[
-        Clear,
-        Seek,
-        SeekFound,
-        PullOff,
-        Locate,
-        LocateFound,
-        ToZero,
-        HomingByButton,
-    ];
     const READY: &[Start] = &[Ready, ReadyOut];
-    const RUNNING: &[Start] = &[Away, Back, BackMet, Finish];
     const HELD: &[Start] = &[HeldFirst, HeldOut, HeldBack, HeldMet];
-    const MOVING: &[Start] = &[Moving, Jogging];
-    const STOPPING: &[Start] = &[
-        StopHoming,
-        StopRun,
-        StopBack,
-        StopMet,
-        StopLost,
-        StopMove,
-        StopHoldOut,
-        StopHoldBack,
-        StopHoldMet,
-    ];
-    const FAULTED: &[Start] = &[Faulted, FaultedMoving, FaultedHeld, Panicked];
-    const AFTER_LIMIT: &[Start] = &[Faulted, FaultedMoving, FaultedHeld];
     /// Homing on request of the host.
     const BY_HOST: &[Start] = &[Clear, Seek, SeekFound, PullOff, Locate, LocateFound, ToZero];
-    const AT_REST: &[Start] = &[Unhomed, Ready, ReadyOut];
-    /// A run's path is being executed.
-    const IN_RUN: &[Start] = &[
-        Away,
-        Back,
-        BackMet,
-        Finish,
-        StopRun,
-        StopBack,
-        StopMet,
-        StopLost,
-        StopHoldOut,
-        StopHoldBack,
-        StopHoldMet,
-    ];
-    /// A path of homing or of a move is being executed.
-    const IN_HOMING: &[Start] = &[
-        Clear,
-        Seek,
-        SeekFound,
-        PullOff,
-        Locate,
-        LocateFound,
-        ToZero,
-        HomingByButton,
-        StopHoming,
-    ];
-    const IN_MOVE: &[Start] = &[Moving, Jogging, StopMove];
-
-    const EDGES: &[Input] = &[FlagOpens, FlagOpensLate, FlagCloses, FlagClosesLate];
-    const CLOSINGS: &[Input] = &[FlagCloses, FlagClosesLate];
-    const OPENINGS: &[Input] = &[FlagOpens, FlagOpensLate];
-    const STROKES: &[Input] = &[StrokeDone, StrokeMismatch];
-    const ENDS: &[Input] = &[
-        Complete,
-        Stopped,
-        StoppedFar,
-        StoppedNear,
-        StoppedAtLimit,
-        StoppedBehind,
-        Cut,
-        Underrun,
-        Guard,
-        EndMismatch,
-    ];
     const FINE_ENDS: &[Input] = &[
         Complete,
         Stopped,
@@ -1434,392 +1223,6 @@ mod table {
         StoppedAtLimit,
         StoppedBehind,
     ];
-    const STOPPED: &[Input] = &[
-        Stopped,
-        StoppedFar,
-        StoppedNear,
-        StoppedAtLimit,
-        StoppedBehind,
-    ];
-    const TICKS: &[Input] = &[TickInTime, TickAtDeadline, TickLate];
-    /// Ticks within homing's time.
-    const TICKS_IN_TIME: &[Input] = &[TickInTime, TickAtDeadline];
-    /// Ticks past a jog's deadline, which is earlier.
-    const TICKS_LATE: &[Input] = &[TickAtDeadline, TickLate];
-    const MOVES: &[Input] = &[
-        Home,
-        Run,
-        RunOffFlag,
-        JogSame,
-        JogOther,
-        MoveTo,
-        MoveOffFlag,
-    ];
-    const RUNS: &[Input] = &[Run, RunOffFlag];
-    const MOVES_TO: &[Input] = &[MoveTo, MoveOffFlag];
-    const RESUMES: &[Input] = &[Resume, ResumeElsewhere];
-    const BUTTONS: &[Input] = &[Button, ButtonNoPlan];
-
-    const READ_BACK: &str = "ReadBack { commanded: 0, counted: 1 } Cut Faulted";
-    const READ_BACK_RUN: &str = "ReadBack { commanded: 0, counted: 1 } Cut RunEnded Faulted";
-
-    /// States, inputs, result: the next state (or the new fault) and the actions, or the refusal.
-    const TABLE: &[(&[Start], &[Input], &str)] = &[
-        // Every cause of a cut is latched, at rest as well. The first cause stays.
-        (AT_REST, &[FarLimit], "FarLimit Cut Faulted"),
-        (AT_REST, &[SwitchNoise], "SwitchNoise(HomeFlag) Cut Faulted"),
-        (AT_REST, &[LoopOpened], "EStopLoop Cut Faulted"),
-        (AT_REST, &[EStop], "EStopFrame Cut Faulted"),
-        (IN_HOMING, &[FarLimit], "FarLimit Cut Faulted"),
-        (
-            IN_HOMING,
-            &[SwitchNoise],
-            "SwitchNoise(HomeFlag) Cut Faulted",
-        ),
-        (IN_HOMING, &[LoopOpened], "EStopLoop Cut Faulted"),
-        (IN_HOMING, &[EStop, Cut], "EStopFrame Cut Faulted"),
-        (IN_MOVE, &[FarLimit], "FarLimit Cut Faulted"),
-        (IN_MOVE, &[SwitchNoise], "SwitchNoise(HomeFlag) Cut Faulted"),
-        (IN_MOVE, &[LoopOpened], "EStopLoop Cut Faulted"),
-        (IN_MOVE, &[EStop, Cut], "EStopFrame Cut Faulted"),
-        (IN_RUN, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
-        (
-            IN_RUN,
-            &[SwitchNoise],
-            "SwitchNoise(HomeFlag) Cut RunEnded Faulted",
-        ),
-        (IN_RUN, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
-        (IN_RUN, &[EStop, Cut], "EStopFrame Cut RunEnded Faulted"),
-        (HELD, &[FarLimit], "FarLimit Cut RunEnded Faulted"),
-        (
-            HELD,
-            &[SwitchNoise],
-            "SwitchNoise(HomeFlag) Cut RunEnded Faulted",
-        ),
-        (HELD, &[LoopOpened], "EStopLoop Cut RunEnded Faulted"),
-        (HELD, &[EStop], "EStopFrame Cut RunEnded Faulted"),
-        (
-            FAULTED,
-            &[FarLimit, SwitchNoise, LoopOpened, EStop],
-            "Faulted Cut",
-        ),
-        // Every failure of a path is latched.
-        (IN_HOMING, &[Underrun], "Underrun Cut Faulted"),
-        (IN_HOMING, &[Guard], "WindowGuard Cut Faulted"),
-        (IN_HOMING, &[EndMismatch], READ_BACK),
-        (IN_MOVE, &[Underrun], "Underrun Cut Faulted"),
-        (IN_MOVE, &[Guard], "WindowGuard Cut Faulted"),
-        (IN_MOVE, &[EndMismatch], READ_BACK),
-        (IN_RUN, &[Underrun], "Underrun Cut RunEnded Faulted"),
-        (IN_RUN, &[Guard], "WindowGuard Cut RunEnded Faulted"),
-        (IN_RUN, &[EndMismatch, StrokeMismatch], READ_BACK_RUN),
-        // At rest there is no path to report about, and nothing to stop.
-        (&[Unhomed], EDGES, "Unhomed"),
-        (&[Unhomed], STROKES, "Unhomed"),
-        (&[Unhomed], ENDS, "Unhomed"),
-        (&[Unhomed], TICKS, "Unhomed"),
-        (&[Unhomed], &[LinkSilent, Stop], "Unhomed"),
-        (READY, EDGES, "Ready"),
-        (READY, STROKES, "Ready"),
-        (READY, ENDS, "Ready"),
-        (READY, TICKS, "Ready"),
-        (READY, &[LinkSilent, Stop], "Ready"),
-        (HELD, EDGES, "Held"),
-        (HELD, STROKES, "Held"),
-        (HELD, ENDS, "Held"),
-        (HELD, TICKS, "Held"),
-        (HELD, &[LinkSilent], "Held"),
-        (FAULTED, EDGES, "Faulted"),
-        (FAULTED, STROKES, "Faulted"),
-        (FAULTED, ENDS, "Faulted"),
-        (FAULTED, TICKS, "Faulted"),
-        (FAULTED, &[LinkSilent, Stop], "Faulted"),
-        // Commands that move.
-        (&[Unhomed], &[Home], "Homing Start -112000..0"),
-        (&[Ready], &[Home], "Homing Start -8000..0"),
-        (&[ReadyOut], &[Home], "Homing Start -8000..4000"),
-        (&[Ready], &[Run], "Running Start RunStarted 0..104000"),
-        (&[ReadyOut], RUNS, "Ready: NotAtHome { position_um: 5000 }"),
-        (&[Ready], &[JogSame], "Moving Start 0..104000"),
-        (&[Ready], &[JogOther], "Ready: AlreadyThere"),
-        (&[Ready], &[MoveTo], "Moving Start 0..2000"),
-        // At 0 the flag has to be open.
-        (
-            &[Ready],
-            &[RunOffFlag, MoveOffFlag],
-            "LostSteps { residual_steps: -800 }: RigFaulted(LostSteps { residual_steps: -800 })",
-        ),
-        (&[ReadyOut], &[JogSame], "Moving Start 4000..104000"),
-        (&[ReadyOut], &[JogOther], "Moving Start 0..4000"),
-        (&[ReadyOut], MOVES_TO, "Moving Start 2000..4000"),
-        (
-            &[Unhomed],
-            &[Run, RunOffFlag, JogSame, JogOther, MoveTo, MoveOffFlag],
-            "Unhomed: NotHomed",
-        ),
-        (HOMING, MOVES, "Homing: RigBusy(Homing)"),
-        (RUNNING, MOVES, "Running: RigBusy(Running)"),
-        (HELD, MOVES, "Held: RigBusy(Held)"),
-        (&[Moving], MOVES, "Moving: RigBusy(Moving)"),
-        (&[Jogging], &[JogSame], "Moving"),
-        (
-            &[Jogging],
-            &[Home, Run, RunOffFlag, JogOther, MoveTo, MoveOffFlag],
-            "Moving: RigBusy(Moving)",
-        ),
-        (STOPPING, MOVES, "Stopping: RigBusy(Stopping)"),
-        (AFTER_LIMIT, MOVES, "Faulted: RigFaulted(FarLimit)"),
-        (&[Panicked], MOVES, "Faulted: AcknowledgeFirst"),
-        // Hold and resume.
-        (RUNNING, &[Hold], "Stopping StopPath"),
-        (&[Unhomed], &[Hold], "Unhomed: NothingToHold"),
-        (HOMING, &[Hold], "Homing: NothingToHold"),
-        (READY, &[Hold], "Ready: NothingToHold"),
-        (HELD, &[Hold], "Held: NothingToHold"),
-        (MOVING, &[Hold], "Moving: NothingToHold"),
-        (STOPPING, &[Hold], "Stopping: NothingToHold"),
-        (AFTER_LIMIT, &[Hold], "Faulted: RigFaulted(FarLimit)"),
-        (&[Panicked], &[Hold], "Faulted: RigFaulted(Panic)"),
-        (HELD, &[Resume], "Running Start Resumed 0..104000"),
-        (
-            &[HeldFirst],
-            &[ResumeElsewhere],
-            "ReadBack { commanded: 0, counted: 1 }: RigFaulted(ReadBack { commanded: 0, counted: 1 })",
-        ),
-        (
-            &[HeldOut, HeldBack],
-            &[ResumeElsewhere],
-            "ReadBack { commanded: 4000, counted: 4001 }: RigFaulted(ReadBack { commanded: 4000, counted: 4001 })",
-        ),
-        (
-            &[HeldMet],
-            &[ResumeElsewhere],
-            "ReadBack { commanded: 500, counted: 501 }: RigFaulted(ReadBack { commanded: 500, counted: 501 })",
-        ),
-        (&[Unhomed], RESUMES, "Unhomed: NothingToResume"),
-        (HOMING, RESUMES, "Homing: NothingToResume"),
-        (READY, RESUMES, "Ready: NothingToResume"),
-        (RUNNING, RESUMES, "Running: NothingToResume"),
-        (MOVING, RESUMES, "Moving: NothingToResume"),
-        (STOPPING, RESUMES, "Stopping: NothingToResume"),
-        (AFTER_LIMIT, RESUMES, "Faulted: RigFaulted(FarLimit)"),
-        (&[Panicked], RESUMES, "Faulted: RigFaulted(Panic)"),
-        // The button.
-        (&[Unhomed], BUTTONS, "Homing Start -112000..0"),
-        (&[ReadyOut], BUTTONS, "Homing Start -8000..4000"),
-        (&[Ready], &[Button], "Running Start RunStarted 0..104000"),
-        (&[Ready], &[ButtonNoPlan], "Ready: TooSlow"),
-        (HOMING, BUTTONS, "Stopping StopPath"),
-        (RUNNING, BUTTONS, "Stopping StopPath"),
-        (MOVING, BUTTONS, "Stopping StopPath"),
-        (HELD, BUTTONS, "Running Start Resumed 0..104000"),
-        (STOPPING, BUTTONS, "Stopping: RigBusy(Stopping)"),
-        (AFTER_LIMIT, BUTTONS, "Faulted: RigFaulted(FarLimit)"),
-        (&[Panicked], BUTTONS, "Faulted: AcknowledgeFirst"),
-        // Acknowledge.
-        (&[Unhomed], &[Acknowledge], "Unhomed: NothingToAcknowledge"),
-        (HOMING, &[Acknowledge], "Homing: NothingToAcknowledge"),
-        (READY, &[Acknowledge], "Ready: NothingToAcknowledge"),
-        (RUNNING, &[Acknowledge], "Running: NothingToAcknowledge"),
-        (HELD, &[Acknowledge], "Held: NothingToAcknowledge"),
-        (MOVING, &[Acknowledge], "Moving: NothingToAcknowledge"),
-        (STOPPING, &[Acknowledge], "Stopping: NothingToAcknowledge"),
-        (&[Faulted, FaultedHeld, Panicked], &[Acknowledge], "Unhomed"),
-        (
-            &[FaultedMoving],
-            &[Acknowledge],
-            "Faulted: CauseStillPresent",
-        ),
-        // Homing: the edge that a phase looks for ends its move; the move's end begins the next phase.
-        (HOMING, STROKES, "Homing"),
-        (HOMING, &[Stop], "Stopping StopPath"),
-        (BY_HOST, &[LinkSilent], "Stopping StopPath"),
-        (&[HomingByButton], &[LinkSilent], "Homing"),
-        (HOMING, TICKS_IN_TIME, "Homing"),
-        (&[Clear], &[TickLate], "HomingTimeout(Clear) Cut Faulted"),
-        (
-            &[Seek, SeekFound, HomingByButton],
-            &[TickLate],
-            "HomingTimeout(Seek) Cut Faulted",
-        ),
-        (
-            &[PullOff],
-            &[TickLate],
-            "HomingTimeout(PullOff) Cut Faulted",
-        ),
-        (
-            &[Locate, LocateFound],
-            &[TickLate],
-            "HomingTimeout(Locate) Cut Faulted",
-        ),
-        (&[ToZero], &[TickLate], "HomingTimeout(ToZero) Cut Faulted"),
-        (&[Clear], CLOSINGS, "Homing StopPath"),
-        (&[Clear], OPENINGS, "Homing"),
-        (&[Clear, PullOff], FINE_ENDS, "FlagStuck Cut Faulted"),
-        (&[Seek, HomingByButton, Locate], OPENINGS, "Homing StopPath"),
-        (&[Seek, HomingByButton, Locate], CLOSINGS, "Homing"),
-        (
-            &[Seek, HomingByButton],
-            FINE_ENDS,
-            "FlagNotFound(Seek) Cut Faulted",
-        ),
-        (&[Locate], FINE_ENDS, "FlagNotFound(Locate) Cut Faulted"),
-        (&[SeekFound, PullOff, LocateFound, ToZero], EDGES, "Homing"),
-        (&[SeekFound], &[Complete, Stopped], "Homing Start 0..2410"),
-        (&[SeekFound], &[StoppedFar], "Homing Start 2410..4000"),
-        (&[SeekFound], &[StoppedNear], "Homing Start 500..2410"),
-        (&[SeekFound], &[StoppedAtLimit], "Homing Start 792..2410"),
-        (&[SeekFound], &[StoppedBehind], "Homing Start 791..2410"),
-        (
-            &[LocateFound],
-            &[Complete, Stopped],
-            "Homing SetPosition Start 0..790",
-        ),
-        (
-            &[LocateFound],
-            &[StoppedFar],
-            "Homing SetPosition Start 0..4790",
-        ),
-        (
-            &[LocateFound],
-            &[StoppedNear],
-            "Homing SetPosition Start 0..1290",
-        ),
-        (
-            &[LocateFound],
-            &[StoppedAtLimit],
-            "Homing SetPosition Start 0..1582",
-        ),
-        (
-            &[LocateFound],
-            &[StoppedBehind],
-            "Homing SetPosition Start 0..1581",
-        ),
-        (&[ToZero], FINE_ENDS, "Ready Homed"),
-        // Runs: the flag counts on the way home, once.
-        (RUNNING, TICKS, "Running"),
-        (&[Away, BackMet, Finish], EDGES, "Running"),
-        (&[Back], &[FlagOpens, FlagCloses, FlagClosesLate], "Running"),
-        (&[Back], &[FlagOpensLate], "Stopping StopPath"),
-        (
-            &[Away, BackMet, Finish],
-            &[StrokeDone],
-            "Running StrokeDone",
-        ),
-        (
-            &[Away, BackMet, Finish],
-            &[Complete],
-            "Ready StrokeDone RunEnded",
-        ),
-        (
-            &[Back],
-            &[StrokeDone, Complete],
-            "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
-        ),
-        (RUNNING, STOPPED, "Ready RunEnded Stopped"),
-        (RUNNING, &[Stop], "Stopping StopPath"),
-        (&[Away, Back, BackMet], &[LinkSilent], "Stopping StopPath"),
-        (&[Finish], &[LinkSilent], "Running"),
-        // A held run can be abandoned.
-        (HELD, &[Stop], "Ready RunEnded Stopped"),
-        // Moves: flag and strokes do not matter; only a jog has a time limit.
-        (MOVING, EDGES, "Moving"),
-        (MOVING, STROKES, "Moving"),
-        (MOVING, FINE_ENDS, "Ready Moved"),
-        (MOVING, &[LinkSilent, Stop], "Stopping StopPath"),
-        (MOVING, &[TickInTime], "Moving"),
-        (&[Moving], TICKS_LATE, "Moving"),
-        (&[Jogging], TICKS_LATE, "Stopping StopPath"),
-        // Stopping.
-        (
-            &[
-                StopHoming,
-                StopRun,
-                StopMet,
-                StopLost,
-                StopMove,
-                StopHoldOut,
-                StopHoldMet,
-            ],
-            EDGES,
-            "Stopping",
-        ),
-        (STOPPING, TICKS, "Stopping"),
-        (STOPPING, &[LinkSilent, Stop], "Stopping"),
-        (&[StopHoming, StopMove], STROKES, "Stopping"),
-        (
-            &[StopRun, StopMet, StopLost, StopHoldOut, StopHoldMet],
-            &[StrokeDone],
-            "Stopping StrokeDone",
-        ),
-        (&[StopHoming], FINE_ENDS, "Unhomed Stopped"),
-        (&[StopMove], FINE_ENDS, "Ready Stopped"),
-        (&[StopRun], STOPPED, "Ready RunEnded Stopped"),
-        (
-            &[StopMet],
-            &[StoppedFar, StoppedNear, StoppedAtLimit, StoppedBehind],
-            "Ready RunEnded Stopped",
-        ),
-        // It came to rest with the last step of a stroke.
-        (&[StopMet], &[Stopped], "Ready StrokeDone RunEnded Stopped"),
-        // The stop came after the last step: the run is complete.
-        (
-            &[StopRun, StopMet],
-            &[Complete],
-            "Ready StrokeDone RunEnded Stopped",
-        ),
-        (
-            &[StopLost],
-            FINE_ENDS,
-            "LostSteps { residual_steps: -100 } Cut RunEnded Faulted",
-        ),
-        // The ledger goes on while it brakes; behind the flag, the carriage must have met it.
-        (
-            &[StopBack],
-            &[StoppedFar, StoppedAtLimit],
-            "Ready RunEnded Stopped",
-        ),
-        (&[StopHoldOut], STOPPED, "Held Held"),
-        (&[StopHoldOut], &[Complete], "Ready StrokeDone RunEnded"),
-        (
-            &[StopBack, StopHoldBack],
-            &[FlagOpens, FlagCloses, FlagClosesLate],
-            "Stopping",
-        ),
-        (
-            &[StopBack, StopHoldBack],
-            &[FlagOpensLate],
-            "Stopping StopPath",
-        ),
-        (&[StopHoldBack], &[StoppedFar, StoppedAtLimit], "Held Held"),
-        (
-            &[StopBack, StopHoldBack],
-            &[StoppedBehind],
-            "LostSteps { residual_steps: -9 } Cut RunEnded Faulted",
-        ),
-        (
-            &[StopBack, StopHoldBack],
-            &[StoppedNear],
-            "LostSteps { residual_steps: -300 } Cut RunEnded Faulted",
-        ),
-        (
-            &[StopBack, StopHoldBack],
-            &[StrokeDone, Complete, Stopped],
-            "LostSteps { residual_steps: -800 } Cut RunEnded Faulted",
-        ),
-        (
-            &[StopHoldMet],
-            &[StoppedFar, StoppedNear, StoppedAtLimit, StoppedBehind],
-            "Held Held",
-        ),
-        // It came to rest at the end of the last stroke: the run is complete.
-        (
-            &[StopHoldMet],
-            &[Complete, Stopped],
-            "Ready StrokeDone RunEnded",
-        ),
-    ];
-
     /// Only a command starts something, only where the rig is at rest and not faulted, and without a reference only
     /// homing. Only homing continues by itself.
     fn may_start(start: Start, input: Input) -> bool {
@@ -1833,32 +1236,61 @@ mod table {
         }
     }
 
+    /// No arm for "everything else": a new command or event has to be added here, and then to the inputs.
+    const fn is_among_the_inputs(event: &Event) -> bool {
+        match event {
+            Event::Command(
+                Command::Home
+                | Command::Run { .. }
+                | Command::Hold
+                | Command::Resume
+                | Command::Jog { .. }
+                | Command::MoveTo { .. }
+                | Command::Button(_)
+                | Command::Stop
+                | Command::EStop
+                | Command::Acknowledge,
+            )
+            | Event::FlagEdge { .. }
+            | Event::FarLimit
+            | Event::SwitchNoise(_)
+            | Event::LoopOpened
+            | Event::StrokeDone { .. }
+            | Event::PathEnded(
+                PathEnd::Complete
+                | PathEnd::Stopped
+                | PathEnd::Cut
+                | PathEnd::Underrun
+                | PathEnd::Guard,
+                _,
+            )
+            | Event::LinkSilent
+            | Event::Tick => true,
+        }
+    }
+
+    /// Each state with its outcomes: the next state, or the new fault, with the actions or the refusal.
     #[test]
-    fn every_pair_of_state_and_input_is_in_the_table() {
-        let mut wrong = String::new();
+    fn every_pair_of_state_and_input_has_its_outcome() {
+        let mut table = String::new();
         for &start in STARTS {
-            assert!(
-                starts_of(reach(start).state()).contains(&start),
-                "{start:?}"
-            );
+            table += &format!("{start:?} ({:?})\n", reach(start).state());
+            let mut outcomes: Vec<(String, Vec<Input>)> = Vec::new();
             for &input in INPUTS {
-                assert!(inputs_of_event(&sample(input).1).contains(&input));
-                let rows: Vec<_> = TABLE
-                    .iter()
-                    .filter(|(starts, inputs, _)| {
-                        starts.contains(&start) && inputs.contains(&input)
-                    })
-                    .map(|(_, _, expected)| *expected)
-                    .collect();
+                assert!(is_among_the_inputs(&sample(input).1));
                 let outcome = outcome(start, input);
                 if outcome.contains(" Start ") {
                     assert!(may_start(start, input), "{start:?} {input:?}");
                 }
-                if rows != [outcome.as_str()] {
-                    wrong += &format!("{start:?} {input:?}: {outcome}, in the table {rows:?}\n");
+                match outcomes.iter_mut().find(|(seen, _)| *seen == outcome) {
+                    Some((_, inputs)) => inputs.push(input),
+                    None => outcomes.push((outcome, vec![input])),
                 }
             }
+            for (outcome, inputs) in outcomes {
+                table += &format!("    {outcome} <- {inputs:?}\n");
+            }
         }
-        assert!(wrong.is_empty(), "\n{wrong}");
+        insta::assert_snapshot!("states_and_inputs", table);
     }
 }

@@ -2,11 +2,7 @@
 
 use device::settings::Values;
 use firmware_rig::{machine::Command, settings::Settings};
-use motion::{
-    axis::Axis,
-    run::Limits,
-    units::{StepPosition, Steps},
-};
+use motion::units::StepPosition;
 use proptest::prelude::*;
 use protocol::system::DeviceKind;
 use protocol::{
@@ -44,47 +40,11 @@ fn rule(values: &Values, key: SettingKey, value: u32) -> SettingRule {
     }
 }
 
+/// 800 steps per mm.
 #[test]
 fn the_defaults_are_the_papers_rig() {
     assert_eq!(Settings::new(&DEFAULT), Ok(Settings::REFERENCE));
-    let Settings {
-        axis,
-        limits,
-        pulse_ticks,
-        seek_um_s,
-        locate_um_s,
-        homing_accel,
-        stop_accel,
-        overtravel_um,
-        overtravel,
-        pull_off,
-        flag_um,
-        flag,
-        homing_timeout_us,
-        ledger_limit_steps,
-        link_timeout_us,
-        dead_man_us,
-    } = Settings::REFERENCE;
-    assert_eq!(axis, Axis::REFERENCE);
-    assert_eq!(
-        limits,
-        Limits {
-            max_speed_um_s: 49_000,
-            max_accel_um_s2: 2_000_000,
-            min_interval_ticks: 400,
-            min_turnaround_ticks: 100_000,
-        }
-    );
-    assert_eq!((seek_um_s, locate_um_s), (20_000, 2_000));
-    assert_eq!(homing_accel, axis.acceleration(200_000).unwrap());
-    assert_eq!(stop_accel, axis.acceleration(1_000_000).unwrap());
-    // 800 steps per mm.
-    assert_eq!((overtravel_um, overtravel), (10_000, Steps(8_000)));
-    assert_eq!((flag_um, flag), (1_000, StepPosition(800)));
-    assert_eq!(pull_off, Steps(2_400));
-    assert_eq!((pulse_ticks, ledger_limit_steps), (200, 8));
-    assert_eq!(homing_timeout_us, 60_000_000);
-    assert_eq!((link_timeout_us, dead_man_us), (1_000_000, 300_000));
+    insta::assert_debug_snapshot!("default_settings", Settings::REFERENCE);
 }
 
 /// Both ends of every range, with all other settings at their defaults: in force, or refused by a named rule. One

@@ -4,10 +4,10 @@
 use crate::parties::{Device, Noise};
 use protocol::{
     client::{ATTEMPTS, Client, FLASH_ATTEMPTS, Output, Poll, RETRY_AFTER_US},
-    error::{Refusal, WireError},
-    frame::{Deframer, Encoded, Header, Kind, encode},
-    system::{Hello, SetTelemetry, Urgent, Version},
-    table::{Reply, Request, Response, SCHEMA_KEY},
+    error::WireError,
+    frame::Encoded,
+    system::{SetTelemetry, Urgent},
+    table::{Request, Response},
 };
 
 /// A line in virtual time that flips bits.
@@ -175,134 +175,6 @@ fn no_command_of_a_long_series_is_executed_twice() {
 }
 
 #[test]
-fn every_row_is_served_once_per_sequence_number() {
-    for request in exemplars::requests() {
-        if matches!(request, Request::Hello(_)) {
-            continue;
-        }
-        let mut line = Line::new(5, 0, 0);
-        line.connect();
-        let session = line.device.session.number();
-        let before = line.device.executions;
-        let frame = encode(
-            Header {
-                kind: Kind::Request,
-                session,
-                seq: 100,
-            },
-            &request,
-        )
-        .unwrap();
-        let answers: Vec<_> = (0..3)
-            .map(|_| {
-                frame
-                    .iter()
-                    .filter_map(|byte| line.device.receive(*byte))
-                    .next()
-                    .expect("an answer")
-            })
-            .collect();
-        assert_eq!(answers[0], answers[1], "{}", request.name());
-        assert_eq!(answers[1], answers[2], "{}", request.name());
-        assert_eq!(line.device.executions, before + 1, "{}", request.name());
-    }
-}
-
-fn answer(device: &mut Device, session: u8, seq: u16, request: &Request) -> Reply {
-    let frame = encode(
-        Header {
-            kind: Kind::Request,
-            session,
-            seq,
-        },
-        request,
-    )
-    .unwrap();
-    let reply = frame
-        .iter()
-        .filter_map(|byte| device.receive(*byte))
-        .next()
-        .expect("an answer");
-    let mut deframer = Deframer::new();
-    let mut found = None;
-    for byte in &reply {
-        if let Some(frame) = deframer.push(*byte) {
-            found = frame.decode();
-        }
-    }
-    found.expect("a reply")
-}
-
-#[test]
-fn reused_and_stale_numbers_are_told_apart() {
-    let mut line = Line::new(5, 0, 0);
-    line.connect();
-    let session = line.device.session.number();
-    let set = |period_ms| Request::SetTelemetry(SetTelemetry { period_ms });
-    assert!(matches!(
-        answer(&mut line.device, session, 10, &set(1)),
-        Reply::Accepted(_)
-    ));
-    assert_eq!(
-        answer(&mut line.device, session, 10, &set(2)),
-        Reply::Wire(WireError::SequenceReused)
-    );
-    for seq in 11..20 {
-        assert!(matches!(
-            answer(&mut line.device, session, seq, &set(seq)),
-            Reply::Accepted(_)
-        ));
-    }
-    assert_eq!(
-        answer(&mut line.device, session, 10, &set(1)),
-        Reply::Wire(WireError::Stale)
-    );
-    assert_eq!(
-        answer(&mut line.device, session.wrapping_add(1), 30, &set(9)),
-        Reply::Wire(WireError::NoSession)
-    );
-    // The sequence number wraps around.
-    for seq in (20..=u16::MAX).step_by(8_000).chain([u16::MAX, 0, 1]) {
-        assert!(
-            matches!(
-                answer(&mut line.device, session, seq, &set(seq)),
-                Reply::Accepted(_)
-            ),
-            "{seq}"
-        );
-    }
-}
-
-#[test]
-fn a_mismatch_refuses_all_rows_that_need_a_match() {
-    for (protocol, schema_key) in [
-        (protocol::VERSION, SCHEMA_KEY ^ 1),
-        (
-            Version {
-                major: protocol::VERSION.major + 1,
-                minor: 0,
-            },
-            SCHEMA_KEY,
-        ),
-    ] {
-        let mut device = Device::new();
-        let hello = Request::Hello(Hello {
-            protocol,
-            schema_key,
-            nonce: 1,
-        });
-        let Reply::Accepted(Response::Hello(identity)) = answer(&mut device, 0, 0, &hello) else {
-            panic!("Hello is always answered")
-        };
-        for (seq, request) in (1..).zip(exemplars::requests().into_iter().skip(1)) {
-            let reply = answer(&mut device, identity.session, seq, &request);
-            let refused = reply == Reply::Refused(Refusal::Incompatible);
-            assert_eq!(refused, request.needs_match(), "{}", request.name());
-        }
-    }
-}
-
-#[test]
 fn a_stop_goes_first_and_needs_no_session() {
     let mut line = Line::new(5, 0, 0);
     line.connect();
@@ -328,14 +200,6 @@ fn until_given_up(client: &mut Client) -> (u8, u64) {
             Poll::TimedOut => return (sent, now_us),
         }
     }
-}
-
-#[test]
-fn silence_is_reported_as_unknown_after_all_attempts() {
-    let mut client = Client::new();
-    client.hello(1).unwrap();
-    let all = (ATTEMPTS, u64::from(ATTEMPTS) * RETRY_AFTER_US);
-    assert_eq!(until_given_up(&mut client), all);
 }
 
 /// The device receives nothing while it erases, half a second or more.

@@ -2,11 +2,11 @@
 
 use protocol::{
     VERSION,
-    error::WireError,
+    error::{Refusal, WireError},
     frame::{Deframer, Encoded, Header, Kind, encode},
     session::{CACHED_REPLIES, Decision, Session, Ticket},
     settings::Name,
-    system::{Event, Hello, KeepAlive, SetTelemetry, Urgent, What},
+    system::{Event, Hello, KeepAlive, SetTelemetry, Urgent, Version, What},
     table::{Request, SCHEMA_KEY},
 };
 use serde::Serialize;
@@ -221,6 +221,46 @@ fn a_number_is_good_for_one_body() {
     }
     let again = request(&mut device, session, 100, &first);
     assert_eq!(again, Decision::Resend(reply(1)));
+}
+
+/// Only the number matters, and it goes round.
+#[test]
+fn sequence_numbers_go_round() {
+    let mut device = Session::new(1);
+    let session = greet(&mut device, 1);
+    for seq in (20..=u16::MAX).step_by(8_000).chain([u16::MAX, 0, 1]) {
+        execute(&mut device, session, seq, &set(seq));
+    }
+}
+
+#[test]
+fn a_mismatch_refuses_all_rows_that_need_a_match() {
+    let other = Version {
+        major: VERSION.major + 1,
+        minor: 0,
+    };
+    for (protocol, schema_key) in [(VERSION, SCHEMA_KEY ^ 1), (other, SCHEMA_KEY)] {
+        let mut device = Session::new(1);
+        let hello = Request::Hello(Hello {
+            protocol,
+            schema_key,
+            nonce: 1,
+        });
+        let Decision::Greet { session, .. } = request(&mut device, 0, 9, &hello) else {
+            panic!("Hello is always answered")
+        };
+        for (seq, asked) in (1..).zip(exemplars::requests().into_iter().skip(1)) {
+            let decision = request(&mut device, session, seq, &asked);
+            let refused = matches!(
+                decision,
+                Decision::Refuse {
+                    refusal: Refusal::Incompatible,
+                    ..
+                }
+            );
+            assert_eq!(refused, asked.needs_match(), "{}", asked.name());
+        }
+    }
 }
 
 #[test]

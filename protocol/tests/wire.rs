@@ -1,12 +1,12 @@
-//! The bytes on the wire. A change here is a change of the protocol: raise the version, then regenerate with
-//! `BLESS=1 cargo test -p protocol --test all wire`.
+//! The bytes on the wire. A change here is a change of the protocol: raise the version, then write the snapshot anew
+//! with `INSTA_UPDATE=always cargo test -p protocol --test all wire`.
 
 use protocol::{
     frame::{Deframer, Kind, MAX_BODY, encode},
     system::{Event, Urgent},
     table::{Reply, Request, SCHEMA_KEY, Telemetry},
 };
-use std::{fmt::Write, fs, path::Path};
+use std::fmt::Write;
 
 #[test]
 fn golden_bytes_of_every_message() {
@@ -18,22 +18,7 @@ fn golden_bytes_of_every_message() {
         }
         text.push('\n');
     }
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden.txt");
-    if std::env::var_os("BLESS").is_some() {
-        fs::write(&path, &text).expect("golden.txt can be written");
-    }
-    let golden = fs::read_to_string(&path).expect("golden.txt is part of the sources");
-    for (was, is) in golden.lines().zip(text.lines()) {
-        assert_eq!(
-            was, is,
-            "the wire format changed: raise the version, then regenerate with BLESS=1"
-        );
-    }
-    assert_eq!(
-        golden.lines().count(),
-        text.lines().count(),
-        "messages without golden bytes: regenerate with BLESS=1"
-    );
+    insta::assert_snapshot!("golden", text);
 }
 
 /// The exemplars cover the table: every row has golden bytes for its request and its response.

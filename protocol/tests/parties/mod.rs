@@ -1,4 +1,4 @@
-//! Helpers for the tests of the link: noise, raw bytes, and a device that counts its executions.
+//! Helpers for the tests of the link: noise, raw bytes, and a device that keeps what it executed.
 
 use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
@@ -35,12 +35,10 @@ impl serde::Serialize for Raw {
     }
 }
 
-/// A device that counts its executions.
+/// A device that keeps what it executed.
 pub struct Device {
     pub deframer: Deframer,
     pub session: Session,
-    /// Requests handed over for execution.
-    pub executions: u32,
     /// The interval of each [`Request::SetTelemetry`] that was executed.
     pub executed: Vec<u16>,
     pub stops: u32,
@@ -52,7 +50,6 @@ impl Device {
         Self {
             deframer: Deframer::new(),
             session: Session::new(1),
-            executions: 0,
             executed: vec![],
             stops: 0,
             boots: 1,
@@ -102,7 +99,6 @@ impl Device {
                 &Reply::Accepted(Response::Hello(self.identity(session))),
             ),
             Decision::Execute { request, ticket } => {
-                self.executions += 1;
                 let response = match request {
                     Request::SetTelemetry(set) => {
                         self.executed.push(set.period_ms);
