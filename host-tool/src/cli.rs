@@ -21,7 +21,6 @@ mod fresh;
 mod health;
 mod hold;
 mod home;
-mod identify;
 mod info;
 mod jog;
 mod keyboard;

@@ -5,7 +5,6 @@
 //! * [`dice`]: random choices from a seed.
 //! * [`carriage`]: the rig's screw, step ring and switches. [`plant`]: the capsule's bridge, motor and thread.
 //! * [`machine`]: a whole machine behind a bad line, with feature `links`; [`link`]: the host's end of it.
-//! * [`population`]: seeded capsules, folded, unfolded and identified.
 #![forbid(unsafe_code)]
 #![allow(missing_docs)]
 
@@ -17,5 +16,3 @@ pub mod link;
 #[cfg(feature = "links")]
 pub mod machine;
 pub mod plant;
-#[cfg(feature = "links")]
-pub mod population;

@@ -13,7 +13,6 @@
 //! * [`fetched`]: a machine's own record of its last action.
 //! * [`endurance`]: repeated folds and unfoldings, and the drift over them.
 //! * [`force`]: force against thread from a recording.
-//! * [`identify`]: a capsule's parameters, from its recordings.
 
 pub mod check;
 pub mod coordination;
@@ -22,7 +21,6 @@ pub mod endurance;
 pub mod experiment;
 pub mod fetched;
 pub mod force;
-pub mod identify;
 mod left;
 pub mod listing;
 mod older;

@@ -8,7 +8,6 @@ use serde_json::Value;
 
 use crate::cli::actuation::actuate;
 use crate::cli::cycle::{CycleArgs, cycle};
-use crate::cli::identify::identify;
 use crate::cli::screen::Screen;
 use crate::cli::trace::{TraceArgs, trace};
 
@@ -26,8 +25,6 @@ pub enum CapsuleSubcommand {
     /// Endurance: fold and unfold N times, each pair a row of a CSV file, with a summary of what drifts. The first fault
     /// ends it; Ctrl-C ends it with a controlled stop.
     Cycle(CycleArgs),
-    /// Fold and unfold once, and find resistance, motor constant, friction, stiffness and slack from the two recordings.
-    Identify(RecordArgs),
 }
 
 pub(crate) fn capsule(
@@ -38,7 +35,6 @@ pub(crate) fn capsule(
     let (command, kind, args) = match subcommand {
         CapsuleSubcommand::Trace(args) => return trace(args, places, screen),
         CapsuleSubcommand::Cycle(args) => return cycle(args, places, screen),
-        CapsuleSubcommand::Identify(args) => return identify(args, places, screen),
         CapsuleSubcommand::Reference(args) => ("capsule reference", ActuationKind::Reference, args),
         CapsuleSubcommand::Calibrate(args) => ("capsule calibrate", ActuationKind::Calibrate, args),
         CapsuleSubcommand::Check(args) => ("capsule check", ActuationKind::CheckFolded, args),

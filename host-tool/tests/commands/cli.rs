@@ -598,67 +598,6 @@ fn what_the_environment_gives_is_not_shown_as_required() {
     assert!(err.contains("no host or no port"), "{err}");
 }
 
-fn identify(script: Script, more: &[&str]) -> (u8, String, String, Vec<String>) {
-    let folder = tempfile::tempdir().expect("folder");
-    let out_dir = folder.path().to_str().expect("UTF-8");
-    let args = [&["capsule", "identify", "--out", out_dir], more].concat();
-    let (code, out, err) = Memory::with(vec![script]).run(&args);
-    let files = std::fs::read_dir(folder.path()).expect("a folder");
-    let names = files.map(|file| {
-        file.expect("a file")
-            .file_name()
-            .into_string()
-            .expect("UTF-8")
-    });
-    let mut names: Vec<_> = names.collect();
-    names.sort();
-    (code, out, err, names)
-}
-
-#[test]
-fn an_identification_folds_unfolds_and_says_what_it_found() {
-    let (code, out, err, files) = identify(ready(DeviceKind::Capsule), &[]);
-    assert_eq!(code, 0, "{out}{err}");
-    for line in [
-        "winding, bridge and cell: ",
-        "motor constant: ",
-        "no-load current: ",
-        "friction in the worm: ",
-        "stiffness over the beam estimate: ",
-        "slack of the thread: ",
-    ] {
-        assert!(out.contains(line), "{line}\n{out}");
-    }
-    // Two trials with two files each, and two recordings.
-    let starting = |stem: &str| files.iter().filter(|name| name.starts_with(stem)).count();
-    let counts = ["identify-fold", "identify-unfold", "trace-"].map(starting);
-    assert_eq!(counts, [2, 2, 2], "{files:?}");
-
-    let (code, out, err, _) = identify(ready(DeviceKind::Capsule), &["--json"]);
-    assert_eq!(code, 0, "{err}");
-    let result: Value = serde_json::from_str(&out).expect("JSON");
-    let of = |name: &str, what: &str| result["identified"][name][what].as_f64().expect("a number");
-    let constant = (of("motor_constant_mvs", "value") - 2.11).abs();
-    assert!(
-        constant <= of("motor_constant_mvs", "uncertainty"),
-        "{result}"
-    );
-}
-
-#[test]
-fn an_identification_begins_unfolded_and_ends_with_the_first_fault() {
-    let (code, out, err, files) = identify(Script::new(DeviceKind::Capsule), &[]);
-    assert_eq!((code, files.len()), (3, 0), "{out}{err}");
-    assert!(err.contains("retrograde capsule reference"), "{err}");
-    // The stop comes in the middle of the fold, after the rest.
-    let stopped = Script {
-        world: vec![(31_000_000, World::StopFrame)],
-        ..ready(DeviceKind::Capsule)
-    };
-    let (code, out, err, files) = identify(stopped, &[]);
-    assert_eq!((code, files.len()), (130, 2), "{out}{err}");
-}
-
 /// Commands and options that messages, help and comments of the tool quote. A remedy that does not exist helps nobody.
 #[test]
 fn every_command_that_the_tool_quotes_is_there() {

@@ -6,7 +6,6 @@ mod support;
 mod crescent;
 mod files;
 mod fit;
-mod identify;
 mod optimise;
 mod plan_experiment;
 mod science;
