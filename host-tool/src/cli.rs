@@ -39,7 +39,6 @@ pub mod screen;
 mod serve;
 mod settings;
 mod stops;
-mod study;
 mod trace;
 mod verify;
 pub mod watch;

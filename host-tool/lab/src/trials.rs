@@ -11,13 +11,11 @@
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`progress`]: progress for people, as a bar or as lines.
 //! * [`fetched`]: a machine's own record of its last action.
-//! * [`endurance`]: repeated folds and unfoldings, and the drift over them.
-//! * [`force`]: force against thread from a recording.
+//! * [`force`]: a capsule's own recording as a file, with the force.
 
 pub mod check;
 pub mod coordination;
 pub mod cue;
-pub mod endurance;
 pub mod experiment;
 pub mod fetched;
 pub mod force;
@@ -26,7 +24,6 @@ pub mod listing;
 mod older;
 pub mod plan;
 pub mod progress;
-pub mod recorded;
 pub mod sidecar;
 pub mod status;
 pub mod trial;

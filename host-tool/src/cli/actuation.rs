@@ -5,7 +5,7 @@ use std::path::Path;
 use client::Device;
 use lab::operations::arguments::RecordArgs;
 use lab::operations::ending::completed;
-use lab::operations::failure::Failure;
+use lab::operations::failure::{FIND_THREAD, Failure};
 use lab::operations::places::{Need, Places};
 use lab::operations::reached::reached;
 use lab::trials::experiment::{self, Actuation};
@@ -103,6 +103,30 @@ pub(crate) fn actuate(
         "sidecar": trial.sidecar.display().to_string(),
         "trace": traced,
     }))
+}
+
+/// Refuses unless the capsule is folded or unfolded as `what` begins, and referenced.
+pub(crate) fn require(
+    begins: CapsuleState,
+    what: &str,
+    capsule: &mut Device,
+) -> Result<(), Failure> {
+    let status = capsule.capsule_status()?;
+    if status.state == begins && status.referenced {
+        return Ok(());
+    }
+    Err(Failure::refused(
+        format!(
+            "the capsule has to be {begins:?} and referenced before {what}; it is {:?}, and nothing was begun",
+            status.state
+        ),
+        match (status.state, begins) {
+            (CapsuleState::Faulted, _) => "`retrograde info capsule` names the fault",
+            _ if !status.referenced => FIND_THREAD,
+            (_, CapsuleState::Folded) => "`retrograde fold`, then again",
+            _ => "`retrograde unfold`, then again",
+        },
+    ))
 }
 
 /// Warns of the assumptions of a reference run or a calibration.

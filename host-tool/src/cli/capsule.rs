@@ -22,8 +22,8 @@ pub enum CapsuleSubcommand {
     Check(RecordArgs),
     /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
     Trace(TraceArgs),
-    /// Endurance: fold and unfold N times, each pair a row of a CSV file, with a summary of what drifts. The first fault
-    /// ends it; Ctrl-C ends it with a controlled stop.
+    /// Fold and unfold N times, each motion recorded, each cycle a row of a CSV file. The first fault ends it; Ctrl-C
+    /// ends it with a controlled stop.
     Cycle(CycleArgs),
 }
 

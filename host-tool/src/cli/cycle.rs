@@ -1,30 +1,71 @@
-//! `capsule cycle`: endurance, fold and unfold N times.
+//! `capsule cycle`: folds and unfolds N times, each motion recorded, each cycle a row of a CSV file.
 
-use std::path::PathBuf;
+use std::fs::{self, File};
 
 use clap::Args;
-use client::{Unobserved, decimal};
-use lab::operations::arguments::DATA_FOLDER;
+use client::identity::Origin;
+use client::{Device, decimal};
+use lab::operations::arguments::RecordArgs;
+use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
 use lab::operations::places::{Need, Places};
-use lab::trials::endurance::{Drift, Endurance, Run};
-use lab::trials::trial::Status;
+use lab::trials::experiment::{self, ActuationTrial};
+use lab::trials::trial::{RecordError, create_new};
+use protocol::capsule::{ActuationKind, CapsuleState};
 use protocol::system::DeviceKind;
+use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::cli::actuation::require;
 use crate::cli::fresh;
 use crate::cli::screen::Screen;
-use crate::cli::study::begin_unfolded;
 
 /// Arguments of `capsule cycle`.
 #[derive(Debug, Args)]
 pub struct CycleArgs {
-    /// Pairs of a fold and an unfolding, 1 to 100000.
-    #[arg(value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
-    pub pairs: u32,
-    /// Folder of the two files.
-    #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
-    pub out: PathBuf,
+    /// Cycles of a fold and an unfolding, 1 to 100000.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub count: u32,
+    /// The records.
+    #[command(flatten)]
+    pub record: RecordArgs,
+}
+
+/// A fold and the unfolding after it. Lengths are thread from the zero, as the capsule counts it.
+#[derive(Debug, Serialize)]
+struct Cycle {
+    cycle: u32,
+    fold_ms: u32,
+    folded_um: i32,
+    /// Thread at which the load first rose; 0: never.
+    engaged_um: i32,
+    fold_end_ma: u16,
+    fold_mj: u32,
+    unfold_ms: u32,
+    unfolded_um: i32,
+    unfold_mj: u32,
+    min_battery_mv: u16,
+    origin: Origin,
+}
+
+impl Cycle {
+    fn of(cycle: u32, fold: &ActuationTrial, unfold: &ActuationTrial) -> Self {
+        let origin = fold.trial.device.origin;
+        let (fold, unfold) = (&fold.record, &unfold.record);
+        Self {
+            cycle,
+            fold_ms: fold.duration_ms,
+            folded_um: fold.thread_um,
+            engaged_um: fold.engaged_um,
+            fold_end_ma: fold.end_current_ma,
+            fold_mj: fold.energy_mj,
+            unfold_ms: unfold.duration_ms,
+            unfolded_um: unfold.thread_um,
+            unfold_mj: unfold.energy_mj,
+            min_battery_mv: fold.min_battery_mv.min(unfold.min_battery_mv),
+            origin,
+        }
+    }
 }
 
 pub(crate) fn cycle(
@@ -34,95 +75,56 @@ pub(crate) fn cycle(
 ) -> Result<Value, Failure> {
     let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("capsule cycle"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
-    begin_unfolded("an endurance run", &mut capsule)?;
-    let mut run = Run::create(
-        &args.out,
-        places.connector.now(),
-        args.pairs,
-        capsule.origin(),
-    )?;
-    let (csv, summary) = (run.csv.clone(), run.summary.clone());
+    require(CapsuleState::Unfolded, "a cycle", &mut capsule)?;
+    let folder = &args.record.out;
+    fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
+    let now = places.connector.now();
+    let (path, file) = create_new(folder, &format!("cycle-{}", now.strftime("%Y%m%dT%H%M%SZ")))?;
+    let mut rows = csv::Writer::from_writer(file);
     screen.say(&format!(
-        "{} folds and unfoldings. Ctrl-C ends them with a controlled stop.\n  {}\n  {}",
-        args.pairs,
-        csv.display(),
-        summary.display()
+        "{} folds and unfoldings. Ctrl-C ends them with a controlled stop.\n  {}",
+        args.count,
+        path.display()
     ));
-    let result = run.carry_out(
-        &mut capsule,
-        &mut Unobserved,
-        &mut |pair| {
-            // Print a line for each of the first ten pairs, then for every tenth.
-            if pair.pair <= 10 || pair.pair.is_multiple_of(10) || pair.pair == args.pairs {
-                screen.say(&format!(
-                    "  {} of {}: folded at {} mm in {} s with {} mJ, unfolded at {} mm in {} s with {} mJ",
-                    pair.pair,
-                    args.pairs,
-                    decimal::fixed(pair.folded_um.into(), 3),
-                    decimal::fixed(pair.fold_ms.into(), 3),
-                    pair.fold_mj,
-                    decimal::fixed(pair.unfolded_um.into(), 3),
-                    decimal::fixed(pair.unfold_ms.into(), 3),
-                    pair.unfold_mj,
-                ));
-            }
-        },
-    );
-    let endurance = run.endurance;
-    for line in text(&endurance) {
-        screen.say(&line);
+    for number in 1..=args.count {
+        let mut motion = |kind, capsule: &mut Device| {
+            let stem = experiment::stem(kind);
+            let recording = args.record.recording(folder, stem, places.connector.now());
+            let trial = experiment::actuate(capsule, kind, &recording, &mut screen.live())?;
+            let help = format!(
+                "{} of {} cycles were done, they are in {}; `retrograde info` shows the capsule's state",
+                number - 1,
+                args.count,
+                path.display()
+            );
+            completed(experiment::doing(kind), &trial.trial, help)?;
+            Ok::<_, Failure>(trial)
+        };
+        let fold = motion(ActuationKind::Fold, &mut capsule)?;
+        let unfold = motion(ActuationKind::Unfold, &mut capsule)?;
+        let row = Cycle::of(number, &fold, &unfold);
+        write(&mut rows, &row).map_err(|error| RecordError::write(&path, error))?;
+        screen.say(&text(&row, args.count));
     }
-    result?;
-    let help = format!(
-        "{} of {} pairs were done, they are in {}; `retrograde info` shows the capsule's state",
-        endurance.done,
-        endurance.asked,
-        csv.display()
-    );
-    if endurance.status != Status::Complete {
-        return Err(Failure::Ended {
-            action: "the endurance run",
-            status: endurance.status,
-            reason: endurance.error,
-            help,
-        });
-    }
-    Ok(json!({
-        "endurance": endurance,
-        "csv": csv.display().to_string(),
-        "summary": summary.display().to_string(),
-    }))
+    Ok(json!({ "cycles": args.count, "csv": path.display().to_string() }))
 }
 
-/// The summary in lines.
-fn text(endurance: &Endurance) -> Vec<String> {
-    let mut lines = vec![format!("{} of {} pairs.", endurance.done, endurance.asked)];
-    let drift = &endurance.drift;
-    for (name, unit, drift) in [
-        ("folded end", "um", drift.folded_um),
-        ("unfolded end", "um", drift.unfolded_um),
-        ("no-load current", "mA", drift.no_load_ma),
-        ("energy of a pair", "mJ", drift.pair_mj),
-        ("time of a fold", "ms", drift.fold_ms),
-        ("time of an unfolding", "ms", drift.unfold_ms),
-    ] {
-        if let Some(drift) = drift {
-            lines.push(format!("  {name}: {}", drift_text(&drift, unit)));
-        }
-    }
-    lines
+/// Writes a row to the disk, so that a power cut takes no finished cycle.
+fn write(rows: &mut csv::Writer<File>, row: &Cycle) -> Result<(), csv::Error> {
+    rows.serialize(row)?;
+    rows.flush()?;
+    Ok(rows.get_ref().sync_data()?)
 }
 
-fn drift_text(drift: &Drift, unit: &str) -> String {
-    let Drift {
-        first,
-        last,
-        least,
-        most,
-        per_100_pairs,
-    } = drift;
-    let slope = per_100_pairs.map_or_else(String::new, |slope| {
-        format!(", {slope:+.2} {unit} per 100 pairs")
-    });
-    format!("first {first} {unit}, last {last} {unit}, {least} to {most} {unit}{slope}")
+fn text(row: &Cycle, count: u32) -> String {
+    format!(
+        "  {} of {count}: folded at {} mm in {} s with {} mJ, unfolded at {} mm in {} s with {} mJ",
+        row.cycle,
+        decimal::fixed(row.folded_um.into(), 3),
+        decimal::fixed(row.fold_ms.into(), 3),
+        row.fold_mj,
+        decimal::fixed(row.unfolded_um.into(), 3),
+        decimal::fixed(row.unfold_ms.into(), 3),
+        row.unfold_mj,
+    )
 }

@@ -4,7 +4,7 @@ use client::{Device, decimal};
 use lab::commissioning::warning;
 use lab::operations::arguments::{DATA_FOLDER, RunArgs};
 use lab::operations::ending::completed;
-use lab::operations::failure::{FIND_THREAD, Failure};
+use lab::operations::failure::Failure;
 use lab::operations::places::{Need, Places};
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::{Coordination, Cue};
@@ -17,6 +17,7 @@ use protocol::system::DeviceKind;
 use report::html::section::actuation_rows;
 use serde_json::{Value, json};
 
+use crate::cli::actuation::require;
 use crate::cli::fresh;
 use crate::cli::keyboard::{self, SingleKeys};
 use crate::cli::screen::Screen;
@@ -45,25 +46,12 @@ fn ready(
 ) -> Result<Device, Failure> {
     let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("run"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
-    let status = capsule.capsule_status()?;
-    let (begins, command) = match shaping {
-        Shaping::Fold => (CapsuleState::Unfolded, "unfold"),
-        Shaping::Unfold => (CapsuleState::Folded, "fold"),
+    let begins = match shaping {
+        Shaping::Fold => CapsuleState::Unfolded,
+        Shaping::Unfold => CapsuleState::Folded,
     };
-    if status.state == begins && status.referenced {
-        return Ok(capsule);
-    }
-    Err(Failure::refused(
-        format!(
-            "the capsule has to be {begins:?} and referenced before the run; it is {:?}, and the run was not begun",
-            status.state
-        ),
-        match status.state {
-            CapsuleState::Faulted => "`retrograde info capsule` names the fault".to_owned(),
-            _ if status.referenced => format!("`retrograde {command}`, then again"),
-            _ => FIND_THREAD.to_owned(),
-        },
-    ))
+    require(begins, "the run", &mut capsule)?;
+    Ok(capsule)
 }
 
 pub(crate) fn run(

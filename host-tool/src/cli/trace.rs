@@ -1,6 +1,5 @@
 //! `capsule trace`, and the file of `--trace`: the capsule's own recording.
 
-use lab::trials::recorded::write_recorded;
 use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
 
@@ -10,7 +9,7 @@ use lab::operations::arguments::DATA_FOLDER;
 use lab::operations::failure::Failure;
 use lab::operations::places::{Need, Places};
 use lab::trials::force;
-use lab::trials::trial::RecordError;
+use lab::trials::trial::{RecordError, create_new};
 use protocol::capsule::{ActuationRecord, GetCapsuleTotals};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
@@ -31,17 +30,16 @@ pub(crate) fn trace(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("capsule trace"))?;
-    let recorded = capsule.trace()?;
+    let (recorded, no_load_ma) = fetch(&mut capsule)?;
     if recorded.points.is_empty() {
         screen.say("The capsule has not moved since its start: there is no recording.");
         return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
     }
-    let csv = write_recorded(
-        &args.out,
-        places.connector.now(),
-        &recorded,
-        capsule.origin(),
-    )?;
+    fs::create_dir_all(&args.out).map_err(|io| RecordError::write(&args.out, io))?;
+    let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
+    let (csv, file) = create_new(&args.out, &format!("trace-{}-{stamp}", recorded.actuation))?;
+    force::write(file, &recorded.points, no_load_ma, capsule.origin())
+        .map_err(|error| RecordError::write(&csv, error))?;
     screen.say(&format!(
         "Actuation {}, its last {} ms.\n  {}",
         recorded.actuation,
@@ -92,42 +90,34 @@ impl TraceFile {
         capsule: &mut Device,
         record: &ActuationRecord,
     ) -> Result<(PathBuf, usize), Failure> {
-        let fetched = fetch(capsule, record);
-        let (recorded, no_load_ma) = match fetched {
-            Ok(fetched) => fetched,
-            Err(failure) => {
-                self.discard();
-                return Err(failure);
-            }
-        };
-        let written = force::write(&self.file, &recorded.points, no_load_ma, capsule.origin());
-        if let Err(error) = written {
-            let failure = RecordError::write(&self.path, error);
+        let path = self.path.clone();
+        let filled = self.written(capsule, record);
+        if filled.is_err() {
             self.discard();
-            return Err(failure.into());
         }
-        Ok((self.path, recorded.points.len()))
+        Ok((path, filled?))
+    }
+
+    fn written(&self, capsule: &mut Device, record: &ActuationRecord) -> Result<usize, Failure> {
+        let (recorded, no_load_ma) = fetch(capsule)?;
+        if recorded.actuation != record.actuation {
+            return Err(Failure::refused(
+                format!(
+                    "the recording is that of actuation {}, not of {}: the capsule has moved since",
+                    recorded.actuation, record.actuation
+                ),
+                "the record of the motion itself is kept; only its recording is lost",
+            ));
+        }
+        force::write(&self.file, &recorded.points, no_load_ma, capsule.origin())
+            .map_err(|error| RecordError::write(&self.path, error))?;
+        Ok(recorded.points.len())
     }
 }
 
 /// Fetches the recording and the calibration's no-load current.
-pub(crate) fn fetch(
-    capsule: &mut Device,
-    record: &ActuationRecord,
-) -> Result<(Recorded, Option<u16>), Failure> {
+fn fetch(capsule: &mut Device) -> Result<(Recorded, Option<u16>), Failure> {
     let calibration = capsule.call(GetCapsuleTotals)?.calibration;
-    let recorded = capsule.trace()?;
-    if recorded.actuation != record.actuation {
-        return Err(Failure::refused(
-            format!(
-                "the recording is that of actuation {}, not of {}: the capsule has moved since",
-                recorded.actuation, record.actuation
-            ),
-            "the record of the motion itself is kept; only its recording is lost",
-        ));
-    }
-    Ok((
-        recorded,
-        calibration.map(|calibration| calibration.no_load_ma),
-    ))
+    let no_load_ma = calibration.map(|calibration| calibration.no_load_ma);
+    Ok((capsule.trace()?, no_load_ma))
 }

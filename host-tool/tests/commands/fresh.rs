@@ -72,7 +72,7 @@ fn a_virtual_machine_is_homed_or_referenced_in_the_same_command() {
             "Fold",
         ),
         (
-            &["--capsule", "virtual", "capsule", "cycle", "1"],
+            &["--capsule", "virtual", "capsule", "cycle", "--count", "1"],
             "referenced first",
             "Unfold",
         ),

@@ -7,7 +7,7 @@ mod by_hand;
 mod cli;
 mod commission;
 mod coordination;
-mod endurance;
+mod cycle;
 mod fetched;
 mod fresh;
 mod loopback;

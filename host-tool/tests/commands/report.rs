@@ -328,7 +328,6 @@ fn what_is_left_out_is_listed_with_the_reason() {
     fs::rename(&fold, at("my-fold.json")).expect("renamed");
     fs::write(at("broken.json"), "{ \"format\": 1").expect("written");
     fs::write(at("broken.csv"), "").expect("written");
-    fs::write(at("cycle.json"), "{\"asked\": 2, \"drift\": {}}").expect("written");
     fs::write(at("run.json.part"), "").expect("written");
     let script = Script {
         running: Some((RUN, 5_000_000)),
@@ -349,11 +348,10 @@ fn what_is_left_out_is_listed_with_the_reason() {
     let telemetry = telemetry.file_name().expect("a name").to_string_lossy();
     assert!(why(&telemetry).contains("no sidecar"));
     assert!(why("broken.json").contains("EOF"), "{found:?}");
-    assert!(why("cycle.json").contains("endurance"));
     assert!(why("run.json.part").contains("cut off"));
     let fetched = fetched.file_name().expect("a name").to_string_lossy();
     assert!(why(&fetched).contains("fetched"), "{found:?}");
-    assert_eq!(found.left_out.len(), 6, "{found:?}");
+    assert_eq!(found.left_out.len(), 5, "{found:?}");
     let is_record = |name: &str| {
         let mut left = found.left_out.iter();
         left.any(|left| left.path.ends_with(name) && left.is_record)
@@ -363,7 +361,7 @@ fn what_is_left_out_is_listed_with_the_reason() {
             .into_iter()
             .all(is_record)
     );
-    let others = ["cycle.json", "run.json.part", &fetched];
+    let others = ["run.json.part", &fetched];
     assert!(!others.into_iter().any(is_record));
     let html = html::html(&found, &[]).expect("a page").html;
     for left in &found.left_out {

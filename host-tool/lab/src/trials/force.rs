@@ -1,4 +1,5 @@
-//! Force against thread, estimated from the current of a recording.
+//! The capsule's own recording of an actuation as a file, with the force against the thread, estimated from the
+//! current.
 //!
 //! While the thread is wound, a force F at the thread adds `F * 1.5 mm / (120 * 0.8) * friction / 2.11 mNm/A` to the
 //! no-load current. The worm's friction is unknown: a coefficient of 0.10 to 0.20 gives 18.1 to 29.0 mA per newton,

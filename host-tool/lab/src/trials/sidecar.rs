@@ -38,9 +38,7 @@ pub fn heading(trial: &Trial) -> String {
 pub fn other(file: &Path) -> Option<String> {
     let text = plain::read_text(file, limited::RECORD).ok()?;
     let value: Value = serde_json::from_str(&text).ok()?;
-    let what = if value.get("drift").is_some() && value.get("asked").is_some() {
-        "an endurance run"
-    } else if value.get("board_uid").is_some() && value.get("steps").is_some() {
+    let what = if value.get("board_uid").is_some() && value.get("steps").is_some() {
         "a commissioning"
     } else if value.get("kind").is_some_and(|kind| kind == "fetched") {
         "an action that was fetched from its machine"
@@ -73,7 +71,6 @@ mod tests {
         fs::write(file.with_extension("csv"), "").expect("written");
         assert!(unreadable().is_some_and(|why| why.contains("no trial")));
         for (text, kind) in [
-            (r#"{"drift": {}, "asked": 3}"#, "endurance"),
             (r#"{"board_uid": "", "steps": []}"#, "commissioning"),
             (r#"{"kind": "fetched"}"#, "fetched"),
         ] {
@@ -84,12 +81,7 @@ mod tests {
                 "{text}"
             );
         }
-        for text in [
-            r#"{"drift": {}}"#,
-            r#"{"asked": 3}"#,
-            r#"{"steps": []}"#,
-            "x",
-        ] {
+        for text in [r#"{"board_uid": ""}"#, r#"{"steps": []}"#, "x"] {
             fs::write(&file, text).expect("written");
             assert_eq!(other(&file), None, "{text}");
         }

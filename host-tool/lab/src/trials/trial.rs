@@ -746,7 +746,10 @@ impl Observer for Recorder {
 }
 
 /// Creates a CSV file under a name that no CSV or sidecar uses yet.
-pub(crate) fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
+///
+/// # Errors
+/// It cannot be created.
+pub fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
     for number in 1..=9_999 {
         let suffix = if number == 1 {
             String::new()
