@@ -15,7 +15,6 @@ mod devices;
 mod doctor;
 mod failure;
 mod fit;
-mod flash;
 mod fold;
 mod fresh;
 mod health;
@@ -71,7 +70,6 @@ use crate::cli::capsule::CapsuleSubcommand;
 use crate::cli::commission::CommissionArgs;
 use crate::cli::design::DesignArgs;
 use crate::cli::fit::FitArgs;
-use crate::cli::flash::FlashArgs;
 use crate::cli::list::ListArgs;
 use crate::cli::plan::PlanArgs;
 use crate::cli::plan_experiment::PlanExperimentArgs;
@@ -124,7 +122,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ),
     (
         "Set up",
-        &["commission", "settings", "flash", "completions", "man"],
+        &["commission", "settings", "completions", "man"],
     ),
 ];
 
@@ -279,8 +277,6 @@ pub enum Subcommand {
     ///
     /// That of a campaign has its figures and tables.
     Report(ReportArgs),
-    /// Flash a board through probe-rs.
-    Flash(FlashArgs),
     /// Print a completion script for a shell.
     Completions {
         /// The shell.
@@ -617,7 +613,6 @@ fn carry_out(
         Subcommand::PlanExperiment(args) => plan_experiment::plan_experiment(args, screen),
         Subcommand::List(args) => list::list(args, screen),
         Subcommand::Report(args) => report::report(args, screen),
-        Subcommand::Flash(args) => flash::flash(args, places, screen),
         Subcommand::Completions { shell } => man::completions(command(), *shell, screen),
         Subcommand::Man { subcommand } => man::man(command(), subcommand, screen),
     }

@@ -87,7 +87,7 @@ impl Sign {
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::Silence => {
-                "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`retrograde flash rig|capsule`)?"
+                "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`cargo rig`, `cargo capsule`)?"
             }
             Self::Echo => {
                 "receive and transmit are joined: a loop-back plug, a terminal that echoes, or a board whose serial wires are bridged"

@@ -356,9 +356,7 @@ fn mismatch_text(place: &str, found: &Identity) -> String {
     let remedy = if found.protocol.major > VERSION.major {
         "use the host tool that was built with this firmware".to_owned()
     } else {
-        format!(
-            "flash the matching firmware (`cargo {name}` in this tool's workspace, or `retrograde flash {name} --image ELF`)"
-        )
+        format!("flash the matching firmware (`cargo {name}` in this tool's workspace)")
     };
     format!(
         "{remedy}: the {name} at {place} (firmware {}) speaks protocol {}.{} with schema {:016x}, this host tool {}.{} with schema {SCHEMA_KEY:016x}",

@@ -12,7 +12,6 @@
 //!   hands       the person or the bench that presses, pulls and measures
 //!   halt        why a measurement was broken off
 //!   image       the fingerprint of an image file
-//!   flashing    which image may be flashed
 //! ```
 //!
 //! Each module uses only those below it. A step passes only if its effect was observed; otherwise it is recorded as
@@ -20,7 +19,6 @@
 
 pub mod capsule;
 mod device;
-pub mod flashing;
 pub mod halt;
 pub mod hands;
 pub mod image;

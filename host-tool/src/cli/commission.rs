@@ -23,7 +23,6 @@ use serde_json::{Value, json};
 use terminal::Terminal;
 
 use crate::cli::failure::{Own, Unfinished};
-use crate::cli::flash;
 use crate::cli::screen::Screen;
 
 /// Arguments of `commission`.
@@ -202,11 +201,15 @@ fn hands(
     }
 }
 
-/// Image that should be on the board: the named one, or else the one built in this workspace.
+/// Image that should be on the board: the named one, or else the one that `cargo xtask images` has built here.
 fn image(args: &CommissionArgs, kind: DeviceKind) -> Option<PathBuf> {
+    let built = format!(
+        "target/thumbv7em-none-eabihf/firmware/firmware-{}",
+        kind_name(kind)
+    );
     args.image
         .clone()
-        .or_else(|| Some(flash::built(kind)).filter(|image| image.is_file()))
+        .or_else(|| Some(PathBuf::from(built)).filter(|image| image.is_file()))
 }
 
 fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(), Failure> {

@@ -97,15 +97,6 @@ pub(crate) enum Own {
         /// Advice to the user.
         help: String,
     },
-    /// The image could not be flashed.
-    #[error("{why}")]
-    #[diagnostic(code(retrograde::flash), help("{help}"))]
-    Flash {
-        /// The reason.
-        why: String,
-        /// Advice to the user.
-        help: String,
-    },
 }
 
 impl CommandFailure for Own {
@@ -130,8 +121,7 @@ impl CommandFailure for Own {
             | Self::ReportDefects { .. }
             | Self::Report(_)
             | Self::CampaignReport(_)
-            | Self::Figure(_)
-            | Self::Flash { .. } => FAILED,
+            | Self::Figure(_) => FAILED,
         }
     }
 

@@ -8,7 +8,6 @@ mod bad_inputs;
 mod diagnosis;
 mod doctor;
 mod door;
-mod flash;
 mod held_up;
 mod leaving;
 mod named;

@@ -36,7 +36,7 @@ pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {
     work.note("image_file", built.clone());
     if built != on_board {
         return Err(Halt::Defect(format!(
-            "stale image: the board has {on_board}, {file} is {built}. `cargo rig` in the workspace, or `retrograde flash rig --image {file}`",
+            "stale image: the board has {on_board}, {file} is {built}: `cargo rig` in the workspace flashes it",
             file = file.display()
         )));
     }
