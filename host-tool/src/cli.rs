@@ -120,10 +120,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
         "Model",
         &["plan", "design", "simulate", "fit", "plan-experiment"],
     ),
-    (
-        "Set up",
-        &["commission", "settings", "completions", "man"],
-    ),
+    ("Set up", &["commission", "settings", "completions", "man"]),
 ];
 
 /// Global options that say where machines are.

@@ -236,7 +236,9 @@ fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
 fn the_capsule_has_a_door_of_its_own() {
     through_the_door_alone(|| {
         let bench = Bench::on_tcp(DeviceKind::Capsule);
-        let cycles = bench.command(&["capsule", "cycle", "--count", "50"]).spawn();
+        let cycles = bench
+            .command(&["capsule", "cycle", "--count", "50"])
+            .spawn();
         let cycles = cycles.expect("starts");
         bench.wait_for("Fold");
         let (code, out, err) = bench.retrograde(&["info"]);
