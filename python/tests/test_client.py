@@ -14,6 +14,7 @@ import threading
 import time
 import unittest
 from decimal import Decimal
+from fractions import Fraction
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Callable, Dict, List, Optional, Tuple
 from unittest import mock
@@ -414,6 +415,23 @@ class ClientTest(ServerTest):
             with self.subTest(run=run), self.assertRaises(retrograde.WrongRequest):
                 self.lab.rig.run(**run)
         self.assertEqual(len(self.posts()), sent)
+
+    def test_each_float_of_a_linspace_is_a_position_and_a_boolean_is_none(self) -> None:
+        for points in range(2, 60):
+            for end in (2.0, 0.3, 130.0):
+                for step in range(points):
+                    number = client._number("position_mm", 0.1 + step * (end - 0.1) / (points - 1))
+                    self.assertLessEqual(len(repr(number).partition(".")[2]), 3, number)
+        cases: Tuple[Tuple[Any, Any], ...] = ((1.7000000000000002, 1.7), (-1e-9, 0.0), (Fraction(1, 3), 0.333), (Decimal("1.7000"), "1.7000"), ("1e3", "1e3"), (7, 7))
+        for given, sent in cases:
+            self.assertEqual(repr(client._number("position_mm", given)), repr(sent))
+        self.assertEqual(client._number("far_dwell_s", 4e-6), "0.000004")
+        # Whole numbers are not rounded: the server says what is wrong.
+        self.assertEqual((client._number("cycles", 5.0), client._number("cycles", 5.5)), (5, 5.5))
+        wrong: Tuple[Any, ...] = (True, float("nan"), float("inf"), 1j, None, [1.0])
+        for value in wrong:
+            with self.subTest(value=value), self.assertRaises(retrograde.WrongRequest):
+                client._number("position_mm", value)
 
     def test_what_a_notebook_shows_says_what_it_is_and_keeps_the_token(self) -> None:
         self.assertEqual(repr(self.lab), f"Lab({self.url!r})")

@@ -24,7 +24,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Callable, Dict, Iterator, List, Mapping, Optional, Tuple, TypeVar
 
-from .client import Action, Lab, _run_body, _wall
+from .client import Action, Lab, _number, _run_body, _wall
 from .errors import RetrogradeError, Stopped
 from .types import RunOptions
 
@@ -259,6 +259,7 @@ class Rig:
 
     def check_value(self, position_mm: float) -> None:
         """Refuses a position outside the stroke, in mm. bluesky's `check_limits` asks this of each step before a plan begins."""
+        position_mm = float(_number("position_mm", position_mm))
         stroke_um = self._rig.state().get("stroke_length_um")
         # Without contact nothing is known of it, and the rig itself refuses.
         stroke_mm = None if stroke_um is None else stroke_um / 1e3
@@ -267,7 +268,7 @@ class Rig:
 
     def set(self, position_mm: float) -> Status:
         """Moves to a position, mm."""
-        self._target_mm = target_mm = float(position_mm)
+        self._target_mm = target_mm = float(_number("position_mm", position_mm))
         self._repeats = False
         moving = self._motion.begin(lambda: self._rig.start_move(target_mm))
 

@@ -12,6 +12,7 @@ import errno
 import html
 import io
 import json
+import math
 import os
 import pathlib
 import re
@@ -22,6 +23,7 @@ import time
 import urllib.parse
 import uuid
 from decimal import Decimal
+from numbers import Integral, Real
 from http.client import HTTPConnection, HTTPException
 from typing import TYPE_CHECKING, Any, Callable, Dict, Generic, Iterator, List, Optional, Tuple, TypeVar, Union, cast
 
@@ -135,10 +137,23 @@ def _open_own(path: pathlib.Path, kind: str, flags: int = 0, within: Optional[in
 
 
 def _number(name: str, value: Number) -> Union[int, float, str]:
-    """A number as the server reads it: decimal, and exact."""
-    if isinstance(value, bool) or not isinstance(value, (int, float, str, Decimal)):
+    """A number as the server reads it. Text and Decimal go exactly; a binary fraction such as 1.7000000000000002 is rounded to the
+    resolution of its field: 1 us of a time, otherwise a thousandth. Whole numbers stay whole: 5.5 cycles are refused, not rounded."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, Decimal):
+        return format(value, "f")
+    # A scalar of numpy or of an array of one has a type of Python behind it.
+    plain = value.item() if getattr(value, "size", None) == 1 and hasattr(value, "item") else value
+    if isinstance(plain, bool) or not isinstance(plain, Real) or not math.isfinite(plain):
         raise WrongRequest(f"{name} is {value!r}", "give a number, or its decimal text")
-    return format(value, "f") if isinstance(value, Decimal) else value
+    if isinstance(plain, Integral):
+        return int(plain)
+    if name in WHOLE_NUMBERS:
+        return int(plain) if plain == int(plain) else float(plain)
+    # Without the sign of a zero, which would read as a negative number.
+    rounded = round(float(plain), 6 if name.endswith("_s") and not name.endswith("mm_s") else 3) + 0.0
+    return rounded if "e" not in repr(rounded) else format(Decimal(repr(rounded)), "f")
 
 
 def _body(numbers: Dict[str, Optional[Number]], **others: Optional[object]) -> Dict[str, object]:
@@ -662,6 +677,7 @@ RUN_NUMBERS = (
     "telemetry_ms",
 )
 RUN_TEXTS = ("preset", "on_link_loss", "note")
+WHOLE_NUMBERS = ("cycles", "telemetry_ms")
 
 
 def _run_body(**run: Any) -> Dict[str, object]:

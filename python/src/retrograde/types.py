@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Dict, List, Optional, TypedDict, Union
 from decimal import Decimal
 
-# A number for a command. A float goes as Python prints it; text and Decimal go exactly.
+# A number for a command. A float, also of numpy, is rounded to the resolution of its field; text and Decimal go exactly.
 Number = Union[int, float, str, Decimal]
 
 
