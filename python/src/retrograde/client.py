@@ -150,7 +150,7 @@ def _number(name: str, value: Number) -> Union[int, float, str]:
     if isinstance(plain, Integral):
         return int(plain)
     if name in WHOLE_NUMBERS:
-        return int(plain) if plain == int(plain) else float(plain)
+        return int(float(plain)) if float(plain).is_integer() else float(plain)
     # Without the sign of a zero, which would read as a negative number.
     rounded = round(float(plain), 6 if name.endswith("_s") and not name.endswith("mm_s") else 3) + 0.0
     return rounded if "e" not in repr(rounded) else format(Decimal(repr(rounded)), "f")
