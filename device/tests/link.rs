@@ -2,7 +2,7 @@
 //! device answers in the same way.
 
 use device::{
-    common::{About, Change, Effect, Executed},
+    common::{About, Change, Effect},
     identity::identity,
     service::{Answers, Inbound, Incoming, Return, Service},
     settings::Values,
@@ -10,11 +10,10 @@ use device::{
 use proptest::prelude::*;
 use protocol::{
     VERSION,
-    error::{Field, Refusal, WireError},
+    error::{Field, Refusal},
     events::EventRing,
     frame::{Deframer, Encoded, Header, Kind, encode},
     rig::{GetRigStatus, Hold, Home, Resume},
-    session::CACHED_REPLIES,
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{
         BrownOut, BuildProfile, Chip, Clock, DeviceKind, Done, GetChip, GetEvents, GetLastWords,
@@ -38,13 +37,17 @@ struct Link {
 
 impl Link {
     fn open() -> Self {
+        Self::open_with(1)
+    }
+
+    fn open_with(nonce: u32) -> Self {
         let service = Service::new(this_device());
         let mut link = Self {
             service,
             session: 0,
             now_us: 0,
         };
-        link.session = link.greet(1, SCHEMA_KEY);
+        link.session = link.greet(nonce, SCHEMA_KEY);
         link
     }
 
@@ -156,102 +159,99 @@ fn the_device_says_what_it_is() {
     assert_eq!(identity.profile, profile);
 }
 
-#[test]
-fn nobody_listens_before_the_first_greeting() {
-    let mut link = Link {
-        service: Service::new(this_device()),
-        session: 0,
-        now_us: 0,
+/// The device's end hears this: what it has carried out, and what it answers.
+fn heard(service: &mut Service, bytes: &[u8]) -> String {
+    let shown = |frame: &Encoded| match decoded(frame) {
+        // An identity names the revision that the test was built from.
+        (header, Reply::Accepted(Response::Hello(_))) => format!("{header:?} greeting"),
+        (header, reply) => format!("{header:?} {reply:?}"),
     };
-    assert_eq!(link.service.session(), 0);
-    let (header, reply) = link.sent(&request(1, 9, &set(10)));
-    assert_eq!((header.session, header.seq), (1, 9));
-    assert_eq!(reply, Reply::Wire(WireError::NoSession));
-    let session = link.greet(1, SCHEMA_KEY);
-    assert_eq!(link.service.session(), session);
-    assert_ne!(session, 0);
-}
-
-#[test]
-fn a_request_is_carried_out_once_and_its_answer_sent_again() {
-    let mut link = Link::open();
-    let session = link.session;
-    let mut answers = Vec::new();
-    for seq in 1..=6 {
-        let (inbound, to) = link.asked(&request(session, seq, &set(10 * seq)));
-        assert_eq!(inbound, Inbound::Request(set(10 * seq)));
-        let frame = link.service.answer(to, &reply(10 * seq)).unwrap();
-        let (header, content) = decoded(&frame);
-        assert_eq!((header.session, header.seq), (session, seq));
-        assert_eq!(content, reply(10 * seq));
-        answers.push(frame);
-    }
-    let kept = 6 - CACHED_REPLIES as u16;
-    for seq in 1..=6 {
-        let repeated = link.one(&request(session, seq, &set(10 * seq)));
-        if seq > kept {
-            let answer = answers[usize::from(seq) - 1].clone();
-            assert_eq!(repeated, Incoming::Send(answer));
-        } else {
-            let Incoming::Send(frame) = repeated else {
-                panic!("{repeated:?}")
+    let incoming = bytes.iter().filter_map(|byte| service.receive(*byte, 0));
+    match incoming.collect::<Vec<_>>().pop() {
+        Some(Incoming::Send(frame)) => format!("answers {}", shown(&frame)),
+        Some(Incoming::Ask(inbound, to)) => {
+            let answer = match inbound {
+                Inbound::Request(_) => reply(10),
+                Inbound::Urgent(urgent) => Reply::Urgent(urgent),
             };
-            assert_eq!(decoded(&frame).1, Reply::Wire(WireError::Stale));
+            let frame = service.answer(to, &answer).unwrap();
+            format!("carries out {inbound:?}, answers {}", shown(&frame))
         }
+        Some(Incoming::Ignore) => "ignores it".to_owned(),
+        None => "hears nothing".to_owned(),
     }
-    let (_, other) = link.sent(&request(session, 6, &set(11)));
-    assert_eq!(other, Reply::Wire(WireError::SequenceReused));
 }
 
+/// Repetitions and refused frames carry nothing out; a stop is valid in any session and without one, and each copy is
+/// carried out, because a stop has to get through.
 #[test]
-fn a_new_session_takes_nothing_from_the_old_one() {
+fn a_conversation() {
+    let other_schema = Request::Hello(Hello {
+        protocol: VERSION,
+        schema_key: SCHEMA_KEY ^ 1,
+        nonce: 3,
+    });
+    let session = |nonce| Link::open_with(nonce).session;
+    let [first, second] = [session(1), session(1) + 1];
+    let home = Request::Home(Home);
+    let body = |kind, seq| {
+        let session = second;
+        encode(Header { kind, session, seq }, &[0xFF_u8; 3]).unwrap()
+    };
+    let mut damaged = request(first, 2, &set(20));
+    damaged[3] ^= 0x40;
+    let mut frames = vec![
+        ("before any greeting", request(first, 1, &set(10))),
+        ("a greeting", request(0, 5, &hello(1))),
+    ];
+    for seq in 1..=5 {
+        frames.push(("a request", request(first, seq, &set(10 * seq))));
+    }
+    frames.extend([
+        ("the fifth again", request(first, 5, &set(50))),
+        ("the second again", request(first, 2, &set(20))),
+        ("the first, too long ago", request(first, 1, &set(10))),
+        ("its number with another body", request(first, 5, &set(11))),
+        ("a damaged frame", damaged),
+        ("a good one after it", request(first, 6, &set(20))),
+        ("a greeting of another host", request(0, 5, &hello(2))),
+        ("the first host", request(first, 7, &set(10))),
+        ("the second host", request(second, 1, &set(10))),
+        ("its greeting again", request(0, 6, &hello(2))),
+        ("no request", body(Kind::Request, 2)),
+        ("no stop", body(Kind::Urgent, 2)),
+        ("what devices send", body(Kind::Reply, 3)),
+        ("what devices send", body(Kind::Telemetry, 3)),
+        ("what devices send", body(Kind::Event, 3)),
+        ("another protocol", request(0, 5, &other_schema)),
+        ("its request", request(second + 1, 1, &home)),
+        ("again", request(second + 1, 1, &home)),
+    ]);
+    for session in [0, first, second + 1] {
+        frames.push(("a stop", urgent(session, 3, Urgent::Stop)));
+        frames.push(("an emergency stop", urgent(session, 3, Urgent::EStop)));
+        frames.push(("again", urgent(session, 3, Urgent::EStop)));
+    }
+    let mut service = Service::new(this_device());
+    let mut text = String::new();
+    for (what, frame) in frames {
+        text += &format!("{what}: {}\n", heard(&mut service, &frame));
+    }
+    assert_eq!(service.bad_frames(), 1);
+    insta::assert_snapshot!("conversation", text);
+}
+
+/// It is sent with the old session's number, and is no answer in the new session.
+#[test]
+fn a_late_answer_belongs_to_the_old_session() {
     let mut link = Link::open();
     let old = link.session;
     let (_, to) = link.asked(&request(old, 1, &set(10)));
     let new = link.greet(2, SCHEMA_KEY);
-    assert_ne!(new, old);
-    assert_eq!(link.service.session(), new);
-    // A late answer: it is sent with the old session's number, and is no answer in the new session.
     let late = link.service.answer(to, &reply(10)).unwrap();
     assert_eq!(decoded(&late).0.session, old);
     let (inbound, _) = link.asked(&request(new, 1, &set(10)));
     assert_eq!(inbound, Inbound::Request(set(10)));
-    let (header, refused) = link.sent(&request(old, 2, &set(10)));
-    assert_eq!((header.session, header.seq), (old, 2));
-    assert_eq!(refused, Reply::Wire(WireError::NoSession));
-    assert_eq!(link.greet(2, SCHEMA_KEY), new, "the same host again");
-}
-
-/// Valid in any session and without one. Every copy is executed, because a stop has to get through.
-#[test]
-fn an_urgent_stop_is_valid_at_any_time() {
-    let mut link = Link::open();
-    for session in [0, link.session, link.session + 1] {
-        for what in [Urgent::Stop, Urgent::EStop] {
-            for _ in 0..2 {
-                let (inbound, to) = link.asked(&urgent(session, 3, what));
-                assert_eq!(inbound, Inbound::Urgent(what));
-                let frame = link.service.answer(to, &Reply::Urgent(what)).unwrap();
-                let (header, reply) = decoded(&frame);
-                assert_eq!((header.session, header.seq), (session, 3));
-                assert_eq!(reply, Reply::Urgent(what));
-            }
-        }
-    }
-}
-
-#[test]
-fn a_host_of_another_protocol_moves_nothing() {
-    let mut link = Link::open();
-    let session = link.greet(2, SCHEMA_KEY ^ 1);
-    let home = request(session, 1, &Request::Home(Home));
-    for _ in 0..2 {
-        let (header, reply) = link.sent(&home);
-        assert_eq!((header.session, header.seq), (session, 1));
-        assert_eq!(reply, Reply::Refused(Refusal::Incompatible));
-    }
-    let (inbound, _) = link.asked(&urgent(session, 2, Urgent::Stop));
-    assert_eq!(inbound, Inbound::Urgent(Urgent::Stop));
 }
 
 /// A machine's control that logs its requests.
@@ -286,26 +286,6 @@ fn every_question_reaches_control_and_is_answered() {
     }
     assert_eq!(control.stops, [Urgent::Stop, Urgent::EStop]);
     assert_eq!(control.requests.len(), 1);
-}
-
-/// Echoes of what the device sent, or frames of another device on the same line.
-#[test]
-fn frames_of_devices_are_ignored() {
-    let mut link = Link::open();
-    for kind in [Kind::Reply, Kind::Telemetry, Kind::Event] {
-        let session = link.session;
-        let frame = encode(
-            Header {
-                kind,
-                session,
-                seq: 1,
-            },
-            &set(10),
-        )
-        .unwrap();
-        assert_eq!(link.one(&frame), Incoming::Ignore);
-    }
-    assert_eq!(link.service.bad_frames(), 0);
 }
 
 fn hello(nonce: u32) -> Request {
@@ -390,29 +370,6 @@ fn whoever_takes_the_line_over_keeps_nothing_moving_that_it_did_not_begin() {
     let newest = link.greet(3, SCHEMA_KEY);
     link.service.answer(to, &reply(10)).unwrap();
     assert!(!link.shows_life(&request(newest, 1, &set(10))));
-}
-
-#[test]
-fn bad_frames_are_counted_and_the_next_good_one_is_found() {
-    let mut link = Link::open();
-    let good = request(link.session, 1, &set(10));
-    let mut bad = good.clone();
-    bad[3] ^= 0x40;
-    assert_eq!(link.receive(&bad), []);
-    assert_eq!(link.service.bad_frames(), 1);
-    assert_eq!(link.receive(&[1, 2, 3, 4, 5]), []);
-    let (inbound, _) = link.asked(&good);
-    assert_eq!(inbound, Inbound::Request(set(10)));
-    assert_eq!(link.service.bad_frames(), 2);
-    // A good frame around a body that is no request.
-    let header = Header {
-        kind: Kind::Request,
-        session: link.session,
-        seq: 2,
-    };
-    let (_, reply) = link.sent(&encode(header, &[0xFF_u8; 3]).unwrap());
-    assert_eq!(reply, Reply::Wire(WireError::Malformed));
-    assert_eq!(link.service.bad_frames(), 2);
 }
 
 proptest! {
@@ -591,11 +548,12 @@ fn a_setting_or_name_that_cannot_be_is_refused() {
             Refusal::SettingRule { key, rule }
         );
     }
-    let name = "\u{1b}[2J".try_into().unwrap();
-    assert_eq!(
-        refused(Request::SetName(Name { name }), Ok(7)),
-        Refusal::NameNotPrintable
-    );
+    // A terminal would obey an escape sequence in a name.
+    for name in ["\u{1b}[2J", "two\nlines", "bell\x07", "c1 \u{9b}2J", "\x7f"] {
+        let name = name.try_into().unwrap();
+        let refusal = refused(Request::SetName(Name { name }), Ok(7));
+        assert_eq!(refusal, Refusal::NameNotPrintable);
+    }
 }
 
 #[test]
@@ -627,22 +585,4 @@ fn the_interval_of_telemetry_has_bounds() {
         };
         assert_eq!(answer(&about, &set(period_ms)), Err(refusal));
     }
-}
-
-#[test]
-fn an_answer_has_its_effect_and_a_refusal_has_none() {
-    let effect = Effect::Store(Change::Value {
-        setting: Setting {
-            key: SettingKey::LeadUm,
-            value: 3,
-        },
-        settings: (),
-    });
-    let accepted = Executed::new(Ok((Response::KeepAlive(Done), effect.clone())), "actions");
-    let reply = Reply::Accepted(Response::KeepAlive(Done));
-    assert_eq!((accepted.reply, accepted.effect), (reply, effect));
-    assert_eq!(accepted.actions, "actions");
-    let refused = Executed::<_, ()>::new(Err(Refusal::NotHomed), ());
-    let reply = Reply::Refused(Refusal::NotHomed);
-    assert_eq!((refused.reply, refused.effect), (reply, Effect::None));
 }

@@ -58,35 +58,6 @@ fn records_that_do_not_fit_are_ignored() {
     assert_eq!(values.get(SettingKey::StrokeUm), 100_000);
 }
 
-/// Numbers never change: they name the records of rigs in use.
-#[test]
-fn numbers_of_keys_stay() {
-    for (number, key) in SettingKey::ALL.into_iter().enumerate() {
-        assert_eq!(key as usize, number);
-        assert_eq!(SettingKey::from_number(number as u8), Some(key));
-        assert!(key.name().ends_with(&unit_in_name(key)), "{}", key.name());
-    }
-    assert_eq!(SettingKey::from_number(SettingKey::ALL.len() as u8), None);
-    let pinned = [
-        (SettingKey::LeadUm, 0),
-        (SettingKey::StrokeUm, 3),
-        (SettingKey::FlagUm, 15),
-        (SettingKey::ButtonAccelUmS2, 25),
-    ];
-    for (key, number) in pinned {
-        assert_eq!(key as u8, number);
-    }
-}
-
-/// The unit as it appears in a name.
-fn unit_in_name(key: SettingKey) -> String {
-    match key.unit() {
-        "1" => String::new(),
-        "steps/turn" => "steps".into(),
-        unit => format!("_{}", unit.to_lowercase().replace('/', "_")),
-    }
-}
-
 proptest! {
     /// Whatever is written, and however often the rig restarts: the last record of each number is never old.
     #[test]

@@ -210,116 +210,56 @@ proptest! {
 /// Each refusal of [`RunPlan::solve`], as an operator reads it.
 #[test]
 fn refusals_say_what_to_do() {
-    let refused = |limits: &Limits, request: RunRequest, text: &str| {
-        let error = RunPlan::solve(&Axis::REFERENCE, limits, &request).unwrap_err();
-        assert_eq!(error.to_string(), text);
-    };
-    let paper = |request: RunRequest, text: &str| refused(&LIMITS, request, text);
     let cycles = |cycles| RunRequest { cycles, ..PAPER };
-    paper(cycles(0), "0 cycles: use 1 to 10000");
-    paper(cycles(10_001), "10001 cycles: use 1 to 10000");
     let stroke = |stroke_um| RunRequest { stroke_um, ..PAPER };
-    paper(
-        stroke(0),
-        "a stroke of 0.000 mm does not fit: use more than zero and at most 130.000 mm",
-    );
-    paper(
-        stroke(130_001),
-        "a stroke of 130.001 mm does not fit: use more than zero and at most 130.000 mm",
-    );
-    paper(
-        stroke(1),
-        "a stroke of 0.001 mm is shorter than one step: use a longer one",
-    );
-    paper(
-        with(&PAPER, 40_000_000, 32_499),
-        "too little time: allow at least 40.000616 s in total, or accelerate with at least 32.5 mm/s2",
-    );
     let resting = RunRequest {
         far_dwell_us: 8_000_000,
         ..PAPER
     };
-    paper(
-        resting,
-        "too little time: allow at least 63 s in total; no acceleration within the limits does it in the requested time",
-    );
-    paper(
-        with(&PAPER, 40_000_000, 2_000_001),
-        "an acceleration of 2000.001 mm/s2 is above the limit: use at most 2000 mm/s2",
-    );
-    paper(
-        with(&PAPER, 40_000_000, 0),
-        "the acceleration is zero: use at least 0.001 mm/s2",
-    );
-    paper(
-        speeds(100_001, 1_000, 100_000),
-        "a speed of 100.001 mm/s is above the limit: use at most 100 mm/s",
-    );
-    paper(
-        speeds(1_000, 100_001, 100_000),
-        "a speed of 100.001 mm/s is above the limit: use at most 100 mm/s",
-    );
-    paper(
-        speeds(1_000, 0, 100_000),
-        "the speed is zero: use at least 0.001 mm/s",
-    );
-    paper(
-        speeds(1_000, 1_000, 2_000_001),
-        "an acceleration of 2000.001 mm/s2 is above the limit: use at most 2000 mm/s2",
-    );
-    paper(
-        with(&PAPER, u64::MAX, 100_000),
-        "the run is too long: use fewer cycles or less time",
-    );
-    paper(
-        with(&PAPER, 1_000_000_000_000, 100_000),
-        "a stroke of 100000.00000000 s is too slow for exact step times: use more speed, more acceleration or finer microsteps",
-    );
-    let slow = Limits {
-        max_speed_um_s: 35_000,
-        ..LIMITS
+    let no_rest_at_home = RunRequest {
+        far_dwell_us: 10_000,
+        ..speeds(30_000, 30_000, 100_000)
     };
-    refused(
-        &slow,
-        PAPER,
-        "this needs 35.683 mm/s at its peak and the limit is 35 mm/s: allow at least 40.642858 s in total, or accelerate harder",
-    );
     // No stroke within 1 um/s has exact step times.
-    let slowest = Limits {
-        max_speed_um_s: 1,
+    let [slow, slowest] = [35_000, 1].map(|max_speed_um_s| Limits {
+        max_speed_um_s,
         ..LIMITS
-    };
-    refused(
-        &slowest,
-        PAPER,
-        "this needs 35.683 mm/s at its peak and the limit is 0.001 mm/s: allow more time, or accelerate harder",
-    );
+    });
     let driver = Limits {
         min_interval_ticks: 4_000,
         ..LIMITS
     };
-    refused(
-        &driver,
-        PAPER,
-        "steps would be 3503 ticks apart and the least is 4000: stay below 31.25 mm/s or use fewer microsteps",
-    );
     let turns = Limits {
         min_turnaround_ticks: 650_000,
         ..LIMITS
     };
-    refused(
-        &turns,
-        PAPER,
-        "a dwell of 0.00000000 s at the far end is too short to turn: use at least 0.0015 s",
-    );
-    refused(
-        &turns,
-        RunRequest {
-            far_dwell_us: 10_000,
-            ..speeds(30_000, 30_000, 100_000)
-        },
-        "a dwell of 0.00000000 s at home is too short to turn: use at least 0.0015 s",
-    );
+    let requests = [
+        (LIMITS, cycles(0)),
+        (LIMITS, cycles(10_001)),
+        (LIMITS, stroke(0)),
+        (LIMITS, stroke(130_001)),
+        (LIMITS, stroke(1)),
+        (LIMITS, with(&PAPER, 40_000_000, 32_499)),
+        (LIMITS, resting),
+        (LIMITS, with(&PAPER, 40_000_000, 2_000_001)),
+        (LIMITS, with(&PAPER, 40_000_000, 0)),
+        (LIMITS, speeds(100_001, 1_000, 100_000)),
+        (LIMITS, speeds(1_000, 100_001, 100_000)),
+        (LIMITS, speeds(1_000, 0, 100_000)),
+        (LIMITS, speeds(1_000, 1_000, 2_000_001)),
+        (LIMITS, with(&PAPER, u64::MAX, 100_000)),
+        (LIMITS, with(&PAPER, 1_000_000_000_000, 100_000)),
+        (slow, PAPER),
+        (slowest, PAPER),
+        (driver, PAPER),
+        (turns, PAPER),
+        (turns, no_rest_at_home),
+    ];
+    let texts = requests.map(|(limits, request)| {
+        let error = RunPlan::solve(&Axis::REFERENCE, &limits, &request).unwrap_err();
+        format!("{limits:?}\n{request:?}\n    {error}")
+    });
+    insta::assert_snapshot!("refused_runs", texts.join("\n"));
 }
 
 fn speeds(forward_um_s: u32, return_um_s: u32, accel_um_s2: u32) -> RunRequest {
@@ -415,90 +355,6 @@ fn a_step_rate_above_the_limit_names_a_speed() {
     assert_eq!(max_um_s, 31_257);
     assert!(run(max_um_s as u32).is_ok());
     assert!(run(max_um_s as u32 + 1).is_err());
-}
-
-/// At an acceleration that no stroke has exact step times for, the least one that serves is named where the machine may
-/// use it; where it may not, no acceleration is named.
-#[test]
-fn an_acceleration_below_all_exact_strokes_names_one_that_the_machine_may_use() {
-    let total_us = 700_000_000;
-    let solve = |max_accel_um_s2, accel_um_s2| {
-        let limits = Limits {
-            max_accel_um_s2,
-            ..LIMITS
-        };
-        RunPlan::solve(
-            &Axis::REFERENCE,
-            &limits,
-            &with(&PAPER, total_us, accel_um_s2),
-        )
-    };
-    let Err(RunError::AccelerationTooLow {
-        accel_um_s2: 50,
-        minimal_um_s2,
-        max_um_s2: 2_000_000,
-        shortest,
-    }) = solve(2_000_000, 50)
-    else {
-        panic!("{:?}", solve(2_000_000, 50));
-    };
-    assert!(solve(minimal_um_s2, minimal_um_s2).is_ok());
-    assert!(solve(minimal_um_s2, minimal_um_s2 - 1).is_err());
-    assert_eq!(
-        solve(minimal_um_s2 - 1, 50),
-        Err(RunError::Profile(StrokeError::TooSlow {
-            duration: shortest
-        }))
-    );
-}
-
-/// Where the driver's step rate is the tighter limit, the total and the acceleration that a refusal suggests keep it.
-#[test]
-fn what_a_refusal_suggests_keeps_the_step_rate() {
-    // At least 3,600 ticks for each of 104,000 steps: 3.744 s of the 4 s that each stroke has.
-    let driver = Limits {
-        min_interval_ticks: 3_600,
-        ..LIMITS
-    };
-    let run = |total_us, accel_um_s2| {
-        RunPlan::solve(
-            &Axis::REFERENCE,
-            &driver,
-            &with(&PAPER, total_us, accel_um_s2),
-        )
-    };
-    let (total_us, accel_um_s2) = (40_000_000, 32_499);
-    let Err(RunError::TotalTooShort {
-        minimal_total_us,
-        minimal_accel_um_s2: Some(minimal_um_s2),
-    }) = run(total_us, accel_um_s2)
-    else {
-        panic!("a triangle at this acceleration takes longer than 4 s");
-    };
-    assert!(run(minimal_total_us, accel_um_s2).is_ok());
-    assert!(run(minimal_total_us - 1, accel_um_s2).is_err());
-    assert!(run(total_us, minimal_um_s2).is_ok());
-    assert!(run(total_us, minimal_um_s2 - 1).is_err());
-    // 4.16 s of steps in strokes of 4 s: no acceleration helps, and the shortest total has the ramps on top.
-    let slow = Limits {
-        min_interval_ticks: 4_000,
-        ..LIMITS
-    };
-    let refused = RunPlan::solve(
-        &Axis::REFERENCE,
-        &slow,
-        &with(&PAPER, total_us, accel_um_s2),
-    );
-    let Err(RunError::TotalTooShort {
-        minimal_total_us,
-        minimal_accel_um_s2: None,
-    }) = refused
-    else {
-        panic!("{refused:?}");
-    };
-    let longer = with(&PAPER, minimal_total_us, accel_um_s2);
-    let plan = RunPlan::solve(&Axis::REFERENCE, &slow, &longer).unwrap();
-    assert!(plan.forward().min_interval() >= Ticks(4_000));
 }
 
 /// The dwell that a refusal suggests is the shortest that suffices, at both turns.

@@ -255,25 +255,17 @@ fn a_reset_is_not_undone_when_it_grows_old() {
 }
 
 /// Values of another firmware may break the rules between settings. Then the defaults are in force until something is
-/// set.
+/// set; a name keeps all rules.
 #[test]
-fn values_that_do_not_go_together_are_not_in_force() {
+fn values_that_do_not_go_together_are_not_in_force_and_a_reset_ends_that() {
     let flash = Flash::holding(young());
-    let (store, usable) = Store::load(flash.clone(), |values| {
+    let (mut store, usable) = Store::load(flash.clone(), |values| {
         assert_eq!(values.get(SettingKey::FlagUm), 900);
         false
     });
     assert!(!usable);
     assert_eq!(*store.values(), Values::DEFAULT);
-    assert_eq!(store.name(), "left bench", "a name keeps all rules");
-}
-
-/// The values in force are already the defaults, but those in flash are not.
-#[test]
-fn a_reset_ends_a_conflict() {
-    let flash = Flash::holding(young());
-    let (mut store, usable) = Store::load(flash.clone(), |_| false);
-    assert!(!usable);
+    assert_eq!(store.name(), "left bench");
     store.reset().unwrap();
     assert_eq!(Content::of(&store), Content::default());
     let store = start(&Flash::holding(flash.bytes()));
@@ -535,19 +527,6 @@ fn a_record_that_is_too_long_is_not_written() {
     let note = |number, record: &[u8]| records.push((number, record.to_vec()));
     Log::new(flash).load(note).unwrap();
     assert_eq!(records, [(NAME_RECORD, vec![7; 27])]);
-}
-
-#[test]
-fn a_value_out_of_range_is_not_written() {
-    let flash = Flash::blank();
-    let mut store = start(&flash);
-    let range = SettingKey::FlagUm.range();
-    assert_eq!(
-        store.set(SettingKey::FlagUm, range.max + 1),
-        Err(StorageFailed)
-    );
-    assert_eq!(flash.operations(), []);
-    assert_eq!(*store.values(), Values::DEFAULT);
 }
 
 /// After thousands of names and several restarts, old settings are still there.
