@@ -3,7 +3,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
 use std::sync::OnceLock;
 
 use crate::server::{self, Answer, INSTANCE, Server};
@@ -20,7 +19,7 @@ use crate::bench::Bench;
 use crate::exemplary::{Asked, Exemplary};
 use crate::script::steps;
 
-pub(crate) const TOKEN: &str = "0123456789abcdef0123456789abcdef";
+const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 const BEARER: &[u8] = b"Bearer 0123456789abcdef0123456789abcdef";
 
 /// Most steps of a script that are tried.
@@ -168,27 +167,23 @@ pub fn target(data: &[u8]) {
         }
         still_serves(server, &asked);
     });
-    tidy(out);
-}
-
-/// Removes the records: they are not needed, and many of them slow down later scripts.
-pub(crate) fn tidy(out: &Path) {
+    // Remove the records: they are not needed, and many of them slow down later scripts.
     for entry in fs::read_dir(out).expect("a folder").flatten() {
         let _ = fs::remove_file(entry.path());
     }
 }
 
 /// A request as it is sent.
-pub(crate) struct Sent {
-    pub(crate) here: bool,
-    pub(crate) method: String,
-    pub(crate) uri: String,
+struct Sent {
+    here: bool,
+    method: String,
+    uri: String,
     headers: Vec<(&'static str, Vec<u8>)>,
     body: Vec<u8>,
 }
 
 impl Sent {
-    pub(crate) fn new(step: &Step) -> Self {
+    fn new(step: &Step) -> Self {
         let (method, uri) = line(&step.line);
         let mut headers: Vec<_> = step.headers.iter().map(header).collect();
         if !headers.iter().any(|(name, _)| *name == "host") {
@@ -204,12 +199,12 @@ impl Sent {
     }
 
     /// Its headers, borrowed.
-    pub(crate) fn headers(&self) -> Vec<(&str, &[u8])> {
+    fn headers(&self) -> Vec<(&str, &[u8])> {
         let headers = self.headers.iter();
         headers.map(|(name, value)| (*name, &**value)).collect()
     }
 
-    pub(crate) fn asked<'a>(&'a self, headers: &'a [(&'a str, &'a [u8])]) -> server::Asked<'a> {
+    fn asked<'a>(&'a self, headers: &'a [(&'a str, &'a [u8])]) -> server::Asked<'a> {
         server::Asked {
             here: self.here,
             method: &self.method,
@@ -224,12 +219,12 @@ impl Sent {
     }
 
     /// Whether it may move or change something.
-    pub(crate) fn may_order(&self) -> bool {
+    fn may_order(&self) -> bool {
         self.has("authorization", BEARER) && !self.is_foreign()
     }
 
     /// Whether it may stop a machine.
-    pub(crate) fn may_stop(&self) -> bool {
+    fn may_stop(&self) -> bool {
         self.may_order() || self.here && !self.is_foreign()
     }
 
@@ -237,7 +232,7 @@ impl Sent {
         self.has("origin", FOREIGN) || self.has("host", REBOUND)
     }
 
-    pub(crate) fn key(&self) -> Option<Vec<u8>> {
+    fn key(&self) -> Option<Vec<u8>> {
         let mut headers = self.headers.iter();
         let key = headers.find(|(name, _)| *name == "idempotency-key");
         key.map(|(_, key)| key.clone())
@@ -276,7 +271,7 @@ fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<
 }
 
 /// Checks that every answer has the right headers and is not an internal error of the server.
-pub(crate) fn judge(answer: &Answer, method: &str, uri: &str) {
+fn judge(answer: &Answer, method: &str, uri: &str) {
     let Answer {
         status,
         headers,

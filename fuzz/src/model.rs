@@ -20,22 +20,17 @@ pub struct Good {
     pub body: Vec<u8>,
 }
 
-/// Adds CRC, COBS and delimiters to bytes of any length.
+/// A frame with these header fields and this body.
 #[must_use]
-pub fn framed(raw: &[u8]) -> Vec<u8> {
-    let raw = [raw, &CRC32C.checksum(raw).to_le_bytes()].concat();
+pub fn frame(kind: u8, session: u8, seq: u16, body: &[u8]) -> Vec<u8> {
+    let [low, high] = seq.to_le_bytes();
+    let mut raw = [&[kind, session, low, high], body].concat();
+    raw.extend(CRC32C.checksum(&raw).to_le_bytes());
     let mut block = vec![0; cobs::max_encoding_length(raw.len()) + 2];
     let length = cobs::encode(&raw, &mut block[1..]);
     block.truncate(length + 2);
     block[length + 1] = 0;
     block
-}
-
-/// A frame with these header fields and this body.
-#[must_use]
-pub fn frame(kind: u8, session: u8, seq: u16, body: &[u8]) -> Vec<u8> {
-    let [low, high] = seq.to_le_bytes();
-    framed(&[&[kind, session, low, high], body].concat())
 }
 
 /// All good frames in these bytes, and the number of other blocks.
@@ -103,11 +98,6 @@ impl Once {
                 newest: None,
             };
         }
-    }
-
-    /// The device has started again.
-    pub fn restarted(&mut self) {
-        *self = Self::default();
     }
 
     /// The present session; 0 before the first.

@@ -230,24 +230,11 @@ fn runtime() -> &'static Runtime {
 impl Server<'_> {
     /// The answer, and all that is done for it; `None` if this cannot be a request.
     pub fn ask(&mut self, asked: Asked<'_>) -> Option<Answer> {
-        self.ask_together(&[asked]).pop().flatten()
-    }
-
-    /// The answers to requests that come at once: all are there before anything is done for the first.
-    pub fn ask_together(&mut self, asked: &[Asked<'_>]) -> Vec<Option<Answer>> {
-        let mut answering: Vec<_> = asked.iter().map(|asked| self.answering(*asked)).collect();
-        let mut answers = vec![None; asked.len()];
-        runtime().block_on(poll_fn(|context| {
+        let mut answering = self.answering(asked)?;
+        let answer = runtime().block_on(poll_fn(|context| {
             loop {
-                for (waiting, answer) in answering.iter_mut().zip(&mut answers) {
-                    if let Some(future) = waiting
-                        && let Poll::Ready(ready) = future.as_mut().poll(context)
-                    {
-                        (*answer, *waiting) = (Some(ready), None);
-                    }
-                }
-                if answering.iter().all(Option::is_none) {
-                    return Poll::Ready(());
+                if let Poll::Ready(answer) = answering.as_mut().poll(context) {
+                    return Poll::Ready(answer);
                 }
                 if !self.work() {
                     return Poll::Pending;
@@ -255,7 +242,7 @@ impl Server<'_> {
             }
         }));
         self.work();
-        answers
+        Some(answer)
     }
 
     fn answering(&self, asked: Asked<'_>) -> Option<Answering> {

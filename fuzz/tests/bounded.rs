@@ -80,41 +80,11 @@ fn bytes_at_the_receiver() {
 }
 
 #[test]
-fn bodies_in_good_frames() {
-    bounded("bodies", fuzz::bodies::target, 1_000);
-}
-
-#[test]
 fn what_a_device_says() {
     bounded("host", fuzz::host::target, 1_000);
 }
 
 #[test]
-fn guests_at_the_door() {
-    bounded("sidedoor", fuzz::sidedoor::target, 8_000);
-}
-
-#[test]
 fn requests_over_http() {
     bounded("http", fuzz::http::target, 300);
-}
-
-#[test]
-fn changed_records() {
-    bounded("records", fuzz::records::target, 4_000);
-}
-
-#[test]
-fn changed_documents() {
-    bounded("documents", fuzz::documents::target, 2_000);
-}
-
-#[test]
-fn changed_folders() {
-    bounded("folders", fuzz::folders::target, 300);
-}
-
-#[test]
-fn crowds_of_requests() {
-    bounded("together", fuzz::together::target, 1_000);
 }

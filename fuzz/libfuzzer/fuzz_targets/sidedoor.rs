@@ -1,3 +1,0 @@
-//! See `fuzz::sidedoor`.
-#![no_main]
-libfuzzer_sys::fuzz_target!(|data: &[u8]| fuzz::sidedoor::target(data));

@@ -1,3 +1,0 @@
-//! See `fuzz::together`.
-#![no_main]
-libfuzzer_sys::fuzz_target!(|data: &[u8]| fuzz::together::target(data));
