@@ -21,7 +21,6 @@ use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 use tokio::runtime::{Builder, Runtime};
-use tokio::sync::Semaphore;
 use tower_service::Service as _;
 
 use lab::operations::connector::{Candidate, Connector, Purpose};
@@ -202,13 +201,11 @@ pub fn with<R>(
             pressed: Arc::new(|| None),
         });
     let mut server = Server {
-        router: http::router(Arc::new(App {
-            board: Arc::clone(&board),
-            access: Access::new(token.to_owned(), vec![]),
-            direct: sender,
-            listing: Semaphore::new(1),
-            planning: Semaphore::new(1),
-        })),
+        router: http::router(Arc::new(App::new(
+            Arc::clone(&board),
+            Access::new(token.to_owned(), vec![]),
+            sender,
+        ))),
         board: &board,
         places: &places,
         workers: workers.collect(),
@@ -295,7 +292,9 @@ impl Server<'_> {
                         direct::stop(places, board, machine, urgent, vec![wait], Duration::ZERO);
                     }
                 }
-                DirectRequest::Ask { question, reply } => {
+                DirectRequest::Ask {
+                    question, reply, ..
+                } => {
                     let _ = reply.send(direct::ask(self.places, self.board, question));
                 }
                 DirectRequest::End => {}

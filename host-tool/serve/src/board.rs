@@ -201,7 +201,7 @@ pub struct Board {
     pub instance: String,
     pub machines: Vec<Machine>,
     pub actions: Actions,
-    pub stream: Arc<Stream>,
+    pub stream: Stream,
     /// Signals a change that readers should see soon.
     pub changed: Notify,
     /// Folder for the records.
@@ -215,7 +215,7 @@ impl Board {
             actions: Actions::new(instance.clone()),
             instance,
             machines,
-            stream: Arc::default(),
+            stream: Stream::default(),
             changed: Notify::new(),
             out,
             campaign: Mutex::new(Value::Null),
@@ -273,7 +273,8 @@ impl Board {
         samples.1 = Instant::now();
         let portion = std::mem::take(&mut samples.0);
         drop(samples);
-        self.stream.tell_samples(machine.kind, portion);
+        let data = json!({ "samples": portion });
+        self.stream.tell(kind_name(machine.kind), &data);
     }
 
     pub fn event(&self, machine: &Machine, event: &Event) {

@@ -1,7 +1,6 @@
 //! Direct requests bypass the worker, each on a thread of its own: stops, which wait for nothing, and questions.
 //! Questions go through the door like those of other processes, so they are answered while the worker works.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, Scope};
 use std::time::{Duration, Instant};
@@ -11,7 +10,7 @@ use protocol::rig;
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
-use tokio::sync::oneshot;
+use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
 use crate::board::{Board, Machine};
 use lab::operations::connector::Purpose;
@@ -20,9 +19,6 @@ use lab::operations::failure::Failure;
 use lab::operations::panel::Notice;
 use lab::operations::places::{Places, Target, past_owners};
 use lab::operations::stops::{self, Ask};
-
-/// Maximum questions in progress.
-const QUESTIONS: usize = 4;
 
 /// Time for the worker to confirm a stop that failed on its direct way.
 const WORKER_TIME: Duration = Duration::from_secs(1);
@@ -61,32 +57,11 @@ pub enum DirectRequest {
     Ask {
         question: Question,
         reply: oneshot::Sender<Result<Value, Failure>>,
+        /// Its place among the questions in progress.
+        place: OwnedSemaphorePermit,
     },
     /// The server is shutting down.
     End,
-}
-
-/// Counts the questions in progress.
-#[derive(Debug, Default)]
-pub struct Questions(AtomicUsize);
-
-/// Counts one question in progress until it is dropped.
-struct Counted<'a>(&'a AtomicUsize);
-
-impl<'a> Counted<'a> {
-    fn take(Questions(count): &'a Questions) -> Option<Self> {
-        let more = |before: usize| (before < QUESTIONS).then_some(before + 1);
-        count
-            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, more)
-            .ok()
-            .map(|_| Self(count))
-    }
-}
-
-impl Drop for Counted<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::SeqCst);
-    }
 }
 
 /// Dispatches direct requests until the server shuts down.
@@ -94,7 +69,6 @@ pub fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
     places: &'scope Places<'scope>,
     board: &'scope Board,
-    questions: &'scope Questions,
     direct: &Receiver<DirectRequest>,
 ) {
     // One courier per kind of stop, so that an emergency stop never waits for an ordinary one.
@@ -127,21 +101,17 @@ pub fn run<'scope>(
                     let _ = waits.send(wait);
                 }
             }
-            DirectRequest::Ask { question, reply } => match Counted::take(questions) {
-                None => {
-                    let _ = reply.send(Err(Failure::Unreached {
-                        why: "too many questions at once".to_owned(),
-                        help: "ask again".to_owned(),
-                    }));
-                }
-                Some(counted) => {
-                    scope.spawn(move || {
-                        let answer = ask(places, board, question);
-                        drop(counted);
-                        let _ = reply.send(answer);
-                    });
-                }
-            },
+            DirectRequest::Ask {
+                question,
+                reply,
+                place,
+            } => {
+                scope.spawn(move || {
+                    // The client may have disconnected.
+                    let _ = reply.send(ask(places, board, question));
+                    drop(place);
+                });
+            }
         }
     }
 }
@@ -224,21 +194,4 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
             }
         }
     })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn questions_are_bounded_and_each_answer_makes_room_for_one() {
-        let questions = Questions::default();
-        let mut asked: Vec<_> = (0..QUESTIONS).map(|_| Counted::take(&questions)).collect();
-        assert!(asked.iter().all(Option::is_some));
-        assert!(Counted::take(&questions).is_none());
-        drop(asked.pop());
-        asked.push(Counted::take(&questions));
-        assert!(asked.iter().all(Option::is_some));
-        assert!(Counted::take(&questions).is_none());
-    }
 }

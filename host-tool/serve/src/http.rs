@@ -1,8 +1,9 @@
 //! HTTP/1.1 interface with JSON. docs/serve.md describes it for people, docs/openapi.json for programs.
 
 use std::convert::Infallible;
+use std::future::{Future, ready};
 use std::io::Read;
-use std::net::SocketAddr;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, TrySendError};
 use std::time::{Duration, Instant, SystemTime};
@@ -31,9 +32,8 @@ use lab::trials::plan::{self, REFERENCE_LIMITS};
 use motion::axis::Axis;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Map, Value, json};
-use tokio::net::TcpListener;
-use tokio::sync::{Semaphore, oneshot};
-use tokio::task::JoinHandle;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 
@@ -42,7 +42,6 @@ use crate::actions::{Action, Arrival, RequestedAction, Standing};
 use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, not_utf8, status};
 use crate::board::{Board, Machine, Order};
 use crate::bodies::{LONGEST_BODY, object};
-use crate::connections::{Connections, Doing};
 use crate::direct::{DirectRequest, Question, Wait};
 use crate::orders::{self, Work};
 use crate::records::{is_record, list, open};
@@ -54,9 +53,13 @@ const PAGE: &str = include_str!("page.html");
 /// Placeholder in the page for the nonce that admits the page's own script and style, and no others.
 const NONCE: &str = "@NONCE@";
 
-/// Nice value of the planning thread: below everything else that the server does.
-#[cfg(target_os = "linux")]
-const LAST: i32 = 15;
+/// Connections on which everything is answered. On further ones only stops are.
+const CONNECTIONS: usize = 256;
+/// Time limit for the head of a request on a further connection; short, so that idle ones do not use up the system's
+/// open files.
+const HEAD_OF_STOP: Duration = Duration::from_secs(1);
+/// Maximum questions in progress.
+const QUESTIONS: usize = 4;
 /// Time that a stop waits for the body that names the machine; short, because a late body must not delay a stop.
 const STOP_BODY: Duration = Duration::from_millis(20);
 /// Time limit for the head of a request, and for the next request on an open connection.
@@ -74,14 +77,30 @@ const STOPPING: Duration = Duration::from_secs(10);
 pub struct App {
     /// State of the machines.
     pub board: Arc<Board>,
-    /// Decides who may do what.
-    pub access: Access,
+    access: Access,
     /// Queue for stops and questions.
-    pub direct: Sender<DirectRequest>,
+    direct: Sender<DirectRequest>,
+    /// Allows a few questions at a time.
+    asking: Arc<Semaphore>,
     /// Allows one listing of records at a time.
-    pub listing: Semaphore,
-    /// Allows one plan at a time, beside the threads that answer.
-    pub planning: Semaphore,
+    listing: Semaphore,
+    /// Allows one plan at a time.
+    planning: Semaphore,
+}
+
+impl App {
+    /// The state at the start.
+    #[must_use]
+    pub fn new(board: Arc<Board>, access: Access, direct: Sender<DirectRequest>) -> Self {
+        Self {
+            board,
+            access,
+            direct,
+            asking: Arc::new(Semaphore::new(QUESTIONS)),
+            listing: Semaphore::new(1),
+            planning: Semaphore::new(1),
+        }
+    }
 }
 
 type Shared = State<Arc<App>>;
@@ -115,7 +134,7 @@ pub fn router(app: Arc<App>) -> Router {
 
 /// Serves connections until the task ends.
 pub async fn listen(listener: TcpListener, router: Router) {
-    let connections = Arc::<Connections>::default();
+    let places = Arc::new(Semaphore::new(CONNECTIONS));
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
             // Most likely too many open files; wait until some are closed.
@@ -123,100 +142,68 @@ pub async fn listen(listener: TcpListener, router: Router) {
             continue;
         };
         let peer = Peer {
-            here: is_here(peer, stream.local_addr().ok()),
+            here: peer.ip().to_canonical().is_loopback(),
         };
-        let Some(place) = connections.enter(peer.here) else {
-            continue;
-        };
-        let number = place.number();
         // Send at once: a stop must not wait for more data.
         let _ = stream.set_nodelay(true);
-        let router = router.clone();
-        let connection = tokio::spawn(async move {
-            let place = &place;
-            let service = service_fn(move |request: hyper::Request<hyper::body::Incoming>| {
-                let mut request = request.map(Body::new);
-                request.extensions_mut().insert(peer);
-                let mut router = router.clone();
-                let is_stop = is_stop(&request);
-                let answer = async move { router.call(request).await };
-                // When a reader closes its connection, the answer is dropped, even before it was begun. A stop must be
-                // carried out anyway, so it begins here.
-                let answer = match is_stop {
-                    true => Answer::Begun(tokio::spawn(answer)),
-                    false => Answer::Due(answer),
-                };
-                async move {
-                    if place.is_for_stops && !is_stop {
-                        return Ok(full());
-                    }
-                    place.does(Doing::Answering);
-                    let response = match answer {
-                        Answer::Begun(answer) => answer.await.unwrap_or_else(|_| Ok(unknown()))?,
-                        Answer::Due(answer) => answer.await?,
-                    };
-                    place.does(match is_stream(&response) {
-                        true => Doing::Following,
-                        false => Doing::Nothing,
-                    });
-                    Ok::<_, Infallible>(response)
-                }
-            });
-            // A browser that disconnects is not an error.
-            let _ = http1::Builder::new()
-                .timer(TokioTimer::new())
-                .header_read_timeout(HEAD)
-                .max_buf_size(BUFFER)
-                .serve_connection(TokioIo::new(stream), service)
-                .await;
-        });
-        connections.ended_by(number, connection.abort_handle());
+        let place = Arc::clone(&places).try_acquire_owned().ok();
+        tokio::spawn(connection(stream, peer, place, router.clone()));
     }
 }
 
-/// The answer to a request.
-enum Answer<A> {
-    /// Already begun; continues even if its reader leaves.
-    Begun(JoinHandle<Result<Response, Infallible>>),
-    /// Not begun; ends if its reader leaves.
-    Due(A),
-}
+type Answering = Pin<Box<dyn Future<Output = Result<Response, Infallible>> + Send>>;
 
-fn is_stop(request: &Request) -> bool {
-    demand(request.method(), request.uri().path()) == Demand::Stop
-}
-
-fn is_stream(response: &Response) -> bool {
-    response
-        .headers()
-        .get(CONTENT_TYPE)
-        .is_some_and(|kind| kind == "text/event-stream")
+/// Serves one connection; without a place among [`CONNECTIONS`] it serves stops only.
+async fn connection(
+    stream: TcpStream,
+    peer: Peer,
+    place: Option<OwnedSemaphorePermit>,
+    router: Router,
+) {
+    let has_place = place.is_some();
+    let service = service_fn(move |request: hyper::Request<hyper::body::Incoming>| {
+        let mut request = request.map(Body::new);
+        request.extensions_mut().insert(peer);
+        let is_stop = demand(request.method(), request.uri().path()) == Demand::Stop;
+        let answer = router.clone().call(request);
+        // When a client closes its connection, the answer is dropped, even before it was begun. A stop must be carried
+        // out anyway, so it begins here.
+        let answering: Answering = if is_stop {
+            let begun = tokio::spawn(answer);
+            Box::pin(async { begun.await.unwrap_or_else(|_| Ok(unknown())) })
+        } else if has_place {
+            Box::pin(answer)
+        } else {
+            Box::pin(ready(Ok(full())))
+        };
+        answering
+    });
+    // A browser that disconnects is not an error.
+    let _ = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(if has_place { HEAD } else { HEAD_OF_STOP })
+        .max_buf_size(BUFFER)
+        .serve_connection(TokioIo::new(stream), service)
+        .await;
+    drop(place);
 }
 
 /// The answer to anything but a stop when there are too many connections.
 fn full() -> Response {
-    let response = bad(
+    closing(bad(
         StatusCode::SERVICE_UNAVAILABLE,
         "too many connections at once; nothing was done",
         "close pages and programs that nobody needs; a stop is taken all the same",
-    );
-    closing(response)
+    ))
 }
 
 /// The answer to a stop that failed on its way.
 fn unknown() -> Response {
-    let response = bad(
+    closing(bad(
         StatusCode::INTERNAL_SERVER_ERROR,
         "the stop failed in the server; it is not known whether the machines have stopped",
         "press the E-stop at the machine",
-    );
-    closing(response)
-}
-
-/// Whether the other end is on this computer.
-fn is_here(peer: SocketAddr, local: Option<SocketAddr>) -> bool {
-    let ip = peer.ip().to_canonical();
-    ip.is_loopback() || local.is_some_and(|local| local.ip().to_canonical() == ip)
+    ))
 }
 
 /// Checks access, and adds the headers that tell browsers how the answer may be used.
@@ -315,14 +302,7 @@ async fn state(State(app): Shared) -> Response {
 }
 
 async fn stream(State(app): Shared) -> Response {
-    let Some(body) = app.board.stream.body(|| app.board.json()) else {
-        return closing(bad(
-            StatusCode::SERVICE_UNAVAILABLE,
-            "100 readers are there already",
-            "close a page that nobody looks at; `GET /api/v1/state` works all the same",
-        ));
-    };
-    let mut response = Response::new(body);
+    let mut response = Response::new(app.board.stream.body(|| app.board.json()));
     let events = HeaderValue::from_static("text/event-stream");
     response.headers_mut().insert(CONTENT_TYPE, events);
     response
@@ -404,8 +384,18 @@ async fn capsule_settings(State(app): Shared) -> Response {
 }
 
 async fn ask(app: &App, question: Question) -> Response {
+    let Ok(place) = Arc::clone(&app.asking).try_acquire_owned() else {
+        return failed(&Failure::Unreached {
+            why: "too many questions at once".to_owned(),
+            help: "ask again".to_owned(),
+        });
+    };
     let (reply, answered) = oneshot::channel();
-    let _ = app.direct.send(DirectRequest::Ask { question, reply });
+    let _ = app.direct.send(DirectRequest::Ask {
+        question,
+        reply,
+        place,
+    });
     match answered.await {
         Ok(Ok(value)) => good(value),
         Ok(Err(failure)) => failed(&failure),
@@ -438,9 +428,6 @@ async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Respons
 }
 
 fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
-    // On Linux this sets the priority of this thread only: when all cores are busy, a stop goes first.
-    #[cfg(target_os = "linux")]
-    let _ = rustix::process::setpriority_process(None, LAST);
     let run = orders::run(body)?;
     let axis = Axis::REFERENCE;
     let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;

@@ -4,12 +4,11 @@
 //!  browser, program --HTTP--> http: access, orders --bounded channel--> worker (one thread a machine) --> line
 //!                                   |                                                                      ^
 //!                                   +-- a stop --> direct (a thread of its own) --> door of the line's owner
-//!  browser <--server-sent events-- stream (a ring of fixed size) <-- board <-- worker
+//!  browser <--server-sent events-- stream <-- board <-- worker
 //! ```
 //!
 //! * [`access`]: decides who may do what.
 //! * `http`: the routes, with `bodies`, `answers`, and `records` for downloads.
-//! * `connections`: limits the connections, and decides which one to drop.
 //! * `orders`: turns the body of a request into an order, using the command line's arguments.
 //! * `actions`: commands and their results; each is executed once.
 //! * `worker`: connection, orders and telemetry of one machine; `worker::busy` while it works.
@@ -27,7 +26,6 @@ mod answers;
 #[doc(hidden)]
 pub mod board;
 mod bodies;
-mod connections;
 #[doc(hidden)]
 pub mod direct;
 pub mod http;
@@ -60,12 +58,11 @@ use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 use tokio::net::{TcpListener, TcpSocket};
 use tokio::runtime::{Builder, Runtime};
-use tokio::sync::Semaphore;
 use tokio::time::{interval, sleep, timeout};
 
 use crate::access::{Access, LEAST_TOKEN, new_token};
 use crate::board::{Board, Machine};
-use crate::direct::{DirectRequest, Questions};
+use crate::direct::DirectRequest;
 use crate::http::App;
 use crate::worker::Worker;
 use lab::operations::failure::Failure;
@@ -141,13 +138,8 @@ pub fn serve(
     }
     let board = Arc::new(Board::new(instance.clone(), machines, options.out));
     let (direct, to_do) = channel();
-    let app = Arc::new(App {
-        board: Arc::clone(&board),
-        access: Access::new(token.clone(), options.hosts),
-        direct: direct.clone(),
-        listing: Semaphore::new(1),
-        planning: Semaphore::new(1),
-    });
+    let access = Access::new(token.clone(), options.hosts);
+    let app = Arc::new(App::new(Arc::clone(&board), access, direct.clone()));
 
     let server_file = ServerFile::publish(&json!({
         "url": url, "token": token, "instance": instance, "pid": std::process::id(),
@@ -163,7 +155,6 @@ pub fn serve(
     }
 
     let leaving = AtomicBool::new(false);
-    let questions = Questions::default();
     let told = thread::scope(|scope| {
         // Dropped on panic as well, so that the threads always end.
         let leave = Leave(&leaving, direct);
@@ -179,8 +170,8 @@ pub fn serve(
             };
             workers.push(scope.spawn(move || worker.work()));
         }
-        let (board, questions) = (&*board, &questions);
-        scope.spawn(move || direct::run(scope, places, board, questions, &to_do));
+        let board = &*board;
+        scope.spawn(move || direct::run(scope, places, board, &to_do));
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));

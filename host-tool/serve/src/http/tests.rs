@@ -1,4 +1,4 @@
-//! The server: what it hands out, whom it turns away, and what it begins at once.
+//! The server: what it hands out, and whom it turns away.
 
 use super::*;
 
@@ -22,15 +22,6 @@ fn only_records_are_handed_out() {
 }
 
 #[test]
-fn this_computer_is_known_by_both_ends() {
-    let at = |text: &str| text.parse::<SocketAddr>().expect("an address");
-    assert!(is_here(at("127.0.0.1:5"), None));
-    assert!(is_here(at("[::ffff:127.0.0.1]:5"), None));
-    assert!(is_here(at("10.0.0.5:5"), Some(at("10.0.0.5:7080"))));
-    assert!(!is_here(at("10.0.0.6:5"), Some(at("10.0.0.5:7080"))));
-}
-
-#[test]
 fn a_wait_is_zero_seconds_to_a_minute() {
     for (query, wait_s) in [
         ("", Some(0)),
@@ -47,25 +38,6 @@ fn a_wait_is_zero_seconds_to_a_minute() {
     }
 }
 
-#[test]
-fn only_a_stop_is_begun_at_once_and_only_events_are_followed() {
-    for (path, is) in [
-        ("/api/v1/stop", true),
-        ("/api/v1/estop", true),
-        ("/api/v1/rig/run", false),
-    ] {
-        let request = axum::http::Request::post(path).body(Body::empty());
-        assert_eq!(is_stop(&request.expect("a request")), is, "{path}");
-    }
-    for (kind, is) in [("text/event-stream", true), ("application/json", false)] {
-        let mut response = good(json!({}));
-        let kind = HeaderValue::from_static(kind);
-        response.headers_mut().insert(CONTENT_TYPE, kind);
-        assert_eq!(is_stream(&response), is);
-    }
-    assert!(!is_stream(&Response::new(Body::empty())));
-}
-
 /// A browser must not keep a connection that has no place.
 #[test]
 fn who_is_turned_away_is_told_why_and_leaves() {
@@ -76,5 +48,4 @@ fn who_is_turned_away_is_told_why_and_leaves() {
         assert_eq!(response.status(), status);
         assert_eq!(response.headers()["connection"], "close");
     }
-    assert_eq!(ends().status(), StatusCode::SERVICE_UNAVAILABLE);
 }
