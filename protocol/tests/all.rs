@@ -1,7 +1,6 @@
 //! All tests of the crate in one program: each program more takes seconds to build and link.
 
 mod client;
-mod document;
 mod frame;
 mod fuzz;
 mod link;

@@ -4,7 +4,7 @@
 use protocol::{
     frame::{Deframer, Kind, MAX_BODY, encode},
     system::{Event, Urgent},
-    table::{Reply, Request, SCHEMA_KEY, Telemetry},
+    table::{Impact, Reply, Request, SCHEMA_KEY, Telemetry},
 };
 use std::fmt::Write;
 
@@ -32,6 +32,24 @@ fn every_row_has_exemplars() {
             .iter()
             .any(|response| exemplars::frames::name(response).starts_with(name));
         assert!(request && response, "{name} has no exemplar");
+    }
+}
+
+#[test]
+fn every_request_stands_in_the_table_of_the_manual() {
+    let page = include_str!("../../docs/protocol.md");
+    for request in exemplars::requests() {
+        let name = request.name();
+        let number = Request::NAMES.iter().position(|known| *known == name);
+        let changes = match request.impact() {
+            Impact::None => "nothing",
+            Impact::Fault => "the fault",
+            Impact::Flash => "flash",
+            Impact::Pace => "the run",
+            Impact::Motion => "moves",
+        };
+        let row = format!("\n| {} | `{name}` | {changes} |", number.unwrap());
+        assert!(page.contains(&row), "docs/protocol.md lacks a row {row}");
     }
 }
 

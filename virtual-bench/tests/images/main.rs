@@ -20,7 +20,6 @@ mod limits;
 mod link;
 mod measurements;
 mod rig;
-mod serial_client;
 mod settings;
 mod silicon;
 mod speed;
