@@ -1,4 +1,9 @@
-//! Indentations and pressures of the paper's experiments.
+//! Frictions, pressures and indentations of the paper's experiments.
+
+/// The friction coefficients of section II.B: 0.08, 0.085 ... 0.20.
+pub fn frictions() -> impl ExactSizeIterator<Item = f64> + Clone {
+    (0..25u8).map(|i| f64::from(80 + 5 * u16::from(i)) / 1000.0)
+}
 
 /// The pressures of section II.B, Pa: 3000, 3400 ... 7000.
 pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {

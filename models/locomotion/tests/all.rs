@@ -1,11 +1,9 @@
 //! All tests of the crate in one program: each program more takes seconds to build and link.
 
-mod beam;
 mod body;
-mod comparison;
 mod folded;
 mod kinematics;
 mod model;
-mod prior;
+mod paper;
 mod roller;
 mod tube;
