@@ -1,30 +1,30 @@
-//! Figures as SVG and PDF: each has a title, and states the origin of its values in words and in its description.
+//! Figures as SVG: each has a title, and states the origin of its values in words and in its description.
 //!
 //! The size of a chart makes its letters 12 px high on a telephone 390 px wide, and lets two charts fit beside each
 //! other on a desktop screen.
 
-mod clip;
 pub(crate) mod escaped;
 mod heading;
-mod measures;
 pub(crate) mod palette;
-mod pdf;
 mod profile;
 
 use client::identity::Origin;
 use lab::trials::trial::{CapsuleSample, RigSample};
+use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::figures::clip::{clipped, edges};
 use crate::figures::escaped::escaped;
 pub use crate::figures::heading::{Heading, ModelName, Source};
-use crate::figures::measures::{LETTERS, SIZE};
 use crate::figures::palette::{INK, MEASURED, PLANNED};
-use crate::figures::pdf::{Drawn, Page};
 pub use crate::figures::profile::{Planned, planned, position_at};
 
+/// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
+/// and displayed small.
+const SIZE: (u32, u32) = (1_200, 760);
+/// Font size for the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
+const LETTERS: i32 = 50;
 /// Mean width of a letter.
 const LETTER_WIDTH: i32 = 22;
 
@@ -45,9 +45,8 @@ pub(crate) enum Mark {
     Dots(i32),
     /// Each pair of points is a line of this width.
     Segments(u32),
-    /// The points are the outline of a pale area.
-    Area,
-    /// The same behind all other curves: it does not widen the axis, and ends where the plot does.
+    /// The points are the outline of a pale area behind all other curves: it does not widen the axis, and ends where the
+    /// plot does.
     Backdrop,
 }
 
@@ -242,39 +241,18 @@ impl Figure {
         Self { heading, charts }
     }
 
-    fn size(&self) -> (u32, u32) {
-        let (width, height) = SIZE;
-        (
-            width,
-            self.heading.height() + height * self.charts.len() as u32,
-        )
-    }
-
-    /// Draws it as SVG, for a page and for drawing programs.
+    /// Draws it.
     ///
     /// # Errors
     /// If the drawing library fails.
     pub fn svg(&self) -> Result<String, FigureError> {
+        let (width, height) = SIZE;
+        let height = self.heading.height() + height * self.charts.len() as u32;
         let mut svg = String::new();
-        draw(SVGBackend::with_string(&mut svg, self.size()), self)
+        draw(SVGBackend::with_string(&mut svg, (width, height)), self)
             .map_err(|error| FigureError(error.to_string()))?;
         described(&svg, &self.heading)
             .ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
-    }
-
-    /// Draws it as PDF, for a manuscript.
-    ///
-    /// # Errors
-    /// If the drawing library fails.
-    pub fn pdf(&self) -> Result<Vec<u8>, FigureError> {
-        let (mut drawn, size) = (Drawn::new(), self.size());
-        let page = Page {
-            drawn: &mut drawn,
-            size,
-        };
-        draw(page, self).map_err(|error| FigureError(error.to_string()))?;
-        let source = format!("Origin: {}", self.heading.description());
-        Ok(drawn.into_pdf(size, &self.heading.title, &source))
     }
 }
 
@@ -295,10 +273,10 @@ fn described(svg: &str, heading: &Heading) -> Option<String> {
     ))
 }
 
-fn draw<B: DrawingBackend>(backend: B, figure: &Figure) -> Result<(), Box<dyn std::error::Error>>
-where
-    B::ErrorType: 'static,
-{
+type Drawn = Result<(), Box<dyn std::error::Error>>;
+type Sheet<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+fn draw(backend: SVGBackend<'_>, figure: &Figure) -> Drawn {
     let Figure { heading, charts } = figure;
     let root = backend.into_drawing_area();
     let (head, body) = root.split_vertically(heading.height());
@@ -315,13 +293,7 @@ where
     Ok(())
 }
 
-fn draw_chart<B: DrawingBackend>(
-    root: &DrawingArea<B, plotters::coord::Shift>,
-    chart: &Chart,
-) -> Result<(), Box<dyn std::error::Error>>
-where
-    B::ErrorType: 'static,
-{
+fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
     let Chart {
         x_label,
         y_label,
@@ -375,30 +347,18 @@ where
 }
 
 /// A curve's entry in the legend.
-fn draw_entry<B: DrawingBackend>(
-    root: &DrawingArea<B, plotters::coord::Shift>,
-    (x, y): (i32, i32),
-    curve: &Curve,
-) -> Result<(), Box<dyn std::error::Error>>
-where
-    B::ErrorType: 'static,
-{
+fn draw_entry(root: &Sheet<'_>, (x, y): (i32, i32), curve: &Curve) -> Drawn {
     let colour = curve.colour;
     let line = |y: i32, style: ShapeStyle| PathElement::new([(x, y), (x + 60, y)], style);
     match curve.mark {
         Mark::Line(width) | Mark::Segments(width) => {
             root.draw(&line(y, colour.stroke_width(width)))?;
         }
-        Mark::Area | Mark::Backdrop => {
+        Mark::Backdrop => {
             let corners = [(x, y - 14), (x + 60, y + 14)];
             root.draw(&Rectangle::new(corners, colour.mix(PALE).filled()))?;
         }
         Mark::Dots(radius) => root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?,
-    }
-    if curve.mark == Mark::Backdrop {
-        for y in [y - 14, y + 14] {
-            root.draw(&line(y, edge(colour)))?;
-        }
     }
     let letters = ("sans-serif", LETTERS - 2).into_font().color(&INK);
     let anchored = letters.pos(Pos::new(HPos::Left, VPos::Center));
@@ -411,17 +371,10 @@ fn edge(colour: RGBColor) -> ShapeStyle {
     colour.mix(0.6).stroke_width(2)
 }
 
-type Plot<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Plot<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// A curve in the plot, which goes from one height to another.
-fn draw_curve<B: DrawingBackend>(
-    plot: &mut Plot<'_, B>,
-    curve: &Curve,
-    (low, high): (f64, f64),
-) -> Result<(), Box<dyn std::error::Error>>
-where
-    B::ErrorType: 'static,
-{
+fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve, (low, high): (f64, f64)) -> Drawn {
     let colour = curve.colour;
     let is_finite = |point: &&(f64, f64)| point.0.is_finite() && point.1.is_finite();
     let points: Vec<_> = curve.points.iter().filter(is_finite).copied().collect();
@@ -438,14 +391,13 @@ where
             let style = colour.stroke_width(width);
             plot.draw_series(segments.map(|ends| PathElement::new(ends.to_vec(), style)))?;
         }
-        Mark::Area => {
-            plot.draw_series([Polygon::new(points, colour.mix(PALE).filled())])?;
-        }
         Mark::Backdrop => {
-            let area = clipped(&points, low, high);
+            let within = |(x, y): &(f64, f64)| (*x, y.clamp(low, high));
+            let area: Vec<_> = points.iter().map(within).collect();
             plot.draw_series([Polygon::new(area, colour.mix(PALE).filled())])?;
-            let lines = edges(&points, low, high).into_iter();
-            plot.draw_series(lines.map(|ends| PathElement::new(ends, edge(colour))))?;
+            let inside = |ends: &&[(f64, f64)]| ends.iter().all(|(_, y)| (low..=high).contains(y));
+            let edges = points.windows(2).filter(inside);
+            plot.draw_series(edges.map(|ends| PathElement::new(ends.to_vec(), edge(colour))))?;
         }
     }
     Ok(())
@@ -589,7 +541,7 @@ mod tests {
             figure(&heading, vec![chart]).expect("drawn")
         };
         let most = |svg: &str| numbers(svg).into_iter().fold(0.0, f64::max);
-        assert_eq!(most(&drawn(Mark::Area)), 100.0);
+        assert_eq!(most(&drawn(Mark::Line(3))), 100.0);
         let svg = drawn(Mark::Backdrop);
         assert_eq!(most(&svg), 3.0, "{svg}");
         let outline = svg
@@ -624,44 +576,5 @@ mod tests {
         let svg = over_time(&heading, "y", curves).expect("drawn");
         let place = |what| svg.find(what).expect(what);
         assert!(place("<polygon") < place("<circle"), "{svg}");
-    }
-
-    #[test]
-    fn a_pdf_says_all_that_the_svg_says() {
-        let heading = Heading::new("Fig. 9: a test", Source::Records(Origin::Board));
-        let curves = [
-            Mark::Line(3),
-            Mark::Dots(7),
-            Mark::Segments(2),
-            Mark::Area,
-            Mark::Backdrop,
-        ]
-        .map(|mark| Curve {
-            label: "a label".to_owned(),
-            colour: MEASURED,
-            mark,
-            points: vec![(0.0, 1.0), (1.0, -2.5), (2.0, 3.0)],
-        });
-        let chart = Chart {
-            x_label: "time / s",
-            y_label: "way / mm".to_owned(),
-            y_from_zero: true,
-            curves: curves.into(),
-        };
-        let figure = Figure::new(heading, vec![chart]);
-        let (svg, pdf) = (figure.svg().expect("drawn"), figure.pdf().expect("drawn"));
-        assert_eq!(pdf, figure.pdf().expect("drawn"), "the same each time");
-        let pdf = String::from_utf8_lossy(&pdf).into_owned();
-        assert!(pdf.starts_with("%PDF-1.") && pdf.trim_end().ends_with("%%EOF"));
-        let texts: Vec<_> = svg
-            .split("<text")
-            .skip(1)
-            .filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim()))
-            .collect();
-        assert!(texts.len() > 15, "{svg}");
-        for text in texts {
-            assert!(pdf.contains(&format!("({text}) Tj")), "{text}");
-        }
-        assert!(pdf.contains("/Title (Fig. 9: a test)"), "{pdf}");
     }
 }

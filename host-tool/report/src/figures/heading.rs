@@ -3,9 +3,8 @@
 use client::identity::Origin;
 use plotters::style::RGBColor;
 
-use crate::figures::measures::{LETTERS, SIZE};
 use crate::figures::palette::{INK, WARNING};
-use crate::figures::pdf;
+use crate::figures::{LETTERS, SIZE};
 
 /// Height of a title of one line and of the line below it, units of the drawing.
 const HEIGHT: u32 = 116;
@@ -13,8 +12,9 @@ const HEIGHT: u32 = 116;
 const ROW: i32 = 54;
 /// Left edge of the lines, and the room that is kept at the right.
 const MARGIN: i32 = 24;
-/// How much wider than Arimo, which the PDF has, the sans-serif font of a browser may be.
-const WIDER: f32 = 7.0 / 6.0;
+/// Width of a letter over the font size for the drawing library: a little more than the mean of a browser's sans-serif
+/// fonts, whose size is 1 / 1.24 of it.
+const LETTER: f32 = 0.58 / 1.24;
 
 /// Origin of a figure's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -138,7 +138,7 @@ pub(super) struct Line {
 /// Whether a line of this size is within the drawing.
 fn fits(text: &str, size: i32) -> bool {
     let room = (SIZE.0 as i32 - 2 * MARGIN) as f32;
-    pdf::text_width(text, size.into()) * WIDER <= room
+    text.chars().count() as f32 * LETTER * size as f32 <= room
 }
 
 /// A text in lines that fit, at least one. A word that is too long for a line, such as the name of an indentation, is

@@ -20,8 +20,6 @@ palette! {
     INK: RGBColor(0x33, 0x33, 0x33), dark RGBColor(0xe6, 0xe6, 0xe6);
     /// Marks data that cannot be relied on.
     WARNING: RGBColor(0xb0, 0x1c, 0x1c), dark RGBColor(0xff, 0x8f, 0x8a);
-    /// The spread over several bodies.
-    BAND: RGBColor(0x4a, 0x4a, 0x4a), dark RGBColor(0xb8, 0xb8, 0xb8);
     /// Values printed in the paper.
     PAPER: RGBColor(0xc2, 0x1f, 0x26), dark RGBColor(0xff, 0x86, 0x8c);
     /// Trials with dry walls.
@@ -38,9 +36,5 @@ pub(crate) fn dark_style() -> String {
         let (light, dark) = (hex(*light), hex(*dark));
         ["fill", "stroke"].map(|kind| format!("svg [{kind}='#{light}' i]{{{kind}:#{dark}}}"))
     });
-    // On a dark page the area of a band needs more of its colour to be seen.
-    let band = hex(BAND);
-    let areas =
-        ["polygon", "rect"].map(|area| format!("svg {area}[fill='#{band}' i]{{opacity:.3}}"));
-    rules.chain(areas).collect()
+    rules.collect()
 }
