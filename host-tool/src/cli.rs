@@ -6,15 +6,12 @@ mod calculation;
 mod campaign;
 mod capsule;
 mod commission;
-mod compare;
 mod configured;
-mod crescent;
 mod cycle;
 mod design;
 mod devices;
 mod doctor;
 mod failure;
-mod fit;
 mod fold;
 mod fresh;
 mod health;
@@ -27,9 +24,7 @@ mod list;
 mod man;
 mod model;
 mod move_to;
-mod optimise;
 mod plan;
-mod plan_experiment;
 mod records;
 mod report;
 mod run;
@@ -69,10 +64,8 @@ use crate::cli::campaign::CampaignSubcommand;
 use crate::cli::capsule::CapsuleSubcommand;
 use crate::cli::commission::CommissionArgs;
 use crate::cli::design::DesignArgs;
-use crate::cli::fit::FitArgs;
 use crate::cli::list::ListArgs;
 use crate::cli::plan::PlanArgs;
-use crate::cli::plan_experiment::PlanExperimentArgs;
 use crate::cli::records::RecordsSubcommand;
 use crate::cli::report::ReportArgs;
 use crate::cli::science::SimulateArgs;
@@ -116,25 +109,20 @@ const GROUPS: [(&str, &[&str]); 5] = [
         "Trials",
         &["campaign", "list", "records", "verify", "report"],
     ),
-    (
-        "Model",
-        &["plan", "design", "simulate", "fit", "plan-experiment"],
-    ),
+    ("Model", &["plan", "design", "simulate"]),
     ("Set up", &["commission", "settings", "completions", "man"]),
 ];
 
 /// Global options that say where machines are.
 const PLACES: [&str; 3] = ["rig", "capsule", "baud"];
 /// Subcommands that reach no machine, so that their help does not show these.
-const WITHOUT_MACHINES: [&str; 10] = [
+const WITHOUT_MACHINES: [&str; 8] = [
     "list",
     "verify",
     "report",
     "plan",
     "design",
     "simulate",
-    "fit",
-    "plan-experiment",
     "completions",
     "man",
 ];
@@ -262,14 +250,6 @@ pub enum Subcommand {
     Design(Box<DesignArgs>),
     /// Simulate the paper's series and free sweeps: CSV and SVG.
     Simulate(Box<SimulateArgs>),
-    /// Calibrate the model's body from recorded trials.
-    ///
-    /// Gives a posterior with its uncertainty, for `simulate --model`.
-    Fit(Box<FitArgs>),
-    /// Plan which trials tell most about the model's body.
-    ///
-    /// It compares them with the paper's procedure.
-    PlanExperiment(Box<PlanExperimentArgs>),
     /// Write an HTML report of recorded trials or of a campaign.
     ///
     /// That of a campaign has its figures and tables.
@@ -606,8 +586,6 @@ fn carry_out(
         Subcommand::Plan(args) => plan::plan(args, screen),
         Subcommand::Design(args) => design::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
-        Subcommand::Fit(args) => fit::fit(args, screen),
-        Subcommand::PlanExperiment(args) => plan_experiment::plan_experiment(args, screen),
         Subcommand::List(args) => list::list(args, screen),
         Subcommand::Report(args) => report::report(args, screen),
         Subcommand::Completions { shell } => man::completions(command(), *shell, screen),

@@ -3,7 +3,6 @@
 //! Shows contradictions in a record in red with the reason, and lists every omitted file with the reason.
 
 pub mod campaign;
-pub mod campaign_band;
 mod campaign_figures;
 pub mod evaluation;
 mod page;

@@ -61,11 +61,6 @@ impl<'a, 'b> Calculation<'a, 'b> {
         Ok(results?)
     }
 
-    /// Runs the work on the calculation's threads.
-    pub(crate) fn install<R: Send>(&self, work: impl FnOnce() -> R + Send) -> R {
-        self.workers.install(work)
-    }
-
     /// Writes rows; the last column is the origin of their values.
     pub(crate) fn csv(
         &mut self,

@@ -28,7 +28,6 @@ use lab::trials::trial::RecordError;
 use motion::axis::Axis;
 use protocol::system::DeviceKind;
 use report::html::campaign::{Present, present, report_folder};
-use report::html::campaign_band::BandSource;
 use report::html::{self, Existing};
 use report::science::virtual_displacement::Models;
 use serde_json::{Value, json};
@@ -356,15 +355,11 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, F
             return Ok(None);
         }
         Present::Nothing => Existing::Keep,
-        Present::Outdated { .. } => Existing::Replace,
+        Present::Outdated => Existing::Replace,
     };
-    let written =
-        html::campaign::write(folder, existing, &BandSource::default()).map_err(Own::from)?;
+    let written = html::campaign::write(folder, existing).map_err(Own::from)?;
     screen.say(&match present {
-        Present::Outdated { fitted: true } => format!(
-            "Report: {page_text}, made anew, for it was of an earlier state. The band of its fit is not in it: `retrograde report {folder_text} --force --model FILE` draws that again."
-        ),
-        Present::Outdated { fitted: false } => {
+        Present::Outdated => {
             format!("Report: {page_text}, made anew, for it was of an earlier state.")
         }
         _ => format!("Report: {page_text}"),

@@ -13,7 +13,6 @@ use serde_json::{Value, json};
 use crate::cli::calculation::Named;
 use crate::cli::failure::Own;
 use crate::cli::model::ModelArgs;
-use crate::cli::optimise::{OptimiseArgs, optimise};
 use crate::cli::screen::Screen;
 
 /// Arguments of `design`. All angles are measured from the transverse axis.
@@ -37,7 +36,7 @@ pub struct DesignArgs {
     /// Number m of crescents, 1 to 32; 9 by default.
     #[arg(long, value_name = "M", value_parser = clap::value_parser!(u8).range(1..=32))]
     pub crescents: Option<u8>,
-    /// A file of parameters as `simulate` writes it, model.toml: its design, where no option says otherwise. With --optimise also its bodies: those of its posterior if `fit` wrote it.
+    /// A file of parameters as `simulate` writes it, model.toml: its design, where no option says otherwise.
     #[arg(long, value_name = "FILE")]
     pub model: Option<PathBuf>,
     /// Indentation a of the drawings in mm, 0 to (W-c)/2; by default 5.05, or (W-c)/4 if the design is too narrow.
@@ -55,9 +54,6 @@ pub struct DesignArgs {
     /// Replace existing drawings.
     #[arg(long)]
     pub force: bool,
-    /// The search.
-    #[command(flatten)]
-    pub search: OptimiseArgs,
 }
 
 /// The requested design: options override the file, the file overrides the paper's printed design.
@@ -122,20 +118,6 @@ fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
 
 pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let design = asked(args)?;
-    if args.search.optimise {
-        let file = ModelArgs::of_file(args.model.clone());
-        let model = file.model()?;
-        let posterior = file.posterior()?;
-        let (a, least) = (args.indentation_mm, args.least_alpha_deg);
-        return optimise(
-            &args.search,
-            (&model, posterior.as_ref()),
-            design,
-            a,
-            least,
-            screen,
-        );
-    }
     let [drawn, map] = Named::all([args.svg.as_ref(), args.map.as_ref()], args.force)?;
     let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
     screen.say(&design_text(&report));

@@ -6,12 +6,10 @@ use clap::Args;
 use client::wording::word;
 use lab::campaign::files::{ORDER, PLAN};
 use lab::operations::failure::Failure;
-use report::html::campaign_band::BandSource;
 use report::html::{self, Existing, campaign as campaign_report};
 use serde_json::{Value, json};
 
 use crate::cli::failure::Own;
-use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 
 /// Arguments of `report`.
@@ -26,10 +24,6 @@ pub struct ReportArgs {
     /// Replace a report that is there already.
     #[arg(long)]
     pub force: bool,
-    /// Of a campaign: the model whose band stands behind its series, a file that `fit` or `simulate` wrote. Without it the
-    /// band is that of the bodies that agree with the paper's words.
-    #[arg(long, value_name = "FILE")]
-    pub model: Option<PathBuf>,
 }
 
 pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
@@ -40,12 +34,6 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     };
     if let Some(folder) = args.trials.iter().find(|path| is_campaign(path)) {
         return report_campaign(folder, args, existing, screen);
-    }
-    if args.model.is_some() {
-        return Err(Failure::input(
-            "--model draws the band of a campaign, and no campaign is named",
-            "`retrograde report FOLDER --model FILE` with the folder of a campaign",
-        ));
     }
     let out = args.out.clone().unwrap_or_else(|| "report.html".into());
     let found = html::find(&args.trials).map_err(Own::from)?;
@@ -101,15 +89,7 @@ fn advised(folder: &Path, args: &ReportArgs) -> String {
     } else {
         ""
     };
-    let model = args
-        .model
-        .as_deref()
-        .map(|file| format!(" --model {}", word(file)));
-    format!(
-        "`retrograde report {}{force}{}`",
-        word(folder),
-        model.unwrap_or_default()
-    )
+    format!("`retrograde report {}{force}`", word(folder))
 }
 
 fn report_campaign(
@@ -127,12 +107,7 @@ fn report_campaign(
             advised(folder, args),
         ));
     }
-    let file = ModelArgs::of_file(args.model.clone());
-    let source = BandSource {
-        model: file.model()?,
-        posterior: file.posterior()?,
-    };
-    let written = campaign_report::write(folder, existing, &source).map_err(Own::from)?;
+    let written = campaign_report::write(folder, existing).map_err(Own::from)?;
     screen.say(&format!(
         "{} of {} trials count; origin {}",
         written.counted, written.planned, written.origin

@@ -2,19 +2,14 @@
 
 use std::path::PathBuf;
 
-use calibration::observation::Kind;
 use clap::{Args, Subcommand};
 use lab::operations::failure::Failure;
-use locomotion::comparison;
 use locomotion::folded::Contact;
-use locomotion::model::Model;
+use locomotion::model::{Model, Setting};
 use locomotion::paper::INDENTATIONS_MM;
 use locomotion::parameter::Label;
-use locomotion::prior::Words;
-use report::figures::ModelName;
-use report::science::bands::{self, Bands};
-use report::science::posterior::Posterior;
-use report::science::series::{self, TubeCase, TubeRow, TubeRun};
+use report::figures::{FigureError, ModelName};
+use report::science::series::{self, Axis, Case, SweepRow, TubeRow, Variant};
 use report::science::values::Values;
 use report::science::{charts, model_file, snapshots, table};
 use serde::Serialize;
@@ -22,9 +17,8 @@ use serde_json::{Map, Value, json};
 
 use crate::cli::calculation::Calculation;
 use crate::cli::failure::Own;
-use crate::cli::model::ModelArgs;
+use crate::cli::model::{ModelArgs, key_and_value};
 use crate::cli::screen::Screen;
-use crate::cli::{compare, crescent};
 
 /// Arguments of `simulate`.
 #[derive(Debug, Args)]
@@ -57,8 +51,6 @@ pub enum Simulation {
     Pressure,
     /// The rig at five indentations, with and without lubrication (Fig. 7).
     Roller,
-    /// One roller pass in each direction over a fresh body.
-    Isolated,
     /// The folded body beside the unfolded one (Fig. 8).
     Fold {
         /// Indentation of the rollers in mm.
@@ -68,86 +60,62 @@ pub enum Simulation {
         #[arg(long, value_name = "MM")]
         thread_mm: Option<f64>,
     },
-    /// The crescent as a beam: force, least alpha, displacement over the thread drawn in, with a band.
-    Crescent {
-        /// Seed of the draws.
-        #[arg(long, value_name = "N", default_value_t = 1)]
-        seed: u64,
-        /// Draws of the uncertain inputs, 20 to 20000; about one in thirty does as the paper says and is kept.
-        #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(20..=20_000))]
-        draws: u32,
-    },
     /// Wall and body at several moments (Fig. 6).
     Snapshots,
-    /// All of these but the crescent.
+    /// All of these.
     All,
-    /// Every friction with every pressure (the tube) or every indentation (the rig).
-    Sweep {
-        /// Friction coefficients: `0.08,0.20` or `LOW:HIGH:STEP`.
-        #[arg(
-            long,
-            value_name = "LIST",
-            default_value = "0.15",
-            allow_hyphen_values = true
-        )]
-        frictions: Values,
-        /// Pressures in Pa.
-        #[arg(
-            long,
-            value_name = "LIST",
-            allow_hyphen_values = true,
-            required_unless_present = "indentations_mm",
-            conflicts_with = "indentations_mm"
-        )]
-        pressures_pa: Option<Values>,
-        /// Indentations in mm.
-        #[arg(long, value_name = "LIST", allow_hyphen_values = true)]
-        indentations_mm: Option<Values>,
-    },
-    /// Print the paper's sentences beside the models' values, and how probable it is that each is met (Markdown).
-    Compare {
-        /// Bodies of the prior that are asked, 20 to 4000.
-        #[arg(long, value_name = "N", default_value_t = comparison::BODIES, value_parser = clap::value_parser!(u16).range(20..=4000))]
-        bodies: u16,
-    },
+    /// Every combination of parameters with every pressure (the tube) or every indentation (the rig).
+    Sweep(SweepArgs),
+}
+
+/// Arguments of `simulate sweep`.
+#[derive(Debug, Args)]
+pub struct SweepArgs {
+    /// Friction coefficients: `0.08,0.20` or `LOW:HIGH:STEP`; that of the model by default.
+    #[arg(long, value_name = "LIST", allow_hyphen_values = true)]
+    frictions: Option<Values>,
+    /// A parameter of the model and its values, as in `--vary body.coupling=0.1:0.3:0.05`; may be repeated.
+    #[arg(long, value_name = "KEY=LIST", allow_hyphen_values = true, value_parser = axis_of)]
+    vary: Vec<Axis>,
+    /// Pressures in Pa.
+    #[arg(
+        long,
+        value_name = "LIST",
+        allow_hyphen_values = true,
+        required_unless_present = "indentations_mm",
+        conflicts_with = "indentations_mm"
+    )]
+    pressures_pa: Option<Values>,
+    /// Indentations in mm.
+    #[arg(long, value_name = "LIST", allow_hyphen_values = true)]
+    indentations_mm: Option<Values>,
+}
+
+fn axis_of(text: &str) -> Result<Axis, String> {
+    let (setting, list) = key_and_value(text)?;
+    let Values(values) = list.parse()?;
+    Ok(Axis { setting, values })
 }
 
 /// Largest number of runs in a sweep.
 const MOST_RUNS: usize = 100_000;
+/// Most rows of a sweep that are printed; its file has all of them.
+const MOST_PRINTED: usize = 200;
+const FRICTION: &str = "body.friction";
 
 /// Shared by all series of one `simulate` command.
 struct Session<'a, 'b> {
+    args: &'a SimulateArgs,
     model: Model,
-    /// The posterior that the model was drawn from, if it was fitted to trials.
-    posterior: Option<Posterior>,
     work: Calculation<'a, 'b>,
     series: Map<String, Value>,
 }
 
 pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    if let Simulation::Crescent { seed, draws } = args.what {
-        let mut work = Calculation::new(&args.out, args.threads, screen)?;
-        return crescent::crescent(&mut work, &args.model, seed, draws);
-    }
     let model = args.model.model()?;
-    if let Simulation::Compare { bodies } = args.what {
-        let posterior = args.model.posterior()?;
-        let mut work = Calculation::new(&args.out, args.threads, screen)?;
-        return compare::compare(&mut work, &model, posterior.as_ref(), bodies);
-    }
-    let varied = matches!(
-        args.what,
-        Simulation::Friction | Simulation::Roller | Simulation::Sweep { .. }
-    );
-    if varied && args.model.names("body.friction") {
-        return Err(Failure::input(
-            "--set body.friction would do nothing: this series has frictions of its own",
-            "leave it out, or `retrograde simulate sweep --frictions LIST`",
-        ));
-    }
     let mut session = Session {
+        args,
         model,
-        posterior: args.model.posterior()?,
         work: Calculation::new(&args.out, args.threads, screen)?,
         series: Map::new(),
     };
@@ -155,7 +123,6 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         Simulation::Friction => session.friction()?,
         Simulation::Pressure => session.pressure()?,
         Simulation::Roller => session.roller()?,
-        Simulation::Isolated => session.isolated()?,
         Simulation::Fold {
             indentation_mm,
             thread_mm,
@@ -165,30 +132,16 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
             session.friction()?;
             session.pressure()?;
             session.roller()?;
-            session.isolated()?;
             session.fold(INDENTATIONS_MM[4], None)?;
             session.snapshots()?;
         }
-        Simulation::Sweep {
-            frictions,
-            pressures_pa: Some(Values(pressures)),
-            ..
-        } => session.sweep_tube(&frictions.0, pressures)?,
-        Simulation::Sweep {
-            frictions,
-            indentations_mm,
-            ..
-        } => {
-            let indentations = indentations_mm.as_ref().map_or(&[][..], |list| &list.0);
-            session.sweep_roller(&frictions.0, indentations)?;
-        }
-        Simulation::Crescent { .. } | Simulation::Compare { .. } => {} // returned above
+        Simulation::Sweep(sweep) => session.sweep(sweep)?,
     }
     session.csv("parameters.csv", &table::parameters(&model))?;
-    let text = model_file::write(&model, session.posterior.as_ref());
+    let text = model_file::write(&model);
     session.work.file("model.toml", text.as_bytes())?;
     let files = session.work.say_files();
-    let origin = model_file::origin(&model, session.posterior.as_ref());
+    let origin = model_file::origin(&model);
     session.work.screen.say(&origin);
     Ok(json!({
         "origin": origin,
@@ -199,22 +152,20 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
 
 impl Session<'_, '_> {
     fn friction(&mut self) -> Result<(), Failure> {
+        self.own_values(FRICTION)?;
         let params = self.model.tube()?;
         let runs = self.work.map(&series::friction_cases(), |case| {
             series::tube_run(params, case)
         })?;
-        let bands = self.tube_bands(&[series::FRICTION_SERIES_PA])?;
-        let rows = series::tube_rows(&runs, &bands, |_| None);
+        let rows: Vec<_> = runs.iter().map(|run| run.end).collect();
         self.title("friction series, tube, 7000 Pa", "tube");
         self.tube_table(&rows);
         self.work
             .screen
             .say("  the paper's text: about 14 mm at each friction, one sentence for 25 values");
-        self.keep("friction", &rows);
-        self.csv("friction.csv", &rows)?;
-        self.csv("friction-time.csv", &series::tube_moments(&runs))?;
-        let svg = charts::friction(self.name(), &runs, &rows).map_err(Own::from)?;
-        self.work.file("friction.svg", svg.as_bytes())
+        let courses: Vec<_> = runs.iter().flat_map(|run| &run.course).collect();
+        self.csv("friction-time.csv", &courses)?;
+        self.keep("friction", &rows, charts::friction(self.name(), &runs))
     }
 
     fn pressure(&mut self) -> Result<(), Failure> {
@@ -223,95 +174,54 @@ impl Session<'_, '_> {
         let runs = self
             .work
             .map(&cases, |case| series::tube_run(params, case))?;
-        let bands = self.tube_bands(
-            &cases
-                .iter()
-                .map(|case| case.pressure_pa)
-                .collect::<Vec<_>>(),
-        )?;
-        let rows = series::tube_rows(&runs, &bands, series::paper_on_pressure_mm);
+        let rows = series::beside_the_paper(&runs);
         self.title(
             &format!("pressure series, tube, friction {}", params.body.friction),
             "tube",
         );
         self.tube_table(&rows);
-        self.keep("pressure", &rows);
-        self.csv("pressure.csv", &rows)?;
-        self.csv("pressure-time.csv", &series::tube_moments(&runs))?;
-        let svg = charts::pressure(self.name(), &runs, &rows).map_err(Own::from)?;
-        self.work.file("pressure.svg", svg.as_bytes())
+        let courses: Vec<_> = runs.iter().flat_map(|run| &run.course).collect();
+        self.csv("pressure-time.csv", &courses)?;
+        let svg = charts::pressure(self.name(), &runs, &rows);
+        self.keep("pressure", &rows, svg)
     }
 
     fn roller(&mut self) -> Result<(), Failure> {
+        self.own_values(FRICTION)?;
         let (rig, pipe) = (self.model.rig()?, self.model.tube()?);
-        let bands = self.rig_bands(&INDENTATIONS_MM)?;
         let rows = self.work.map(&series::lubrication_cases(), |case| {
-            series::lubricated_run(rig, &bands, case)
+            series::roller_run(rig, case)
         })?;
         // Fig. 7 shows the simulation at both ends of the friction range beside the experiment.
-        let ends: Vec<TubeCase> = series::LUBRICATION
+        let ends: Vec<Case> = series::LUBRICATION
             .iter()
             .flat_map(|(_, friction)| series::pressure_cases(*friction))
             .collect();
-        let tube_bands = self.tube_bands(&locomotion::paper::pressures_pa().collect::<Vec<_>>())?;
         let ends = self.work.map(&ends, |case| series::tube_run(pipe, case))?;
-        let tube = series::tube_rows(&ends, &tube_bands, series::paper_on_pressure_mm);
+        let tube = series::beside_the_paper(&ends);
+        let (cycles, stroke_mm) = (rig.cycles, rig.stroke_mm);
         self.title(
-            &format!(
-                "roller series, {} cycles of {} mm",
-                rig.cycles, rig.stroke_mm
-            ),
+            &format!("roller series, {cycles} cycles of {stroke_mm} mm"),
             "rig",
         );
-        let header = format!(
-            "  lubrication  friction   a/mm  displacement/mm  {} band/mm",
-            self.band_name()
-        );
-        self.work.screen.say(&header);
+        self.work
+            .screen
+            .say("  lubrication  friction   a/mm  displacement/mm");
         for row in &rows {
             self.work.screen.say(&format!(
-                "  {:<11} {:>9} {:>6} {:>16.1}  {:>13}",
-                row.lubrication,
-                row.friction,
-                row.indentation_mm,
-                row.displacement_mm,
-                bands::text(row.band_mm().0, row.band_mm().1)
+                "  {:<11} {:>9} {:>6} {:>16.1}",
+                row.lubrication, row.friction, row.indentation_mm, row.displacement_mm,
             ));
         }
-        self.say_what_a_band_is(Words::Rig);
-        self.keep("roller", &rows);
-        self.csv("roller.csv", &rows)?;
-        let svg = charts::comparison(self.name(), &rows, &tube).map_err(Own::from)?;
-        self.work.file("roller.svg", svg.as_bytes())
-    }
-
-    fn isolated(&mut self) -> Result<(), Failure> {
-        let rig = self.model.rig()?;
-        let rows = self
-            .work
-            .map(&INDENTATIONS_MM, |a| series::isolated_run(rig, *a))?;
-        self.title("isolated passes, rig, fresh body", "rig");
-        self.work.screen.say("  a/mm  antegrade/mm  returning/mm");
-        for row in &rows {
-            self.work.screen.say(&format!(
-                "  {:>4} {:>13.2} {:>13.2}",
-                row.indentation_mm, row.antegrade_mm, row.returning_mm
-            ));
-        }
-        self.keep("isolated", &rows);
-        self.csv("isolated.csv", &rows)?;
-        let svg = charts::isolated(self.name(), &rows).map_err(Own::from)?;
-        self.work.file("isolated.svg", svg.as_bytes())
+        let svg = charts::comparison(self.name(), &rows, &tube);
+        self.keep("roller", &rows, svg)
     }
 
     fn fold(&mut self, indentation_mm: f64, thread_mm: Option<f64>) -> Result<(), Failure> {
         let test = series::fold_test(&self.model, indentation_mm, thread_mm)?;
-        let band = self.rig_bands(&[indentation_mm])?;
+        let (cycles, stroke_mm) = (test.params.cycles, test.params.stroke_mm);
         self.title(
-            &format!(
-                "fold test, rig, {} cycles of {} mm",
-                test.params.cycles, test.params.stroke_mm
-            ),
+            &format!("fold test, rig, {cycles} cycles of {stroke_mm} mm"),
             "folded",
         );
         let contact = match test.contact {
@@ -327,15 +237,13 @@ impl Session<'_, '_> {
             .course
             .last()
             .map_or((0.0, 0.0), |row| (row.folded_mm, row.unfolded_mm));
-        let band = band.of_case(indentation_mm);
-        let of = self.band_name();
         self.work.screen.say(&format!(
             "  folded to {:.3} mm, a = {indentation_mm} mm: {contact}\n  \
-             displacement: folded {folded:.1} mm (the fold is declared, not worked out), unfolded {unfolded:.1} mm \
-             ({of} band {} mm)",
+             displacement: folded {folded:.1} mm (the fold is declared, not worked out), unfolded {unfolded:.1} mm",
             test.params.width_mm,
-            bands::text(band.map(|band| band.low), band.map(|band| band.high)),
         ));
+        let svg = charts::fold(self.name(), &test);
+        self.keep("fold", &test.course, svg)?;
         self.series.insert(
             "fold".to_owned(),
             json!({
@@ -344,13 +252,9 @@ impl Session<'_, '_> {
                 "contact": contact,
                 "folded_mm": folded,
                 "unfolded_mm": unfolded,
-                format!("unfolded_{of}_5_mm"): band.map(|band| band.low),
-                format!("unfolded_{of}_95_mm"): band.map(|band| band.high),
             }),
         );
-        self.csv("fold.csv", &test.course)?;
-        let svg = charts::fold(self.name(), &test).map_err(Own::from)?;
-        self.work.file("fold.svg", svg.as_bytes())
+        Ok(())
     }
 
     fn snapshots(&mut self) -> Result<(), Failure> {
@@ -360,7 +264,7 @@ impl Session<'_, '_> {
         ];
         let rows: Vec<_> = strips.iter().flat_map(snapshots::Strip::rows).collect();
         self.csv("snapshots.csv", &rows)?;
-        let origin = model_file::origin(&self.model, self.posterior.as_ref());
+        let origin = model_file::origin(&self.model);
         for strip in &strips {
             let name = format!("snapshots-{}.svg", strip.model);
             self.work.file(&name, strip.svg(&origin).as_bytes())?;
@@ -368,102 +272,136 @@ impl Session<'_, '_> {
         Ok(())
     }
 
-    fn sweep_tube(&mut self, frictions: &[f64], pressures_pa: &[f64]) -> Result<(), Failure> {
-        few_enough(frictions, pressures_pa)?;
-        let params = self.model.tube()?;
-        let cases = series::tube_cases(frictions, pressures_pa);
-        // Keep only the end of each run: the full courses of all runs would fill the memory.
-        let end = |case: &TubeCase| {
-            let run = series::tube_run(params, case)?;
-            let course = run.course.last().copied().into_iter().collect();
-            Ok(TubeRun { course, ..run })
+    fn sweep(&mut self, args: &SweepArgs) -> Result<(), Failure> {
+        let friction = Setting::named(FRICTION).zip(args.frictions.as_ref());
+        let friction = friction.map(|(setting, values)| Axis {
+            setting,
+            values: values.0.clone(),
+        });
+        let axes: Vec<Axis> = friction.into_iter().chain(args.vary.clone()).collect();
+        for (index, axis) in axes.iter().enumerate() {
+            self.own_values(axis.setting.key)?;
+            let key = axis.setting.key;
+            let same =
+                |other: &Axis| other.setting.key == key || other.setting.other_key() == Some(key);
+            if axes[..index].iter().any(same) {
+                return Err(Failure::input(
+                    format!("{key} is varied twice"),
+                    "leave one of them out",
+                ));
+            }
+        }
+        let (in_tube, loads) = match (&args.pressures_pa, &args.indentations_mm) {
+            (Some(Values(pressures)), _) => (true, &pressures[..]),
+            (None, indentations) => (false, indentations.as_ref().map_or(&[][..], |all| &all.0)),
         };
-        let runs = self.work.map(&cases, end)?;
-        let bands = self.tube_bands(pressures_pa)?;
-        let rows: Vec<TubeRow> = series::tube_rows(&runs, &bands, |_| None);
-        let points: Vec<_> = rows
+        let counts = axes.iter().map(|axis| axis.values.len());
+        let runs = counts.fold(loads.len(), usize::saturating_mul);
+        if runs > MOST_RUNS {
+            return Err(Failure::input(
+                format!("{runs} runs are too many"),
+                format!("at most {MOST_RUNS}: take larger steps"),
+            ));
+        }
+        let variants = series::variants(&self.model, &axes)
+            .map_err(|error| self.args.model.failure(&error))?;
+        let cases: Vec<(&Variant, f64)> = variants
             .iter()
-            .map(|row| (row.friction, row.pressure_pa, row.displacement_mm))
+            .flat_map(|variant| loads.iter().map(move |load| (variant, *load)))
             .collect();
-        self.title(&format!("sweep of {} runs, tube", rows.len()), "tube");
-        self.keep("sweep", &rows);
-        self.csv("sweep-tube.csv", &rows)?;
-        let (x, y) = ("peristaltic pressure / Pa", "displacement / mm");
-        let svg = charts::sweep(self.name(), x, y, &points, &bands).map_err(Own::from)?;
-        self.work.file("sweep-tube.svg", svg.as_bytes())
-    }
-
-    fn sweep_roller(&mut self, frictions: &[f64], indentations: &[f64]) -> Result<(), Failure> {
-        few_enough(frictions, indentations)?;
-        let rig = self.model.rig()?;
-        let cases = series::roller_cases(frictions, indentations);
-        // Run first: it refuses an indentation that the rig does not cover, before any band is calculated.
-        let rows = self
-            .work
-            .map(&cases, |case| series::roller_run(rig, case))?;
-        let bands = self.rig_bands(indentations)?;
-        let rows: Vec<_> = rows.into_iter().map(|row| row.with_band(&bands)).collect();
-        let points: Vec<_> = rows
-            .iter()
-            .map(|row| (row.friction, row.indentation_mm, row.displacement_mm))
-            .collect();
-        self.title(&format!("sweep of {} runs, rig", rows.len()), "rig");
-        self.keep("sweep", &rows);
-        self.csv("sweep-roller.csv", &rows)?;
-        let (x, y) = ("peristaltic indentation / mm", "displacement / mm");
-        let svg = charts::sweep(self.name(), x, y, &points, &bands).map_err(Own::from)?;
-        self.work.file("sweep-roller.svg", svg.as_bytes())
-    }
-
-    fn name(&self) -> ModelName {
-        model_file::name(&self.model, self.posterior.as_ref())
-    }
-
-    fn short_origin(&self) -> String {
-        model_file::short_origin(&self.model, self.posterior.as_ref())
-    }
-
-    /// Name of the distribution that the rig's bands show.
-    fn band_name(&self) -> &'static str {
-        if self.posterior.is_some() {
-            "posterior"
+        if in_tube {
+            let rows = self.work.map(&cases, |((model, axes), load)| {
+                let params = model.tube()?;
+                let (friction, load) = (params.body.friction, *load);
+                let run = series::tube_run(params, &Case { friction, load })?.end;
+                let axes = axes.clone();
+                Ok(SweepRow { axes, run })
+            })?;
+            let at = |row: &TubeRow| (row.pressure_pa, row.displacement_mm);
+            self.swept("tube", &rows, loads.len(), at)
         } else {
-            "prior"
+            let rows = self.work.map(&cases, |((model, axes), load)| {
+                let params = model.rig()?;
+                let (friction, load) = (params.body.friction, *load);
+                let run = series::roller_run(params, &Case { friction, load })?;
+                let axes = axes.clone();
+                Ok(SweepRow { axes, run })
+            })?;
+            let at = |row: &series::RollerRow| (row.indentation_mm, row.displacement_mm);
+            self.swept("rig", &rows, loads.len(), at)
         }
     }
 
-    /// Bands on the rig for each indentation: of the posterior if there is one, otherwise of the prior.
-    fn rig_bands(&self, indentations_mm: &[f64]) -> Result<Bands, Failure> {
-        let Some(cases) = bands::few(indentations_mm) else {
-            return Ok(Bands::default());
+    /// Prints and writes the rows of a sweep, of which each combination has `loads`.
+    fn swept<R: Serialize>(
+        &mut self,
+        world: &str,
+        rows: &[SweepRow<R>],
+        loads: usize,
+        at: impl Fn(&R) -> (f64, f64),
+    ) -> Result<(), Failure> {
+        self.title(&format!("sweep of {} runs, {world}", rows.len()), world);
+        let load = if world == "tube" {
+            "pressure/Pa"
+        } else {
+            "a/mm"
         };
-        let Some(posterior) = &self.posterior else {
-            let bodies = bands::bodies(&self.model, Words::Rig);
-            let values = self.work.map(&bodies, |body| bands::on_rig(body, &cases))?;
-            return Ok(Bands::of(&cases, &values));
+        let keys: Vec<&str> = rows
+            .first()
+            .map_or(vec![], |row| row.axes.keys().map(String::as_str).collect());
+        let mut header = String::from(" ");
+        for key in &keys {
+            header += &format!(" {key:>12}");
+        }
+        let screen = &mut self.work.screen;
+        screen.say(&format!("{header} {load:>12}  displacement/mm"));
+        for row in rows.iter().take(MOST_PRINTED) {
+            let mut line = String::from(" ");
+            for key in &keys {
+                let width = key.len().max(12);
+                line += &format!(" {:>width$}", row.axes[*key].to_string());
+            }
+            let (load, mm) = at(&row.run);
+            screen.say(&format!("{line} {load:>12} {mm:>16.1}"));
+        }
+        if rows.len() > MOST_PRINTED {
+            screen.say(&format!(
+                "  the first {MOST_PRINTED} of {} rows",
+                rows.len()
+            ));
+        }
+        let label = |row: &SweepRow<R>| {
+            let axes = row.axes.iter().map(|(key, value)| format!("{key} {value}"));
+            format!("{} (model)", axes.collect::<Vec<_>>().join(", "))
         };
-        let bodies = bands::fitted(&self.model, posterior);
-        let values = self.work.map(&bodies, |body| bands::on_rig(body, &cases))?;
-        let cycles = u16::try_from(self.model.rig()?.cycles).unwrap_or(u16::MAX);
-        let passes = Kind::Net { cycles }.discrepancies();
-        let deviations_mm: Vec<f64> = posterior
-            .discrepancies_mm()
-            .iter()
-            .map(|tau| passes * tau)
-            .collect();
-        Ok(Bands::with_discrepancy(&cases, &values, &deviations_mm))
+        let members = rows.chunks(loads.max(1));
+        let members = members.map(|part| {
+            let points = part.iter().map(|row| at(&row.run)).collect();
+            (label(&part[0]), points)
+        });
+        let svg = charts::sweep(self.name(), world == "tube", members.collect());
+        let name = if world == "tube" {
+            "sweep-tube"
+        } else {
+            "sweep-roller"
+        };
+        self.keep(name, rows, svg)
     }
 
-    /// Prior bands in the tube for each pressure. Trials on the rig say nothing about the tube's wall.
-    fn tube_bands(&self, pressures_pa: &[f64]) -> Result<Bands, Failure> {
-        let Some(cases) = bands::few(pressures_pa) else {
-            return Ok(Bands::default());
-        };
-        let bodies = bands::bodies(&self.model, Words::Tube);
-        let values = self
-            .work
-            .map(&bodies, |body| bands::in_tube(body, &cases))?;
-        Ok(Bands::of(&cases, &values))
+    /// Refuses an option for a parameter of which the series has values of its own.
+    fn own_values(&self, key: &str) -> Result<(), Failure> {
+        let named = Setting::named(key).is_some_and(|setting| self.args.model.names(setting));
+        if named && !matches!(self.args.what, Simulation::All) {
+            return Err(Failure::input(
+                format!("--set {key} would do nothing: this series has values of its own"),
+                format!("leave it out, or `retrograde simulate sweep --vary {key}=LIST`"),
+            ));
+        }
+        Ok(())
+    }
+
+    fn name(&self) -> ModelName {
+        model_file::name(&self.model)
     }
 
     /// Prints a heading that names the model and its calibrated, assumed and changed parameters, as far as they act in
@@ -481,7 +419,7 @@ impl Session<'_, '_> {
                 .collect();
             all.join(", ")
         };
-        let mut text = format!("{title}: {}", self.short_origin());
+        let mut text = format!("{title}: {}", model_file::short_origin(&self.model));
         for (word, label) in [
             ("calibrated", Label::Calibrated),
             ("assumed", Label::Assumed),
@@ -498,50 +436,35 @@ impl Session<'_, '_> {
     fn tube_table(&mut self, rows: &[TubeRow]) {
         self.work
             .screen
-            .say("  friction  pressure/Pa  tail/mm  head/mm  prior band/mm  the paper's text/mm");
+            .say("  friction  pressure/Pa  tail/mm  head/mm  the paper's text/mm");
         for row in rows {
             let paper = row
                 .paper_about_mm
                 .map_or("-".to_owned(), |mm| format!("about {mm}"));
             self.work.screen.say(&format!(
-                "  {:>8} {:>12} {:>8.1} {:>8.1}  {:>13}  {paper:>19}",
-                row.friction,
-                row.pressure_pa,
-                row.displacement_mm,
-                row.head_displacement_mm,
-                bands::text(row.prior_5_mm, row.prior_95_mm),
+                "  {:>8} {:>12} {:>8.1} {:>8.1}  {paper:>19}",
+                row.friction, row.pressure_pa, row.displacement_mm, row.head_displacement_mm,
             ));
         }
-        self.say_what_a_band_is(Words::Tube);
     }
 
-    fn say_what_a_band_is(&mut self, words: Words) {
-        let text = match (&self.posterior, words) {
-            (Some(posterior), Words::Rig) => format!(
-                "posterior band, with the model's discrepancy: {}",
-                posterior.meaning()
-            ),
-            _ => format!("prior band: {}", bands::meaning(words)),
-        };
-        self.work.screen.say(&format!("  {text}"));
-    }
-
-    fn keep(&mut self, name: &str, rows: &[impl Serialize]) {
-        self.series.insert(name.to_owned(), json!(rows));
+    /// Writes the table and the figure of a series.
+    fn keep(
+        &mut self,
+        name: &str,
+        rows: &[impl Serialize],
+        svg: Result<String, FigureError>,
+    ) -> Result<(), Failure> {
+        // A sweep's file says of which world it is.
+        let key = name.split('-').next().unwrap_or(name);
+        self.series.insert(key.to_owned(), json!(rows));
+        self.csv(&format!("{name}.csv"), rows)?;
+        let svg = svg.map_err(Own::from)?;
+        self.work.file(&format!("{name}.svg"), svg.as_bytes())
     }
 
     fn csv(&mut self, name: &str, rows: &[impl Serialize]) -> Result<(), Failure> {
-        self.work.csv(name, rows, &self.short_origin())
+        let origin = model_file::short_origin(&self.model);
+        self.work.csv(name, rows, &origin)
     }
-}
-
-fn few_enough(one: &[f64], other: &[f64]) -> Result<(), Failure> {
-    let runs = one.len() * other.len();
-    if runs <= MOST_RUNS {
-        return Ok(());
-    }
-    Err(Failure::input(
-        format!("{runs} runs are too many"),
-        format!("at most {MOST_RUNS}: take larger steps"),
-    ))
 }

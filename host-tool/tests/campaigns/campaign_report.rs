@@ -24,7 +24,6 @@ use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use report::html::Existing;
 use report::html::campaign::{Written, report_folder, write};
-use report::html::campaign_band::BandSource;
 use report::html::evaluation::{clampings, evaluate};
 use report::science::observations::{self, TrialsError};
 
@@ -260,7 +259,7 @@ fn page(written: &Written) -> String {
 #[test]
 fn a_campaign_becomes_a_page_figures_and_tables() {
     let (_place, path) = made();
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     assert_eq!(written.findings, Vec::<String>::new());
     assert_eq!((written.planned, written.counted), (14, 12));
     let why = |trial| {
@@ -281,9 +280,7 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
         .collect();
     let wanted = [
         "figure7.svg",
-        "figure7.pdf",
         "figure8.svg",
-        "figure8.pdf",
         "trials.csv",
         "attempts.csv",
         "conditions.csv",
@@ -300,12 +297,10 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     assert_eq!(html.matches("<svg").count(), 2 + 13);
     // The report's own files must not count as a change of the campaign.
     assert_eq!(
-        write(&path, Existing::Replace, &BandSource::default())
-            .expect("again")
-            .findings,
+        write(&path, Existing::Replace).expect("again").findings,
         Vec::<String>::new()
     );
-    let error = write(&path, Existing::Keep, &BandSource::default()).expect_err("there");
+    let error = write(&path, Existing::Keep).expect_err("there");
     assert!(error.to_string().contains("is there already"), "{error}");
 }
 
@@ -317,7 +312,7 @@ fn a_campaign_that_has_not_begun_has_a_report_without_figures() {
     fs::create_dir(report_folder(&path)).expect("a folder");
     let stale = report_folder(&path).join("figure7.svg");
     fs::write(&stale, "of trials that no longer count").expect("written");
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     assert_eq!(
         (written.planned, written.counted, written.left_out.len()),
         (14, 0, 14)
@@ -337,7 +332,7 @@ fn one_reading_has_no_standard_deviation() {
     let mut folder = Folder::create(&path, &plan, Path::new("small.toml")).expect("made");
     read(&mut folder, &mut Clock(0), 1, None, ["24.40"]);
     drop(folder);
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     let table = fs::read_to_string(report_folder(&path).join("readings.csv")).expect("a table");
     assert_eq!(
         table.lines().nth(1),
@@ -465,7 +460,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let text = fs::read_to_string(&file).expect("there");
     let half = text.len() / 2;
     fs::write(&file, &text[..half]).expect("cut");
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     assert_eq!(written.counted, 11);
     let (_, why) = written
         .left_out
@@ -483,7 +478,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let edited = text.replacen(",0.77,", ",0.78,", 1);
     assert_ne!(text, edited);
     fs::write(&ledger, edited).expect("edited");
-    let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Replace).expect("written");
     assert!(page(&written).contains("NOT AS IT WAS WRITTEN"));
     // The exit code tells a script, but the page is written all the same.
     fs::remove_file(&written.page).expect("removed");
@@ -515,7 +510,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     fs::write(&plan, text + "[virtual]\nscatter_mm = 0.25\nseed = 77\n").expect("written");
     let sums = manifest::of_folder(&path).expect("a folder");
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     assert_eq!((written.findings.len(), written.counted), (0, 12));
     assert_eq!(written.origin, Origin::Virtual);
     let html = page(&written);
@@ -546,7 +541,7 @@ fn a_virtual_campaign_cannot_pass_as_a_measurement() {
     fs::write(&sidecar, text.replace("\"virtual\"", "\"board\"")).expect("written");
     let sums = manifest::of_folder(&path).expect("a folder");
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
-    let written = write(&path, Existing::Replace, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Replace).expect("written");
     assert_eq!((written.counted, written.defects), (11, 1));
     // The exit code tells a script, too.
     let at = path.to_str().expect("UTF-8");
@@ -579,7 +574,7 @@ fn a_trial_counts_although_its_telemetry_has_gaps() {
     fs::write(&sidecar, fewer).expect("written");
     let sums = manifest::of_folder(&path).expect("a folder");
     fs::write(path.join(manifest::NAME), sums.text()).expect("written");
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     assert_eq!(written.findings, Vec::<String>::new());
     assert_eq!((written.counted, written.defects), (12, 0));
     let html = page(&written);
@@ -628,66 +623,6 @@ fn the_command_says_what_it_wrote_and_what_does_not_count() {
     }
 }
 
-/// The chart shows the model's band behind the series. The page says whose bodies it shows and what that is worth.
-#[test]
-fn a_models_band_stands_behind_the_series_and_says_what_it_is() {
-    let (place, path) = made();
-    let memory = Memory::with(vec![]);
-    let at = path.to_str().expect("UTF-8");
-    let said = |more: &[&str]| {
-        let (code, _, err) = memory.run(&[&["report", at, "--force"], more].concat());
-        assert_eq!(code, 0, "{err}");
-        let read = |name: &str| fs::read_to_string(path.join("report").join(name)).expect(name);
-        (read("report.html"), read("figure7.svg"))
-    };
-    let (page, prior) = said(&[]);
-    for says in [
-        "not validated against a rig",
-        "bodies that agree with the paper&#39;s words on the rig",
-    ] {
-        assert!(
-            page.contains(says) || page.contains(&says.replace("&#39;", "'")),
-            "{says}"
-        );
-    }
-    assert!(
-        prior.contains("model, 5 to 95 % of bodies that fit"),
-        "{prior}"
-    );
-    assert!(!page.contains("these very trials"));
-
-    let file = place.path().join("model.toml");
-    let sample = |ratio: f64| [0.15, ratio, 0.0007, 0.05];
-    let model =
-        crate::support::made_up::posterior(&file, "", &[sample(30.0), sample(40.0), sample(50.0)]);
-    let (page, fitted) = said(&["--model", &model]);
-    assert!(page.contains("3 of 3 bodies of the posterior"), "no bodies");
-    assert!(
-        fitted.contains("model, 5 to 95 % of fitted bodies"),
-        "{fitted}"
-    );
-    assert!(!page.contains("these very trials"));
-    assert!(fitted != prior);
-
-    // The posterior contains the campaign's own data, so agreement is no evidence.
-    let listed = fs::read_to_string(path.join(manifest::NAME)).expect("a list");
-    let hash = listed.lines().find(|line| line.ends_with("  trials.csv"));
-    let hash = hash.expect("the ledger is listed");
-    let text = fs::read_to_string(&model).expect("a model");
-    fs::write(
-        &model,
-        text.replace("sha256 = []", &format!("sha256 = [\"{hash}\"]")),
-    )
-    .expect("written");
-    let (page, _) = said(&["--model", &model]);
-    assert!(page.contains("fitted to these very trials"), "not said");
-
-    let record = path.join("attempts");
-    let (code, _, err) =
-        memory.run(&["report", record.to_str().expect("UTF-8"), "--model", &model]);
-    assert!(code == 2 && err.contains("no campaign is named"), "{err}");
-}
-
 /// An independent program in another language recalculates every number of the page from the campaign's files.
 #[test]
 fn every_number_of_the_page_is_worked_out_again() {
@@ -698,7 +633,7 @@ fn every_number_of_the_page_is_worked_out_again() {
         command.arg(&script).arg(path).output()
     };
     let (_place, path) = made();
-    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    write(&path, Existing::Keep).expect("written");
     let Ok(output) = python(&path) else {
         // Without Python there is no independent program to compare with.
         return;
@@ -884,7 +819,7 @@ fn a_calibration_takes_what_counts_and_lists_what_does_not() {
 #[test]
 fn every_colour_of_a_figure_changes_on_a_dark_page() {
     let (_place, path) = made();
-    let written = write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    let written = write(&path, Existing::Keep).expect("written");
     let text = page(&written);
     let (style, body) = text.split_once("</style>").expect("a style");
     let mut count = 0;
@@ -918,10 +853,10 @@ fn texts(svg: &str) -> Vec<String> {
 #[test]
 fn figures_show_the_trials_beside_each_other_and_what_is_the_same_once() {
     let (_place, path) = made();
-    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    write(&path, Existing::Keep).expect("written");
     let read = |name: &str| fs::read_to_string(report_folder(&path).join(name)).expect(name);
     let (figure7, page) = (read("figure7.svg"), read("report.html"));
-    // The axis goes as far as the trials, not as far as the model's band.
+    // The axis goes as far as the trials, not as far as the line's band.
     let most_mm = (1..14).map(displacement_um).max().expect("trials") as f64 / 1e3;
     let numbers: Vec<f64> = texts(&figure7)
         .iter()
@@ -985,7 +920,7 @@ fn dots_stand_at_their_indentation_if_no_others_do() {
         }
     }
     drop(folder);
-    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    write(&path, Existing::Keep).expect("written");
     let svg = fs::read_to_string(report_folder(&path).join("figure7.svg")).expect("a figure");
     let places = |colour| -> Vec<f64> {
         let dots = dots(&svg, colour).into_iter();
@@ -1007,7 +942,7 @@ fn dots_stand_at_their_indentation_if_no_others_do() {
 #[test]
 fn trials_are_folded_unless_they_do_not_count() {
     let (_place, path) = made();
-    write(&path, Existing::Keep, &BandSource::default()).expect("written");
+    write(&path, Existing::Keep).expect("written");
     let page = fs::read_to_string(report_folder(&path).join("report.html")).expect("a page");
     let trials: Vec<_> = page.split("<details class=\"trial\"").skip(1).collect();
     assert_eq!(trials.len(), 13);

@@ -524,7 +524,7 @@ fn passes_and_strokes_reach_the_fit_and_the_report() {
     let report = Path::new(&out).join("report");
     let page = fs::read_to_string(report.join("report.html")).expect("a page");
     assert!(page.contains("Isolated passes") && page.contains("trials/1/stroke/2"));
-    assert!(report.join("passes.svg").is_file() && report.join("passes.pdf").is_file());
+    assert!(report.join("passes.svg").is_file());
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
     let mut python = Command::new("python3");
     python.env("PYTHONDONTWRITEBYTECODE", "1");

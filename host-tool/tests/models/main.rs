@@ -3,10 +3,5 @@
 #[path = "../support/mod.rs"]
 mod support;
 
-mod crescent;
 mod files;
-mod fit;
-mod optimise;
-mod plan_experiment;
 mod science;
-mod verdict;

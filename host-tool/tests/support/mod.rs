@@ -5,7 +5,6 @@
 pub mod asked;
 #[cfg(unix)]
 pub mod bench;
-pub mod made_up;
 pub mod mishap;
 pub mod offline;
 #[cfg(unix)]

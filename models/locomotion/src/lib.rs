@@ -1,10 +1,9 @@
 //! The paper's mathematics: the origami's kinematics, its body in a travelling wave, the roller rig, the pressurised
 //! tube and the folded body.
 //!
-//! No clock, and no randomness except from seeds. The steps use only `+ - * /` and square
-//! roots, so that a run gives the same bits every time. Only [`beam`] allocates and takes angles. Lengths are in
-//! millimetres, pressures in pascals. The load of a wave on the body is given as the indentation of the wall in
-//! millimetres.
+//! No clock, no allocation and no randomness. The steps use only `+ - * /` and square roots, so that a run gives the
+//! same bits every time. Lengths are in millimetres, pressures in pascals. The load of a wave on the body is given as
+//! the indentation of the wall in millimetres.
 //!
 //! # Axes and signs
 //! The intestine lies along x. Its marked left end is x = 0, the right end of the roller's travel x = 130 mm. The body
@@ -19,21 +18,16 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-extern crate alloc;
 #[cfg(test)]
 extern crate std;
 
-pub mod beam;
 pub mod body;
 pub mod chance;
-pub mod comparison;
 pub mod folded;
 pub mod kinematics;
 pub mod model;
 pub mod paper;
 pub mod parameter;
-pub mod prior;
 pub mod range;
 pub mod roller;
-mod trend;
 pub mod tube;

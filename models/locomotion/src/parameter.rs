@@ -32,7 +32,7 @@ impl fmt::Display for Label {
 /// One parameter of a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Parameter {
-    /// Section and name, as in a model file; for the beam, the field with its path.
+    /// Section and name, as in a model file.
     pub name: &'static str,
     /// Value in `unit`.
     pub value: f64,
@@ -44,22 +44,4 @@ pub struct Parameter {
     pub label: Label,
     /// Section or sentence of the paper, or the reason for the choice.
     pub source: &'static str,
-}
-
-/// A row of a table of defaults.
-pub(crate) const fn row(
-    name: &'static str,
-    value: f64,
-    unit: &'static str,
-    label: Label,
-    source: &'static str,
-) -> Parameter {
-    Parameter {
-        name,
-        value,
-        word: None,
-        unit,
-        label,
-        source,
-    }
 }

@@ -1,4 +1,4 @@
-//! The report of a campaign: one page, its figures as SVG and PDF, and its tables as CSV, in the campaign's folder
+//! The report of a campaign: one page, its figures as SVG, and its tables as CSV, in the campaign's folder
 //! `report`.
 //!
 //! A cell with a computed number has the attribute `data-is` with its place in the tables.
@@ -21,7 +21,6 @@ use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
 use serde::Serialize;
 
-use crate::html::campaign_band::{BandSource, FITTED_BAND, band};
 use crate::html::campaign_figures::{Captioned, carriage, figure7, figure8, passes, run_over_plan};
 use crate::html::evaluation::{
     ConditionRow, Evaluation, NOT_DONE, Part, TrialRow, evaluate, motion_of,
@@ -87,10 +86,7 @@ pub enum Present {
     /// The report of the folder as it is.
     Current,
     /// A report of an earlier state.
-    Outdated {
-        /// Whether its band is that of a calibration, which the user has named.
-        fitted: bool,
-    },
+    Outdated,
     /// Something else than a report of this program.
     Foreign,
 }
@@ -110,9 +106,7 @@ pub fn present(folder: &Path) -> Present {
     if is_current {
         Present::Current
     } else {
-        Present::Outdated {
-            fitted: html.contains(FITTED_BAND),
-        }
+        Present::Outdated
     }
 }
 
@@ -130,25 +124,20 @@ pub fn report_folder(campaign: &Path) -> PathBuf {
     campaign.join(manifest::NOT_COVERED)
 }
 
-/// Verifies a campaign, evaluates it, and writes page, figures and tables, with a model's band behind the series.
+/// Verifies a campaign, evaluates it, and writes page, figures and tables.
 ///
 /// # Errors
 /// It cannot be read, the page already exists, or something cannot be written. Each file is written completely or not
 /// at all, the page last.
-pub fn write(
-    folder: &Path,
-    existing: Existing,
-    model: &BandSource,
-) -> Result<Written, CampaignReportError> {
+pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignReportError> {
     let into = report_folder(folder);
     let page_path = into.join(PAGE);
     if existing == Existing::Keep && fs::symlink_metadata(&page_path).is_ok() {
         return Err(CampaignReportError::Exists { path: page_path });
     }
     let evaluation = evaluate(folder)?;
-    let band = band(&evaluation, model);
     let figures = Figures {
-        figure7: Drawings::of(figure7(&evaluation, band.as_ref()))?,
+        figure7: Drawings::of(figure7(&evaluation))?,
         figure8: Drawings::of(figure8(&evaluation))?,
         passes: Drawings::of(passes(&evaluation))?,
     };
@@ -170,17 +159,11 @@ pub fn write(
         ("figure8", &figures.figure8),
         ("passes", &figures.passes),
     ] {
-        let (svg, pdf) = (format!("{name}.svg"), format!("{name}.pdf"));
+        let svg = format!("{name}.svg");
         match drawings {
-            Some(drawings) => {
-                keep(&svg, drawings.svg.as_bytes())?;
-                keep(&pdf, &drawings.pdf)?;
-            }
-            None => {
-                // An earlier report drew this figure from trials that no longer count.
-                target.remove(&svg).map_err(failed(&svg))?;
-                target.remove(&pdf).map_err(failed(&pdf))?;
-            }
+            Some(drawings) => keep(&svg, drawings.svg.as_bytes())?,
+            // An earlier report drew this figure from trials that no longer count.
+            None => target.remove(&svg).map_err(failed(&svg))?,
         }
     }
     let lines: Vec<_> = evaluation.lines.iter().map(|(row, _)| row).collect();
@@ -225,10 +208,9 @@ pub fn write(
     })
 }
 
-/// A figure in its two formats, with its caption.
+/// A figure with its caption.
 struct Drawings {
     svg: String,
-    pdf: Vec<u8>,
     caption: String,
 }
 
@@ -237,8 +219,8 @@ impl Drawings {
         let Some(Captioned { figure, caption }) = drawn else {
             return Ok(None);
         };
-        let (svg, pdf) = (figure.svg()?, figure.pdf()?);
-        Ok(Some(Self { svg, pdf, caption }))
+        let svg = figure.svg()?;
+        Ok(Some(Self { svg, caption }))
     }
 }
 

@@ -8,16 +8,15 @@ use lab::trials::check;
 use lab::trials::trial::{Action, RigSample, Screw};
 use plotters::style::RGBColor;
 
-use crate::figures::palette::{BAND, DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
+use crate::figures::palette::{DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
 use crate::figures::{
     Chart, Curve, Figure, FigureError, Heading, Mark, Source, curve, figure, planned, sampled,
     thinned,
 };
-use crate::html::campaign_band::ModelBand;
 use crate::html::evaluation::{Evaluation, LINE, LINE_BAND, Part, deviations, run_of};
 
 /// Points of a band's edge.
-const EDGE: u32 = 48;
+const EDGE: u32 = 96;
 /// Number of time intervals for which a run's figure shows the extremes.
 const STRETCHES: usize = 250;
 
@@ -146,10 +145,9 @@ fn dots_and_bars(
     ])
 }
 
-/// Displacement against indentation, with the model's band behind it if there is one; none without a trial that
-/// counts.
+/// Displacement against indentation; none without a trial that counts.
 #[must_use]
-pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Captioned> {
+pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
     let mut curves = vec![];
     let mut caption = format!("Each dot is a trial, {BARS}");
     let places = Places::of(evaluation, &[Purpose::Series]);
@@ -206,15 +204,6 @@ pub fn figure7(evaluation: &Evaluation, band: Option<&ModelBand>) -> Option<Capt
         caption.push_str(&format!(" {LINE}{band}."));
     }
     caption.push_str(places.caption());
-    // Insert first, so that the band is behind those of the lines.
-    if let Some(band) = band {
-        caption.push(' ');
-        caption.push_str(&band.meaning);
-        curves.insert(
-            0,
-            curve(band.label, BAND, Mark::Backdrop, band.outline.clone()),
-        );
-    }
     let chart = Chart {
         x_label: "indentation a / mm",
         y_label: "displacement / mm".to_owned(),

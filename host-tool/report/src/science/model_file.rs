@@ -6,7 +6,6 @@ use locomotion::model::{Model, Setting, Unsuitable, Value};
 use toml::{Table, Value as Item};
 
 use crate::figures::ModelName;
-use crate::science::posterior::{self, Posterior};
 
 /// Why a model cannot be built from the given values.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -28,12 +27,6 @@ pub enum ModelError {
         /// The reason.
         why: Unsuitable,
     },
-    /// The file's posterior cannot be used.
-    #[error("its section [posterior]: {0}; `retrograde fit` writes it anew")]
-    Posterior(String),
-    /// A parameter of the posterior was also set to another value.
-    #[error("{0} is fitted: the file's posterior says what it is")]
-    Fitted(&'static str),
     /// Two keys set the same parameter.
     #[error("{0} and {1} set the same: give one of them")]
     Twice(&'static str, &'static str),
@@ -96,8 +89,6 @@ pub struct ModelFile {
     pub body: Option<String>,
     /// Its values.
     pub choices: Vec<Choice>,
-    /// Bodies fitted to trials.
-    pub posterior: Option<Posterior>,
 }
 
 /// Key of the body that a file starts from. Not `body`, which is a section.
@@ -115,9 +106,6 @@ pub fn read(text: &str) -> Result<ModelFile, ModelError> {
     for (name, item) in table {
         match item {
             Item::String(body) if name == FROM_BODY => file.body = Some(body),
-            section @ Item::Table(_) if name == posterior::SECTION => {
-                file.posterior = Some(Posterior::read(section).map_err(ModelError::Posterior)?);
-            }
             Item::Table(section) => {
                 for (key, item) in section {
                     file.choices.push(choice(&format!("{name}.{key}"), item)?);
@@ -171,13 +159,13 @@ pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// Writes a model, and the posterior that it is a sample of; [`read`] restores both bit for bit.
+/// Writes a model; [`read`] restores it bit for bit.
 #[must_use]
-pub fn write(model: &Model, posterior: Option<&Posterior>) -> String {
+pub fn write(model: &Model) -> String {
     let mut text = format!(
         "# Origin: {}\n# `retrograde simulate --model` reads this file. What is left out is that of the body.\n\
          {FROM_BODY} = \"{}\"\n",
-        origin(model, posterior),
+        origin(model),
         model.name
     );
     let mut last = "";
@@ -202,96 +190,54 @@ pub fn write(model: &Model, posterior: Option<&Posterior>) -> String {
             row.label, row.source
         );
     }
-    if let Some(posterior) = posterior {
-        text += &posterior.text();
-    }
     text
-}
-
-/// Name of a posterior in a figure.
-#[must_use]
-pub fn fitted_name(posterior: &Posterior) -> ModelName {
-    ModelName {
-        short: format!(
-            "model fitted to trials of origin {}{}",
-            posterior.origin,
-            posterior.word()
-        ),
-        full: format!(
-            "model: {}; calculated, not a measurement",
-            posterior.meaning()
-        ),
-    }
 }
 
 /// Origin of a model's values, in full.
 #[must_use]
-pub fn origin(model: &Model, posterior: Option<&Posterior>) -> String {
-    let fitted = posterior.map_or(&[][..], Posterior::of_body);
+pub fn origin(model: &Model) -> String {
     let changes: Vec<_> = model
         .changes()
-        .filter(|row| !fitted.iter().any(|key| key == row.name))
         .map(|row| match row.word {
             Some(word) => format!("{} = {word}", row.name),
             None => format!("{} = {}", row.name, row.value),
         })
         .collect();
-    let changed = |how: &str| match changes.is_empty() {
+    let changed = match changes.is_empty() {
         true => String::new(),
-        false => format!("; {how}: {}", changes.join(", ")),
-    };
-    let from = match posterior {
-        None => format!(
-            ", calibrated to {}{}",
-            model.calibrated_to,
-            changed("changed since, so no longer calibrated")
-        ),
-        Some(posterior) => format!(
-            " with {} fitted to trials, sample {} of {} of their posterior, the nearest to its medians; origin of the \
-             trials: {}{}{}",
-            fitted.join(", "),
-            posterior.point,
-            posterior.samples.len(),
-            posterior.origin.meaning(),
-            posterior.verdict(),
-            changed("not the default")
+        false => format!(
+            "; changed since, so no longer calibrated: {}",
+            changes.join(", ")
         ),
     };
     format!(
-        "model: body {}{from}; calculated, not a measurement",
-        model.name
+        "model: body {}, calibrated to {}{changed}; calculated, not a measurement",
+        model.name, model.calibrated_to
     )
+}
+
+/// Number of changed values in words, or `unchanged`.
+fn changes(model: &Model, unchanged: &str) -> String {
+    match model.changes().count() {
+        0 => unchanged.to_owned(),
+        1 => ", 1 value changed".to_owned(),
+        count => format!(", {count} values changed"),
+    }
 }
 
 /// Origin of a model's values, in a few letters for each row of a table.
 #[must_use]
-pub fn short_origin(model: &Model, posterior: Option<&Posterior>) -> String {
-    let name = model.name;
-    match (posterior, model.changes().count()) {
-        (Some(posterior), _) => format!(
-            "model {name}, sample {} of a posterior of origin {}{}",
-            posterior.point,
-            posterior.origin,
-            posterior.word()
-        ),
-        (None, 0) => format!("model {name}"),
-        (None, 1) => format!("model {name}, 1 value changed"),
-        (None, count) => format!("model {name}, {count} values changed"),
-    }
+pub fn short_origin(model: &Model) -> String {
+    format!("model {}{}", model.name, changes(model, ""))
 }
 
 /// Name of the model in a figure.
 #[must_use]
-pub fn name(model: &Model, posterior: Option<&Posterior>) -> ModelName {
-    let words = |changed: &str| format!("model: body {}, {changed}, no measurement", model.name);
+pub fn name(model: &Model) -> ModelName {
+    let changes = changes(model, ", a fit to words");
     ModelName {
-        short: match (posterior, model.changes().count()) {
-            (Some(posterior), _) => fitted_name(posterior).short,
-            (None, 0) => words("a fit to words"),
-            (None, 1) => words("1 value changed"),
-            (None, count) => words(&format!("{count} values changed")),
-        },
-        full: origin(model, posterior),
+        short: format!("model: body {}{changes}, no measurement", model.name),
+        full: origin(model),
     }
 }
 
@@ -302,7 +248,7 @@ mod tests {
     #[test]
     fn a_written_model_is_read_back_to_the_bit() {
         for model in Model::ALL {
-            let file = read(&write(&model, None)).expect("readable");
+            let file = read(&write(&model)).expect("readable");
             let body = file.body.expect("named");
             assert_eq!(build(&body, &file.choices), Ok(model));
         }
@@ -310,10 +256,10 @@ mod tests {
         let file = read(odd).expect("readable");
         let model = build("rig", &file.choices).expect("a model");
         assert_eq!(model.changes().count(), 3);
-        let again = read(&write(&model, None)).expect("readable");
+        let again = read(&write(&model)).expect("readable");
         assert_eq!(build("rig", &again.choices), Ok(model));
-        assert!(origin(&model, None).contains("body.friction_ratio = facets"));
-        assert_eq!(short_origin(&model, None), "model rig, 3 values changed");
+        assert!(origin(&model).contains("body.friction_ratio = facets"));
+        assert_eq!(short_origin(&model), "model rig, 3 values changed");
     }
 
     #[test]

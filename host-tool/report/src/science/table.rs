@@ -1,21 +1,15 @@
 //! Rows as CSV: a header with units in the names, numbers with enough digits to restore the same bits.
 
 use locomotion::model::Model;
-use locomotion::parameter::Parameter;
 use serde::Serialize;
+use serde_json::Value;
 
 /// The rows as the bytes of a CSV file.
 ///
 /// # Errors
 /// A row that is not a flat record.
 pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
-    let mut writer = csv::Writer::from_writer(vec![]);
-    for row in rows {
-        writer.serialize(row)?;
-    }
-    writer
-        .into_inner()
-        .map_err(|error| error.into_error().into())
+    written(rows, None)
 }
 
 /// As [`csv()`], with the origin of the values in a last column of each row.
@@ -23,15 +17,24 @@ pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
 /// # Errors
 /// As [`csv()`].
 pub fn csv_of<T: Serialize>(rows: &[T], origin: &str) -> Result<Vec<u8>, csv::Error> {
-    let bare = csv(rows)?;
-    let mut reader = csv::ReaderBuilder::new()
-        .has_headers(false)
-        .from_reader(bare.as_slice());
+    written(rows, Some(origin))
+}
+
+fn written<T: Serialize>(rows: &[T], origin: Option<&str>) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::Writer::from_writer(vec![]);
-    for (line, record) in reader.records().enumerate() {
-        let mut record = record?;
-        record.push_field(if line == 0 { "origin" } else { origin });
-        writer.write_record(&record)?;
+    for (line, row) in rows.iter().enumerate() {
+        let row = serde_json::to_value(row).map_err(std::io::Error::from)?;
+        let columns = || row.as_object().into_iter().flatten();
+        if line == 0 {
+            let names = columns().map(|(name, _)| name.as_str());
+            writer.write_record(names.chain(origin.map(|_| "origin")))?;
+        }
+        let cells = columns().map(|(_, value)| match value {
+            Value::Null => String::new(),
+            Value::String(text) => text.clone(),
+            other => other.to_string(),
+        });
+        writer.write_record(cells.chain(origin.map(str::to_owned)))?;
     }
     writer
         .into_inner()
@@ -58,18 +61,15 @@ pub struct ParameterRow {
 /// All parameters of a model.
 #[must_use]
 pub fn parameters(model: &Model) -> Vec<ParameterRow> {
-    model.parameters().map(row).collect()
-}
-
-/// The row of a parameter.
-#[must_use]
-pub fn row(parameter: Parameter) -> ParameterRow {
-    ParameterRow {
-        name: parameter.name,
-        value: parameter.value,
-        word: parameter.word,
-        unit: parameter.unit,
-        label: parameter.label.to_string(),
-        source: parameter.source,
-    }
+    model
+        .parameters()
+        .map(|parameter| ParameterRow {
+            name: parameter.name,
+            value: parameter.value,
+            word: parameter.word,
+            unit: parameter.unit,
+            label: parameter.label.to_string(),
+            source: parameter.source,
+        })
+        .collect()
 }

@@ -64,8 +64,7 @@ impl FromStr for Values {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use locomotion::comparison::frictions;
-    use locomotion::paper::pressures_pa;
+    use locomotion::paper::{frictions, pressures_pa};
 
     fn values(text: &str) -> Result<Vec<f64>, String> {
         text.parse().map(|Values(values)| values)

@@ -220,7 +220,7 @@ fn noted(
     name: &str,
     friction: f64,
 ) -> Modelled {
-    let body = model_file::short_origin(&Model::ONE, None);
+    let body = model_file::short_origin(&Model::ONE);
     let mut text = format!("{name} ({body}), friction {friction}");
     let scatter = plan.virtual_bench;
     let source = if scatter.scatter_mm.um > 0 {
