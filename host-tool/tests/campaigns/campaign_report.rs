@@ -25,7 +25,6 @@ use protocol::system::DeviceKind;
 use report::html::Existing;
 use report::html::campaign::{Written, report_folder, write};
 use report::html::evaluation::{clampings, evaluate};
-use report::science::observations::{self, TrialsError};
 
 /// Three indentations, dry and lubricated, twice each, and a fold test: 14 trials.
 pub(crate) const PLAN: &str = r#"
@@ -766,56 +765,6 @@ fn the_catalogue_finds_campaigns_and_trials_by_date_specimen_and_outcome() {
 
 /// A calibration takes the net displacements that count and lists all others with the reason. It takes nothing from a
 /// changed folder.
-#[test]
-fn a_calibration_takes_what_counts_and_lists_what_does_not() {
-    let (_place, path) = made();
-    let why = observations::read(&path, None)
-        .expect_err("not said")
-        .to_string();
-    assert!(why.contains("how exact its displacements are"), "{why}");
-    let read = observations::read(&path, Some(0.5)).expect("readable");
-    assert_eq!(read.origin, Origin::Board);
-    assert_eq!(read.stroke_mm, Some(5.0));
-    let campaign = Campaign::read(&path).expect("a campaign");
-    let used: Vec<&str> = read.measured.iter().map(|one| &*one.place).collect();
-    for trial in &campaign.state.trials {
-        let number = trial.planned.trial;
-        let counts = trial.counted().is_some() && trial.planned.shape == Shape::Unfolded.into();
-        let place = format!("trial {number}");
-        assert_eq!(used.contains(&&*place), counts, "{place}");
-        let listed = read.left_out.iter().any(|left| left.place == place);
-        assert!(counts || listed, "{place} is nowhere");
-    }
-    for one in &read.measured {
-        let number: u32 = one.place["trial ".len()..].parse().expect("a number");
-        let mm = displacement_um(number) as f64 / 1e3;
-        assert_eq!(one.observation.displacement_mm, mm, "{}", one.place);
-        assert_eq!(one.observation.uncertainty_mm, 0.5);
-    }
-    let whys: Vec<String> = read
-        .left_out
-        .iter()
-        .map(|one| format!("{}: {}", one.place, one.why))
-        .collect();
-    let says = |text: &str| {
-        assert!(
-            whys.iter().any(|why| why.contains(text)),
-            "{text}: {whys:?}"
-        )
-    };
-    says("trial 5: excluded: the tail was <caught>");
-    says("trial 2: attempt 1 stopped");
-    says("trial 14: not done");
-    let files: Vec<&str> = read.files.iter().map(|file| &*file.path).collect();
-    assert_eq!(files, ["trials.csv", manifest::NAME]);
-    let trials_csv = path.join("trials.csv");
-    let text = fs::read_to_string(&trials_csv).expect("a file");
-    fs::write(&trials_csv, text.replacen("measured", "Measured", 1)).expect("written");
-    let error = observations::read(&path, Some(0.5)).expect_err("changed");
-    assert!(matches!(error, TrialsError::Changed { .. }), "{error}");
-}
-
-/// Every colour that a drawing of the report has must have one for dark pages.
 #[test]
 fn every_colour_of_a_figure_changes_on_a_dark_page() {
     let (_place, path) = made();

@@ -4,14 +4,12 @@
 use std::fs;
 use std::io::{self, BufRead, Read, Write};
 use std::path::Path;
-use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::tool::Memory;
-use calibration::observation::Kind as Observed;
 use client::identity::Origin;
 use host_tool::cli::run_on;
 use lab::campaign::contents::Campaign;
@@ -22,11 +20,10 @@ use lab::campaign::verify::verify;
 use lab::operations::connector::Connector;
 use lab::trials::check;
 use lab::trials::trial::{Action, Moved, RigSample, Trial};
-use locomotion::roller::{Params, isolated_pass};
+use locomotion::roller::Params;
 use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
-use report::science::observations;
 use simulated_machines::machine::{Script, VIRTUAL_UID, World};
 
 /// The paper's plan with fewer trials, shorter runs and these changes.
@@ -459,97 +456,6 @@ fn contradicted(record: &Trial, rows: &[RigSample]) {
     ] {
         assert!(said.contains(says), "{says}: {said}");
     }
-}
-
-/// From the plan to the input of a fit, with models instead of machines.
-#[test]
-fn passes_and_strokes_reach_the_fit_and_the_report() {
-    let two_cycles = [
-        ("cycles = 1", "cycles = 2"),
-        ("duration_s = 8", "duration_s = 16"),
-    ];
-    let place = place(&changed(&plan_of_passes(), &two_cycles));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let memory = machines(Some(VIRTUAL_UID));
-    let run = |args: &[&str]| memory.run(&[args, &AT].concat());
-    let (code, said, err) = run(&["campaign", "run", &plan, "--out", &out, "--yes"]);
-    assert_eq!(code, 0, "{said}{err}");
-    assert!(said.contains("antegrade pass n = 1 of 1"), "{said}");
-    let campaign = whole(&out);
-    let model = isolated_pass(Params::PAPER, 5.05).expect("covered");
-    for (purpose, mm) in passes(&campaign) {
-        let alone = match purpose {
-            Purpose::AntegradePass => model.antegrade_mm,
-            _ => model.returning_mm,
-        };
-        // Allow for the model's ripple, because the body lies elsewhere, and for the caliper's rounding.
-        assert!((mm - alone).abs() < 0.3, "{purpose:?}: {mm}, alone {alone}");
-    }
-    let trials = observations::read(Path::new(&out), None).expect("verifies");
-    let of = |wanted: Observed| {
-        let found = trials
-            .measured
-            .iter()
-            .find(|one| one.observation.kind == wanted);
-        found.unwrap_or_else(|| panic!("{wanted:?}")).observation
-    };
-    assert_eq!((trials.measured.len(), trials.left_out.len()), (6, 0));
-    // Each is what was read, from the beginning, and has the error of one reading; the last is the net displacement.
-    let run = campaign.state.trial(1).and_then(|trial| trial.attempt());
-    let read = run.expect("done").strokes.iter().map(|after| after.mm());
-    let kinds = [
-        Observed::Stroke { number: 1 },
-        Observed::Net { cycles: 1 },
-        Observed::After { strokes: 3 },
-        Observed::Net { cycles: 2 },
-    ];
-    let found = kinds.map(|kind| of(kind).displacement_mm);
-    assert_eq!(read.collect::<Vec<_>>(), found);
-    assert!(
-        trials
-            .measured
-            .iter()
-            .all(|one| one.observation.uncertainty_mm == 0.3)
-    );
-    assert!(
-        found[0] > 5.0 && found[1] - found[0] < found[0],
-        "{found:?}"
-    );
-    of(Observed::AntegradePass);
-    of(Observed::ReturningPass);
-    let given = observations::read(Path::new(&out), Some(0.5)).expect("verifies");
-    assert_eq!(given.overridden_mm, Some(0.3));
-    assert!(given.measured[0].observation.uncertainty_mm == 0.5);
-
-    let report = Path::new(&out).join("report");
-    let page = fs::read_to_string(report.join("report.html")).expect("a page");
-    assert!(page.contains("Isolated passes") && page.contains("trials/1/stroke/2"));
-    assert!(report.join("passes.svg").is_file());
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
-    let mut python = Command::new("python3");
-    python.env("PYTHONDONTWRITEBYTECODE", "1");
-    // Without Python there is no independent program to compare with.
-    if let Ok(output) = python.arg(&script).arg(&out).output() {
-        let said = String::from_utf8_lossy(&output.stdout).into_owned()
-            + &String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{said}");
-    }
-    let (code, listed, err) = memory.run(&["list", &path(&place, ""), "--trials"]);
-    assert_eq!(code, 0, "{err}");
-    assert!(listed.contains("dry, a5, returning pass"), "{listed}");
-
-    // An excluded pass is left out and listed.
-    let pass = campaign
-        .state
-        .trials
-        .iter()
-        .find(|trial| trial.planned.purpose.pass().is_some());
-    let number = pass.expect("there").planned.trial.to_string();
-    let (code, _, err) = memory.run(&["campaign", "edit", &out, "exclude", &number, "torn"]);
-    assert_eq!(code, 0, "{err}");
-    let trials = observations::read(Path::new(&out), None).expect("verifies");
-    assert_eq!(trials.measured.len(), 5);
-    assert_eq!(trials.left_out[0].why, "excluded: torn");
 }
 
 /// The rollers move before the body is laid in, and start from the right end even after an interruption. Strokes that
