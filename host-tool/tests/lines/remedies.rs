@@ -186,9 +186,9 @@ fn a_path_with_blanks_is_quoted_in_a_command() {
     );
 }
 
-/// Without `--force` it was refused again, and without `--model` it drew another band.
+/// Without `--force` it was refused again.
 #[test]
-fn a_campaigns_report_is_advised_with_the_options_it_needs() {
+fn a_campaigns_report_is_advised_with_the_option_it_needs() {
     let desk = Desk::simulated();
     desk.write("plan.toml", &plan());
     desk.done("campaign new @plan.toml --out @c");
@@ -197,12 +197,6 @@ fn a_campaigns_report_is_advised_with_the_options_it_needs() {
     desk.done("report @c");
     let err = desk.refused("report @c --out @x.html");
     assert!(err.contains("`retrograde report @c --force`"), "{err}");
-    desk.done("report @c --force");
-    let err = desk.refused("report @c --out @x.html --model @m.toml");
-    assert!(
-        err.contains("`retrograde report @c --force --model @m.toml`"),
-        "{err}"
-    );
 }
 
 /// It advised a folder that can be written.
@@ -216,7 +210,7 @@ fn a_model_that_cannot_be_read_is_to_be_named() {
     ] {
         let err = desk.refused(line);
         assert!(
-            err.contains("`retrograde fit`") && !err.contains("written"),
+            err.contains("`retrograde simulate`") && !err.contains("written"),
             "{err}"
         );
     }
