@@ -4,7 +4,7 @@
 //! * [`connector`]: sources of links. [`names`] and [`places`]: find the machine and open a session with it.
 //! * [`failure`]: the reason why a command failed, its remedy and exit code.
 //! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
-//! * [`folding`], [`ending`], [`reached`], [`left`]: tasks before and after a motion.
+//! * [`folding`], [`ending`], [`reached`]: tasks before and after a motion.
 //! * [`panel`]: the known state of a machine that is watched.
 
 pub mod arguments;
@@ -14,7 +14,6 @@ pub mod ending;
 pub mod failure;
 pub mod folding;
 pub mod interrupt;
-pub mod left;
 pub mod names;
 pub mod panel;
 pub mod places;

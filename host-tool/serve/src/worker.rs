@@ -19,7 +19,7 @@ use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use lab::operations::places::{Need, Places, Target};
-use lab::operations::{ending, left, reached};
+use lab::operations::{ending, reached};
 use lab::trials::experiment::{self, Actuation, ExperimentError};
 use lab::trials::trial::Status;
 use protocol::rig::{self, RigState, RunOutcome};
@@ -222,7 +222,6 @@ impl Worker<'_> {
 
     fn watch(&self, device: &mut Device, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let mut asked_us = None;
-        let mut left = left::Once::default();
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
@@ -235,12 +234,6 @@ impl Worker<'_> {
                 }
             }
             self.settle(device)?;
-            if asked_us == Some(now_us)
-                && !self.machine.panel().moves()
-                && let Some(said) = left.end_record(device, self.places.connector.now())?
-            {
-                self.board.notice(self.machine, Notice::Bad(said));
-            }
             let order = waiting.take().or_else(|| self.orders.try_recv().ok());
             if let Some(order) = order {
                 asked_us = None;

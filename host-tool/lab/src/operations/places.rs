@@ -21,8 +21,9 @@ use crate::operations::connector::{Candidate, Connector, Purpose};
 use crate::operations::delivery::{Delivery, Told};
 use crate::operations::failure::Failure;
 use crate::operations::interrupt;
-use crate::operations::left;
 use crate::operations::names::Names;
+use crate::trials::status::Status;
+use crate::trials::trial::{CAMPAIGN_LEDGER, Trial};
 
 /// Both machines.
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
@@ -259,10 +260,7 @@ impl Places<'_> {
         if let Err(error @ ClientError::WrongDevice { .. }) = device.require(kind) {
             return Err(error.into());
         }
-        if device.left_record().is_some()
-            && device.require(kind).is_ok()
-            && let Some(said) = left::end_record(&mut device, self.connector.now())?
-        {
+        if let Some(said) = orphaned_record(&mut device) {
             eprintln!("{}", visible::lines(&said));
         }
         // A command that gives the machine a name does not need it to have one.
@@ -551,6 +549,21 @@ pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failur
         found = look();
     }
     found
+}
+
+/// Tells once of the record that a killed process has left on this line. A campaign completes its own: those are
+/// CAMPAIGN/trials/ATTEMPT/RECORD.
+fn orphaned_record(device: &mut Device) -> Option<String> {
+    let sidecar = device.left_record()?;
+    device.left_has_ended();
+    let campaign = sidecar.ancestors().nth(3)?;
+    let is_running = Trial::read(&sidecar).is_ok_and(|trial| trial.status == Status::Running);
+    (is_running && !campaign.join(CAMPAIGN_LEDGER).exists()).then(|| {
+        format!(
+            "the process that recorded {} has ended before its action; `retrograde records fetch` saves what the machine knows of it",
+            sidecar.display()
+        )
+    })
 }
 
 /// Describes all places, one line each.

@@ -16,7 +16,6 @@ use client::{Device, Interrupt, Observer, Pace};
 use lab::operations::connector::Purpose;
 use lab::operations::delivery::{DO_NOW, Delivery, Told};
 use lab::operations::failure::Failure;
-use lab::operations::left;
 use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, Panel, TELEMETRY_MS};
 use lab::operations::places::{Places, Target};
 use lab::operations::stops::{self, Ask, Stops};
@@ -299,7 +298,6 @@ impl Feed<'_> {
             self.shared.tell(Notice::Bad(NOT_SENT.to_owned()));
         }
         let mut asked_us = None;
-        let mut left = left::Once::default();
         while !self.is_leaving() && !device.is_line_wanted() {
             let now_us = device.now_us();
             let due = asked_us.is_none_or(|asked_us| now_us >= asked_us + ASK_US);
@@ -315,12 +313,6 @@ impl Feed<'_> {
             self.settle(device)?;
             if first && device.owner().is_none() && self.shared.panel().moves() {
                 self.shared.tell(Notice::Bad(MOVES_ALREADY.to_owned()));
-            }
-            if asked_us == Some(now_us)
-                && !self.shared.panel().moves()
-                && let Some(said) = left.end_record(device, self.places.connector.now())?
-            {
-                self.shared.tell(Notice::Bad(said));
             }
             for (pace, mark) in std::mem::take(&mut *self.shared.paces()) {
                 device.ordered_at(mark);
