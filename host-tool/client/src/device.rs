@@ -11,12 +11,10 @@ mod requests;
 pub(crate) mod waiting;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::path::{Path, PathBuf};
 
 use protocol::VERSION;
 use protocol::capsule::CapsuleState;
 use protocol::client::{Client, Output};
-use protocol::rig::RigStatus;
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Event, Identity, Urgent};
 use protocol::table::{Impact, Response, SCHEMA_KEY, Telemetry};
@@ -95,12 +93,6 @@ pub struct Device {
     moves: bool,
     /// An order to move was sent and is not answered.
     ordered: bool,
-    /// The last order was a run that goes on to its end without the host.
-    finishes: bool,
-    /// Time after which the device stops without a request, ms.
-    link_timeout_ms: u32,
-    /// The rig's last status, and when it came, us.
-    last_status: Option<(u64, RigStatus)>,
     /// Index of the next event to deliver.
     next_event: u32,
     /// Events that arrived before an earlier one.
@@ -133,9 +125,6 @@ impl Device {
             clock: None,
             moves: false,
             ordered: false,
-            finishes: false,
-            link_timeout_ms: SettingKey::LinkTimeoutMs.range().default,
-            last_status: None,
             next_event: 0,
             early: BTreeMap::new(),
             events: VecDeque::new(),
@@ -149,7 +138,7 @@ impl Device {
     /// should be new for every connection. Moves nothing.
     ///
     /// # Errors
-    /// [`ClientError::NoAnswer`], [`ClientError::WrongDevice`], [`ClientError::Mismatch`], or the link's.
+    /// [`ClientError::NoAnswer`], [`ClientError::WrongMachine`], or the link's.
     pub fn connect(
         link: Box<dyn Link>,
         wanted: DeviceKind,
@@ -173,10 +162,10 @@ impl Device {
             Ok(Some(Output::Accepted(Response::Hello(identity)))) => identity,
             // Another kind of server identifies itself and closes the connection.
             Err(ClientError::Link(_)) if matches!(sign, Sign::Web | Sign::Ssh | Sign::Text(_)) => {
-                return Err(self.no_answer(sign));
+                return Err(self.no_answer("Hello", sign));
             }
             Err(error) => return Err(error),
-            Ok(_) => return Err(self.no_answer(sign)),
+            Ok(_) => return Err(self.no_answer("Hello", sign)),
         };
         self.identity = Some(identity);
         self.link.introduce(&identity);
@@ -196,32 +185,27 @@ impl Device {
     /// Interval of requests that keeps this device moving, us: at most a third of its link timeout.
     fn asked_keep_alive_us(&mut self) -> Result<u64, ClientError> {
         let key = SettingKey::LinkTimeoutMs;
-        self.link_timeout_ms = self.call(GetSetting { key })?.value;
-        Ok(KEEP_ALIVE_US.min(u64::from(self.link_timeout_ms) * 1_000 / 3))
+        let timeout_ms = self.call(GetSetting { key })?.value;
+        Ok(KEEP_ALIVE_US.min(u64::from(timeout_ms) * 1_000 / 3))
     }
 
     /// Makes sure that this is the wanted machine and that both ends speak the same protocol.
     ///
     /// # Errors
-    /// [`ClientError::WrongDevice`], [`ClientError::Mismatch`]; [`ClientError::NoAnswer`] before
-    /// [`Device::hello`].
+    /// [`ClientError::WrongMachine`]; [`ClientError::NoAnswer`] before [`Device::hello`].
     pub fn require(&self, wanted: DeviceKind) -> Result<(), ClientError> {
         let place = self.place();
         let Some(found) = self.identity else {
-            return Err(self.no_answer(Sign::Silence));
+            return Err(self.no_answer("Hello", Sign::Silence));
         };
-        let found = Box::new(found);
-        if found.device != wanted {
-            return Err(ClientError::WrongDevice {
-                place,
-                wanted,
-                found,
-            });
+        if found.device == wanted && matches(&found) {
+            return Ok(());
         }
-        if !matches(&found) {
-            return Err(ClientError::Mismatch { place, found });
-        }
-        Ok(())
+        Err(ClientError::WrongMachine {
+            place,
+            wanted,
+            found: Box::new(found),
+        })
     }
 
     /// The device's answer to Hello; `None` before [`Device::hello`].
@@ -275,23 +259,6 @@ impl Device {
             now_us: self.link.now_us(),
         };
         self.link = Box::new(gone);
-    }
-
-    /// Names the record that this process now writes; `None` when it is complete. If this process is killed, the
-    /// line's next owner finds the unfinished record there.
-    pub fn records(&mut self, sidecar: Option<&Path>) {
-        self.link.records(sidecar);
-    }
-
-    /// Notes that the record of [`Device::left_record`] is complete.
-    pub fn left_has_ended(&mut self) {
-        self.link.left_has_ended();
-    }
-
-    /// Unfinished record of the line's previous owner, if that process was killed.
-    #[must_use]
-    pub fn left_record(&self) -> Option<PathBuf> {
-        self.link.left_record()
     }
 
     /// The relation of the device's clock to the link's, from the last status.

@@ -87,7 +87,7 @@ impl Sign {
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::Silence => {
-                "is the board powered, is this its port (`retrograde devices`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`cargo rig`, `cargo capsule`)?"
+                "is the board powered, is this its port (`retrograde doctor`), does `--baud` match the firmware (115200), and is Retrograde's firmware on it (`cargo rig`, `cargo capsule`)?"
             }
             Self::Echo => {
                 "receive and transmit are joined: a loop-back plug, a terminal that echoes, or a board whose serial wires are bridged"
@@ -98,9 +98,9 @@ impl Sign {
             Self::Web | Self::Ssh => {
                 "the port is another program's: give the one that `virtual-bench serve`, or your serial server, says"
             }
-            Self::Text(_) => "`retrograde devices` lists the ports; choose the board's",
+            Self::Text(_) => "`retrograde doctor` lists the ports; choose the board's",
             Self::Noise(_) => {
-                "does `--baud` match the firmware (115200)? If so, it is another instrument: `retrograde devices` lists the ports"
+                "does `--baud` match the firmware (115200)? If so, it is another instrument: `retrograde doctor` lists the ports"
             }
         }
     }

@@ -7,8 +7,7 @@
 //! * [`diagnosis`]: the other end when no machine answers.
 //! * [`error`]: the reason why a request failed, and the remedy.
 //! * [`identity`]: names of machines, images and versions.
-//! * [`last_seen`]: the last known place of the carriage of a lost rig.
-//! * [`named`]: the user's names for machines.
+//! * [`exit`]: exit codes.
 //! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.
 //! * [`decimal`]: decimal numbers as people write them, exact.
@@ -21,11 +20,10 @@ mod device;
 pub mod diagnosis;
 pub mod door;
 pub mod error;
+pub mod exit;
 pub mod identity;
-pub mod last_seen;
 pub mod limited;
 pub mod link;
-pub mod named;
 pub mod plain;
 pub mod subject;
 pub mod visible;

@@ -8,8 +8,6 @@ pub mod owner;
 pub mod serial;
 pub mod tcp;
 
-use std::path::{Path, PathBuf};
-
 use protocol::system::{Identity, Urgent};
 
 use crate::link::owner::{Owner, Question, StopMark};
@@ -59,6 +57,14 @@ pub enum LinkError {
         /// The operating system's or the bench's reason.
         why: String,
     },
+    /// [`LinkError::Lost`] while something moved, or after an order to move was sent.
+    #[error("the link to {place} was lost: {why}: it MAY BE MOVING")]
+    Cut {
+        /// The place, as the user named it.
+        place: String,
+        /// The reason.
+        why: String,
+    },
     /// The process that owned the line has ended or given the line up, so its door is closed.
     #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
     OwnerGone {
@@ -76,6 +82,9 @@ impl LinkError {
         match self {
             Self::Lost { .. } => {
                 "check cable and supply; a moving rig stops by itself after 1 s without the host, unless the run was started with `--on-link-loss finish`"
+            }
+            Self::Cut { .. } => {
+                "press the emergency stop button or cut the motor supply if it moves; then check cable and supply"
             }
             Self::OwnerGone { .. } => "the line is free now: try again",
         }
@@ -149,19 +158,6 @@ pub trait Link: Send {
 
     /// Forgets the stops that other processes have sent so far.
     fn forget_stop(&mut self) {}
-
-    /// Names the record that this process now writes; see [`Link::left_record`].
-    fn records(&mut self, sidecar: Option<&Path>) {
-        let _ = sidecar;
-    }
-
-    /// Notes that the record of the previous owner is complete.
-    fn left_has_ended(&mut self) {}
-
-    /// Unfinished record of the line's previous owner, if that process was killed.
-    fn left_record(&self) -> Option<PathBuf> {
-        None
-    }
 
     /// The next question of another process, to be sent between two requests.
     fn question(&mut self) -> Option<Question> {

@@ -2,7 +2,7 @@
 
 use protocol::client::{Client, Output, Poll};
 use protocol::error::WireError;
-use protocol::rig::{LinkLossPolicy, RigState, RunOutcome};
+use protocol::rig::{RigState, RunOutcome};
 use protocol::system::DeviceKind;
 use protocol::table::{Endpoint, Impact, Reply, Request, Response};
 
@@ -10,8 +10,7 @@ use crate::device::observer::{Clock, Observer};
 use crate::device::{Device, Posted, Turn, moves};
 use crate::diagnosis::{OVERHEARD, Sign};
 use crate::door;
-use crate::error::ClientError;
-use crate::last_seen::{LastSeen, Since};
+use crate::error::{ClientError, Missing};
 use crate::link::LinkError;
 use crate::link::owner::Question;
 
@@ -20,12 +19,15 @@ fn reply(question: Question, answer: Result<Response, ClientError>) -> Result<()
     let (reply, result) = match answer {
         Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
         Err(ClientError::Refused { refusal, .. }) => (Some(Reply::Refused(refusal)), Ok(())),
-        Err(ClientError::Rejected { error, .. }) => (Some(Reply::Wire(error)), Ok(())),
+        Err(ClientError::NotUnderstood {
+            error: Some(error), ..
+        }) => (Some(Reply::Wire(error)), Ok(())),
         // The other process gets no answer. If the silence lasts, this one will notice as well.
         Err(
-            ClientError::NoReply { .. }
-            | ClientError::Silent { .. }
-            | ClientError::OutcomeUnknown { .. }
+            ClientError::Unanswered {
+                missing: Missing::Reply | Missing::End | Missing::Outcome,
+                ..
+            }
             | ClientError::Interrupted { .. },
         ) => (None, Ok(())),
         Err(error) => (None, Err(error)),
@@ -191,6 +193,7 @@ impl Device {
                 place: self.place(),
                 request: request.name(),
                 owner: Box::new(owner.clone()),
+                busy: false,
             }),
             _ => Ok(()),
         }
@@ -208,7 +211,7 @@ impl Device {
             at_us,
         } = posted;
         let place = self.place();
-        let command = impact != Impact::None;
+        let (command, has_owner) = (impact != Impact::None, self.link.owner().is_some());
         let abandoned = is_abandonable(impact) && !std::mem::take(&mut self.commanding);
         match answer {
             _ if abandoned => Err(ClientError::Interrupted {
@@ -236,34 +239,30 @@ impl Device {
                     request: request_name,
                 })
             }
-            Some(Output::Rejected(WireError::Stale)) if self.link.owner().is_some() => {
-                Err(self.owner_busy(request_name))
-            }
-            Some(Output::Rejected(error)) => {
+            Some(Output::Rejected(error)) if error != WireError::Stale || !has_owner => {
                 self.ordered = false;
-                Err(ClientError::Rejected {
+                Err(ClientError::NotUnderstood {
                     place,
                     request: request_name,
-                    error,
+                    error: Some(error),
                 })
             }
-            _ if !command && self.link.owner().is_some() => Err(self.owner_busy(request_name)),
-            // A silent machine may still be moving, whatever was asked last.
-            _ if !command && self.moves => Err(ClientError::Silent {
-                place,
-                action: "a motion",
-                seen: self.lost_seen(),
+            Some(Output::Rejected(_)) => Err(self.no_answer(request_name, Sign::Silence)),
+            _ if !command && has_owner => Err(self.no_answer(request_name, Sign::Silence)),
+            _ => Err(match (command, self.moves) {
+                // A silent machine may still be moving, whatever was asked last.
+                (false, true) => self.unanswered("a motion", Missing::End),
+                (false, false) => self.unanswered(request_name, Missing::Reply),
+                (true, _) => self.unanswered(request_name, Missing::Outcome),
             }),
-            _ if command => Err(ClientError::OutcomeUnknown {
-                place,
-                request: request_name,
-                seen: self.lost_in_motion(),
-            }),
-            _ => Err(ClientError::NoReply {
-                place,
-                request: request_name,
-                seen: self.lost_seen(),
-            }),
+        }
+    }
+
+    pub(crate) fn unanswered(&self, request: &'static str, missing: Missing) -> ClientError {
+        ClientError::Unanswered {
+            place: self.place(),
+            request,
+            missing,
         }
     }
 
@@ -271,44 +270,15 @@ impl Device {
     fn note_order(&mut self, request: &Request) {
         if request.impact() == Impact::Motion {
             self.ordered = true;
-            self.finishes =
-                matches!(request, Request::Run(run) if run.link_loss == LinkLossPolicy::Finish);
         }
-    }
-
-    /// Last known position of the carriage, and possible course of its motion since; none for a capsule.
-    pub(crate) fn last_seen(&self, since: Since) -> Option<LastSeen> {
-        let (came_us, status) = self.last_status.as_ref()?;
-        let age_us = self.now_us().saturating_sub(*came_us);
-        let at = status.homed.then_some((status.position_um, age_us));
-        Some(LastSeen { at, since })
-    }
-
-    /// As [`Device::last_seen`], of a rig that does not answer.
-    fn lost_seen(&self) -> Option<LastSeen> {
-        self.last_seen(if self.finishes {
-            Since::Finishes
-        } else {
-            Since::Brakes {
-                after_ms: self.link_timeout_ms,
-            }
-        })
-    }
-
-    /// As [`Device::lost_seen`], if something moves or was ordered to.
-    fn lost_in_motion(&self) -> Option<LastSeen> {
-        (self.moves || self.ordered)
-            .then(|| self.lost_seen())
-            .flatten()
     }
 
     /// The error of a link that has failed. A line that its owner has given up is free, and no machine is lost.
     fn cut(&self, link: LinkError) -> ClientError {
         match link {
-            LinkError::Lost { .. } if self.moves || self.ordered => ClientError::Cut {
-                link,
-                seen: self.lost_seen(),
-            },
+            LinkError::Lost { place, why } if self.moves || self.ordered => {
+                LinkError::Cut { place, why }.into()
+            }
             link => link.into(),
         }
     }
@@ -321,9 +291,6 @@ impl Device {
             _ => return,
         };
         self.clock = Some(Clock::of(asked_us, device_us, self.now_us()));
-        if let Response::GetRigStatus(status) = response {
-            self.last_status = Some((self.now_us(), *status));
-        }
     }
 
     /// Notes whether the machine moves, if an answer says so.
@@ -498,35 +465,24 @@ impl Device {
     pub(crate) fn session_lost(&self) -> ClientError {
         ClientError::SessionLost {
             place: self.place(),
-            seen: (self.moves || self.ordered)
-                .then(|| self.last_seen(Since::Taken))
-                .flatten(),
         }
     }
 
-    fn owner_busy(&self, request: &'static str) -> ClientError {
-        let owner = self.link.owner();
-        ClientError::OwnerBusy {
-            place: self.place(),
-            request,
-            owner: owner.map(ToString::to_string).unwrap_or_default(),
-        }
-    }
-
-    pub(crate) fn no_answer(&self, sign: Sign) -> ClientError {
-        if self.link.owner().is_some() {
-            return self.owner_busy("Hello");
-        }
-        ClientError::NoAnswer {
-            place: self.place(),
-            sign,
+    /// No answer to Hello, or to the request of a guest whose owner is busy.
+    pub(crate) fn no_answer(&self, request: &'static str, sign: Sign) -> ClientError {
+        let place = self.place();
+        match self.link.owner() {
+            Some(owner) => ClientError::Owned {
+                place,
+                request,
+                owner: Box::new(owner.clone()),
+                busy: true,
+            },
+            None => ClientError::NoAnswer { place, sign },
         }
     }
 
     pub(crate) fn stop_unconfirmed(&self) -> ClientError {
-        ClientError::StopUnconfirmed {
-            place: self.place(),
-            seen: self.lost_in_motion(),
-        }
+        self.unanswered("the stop", Missing::Stop)
     }
 }

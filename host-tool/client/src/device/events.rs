@@ -46,7 +46,7 @@ impl Device {
     /// The events that the device keeps, and the number of those that it has lost.
     ///
     /// # Errors
-    /// As [`Device::call`]; [`ClientError::WrongResponse`] if the events never end.
+    /// As [`Device::call`]; [`ClientError::NotUnderstood`] if the events never end.
     pub fn kept_events(&mut self) -> Result<(Vec<Event>, u32), ClientError> {
         let (mut events, mut oldest, mut from) = (vec![], None, 0);
         for _ in 0..MOST_PIECES {
@@ -62,14 +62,7 @@ impl Device {
                 return Ok((events, oldest.unwrap_or(0)));
             }
         }
-        Err(self.endless())
-    }
-
-    fn endless(&self) -> ClientError {
-        ClientError::WrongResponse {
-            place: self.place(),
-            request: "GetEvents",
-        }
+        Err(self.wrong_response("GetEvents"))
     }
 
     pub(crate) fn hand_out(&mut self, observer: &mut dyn Observer) {
@@ -126,7 +119,7 @@ impl Device {
                 return Ok(());
             }
         }
-        Err(self.endless())
+        Err(self.wrong_response("GetEvents"))
     }
 }
 

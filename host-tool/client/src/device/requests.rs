@@ -14,15 +14,20 @@ impl Device {
     /// Sends any request of the protocol's table and unwraps its response.
     ///
     /// # Errors
-    /// [`ClientError`]; [`ClientError::OutcomeUnknown`] if a command was sent and not answered.
+    /// [`ClientError`]; [`crate::error::Missing::Outcome`] if a command was sent and not answered.
     pub fn call<E: Endpoint>(&mut self, request: E) -> Result<E::Response, ClientError> {
         let request = request.into_request();
         let name = request.name();
         let response = self.exchange(&request)?;
-        E::from_response(response).ok_or_else(|| ClientError::WrongResponse {
+        E::from_response(response).ok_or_else(|| self.wrong_response(name))
+    }
+
+    pub(crate) fn wrong_response(&self, request: &'static str) -> ClientError {
+        ClientError::NotUnderstood {
             place: self.place(),
-            request: name,
-        })
+            request,
+            error: None,
+        }
     }
 
     /// Tells the device that the host is still there.
@@ -140,7 +145,7 @@ impl Device {
     /// Stops the machine, ahead of everything else. Needs no session and no matching protocol.
     ///
     /// # Errors
-    /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
+    /// [`crate::error::Missing::Stop`] if the device did not confirm, or the link's.
     pub fn urgent(&mut self, urgent: Urgent) -> Result<(), ClientError> {
         self.client.urgent(urgent);
         self.urgent_pending = true;

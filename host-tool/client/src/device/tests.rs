@@ -13,6 +13,7 @@ use protocol::system::{
 use protocol::table::{Endpoint, Reply, Request};
 
 use super::*;
+use crate::error::Missing;
 
 /// A line on which nothing comes.
 struct Quiet;
@@ -54,7 +55,6 @@ fn a_line_that_says_nothing_else_belongs_to_this_process_alone() {
     assert!(line.owner().is_none() && line.question().is_none());
     assert!(!line.want_line() && !line.is_line_wanted());
     assert!(!line.is_overtaken() && line.stopped().is_none());
-    assert_eq!(line.left_record(), None);
 }
 
 /// A machine's reply to a request; none if it stays silent.
@@ -157,10 +157,6 @@ impl Link for Machine {
         self.owner.as_ref()
     }
 
-    fn left_record(&self) -> Option<PathBuf> {
-        Some("/left.json".into())
-    }
-
     fn question(&mut self) -> Option<Question> {
         self.questions.lock().expect("no panic").pop()
     }
@@ -220,7 +216,6 @@ fn the_last_words_of_a_machine_are_its_own() {
     };
     assert_eq!(device.last_words().expect("answered"), "panicked");
     assert_eq!(device.rejected_frames(), 0);
-    assert_eq!(device.left_record(), Some("/left.json".into()));
 }
 
 #[test]
@@ -258,7 +253,7 @@ fn events_that_the_machine_has_dropped_are_counted_and_the_others_delivered_once
 /// A machine that says nothing to a question may be moving, if it was when it last spoke.
 #[test]
 fn silence_is_worse_from_a_machine_that_moves() {
-    for (moves, expected) in [(true, "Silent"), (false, "NoReply")] {
+    for (moves, expected) in [(true, Missing::End), (false, Missing::Reply)] {
         let (mut device, answers) = connected(true, None);
         *answers.lock().expect("no panic") = if moves {
             |request| match request {
@@ -274,16 +269,18 @@ fn silence_is_worse_from_a_machine_that_moves() {
         let resumed = device.call(rig::Resume);
         match resumed {
             Ok(Done) => assert!(moves),
-            Err(ClientError::Rejected { request, error, .. }) => {
+            Err(ClientError::NotUnderstood { request, error, .. }) => {
                 assert!(!moves);
-                assert_eq!((request, error), ("Resume", WireError::Malformed));
+                assert_eq!((request, error), ("Resume", Some(WireError::Malformed)));
             }
             Err(other) => panic!("{other:?}"),
         }
         *answers.lock().expect("no panic") = |_| None;
         let error = device.keep_alive().expect_err("silent");
-        let found = format!("{error:?}");
-        assert!(found.starts_with(expected), "{found}");
+        assert!(
+            matches!(error, ClientError::Unanswered { missing, .. } if missing == expected),
+            "{error:?}"
+        );
     }
 }
 
@@ -295,13 +292,16 @@ fn an_owner_that_is_busy_is_named() {
     *answers.lock().expect("no panic") = |_| Some(Reply::Wire(WireError::Stale));
     let before_us = device.now_us();
     let error = device.keep_alive().expect_err("busy");
-    let ClientError::OwnerBusy {
-        request, owner: by, ..
+    let ClientError::Owned {
+        request,
+        owner: by,
+        busy: true,
+        ..
     } = error
     else {
         panic!("{error:?}");
     };
-    assert_eq!((request, by), ("KeepAlive", owner.to_string()));
+    assert_eq!((request, *by), ("KeepAlive", owner));
     // It is not asked again and again.
     assert!(device.now_us() - before_us < OWNER_PATIENCE_US);
 }
@@ -316,7 +316,13 @@ fn a_stop_that_is_not_confirmed_is_said_also_while_an_answer_is_awaited() {
     let error = device.attend(later_us, &mut observer::Unobserved);
     let error = error.expect_err("no confirmation");
     assert!(
-        matches!(error, ClientError::StopUnconfirmed { .. }),
+        matches!(
+            error,
+            ClientError::Unanswered {
+                missing: Missing::Stop,
+                ..
+            }
+        ),
         "{error:?}"
     );
     assert!(!device.is_posted());

@@ -10,8 +10,7 @@ use protocol::system::{Event, Urgent, What};
 
 use crate::device::observer::{Begun, Clock, Homed, Observer, Pace, Progress, Unobserved};
 use crate::device::{Device, moves};
-use crate::error::ClientError;
-use crate::last_seen::Since;
+use crate::error::{ClientError, Missing};
 
 /// Interval between status requests during a move, us.
 const POLL_US: u64 = 50_000;
@@ -37,13 +36,15 @@ const MOST_POINTS: usize = 10_000;
 /// state of the machine is unknown.
 pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
-        ClientError::NoReply { place, seen, .. } | ClientError::Silent { place, seen, .. } => {
-            ClientError::Silent {
-                place,
-                action,
-                seen,
-            }
-        }
+        ClientError::Unanswered {
+            place,
+            missing: Missing::Reply | Missing::End,
+            ..
+        } => ClientError::Unanswered {
+            place,
+            request: action,
+            missing: Missing::End,
+        },
         error => error,
     }
 }
@@ -145,7 +146,7 @@ impl Device {
     /// Waits until a run ends, however it ends, and returns the device's record of it.
     ///
     /// # Errors
-    /// [`ClientError::Overdue`], [`ClientError::RecordGone`], or as [`Device::call`].
+    /// [`ClientError::Overdue`], [`Missing::Record`], or as [`Device::call`].
     pub fn wait_run(
         &mut self,
         accepted: &RunAccepted,
@@ -210,11 +211,8 @@ impl Device {
         }
         // While this process was suspended, the start button may have begun another one.
         if record.run != accepted.run {
-            return Err(ClientError::RecordGone {
-                place: self.place(),
-                run: accepted.run,
-                last: record.run,
-            });
+            let (run, last) = (accepted.run, record.run);
+            return Err(self.unanswered("the run", Missing::Record { run, last }));
         }
         Ok(record)
     }
@@ -327,10 +325,7 @@ impl Device {
             }
             recorded.points.extend(part.points);
             if recorded.points.len() > MOST_POINTS {
-                return Err(ClientError::WrongResponse {
-                    place: self.place(),
-                    request: "GetTrace",
-                });
+                return Err(self.wrong_response("GetTrace"));
             }
         }
     }
@@ -436,7 +431,7 @@ impl Device {
     /// Waits until the stop that was sent is confirmed, if one was.
     ///
     /// # Errors
-    /// [`ClientError::StopUnconfirmed`] if the device did not confirm, or the link's.
+    /// [`Missing::Stop`] if the device did not confirm, or the link's.
     pub fn settle(&mut self) -> Result<(), ClientError> {
         while self.urgent_pending {
             self.step(u64::MAX)?;
@@ -455,7 +450,7 @@ impl Device {
     /// nevertheless.
     ///
     /// # Errors
-    /// The link's, or [`ClientError::StopUnconfirmed`].
+    /// The link's, or [`Missing::Stop`].
     pub fn fall_silent(&mut self, duration_us: u64) -> Result<(), ClientError> {
         self.listen(self.now_us().saturating_add(duration_us))
     }
@@ -526,7 +521,6 @@ impl Device {
                         place: self.place(),
                         action,
                         limit_ms: limit_us / 1_000,
-                        seen: self.last_seen(Since::Stopped),
                     });
                 }
             }

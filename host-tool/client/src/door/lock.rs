@@ -37,9 +37,6 @@ pub struct OwnerFile {
     pub port: Option<u16>,
     /// Token of a loopback door.
     pub token: String,
-    /// The record that the owner is writing. If the owner is killed, the line's next owner completes it.
-    #[serde(default)]
-    pub recording: Option<PathBuf>,
 }
 
 /// Location of lock and door of one line.
@@ -56,8 +53,6 @@ pub struct Doorway {
 pub struct Lock {
     doorway: Doorway,
     owner_file: Mutex<OwnerFile>,
-    /// The record of an owner that was killed.
-    left: Mutex<Option<PathBuf>>,
     // The system releases the lock however the process ends.
     _locked: Locked,
 }
@@ -147,23 +142,16 @@ impl Doorway {
             Ok(_) if cfg!(unix) && self.is_attended() => Ok(None),
             Ok(locked) => {
                 // Left by an owner that was killed.
-                let left = self
-                    .owner_file()
-                    .and_then(|owner_file| owner_file.recording);
                 let _ = fs::remove_file(self.file("door"));
+                let _ = fs::remove_file(self.file("owner"));
                 let owner_file = OwnerFile {
                     owner: Owner::this_process(),
                     port: None,
                     token: String::new(),
-                    recording: left.clone(),
                 };
-                if left.is_none() {
-                    let _ = fs::remove_file(self.file("owner"));
-                }
                 Ok(Some(Lock {
                     doorway: self.clone(),
                     owner_file: Mutex::new(owner_file),
-                    left: Mutex::new(left),
                     _locked: locked,
                 }))
             }
@@ -276,31 +264,6 @@ impl Lock {
             .map_err(|why| doorway.error(why))
     }
 
-    /// Publishes the record that the owner now writes. After its completion (`None`), publishes the record that was
-    /// left here, until that has ended; it is forgotten if this owner is killed while it records. Ignores errors: on a
-    /// full disk the record itself reports one.
-    pub fn records(&self, sidecar: Option<&Path>) {
-        let written = sidecar.and_then(|path| std::path::absolute(path).ok());
-        let mut owner_file = self.owner_file();
-        owner_file.recording = written.or_else(|| self.left_record());
-        let _ = self.publish(&owner_file);
-    }
-
-    /// Notes that the record left here is complete.
-    pub fn left_has_ended(&self) {
-        *self.left() = None;
-        self.records(None);
-    }
-
-    /// The unfinished record of the previous owner.
-    pub fn left_record(&self) -> Option<PathBuf> {
-        self.left().clone()
-    }
-
-    fn left(&self) -> MutexGuard<'_, Option<PathBuf>> {
-        self.left.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Publishes the owner before its door is open.
     pub fn announce(&self) -> Result<(), OpenError> {
         // Remove the door of an owner that was killed: nobody answers there.
@@ -318,10 +281,7 @@ impl Drop for Lock {
     fn drop(&mut self) {
         // The lock itself stays: another process may be about to take it.
         let _ = fs::remove_file(self.doorway.file("door"));
-        // Keep the description of an unfinished record, for the next owner.
-        if self.owner_file().recording.is_none() {
-            let _ = fs::remove_file(self.doorway.file("owner"));
-        }
+        let _ = fs::remove_file(self.doorway.file("owner"));
     }
 }
 
@@ -486,28 +446,6 @@ mod tests {
         assert_eq!(now.since(now.before(began)), Some(Urgent::EStop));
         assert_eq!(now.since(now.before(Began::now())), None);
         assert_eq!(other.stop_mark(), StopMark::default());
-    }
-
-    #[test]
-    fn a_record_that_was_left_is_named_until_it_has_its_end() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let doorway = doorway(folder.path(), "one");
-        let claim = || doorway.claim().expect("possible").expect("free");
-        let (left, own) = (Path::new("/left.json"), Path::new("/own.json"));
-        // Its owner was killed.
-        claim().records(Some(left));
-        let next = claim();
-        next.records(Some(own));
-        assert_eq!(next.left_record().as_deref(), Some(left));
-        // The machine was still moving and has refused the order.
-        next.records(None);
-        drop(next);
-        let last = claim();
-        assert_eq!(last.left_record().as_deref(), Some(left));
-        last.left_has_ended();
-        assert_eq!(last.left_record(), None);
-        drop(last);
-        assert_eq!(claim().left_record(), None);
     }
 
     #[test]

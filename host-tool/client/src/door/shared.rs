@@ -2,7 +2,6 @@
 //! guest's stop is sent and confirmed whatever the owner is doing.
 
 use std::io::Read;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -124,18 +123,6 @@ impl Link for Shared {
 
     fn forget_stop(&mut self) {
         self.core.forget_stop();
-    }
-
-    fn records(&mut self, sidecar: Option<&Path>) {
-        self.lock.records(sidecar);
-    }
-
-    fn left_has_ended(&mut self) {
-        self.lock.left_has_ended();
-    }
-
-    fn left_record(&self) -> Option<PathBuf> {
-        self.lock.left_record()
     }
 
     fn question(&mut self) -> Option<Question> {

@@ -9,7 +9,6 @@ use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
 use crate::link::halves::{Halves, READ};
 use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
-use crate::named;
 
 /// Baud rate of both firmwares.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -165,24 +164,18 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
         _ if exists && !is_a_device(path) => (
             Reason::NoPort,
             "it is no serial port".to_owned(),
-            "give a serial port, such as /dev/ttyACM0; `retrograde devices` lists the ports"
+            "give a serial port, such as /dev/ttyACM0; `retrograde doctor` lists the ports"
                 .to_owned(),
         ),
         _ if !exists && cfg!(unix) => (
             Reason::Absent,
             "there is no such port".to_owned(),
-            match named::file().filter(|_| named::may_be_a_name(path)) {
-                Some(file) => format!(
-                    "if it is the name of a machine, {} has to say where that is; `retrograde devices` lists the ports and all names",
-                    file.display()
-                ),
-                None => "check the cable; `retrograde devices` lists the ports".to_owned(),
-            },
+            "check the cable; `retrograde doctor` lists the ports".to_owned(),
         ),
         _ => (
             Reason::Other,
             error.to_string(),
-            "unplug the board, plug it in again, and try `retrograde devices`".to_owned(),
+            "unplug the board, plug it in again, and try `retrograde doctor`".to_owned(),
         ),
     };
     OpenError {
@@ -253,7 +246,7 @@ mod tests {
             .err()
             .expect("there is no such port");
         assert_eq!(error.place, "/dev/retrograde-no-such-port");
-        assert!(error.remedy.contains("retrograde devices"), "{error:?}");
+        assert!(error.remedy.contains("retrograde doctor"), "{error:?}");
     }
 
     #[cfg(target_os = "linux")]

@@ -180,7 +180,6 @@ fn at_a_loopback_door_the_token_decides() {
         owner: crate::link::owner::Owner::this_process(),
         port: listener.port(),
         token: "secret".to_owned(),
-        recording: None,
     };
     let (served, shown) = (Arc::clone(&core), owner_file.clone());
     thread::spawn(move || serve(&listener, &shown, &served));
