@@ -1,7 +1,7 @@
 //! Shared by the command line and the server: access to machines, and failures and stops of their actions.
 //!
 //! * [`arguments`]: arguments of commands, which are the fields of requests.
-//! * [`connector`]: sources of links. [`names`] and [`places`]: find the machine and open a session with it.
+//! * [`connector`]: sources of links. [`places`]: finds the machine and opens a session with it.
 //! * [`failure`]: the reason why a command failed, its remedy and exit code.
 //! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
 //! * [`folding`], [`ending`], [`reached`]: tasks before and after a motion.
@@ -14,7 +14,6 @@ pub mod ending;
 pub mod failure;
 pub mod folding;
 pub mod interrupt;
-pub mod names;
 pub mod panel;
 pub mod places;
 pub mod reached;

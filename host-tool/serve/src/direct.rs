@@ -170,7 +170,7 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         ));
     };
     past_owners(|| {
-        let mut device = places.open(machine.kind, &machine.address, Purpose::Look)?;
+        let mut device = places.open(machine.kind, &machine.address, Purpose::Glance)?;
         device.hello(places.connector.nonce())?;
         device.require(machine.kind)?;
         match question {

@@ -9,8 +9,7 @@ use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use client::error::ClientError;
-use client::link::LinkError;
+use client::error::{ClientError, Missing};
 use client::{Device, Interrupt, Observer, while_moving};
 use lab::commissioning::warning;
 use lab::operations::arguments::{DATA_FOLDER, RecordArgs};
@@ -104,7 +103,7 @@ impl Worker<'_> {
                     );
                     continue;
                 }
-                Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))) => {
+                Err(Failure::Client(error)) if error.is_owner_gone() => {
                     // The owner has finished, as commands do, so the line is free.
                     self.pause(LEFT_TO_OTHERS, None);
                     continue;
@@ -154,7 +153,13 @@ impl Worker<'_> {
         // Report the failure of the first stop: it knows where the carriage was.
         if let Some(Failure::Client(error) | Failure::Experiment(ExperimentError::Client(error))) =
             last
-            && matches!(error, ClientError::StopUnconfirmed { .. })
+            && matches!(
+                error,
+                ClientError::Unanswered {
+                    missing: Missing::Stop,
+                    ..
+                }
+            )
         {
             told.delivery = Delivery::NotConfirmed;
             told.why = error.to_string();
@@ -193,7 +198,6 @@ impl Worker<'_> {
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
         device.hello(places.connector.nonce())?;
         device.require(machine.kind)?;
-        places.require_name(&mut device)?;
         machine.meet(device.identity(), device.place());
         let owned = device.owner().is_none();
         if owned {
@@ -229,7 +233,7 @@ impl Worker<'_> {
                 asked_us = Some(now_us);
                 match self.ask(device) {
                     // The owner is busy and answers later.
-                    Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
+                    Ok(()) | Err(ClientError::Owned { busy: true, .. }) => {}
                     Err(error) => return Err(error.into()),
                 }
             }

@@ -485,7 +485,6 @@ mod tests {
             place: "rig".to_owned(),
             action: "homing",
             limit_ms: 1,
-            seen: None,
         };
         for (error, outcome) in [
             (not_homed(None, false), AttemptOutcome::Stopped),

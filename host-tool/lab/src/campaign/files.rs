@@ -3,7 +3,7 @@
 use crate::trials::experiment::{ACTUATIONS, stem};
 
 /// The plan as the user wrote it.
-pub const PLAN: &str = "plan.toml";
+pub const PLAN: &str = crate::trials::trial::CAMPAIGN_PLAN;
 /// The trials in their order.
 pub const ORDER: &str = "order.csv";
 /// The ledger.

@@ -6,11 +6,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::commissioning::hands::Hands;
+use client::Device;
 use client::address::Address;
 use client::door::lock::Doorway;
 use client::door::server::GUESTS;
 use client::door::shared::Shared;
 use client::door::window::Window;
+use client::error::ClientError;
 use client::link::halves::Halves;
 use client::link::owner::Owner;
 use client::link::serial::{self, Serial};
@@ -35,13 +37,16 @@ pub struct Candidate {
 /// Purpose of a link. It decides how long opening may take, and how a line is treated that somebody else owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// Anything that a machine can do.
-    Work,
+    /// Reading, holding, acknowledging: the owner of the line does this for other processes as well.
+    Look,
+    /// Moving something, writing settings, or using the whole line: only for the owner. The text is the command's
+    /// name.
+    Own(&'static str),
     /// Looking for as long as the user likes. As the owner of the line it offers the line to others from the
     /// beginning, see [`Link::is_line_wanted`].
     Watch,
     /// Looking once and briefly; a place that does not answer in time is reported as such.
-    Look,
+    Glance,
     /// A stop only, which does not wait for a place that does not answer.
     Stop,
     /// A stop that bypasses the owner of the line, because the owner has not passed it on to the machine.
@@ -75,7 +80,7 @@ pub trait Connector: Sync {
         None
     }
 
-    /// The places where there may be a machine, for `auto` and `devices`.
+    /// The places where there may be a machine, for `auto` and `doctor`.
     fn candidates(&self) -> Vec<Candidate> {
         vec![]
     }
@@ -105,11 +110,35 @@ struct Patience {
 }
 
 impl Purpose {
+    /// The command, if only the owner of the line may send it.
+    pub(crate) fn of_owner(self) -> Option<&'static str> {
+        match self {
+            Self::Own(command) => Some(command),
+            _ => None,
+        }
+    }
+
+    /// Refuses a command for the owner before anything is sent or recorded.
+    ///
+    /// # Errors
+    /// Another process owns the line, and only the owner may send the command.
+    pub fn admit(self, device: &Device) -> Result<(), ClientError> {
+        match (device.owner(), self.of_owner()) {
+            (Some(owner), Some(request)) => Err(ClientError::Owned {
+                place: device.place(),
+                request,
+                owner: Box::new(owner.clone()),
+                busy: false,
+            }),
+            _ => Ok(()),
+        }
+    }
+
     fn patience(self) -> Patience {
         let [connect, answer, change] = match self {
-            Self::Work | Self::Watch => [5_000, 2_000, 5_000],
+            Self::Look | Self::Own(_) | Self::Watch => [5_000, 2_000, 5_000],
             // A diagnosis should take at most 1 s. Declaring a machine silent takes 0.8 s of that.
-            Self::Look => [200, 500, 500],
+            Self::Glance => [200, 500, 500],
             // After this time the user should be at the emergency stop button.
             Self::Stop | Self::StopDirectly => [1_000, 250, 250],
         }
@@ -217,7 +246,7 @@ fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenE
         place: address.to_string(),
         reason: Reason::Other,
         why: why.to_string(),
-        remedy: "try again; `retrograde devices` lists the ports".to_owned(),
+        remedy: "try again; `retrograde doctor` lists the ports".to_owned(),
     })
 }
 
@@ -379,7 +408,7 @@ mod tests {
         owned.announce().expect("possible");
         assert!(doorway.owner().is_some() && !doorway.is_open());
         let leaves = thread::spawn(move || {
-            thread::sleep(Purpose::Work.patience().answer + Duration::from_millis(500));
+            thread::sleep(Purpose::Look.patience().answer + Duration::from_millis(500));
             drop(owned);
         });
         let opened = || {
@@ -390,7 +419,7 @@ mod tests {
                 remedy: String::new(),
             })
         };
-        let error = way_in(&doorway, Purpose::Work, &opened).err();
+        let error = way_in(&doorway, Purpose::Look, &opened).err();
         leaves.join().expect("it left");
         assert_eq!(
             error.map(|error| error.why).as_deref(),

@@ -1,15 +1,16 @@
 //! Failures as shown to the user: text, code, help, exit code.
 
+use std::fmt;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use crate::trials::experiment::ExperimentError;
 use crate::trials::trial::{RecordError, Status};
 use client::decimal;
 use client::error::ClientError;
-use client::identity;
-use client::link::OpenError;
-use client::wording;
+pub use client::exit::*;
+use client::identity::kind_name;
+use client::link::{LinkError, OpenError};
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
@@ -20,239 +21,127 @@ use serde_json::{Value, json};
 
 use crate::operations::delivery::{self, Delivery, Told};
 
-/// Success.
-pub const DONE: u8 = 0;
-/// A file could not be used, or this program failed.
-pub const FAILED: u8 = 1;
-/// The command line cannot be understood.
-pub const USAGE: u8 = 2;
-/// Refused by the check or by the device; nothing moved.
-pub const REFUSED: u8 = 3;
-/// No device, the wrong one, several, or the link was lost.
-pub const NO_DEVICE: u8 = 4;
-/// Firmware and host tool do not match.
-pub const MISMATCH: u8 = 5;
-/// The device latched a fault, or ended the action by itself.
-pub const FAULT: u8 = 6;
-/// Whether the command was carried out is unknown: look at the machine.
-pub const UNKNOWN: u8 = 7;
-/// A stop did not reach a machine.
-pub const NOT_DELIVERED: u8 = 8;
-/// Stopped by the operator.
-pub const STOPPED: u8 = 130;
-
-/// A failure specific to one command.
-pub trait CommandFailure: Diagnostic + Send + Sync {
-    /// The exit code; the table is in `docs/records.md`.
-    fn exit_code(&self) -> u8;
-
-    /// Adds the fields that `--json` shows beside the error.
-    fn describe(&self, value: &mut Value) {
-        let _ = value;
-    }
-}
-
-/// A [`CommandFailure`], reported without further text.
-#[derive(Debug)]
-pub struct OfCommand(Box<dyn CommandFailure>);
-
-impl std::fmt::Display for OfCommand {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        self.0.fmt(f)
-    }
-}
-
-impl std::error::Error for OfCommand {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        self.0.source()
-    }
-}
-
-impl Diagnostic for OfCommand {
-    fn code<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
-        self.0.code()
-    }
-
-    fn help<'a>(&'a self) -> Option<Box<dyn std::fmt::Display + 'a>> {
-        self.0.help()
-    }
-}
-
-impl<T: CommandFailure + 'static> From<T> for Failure {
-    fn from(failure: T) -> Self {
-        Self::Command(OfCommand(Box::new(failure)))
-    }
-}
-
 /// The reason why a command failed.
-#[derive(Debug, thiserror::Error, Diagnostic)]
+#[derive(Debug, thiserror::Error)]
 pub enum Failure {
     /// An error of the device or of the link to it.
     #[error(transparent)]
-    #[diagnostic(transparent)]
     Client(#[from] ClientError),
     /// The link could not be opened.
     #[error(transparent)]
-    #[diagnostic(transparent)]
     Open(#[from] OpenError),
     /// A recorded action failed.
     #[error(transparent)]
-    #[diagnostic(transparent)]
     Experiment(#[from] ExperimentError),
     /// A record could not be written or read.
     #[error(transparent)]
-    #[diagnostic(transparent)]
     Record(#[from] RecordError),
-    /// The run is infeasible.
-    #[error("{0}")]
-    #[diagnostic(
-        code(retrograde::infeasible),
-        help("{}nothing was sent; `retrograde plan` tries runs without a rig", way_out(.0))
-    )]
-    Run(#[from] RunError),
-    /// The screw is impossible.
-    #[error("{0}")]
-    #[diagnostic(code(retrograde::axis))]
-    Axis(#[from] AxisError),
-    /// A number outside the range of the models.
-    #[error("{0}")]
-    #[diagnostic(code(retrograde::range))]
-    Range(#[from] OutOfRange),
-    /// No machine of the wanted kind was found.
-    #[error("no {} found; {there}", identity::kind_name(*.wanted))]
-    #[diagnostic(
-        code(retrograde::not_found),
-        help("plug the board in, or say where it is: `--{} /dev/ttyACM0` or `tcp:HOST:PORT`", identity::kind_name(*.wanted))
-    )]
+    /// No machine of the wanted kind was found, or none at all; `there` lists what was found instead.
+    #[error("no {} found; {there}", wanted.map_or("machine", kind_name))]
     NotFound {
-        /// The wanted kind.
-        wanted: DeviceKind,
-        /// The machines and places that were found instead.
+        wanted: Option<DeviceKind>,
         there: String,
     },
-    /// Several of the wanted kind were found.
-    #[error("several {}s found: {there}", identity::kind_name(*.wanted))]
-    #[diagnostic(
-        code(retrograde::ambiguous),
-        help("choose one: `--{} WHERE`; nothing but requests for an identity was sent", identity::kind_name(*.wanted))
-    )]
-    Ambiguous {
-        /// The wanted kind.
-        wanted: DeviceKind,
-        /// All machines of this kind that were found.
-        there: String,
-    },
-    /// Nothing was found at all.
-    #[error("no machine found; {there}")]
-    #[diagnostic(
-        code(retrograde::not_found),
-        help(
-            "plug a board in, or say where it is: `--rig /dev/ttyACM0`, `--capsule tcp:HOST:PORT`"
-        )
-    )]
-    NothingFound {
-        /// The places that were found instead.
-        there: String,
-    },
+    /// Several of the wanted kind were found, which `there` lists.
+    #[error("several {}s found: {there}", kind_name(*.wanted))]
+    Ambiguous { wanted: DeviceKind, there: String },
     /// The server has no contact to the machine, or too much to do at once.
     #[error("{why}")]
-    #[diagnostic(code(retrograde::not_found), help("{help}"))]
-    Unreached {
-        /// The reason.
-        why: String,
-        /// The remedy.
-        help: String,
-    },
-    /// The action did not end as planned.
+    Unreached { why: String, help: String },
+    /// The action did not end as planned; the reason is its fault, if there was one.
     #[error("{action} {}{}", ended(*.status), reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
-    #[diagnostic(code(retrograde::ended), help("{help}"))]
     Ended {
-        /// The action, such as `the run`.
         action: &'static str,
-        /// How it ended.
         status: Status,
-        /// The fault, if there was one.
         reason: Option<String>,
-        /// The remedy.
-        help: String,
-    },
-    /// A file could not be written.
-    #[error("{path}: {io}", path = path.display())]
-    #[diagnostic(
-        code(retrograde::file),
-        help("choose a file in a folder that can be written, with free space")
-    )]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's reason.
-        io: io::Error,
-    },
-    /// The result could not be written, although the command was carried out.
-    #[error("standard output: {io}; the command was carried out, its result is lost")]
-    #[diagnostic(
-        code(retrograde::output),
-        help(
-            "write to a device with free space; do not repeat a command that moves without looking"
-        )
-    )]
-    Output {
-        /// The operating system's reason.
-        io: io::Error,
-    },
-    /// Refused by this program itself, or requested too late.
-    #[error("{why}")]
-    #[diagnostic(code(retrograde::refused), help("{help}"))]
-    Refused {
-        /// The reason.
-        why: String,
-        /// The remedy.
-        help: String,
-    },
-    /// An unusable file or argument.
-    #[error("{why}")]
-    #[diagnostic(code(retrograde::input), help("{help}"))]
-    Input {
-        /// The reason.
-        why: String,
-        /// The remedy.
         help: String,
     },
     /// At least one machine has not confirmed the stop.
     #[error("{}", delivery::summary(told))]
-    #[diagnostic(code(retrograde::stop), help("{}", delivery::DO_NOW))]
-    Stops {
-        /// The result for each machine.
-        told: Vec<Told>,
-    },
-    /// The rig does not have the name by which it was called.
-    #[error("{}; nothing was moved", wrong_name(name, place, carried))]
-    #[diagnostic(
-        code(retrograde::wrong_name),
-        help(
-            "are two rigs exchanged? `retrograde devices` shows all names and places. If this is the right one, `retrograde --rig {name} settings name {name}` gives it its name",
-            name = wording::word(Path::new(name))
-        )
-    )]
-    WrongName {
-        /// The machine's place, as the user named it.
-        place: String,
-        /// The name by which it was called.
-        name: String,
-        /// The rig's actual name; empty if it has none.
-        carried: String,
-    },
-    /// A failure specific to one command.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Command(OfCommand),
+    Stops { told: Vec<Told> },
+    /// Any other failure, in words.
+    #[error("{}", .0.why)]
+    Said(Box<Said>),
 }
 
-/// Text for a wrong name of a rig.
-pub fn wrong_name(name: &str, place: &str, carried: &str) -> String {
-    match carried {
-        "" => format!("the rig at {place} carries no name, and should be `{name}`"),
-        carried => format!("the rig at {place} is called `{carried}`, not `{name}`"),
+/// A failure in words.
+#[derive(Debug)]
+pub struct Said {
+    /// Keyword for programs: `retrograde::input`.
+    pub code: String,
+    /// The exit code; the table is in `docs/records.md`.
+    pub exit_code: u8,
+    /// The reason.
+    pub why: String,
+    /// The remedy; empty if there is none.
+    pub help: String,
+    /// Fields that `--json` shows beside the error.
+    pub more: Value,
+}
+
+impl Diagnostic for Failure {
+    fn code<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
+        let code = match self {
+            Self::Client(error) => return error.code(),
+            Self::Open(error) => return error.code(),
+            Self::Experiment(error) => return error.code(),
+            Self::Record(error) => return error.code(),
+            Self::NotFound { .. } | Self::Unreached { .. } => "retrograde::not_found",
+            Self::Ambiguous { .. } => "retrograde::ambiguous",
+            Self::Ended { .. } => "retrograde::ended",
+            Self::Stops { .. } => "retrograde::stop",
+            Self::Said(said) => &said.code,
+        };
+        Some(Box::new(code))
+    }
+
+    fn help<'a>(&'a self) -> Option<Box<dyn fmt::Display + 'a>> {
+        let help = match self {
+            Self::Client(error) => return error.help(),
+            Self::Open(error) => return error.help(),
+            Self::Experiment(error) => return error.help(),
+            Self::Record(error) => return error.help(),
+            Self::NotFound { wanted: None, .. } => {
+                "plug a board in, or say where it is: `--rig /dev/ttyACM0`, `--capsule tcp:HOST:PORT`".to_owned()
+            }
+            Self::NotFound {
+                wanted: Some(kind), ..
+            } => format!(
+                "plug the board in, or say where it is: `--{} /dev/ttyACM0` or `tcp:HOST:PORT`",
+                kind_name(*kind)
+            ),
+            Self::Ambiguous { wanted, .. } => format!(
+                "choose one: `--{} WHERE`; nothing but requests for an identity was sent",
+                kind_name(*wanted)
+            ),
+            Self::Stops { .. } => delivery::DO_NOW.to_owned(),
+            Self::Unreached { help, .. } | Self::Ended { help, .. } => help.clone(),
+            Self::Said(said) if said.help.is_empty() => return None,
+            Self::Said(said) => said.help.clone(),
+        };
+        Some(Box::new(help))
+    }
+}
+
+impl From<RunError> for Failure {
+    fn from(error: RunError) -> Self {
+        let help = format!(
+            "{}nothing was sent; `retrograde plan` tries runs without a rig",
+            way_out(&error)
+        );
+        Self::said("retrograde::infeasible", REFUSED, error.to_string(), help)
+    }
+}
+
+impl From<AxisError> for Failure {
+    fn from(error: AxisError) -> Self {
+        Self::said("retrograde::axis", REFUSED, error.to_string(), "")
+    }
+}
+
+impl From<OutOfRange> for Failure {
+    fn from(error: OutOfRange) -> Self {
+        Self::said("retrograde::range", USAGE, error.to_string(), "")
     }
 }
 
@@ -342,24 +231,76 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
 }
 
 impl Failure {
+    /// An error of any kind, with its code and remedy.
+    #[must_use]
+    pub fn of(error: &dyn Diagnostic, exit_code: u8) -> Self {
+        let text = |of: Option<Box<dyn fmt::Display + '_>>| {
+            of.map(|of| of.to_string()).unwrap_or_default()
+        };
+        Self::said(
+            text(error.code()),
+            exit_code,
+            error.to_string(),
+            text(error.help()),
+        )
+    }
+
+    /// Any failure in words.
+    pub fn said(
+        code: impl Into<String>,
+        exit_code: u8,
+        why: impl Into<String>,
+        help: impl Into<String>,
+    ) -> Self {
+        Self::Said(Box::new(Said {
+            code: code.into(),
+            exit_code,
+            why: why.into(),
+            help: help.into(),
+            more: Value::Null,
+        }))
+    }
+
+    /// Adds fields that `--json` shows beside the error.
+    #[must_use]
+    pub fn with(mut self, fields: Value) -> Self {
+        if let Self::Said(said) = &mut self {
+            said.more = fields;
+        }
+        self
+    }
+
     /// An unusable file or argument, with the remedy.
     pub fn input(why: impl Into<String>, help: impl Into<String>) -> Self {
-        let (why, help) = (why.into(), help.into());
-        Self::Input { why, help }
+        Self::said("retrograde::input", USAGE, why, help)
     }
 
     /// Refused by this program itself, or requested too late; with the remedy.
     pub fn refused(why: impl Into<String>, help: impl Into<String>) -> Self {
-        let (why, help) = (why.into(), help.into());
-        Self::Refused { why, help }
+        Self::said("retrograde::refused", REFUSED, why, help)
     }
 
-    /// Turns an error with this file into a failure.
+    /// Turns an error of writing this file into a failure.
     pub fn file<E: Into<io::Error>>(path: &Path) -> impl FnOnce(E) -> Self {
-        move |error| Self::File {
-            path: path.to_owned(),
-            io: error.into(),
+        move |error| {
+            Self::said(
+                "retrograde::file",
+                FAILED,
+                format!("{}: {}", path.display(), error.into()),
+                "choose a file in a folder that can be written, with free space",
+            )
         }
+    }
+
+    /// The result could not be written, although the command was carried out.
+    #[must_use]
+    pub fn output(io: &io::Error) -> Self {
+        Self::said(
+            "retrograde::output",
+            FAILED,
+            format!("standard output: {io}; the command was carried out, its result is lost"),
+            "write to a device with free space; do not repeat a command that moves without looking",
+        )
     }
 
     /// The remedy; empty where there is none.
@@ -380,18 +321,16 @@ impl Failure {
     #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Client(error) => client_code(error),
+            Self::Client(error) | Self::Experiment(ExperimentError::Client(error)) => {
+                error.exit_code()
+            }
             Self::Open(_)
             | Self::NotFound { .. }
             | Self::Ambiguous { .. }
-            | Self::WrongName { .. }
-            | Self::NothingFound { .. }
             | Self::Unreached { .. } => NO_DEVICE,
-            Self::Experiment(ExperimentError::Client(error)) => client_code(error),
             Self::Experiment(ExperimentError::Both { .. }) => UNKNOWN,
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
-            Self::Command(failure) => failure.0.exit_code(),
             Self::Stops { told } => {
                 let undelivered = |told: &Told| told.delivery == Delivery::NotDelivered;
                 if told.iter().any(undelivered) {
@@ -400,12 +339,9 @@ impl Failure {
                     UNKNOWN
                 }
             }
-            Self::Input { .. } | Self::Range(_) => USAGE,
-            Self::Run(_) | Self::Axis(_) | Self::Refused { .. } => REFUSED,
+            Self::Said(said) => said.exit_code,
             Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. })
-            | Self::Record(_)
-            | Self::File { .. }
-            | Self::Output { .. } => FAILED,
+            | Self::Record(_) => FAILED,
         }
     }
 
@@ -424,8 +360,10 @@ impl Failure {
         if let Self::Stops { told } = self {
             value["machines"] = told.iter().map(Told::json).collect();
         }
-        if let Self::Command(failure) = self {
-            failure.0.describe(&mut value);
+        if let Self::Said(said) = self
+            && let (Some(value), Some(more)) = (value.as_object_mut(), said.more.as_object())
+        {
+            value.extend(more.clone());
         }
         value
     }
@@ -460,7 +398,10 @@ impl Failure {
     /// The link broke while the machine moved, or after it was ordered to: it may be moving.
     #[must_use]
     pub fn is_cut(&self) -> bool {
-        matches!(self.client(), Some(ClientError::Cut { .. }))
+        matches!(
+            self.client(),
+            Some(ClientError::Link(LinkError::Cut { .. }))
+        )
     }
 
     fn client(&self) -> Option<&ClientError> {
@@ -468,38 +409,6 @@ impl Failure {
             Self::Client(error) | Self::Experiment(ExperimentError::Client(error)) => Some(error),
             _ => None,
         }
-    }
-}
-
-/// The exit code of an error of the client.
-#[must_use]
-pub fn client_code(error: &ClientError) -> u8 {
-    match error {
-        ClientError::Link(_)
-        | ClientError::Cut { .. }
-        | ClientError::NoAnswer { .. }
-        | ClientError::WrongDevice { .. }
-        | ClientError::NoReply { .. }
-        | ClientError::OwnerBusy { .. }
-        | ClientError::SessionLost { .. } => NO_DEVICE,
-        ClientError::Mismatch { .. } => MISMATCH,
-        ClientError::Refused { .. } | ClientError::Rejected { .. } | ClientError::Owned { .. } => {
-            REFUSED
-        }
-        ClientError::OutcomeUnknown { .. }
-        | ClientError::StopUnconfirmed { .. }
-        | ClientError::Silent { .. }
-        | ClientError::RecordGone { .. }
-        | ClientError::WrongResponse { .. } => UNKNOWN,
-        ClientError::Overdue { .. } => FAULT,
-        ClientError::NotHomed { fault, link_lost } => {
-            if fault.is_some() || *link_lost {
-                FAULT
-            } else {
-                STOPPED
-            }
-        }
-        ClientError::Interrupted { .. } => STOPPED,
     }
 }
 

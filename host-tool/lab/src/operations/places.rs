@@ -8,12 +8,10 @@ use std::time::{Duration, Instant};
 
 use client::address::Address;
 use client::door::lock::Doorway;
-use client::error::ClientError;
+use client::error::{ClientError, Missing};
 use client::identity;
-use client::link::LinkError;
 use client::link::owner::{Began, StopMark};
-use client::{Device, Interrupt, matches, visible};
-use protocol::settings::GetName;
+use client::{Device, Interrupt};
 use protocol::system::{DeviceKind, Identity, Urgent};
 
 use crate::operations::arguments::Which;
@@ -21,9 +19,6 @@ use crate::operations::connector::{Candidate, Connector, Purpose};
 use crate::operations::delivery::{Delivery, Told};
 use crate::operations::failure::Failure;
 use crate::operations::interrupt;
-use crate::operations::names::Names;
-use crate::trials::status::Status;
-use crate::trials::trial::{CAMPAIGN_LEDGER, Trial};
 
 /// Both machines.
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
@@ -95,51 +90,18 @@ impl std::fmt::Display for Target {
 /// confirmed.
 fn delivery(failure: &Failure) -> Delivery {
     match failure {
-        Failure::Client(ClientError::StopUnconfirmed { .. } | ClientError::Link(_)) => {
-            Delivery::NotConfirmed
-        }
+        Failure::Client(
+            ClientError::Unanswered {
+                missing: Missing::Stop,
+                ..
+            }
+            | ClientError::Link(_),
+        ) => Delivery::NotConfirmed,
         _ => Delivery::NotDelivered,
     }
 }
 
-/// Access to the line that a command needs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Need {
-    /// Reading, stopping, holding: the owner of the line does this for other processes as well.
-    Look,
-    /// Reading or changing the machine's name, which may differ from the name by which it was called. If the command
-    /// changes the name, the text is the command's name.
-    Name(Option<&'static str>),
-    /// Moving something, writing settings, or using the whole line: only for the owner. The text is the command's
-    /// name.
-    Own(&'static str),
-}
-
-impl Need {
-    /// The command, if only the owner of the line may send it.
-    fn of_owner(self) -> Option<&'static str> {
-        match self {
-            Self::Look => None,
-            Self::Name(command) => command,
-            Self::Own(command) => Some(command),
-        }
-    }
-
-    /// Refuses a command for the owner before anything is sent or recorded.
-    ///
-    /// # Errors
-    /// Another process owns the line, and only the owner may send the command.
-    pub fn admit(self, device: &Device) -> Result<(), ClientError> {
-        match (device.owner(), self.of_owner()) {
-            (Some(owner), Some(request)) => Err(ClientError::Owned {
-                place: device.place(),
-                request,
-                owner: Box::new(owner.clone()),
-            }),
-            _ => Ok(()),
-        }
-    }
-}
+pub use crate::operations::connector::Purpose as Need;
 
 /// The beginning of a command line: a stop since then is newer than its orders, however long the search for the machine
 /// takes.
@@ -176,8 +138,6 @@ pub struct Places<'a> {
     pub rig: Option<Address>,
     /// The capsule's address, if one was given.
     pub capsule: Option<Address>,
-    /// The names by which the two addresses were given.
-    pub names: Names,
     /// Speed of serial ports.
     pub baud: u32,
     /// Opens the links.
@@ -196,29 +156,6 @@ impl Places<'_> {
         }
     }
 
-    /// Checks that a rig called by name has this name. The name of a capsule is not checked.
-    ///
-    /// # Errors
-    /// [`Failure::WrongName`], and those of the line.
-    pub fn require_name(&self, device: &mut Device) -> Result<(), Failure> {
-        let Some(identity) = device.identity().copied().filter(matches) else {
-            return Ok(());
-        };
-        let name = self.names.of(identity.device);
-        let Some(name) = name.filter(|_| identity.device == DeviceKind::Rig) else {
-            return Ok(());
-        };
-        let carried = device.call(GetName)?.name;
-        if carried == name {
-            return Ok(());
-        }
-        Err(Failure::WrongName {
-            place: device.place(),
-            name: name.to_owned(),
-            carried: carried.as_str().to_owned(),
-        })
-    }
-
     /// The machines for which the user gave an address.
     fn addressed(&self) -> Vec<DeviceKind> {
         KINDS
@@ -228,14 +165,14 @@ impl Places<'_> {
     }
 
     /// Opens a session with a machine that speaks the same protocol. From then on Ctrl-C stops the machine.
-    pub fn connect(&self, kind: DeviceKind, need: Need) -> Result<Device, Failure> {
+    pub fn connect(&self, kind: DeviceKind, need: Purpose) -> Result<Device, Failure> {
         let device = self.greet(kind, need)?;
         device.require(kind)?;
         Ok(device)
     }
 
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
-    pub fn greet(&self, kind: DeviceKind, need: Need) -> Result<Device, Failure> {
+    pub fn greet(&self, kind: DeviceKind, need: Purpose) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
         // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
         let doorway = self.connector.doorway(&address);
@@ -257,17 +194,10 @@ impl Places<'_> {
                 Ok(_) => break,
             }
         }
-        if let Err(error @ ClientError::WrongDevice { .. }) = device.require(kind) {
-            return Err(error.into());
+        match device.require(kind) {
+            Err(ClientError::WrongMachine { found, .. }) if found.device == kind => Ok(device),
+            checked => Ok(checked.map(|()| device)?),
         }
-        if let Some(said) = orphaned_record(&mut device) {
-            eprintln!("{}", visible::lines(&said));
-        }
-        // A command that gives the machine a name does not need it to have one.
-        if !matches!(need, Need::Name(_)) {
-            self.require_name(&mut device)?;
-        }
-        Ok(device)
     }
 
     /// Sends an urgent stop before anything else, without a session. Returns the place that confirmed it.
@@ -283,7 +213,7 @@ impl Places<'_> {
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, Purpose::Stop) {
                 // The owner of the line has ended, so the line is free.
-                (Err(Failure::Client(ClientError::Link(LinkError::OwnerGone { .. }))), _) => {}
+                (Err(Failure::Client(error)), _) if error.is_owner_gone() => {}
                 (Err(failure), true) => {
                     let (past, _) = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
                     return past.map_err(|_| failure);
@@ -347,7 +277,7 @@ impl Places<'_> {
         &self,
         kind: DeviceKind,
         address: &Address,
-        need: Need,
+        need: Purpose,
         interrupt: &Interrupt,
     ) -> Result<Device, Failure> {
         // The session sends a stop that was pressed before.
@@ -386,7 +316,7 @@ impl Places<'_> {
     }
 
     /// Stops the machine of a command that has no session yet. Returns the failure of the command.
-    fn stopped(&self, target: &Target, urgent: Urgent, need: Need) -> Failure {
+    fn stopped(&self, target: &Target, urgent: Urgent, need: Purpose) -> Failure {
         let told = target.told(self.urgent(target, urgent));
         match told.delivery {
             Delivery::Stopped => interrupted(need),
@@ -400,12 +330,12 @@ impl Places<'_> {
         &self,
         kind: DeviceKind,
         address: &Address,
-        need: Need,
+        need: Purpose,
         pressed: &dyn Fn() -> Option<Urgent>,
     ) -> Result<Device, Failure> {
         let begin = Instant::now();
         loop {
-            let mut device = self.open(kind, address, Purpose::Work)?;
+            let mut device = self.open(kind, address, Purpose::Look)?;
             if need.of_owner().is_none() || device.owner().is_none() {
                 return Ok(device);
             }
@@ -446,7 +376,7 @@ impl Places<'_> {
         match (matching.next(), matching.next()) {
             (Some(one), None) => Ok(one.candidate.address.clone()),
             (None, _) => Err(Failure::NotFound {
-                wanted: kind,
+                wanted: Some(kind),
                 there: list(&found),
             }),
             (Some(_), Some(_)) => Err(Failure::Ambiguous {
@@ -474,12 +404,13 @@ impl Places<'_> {
 
     fn ask(&self, candidate: &Candidate, wanted: Option<DeviceKind>) -> Result<Identity, Failure> {
         if !candidate.may_ask {
-            return Err(Failure::NothingFound {
+            return Err(Failure::NotFound {
+                wanted: None,
                 there: "not asked: not an ST-LINK port".to_owned(),
             });
         }
         let kind = candidate.kind.or(wanted).unwrap_or(DeviceKind::Rig);
-        let mut device = self.open(kind, &candidate.address, Purpose::Work)?;
+        let mut device = self.open(kind, &candidate.address, Purpose::Look)?;
         Ok(device.hello(self.connector.nonce())?)
     }
 
@@ -505,7 +436,8 @@ impl Places<'_> {
             })
             .collect();
         if there.is_empty() {
-            return Err(Failure::NothingFound {
+            return Err(Failure::NotFound {
+                wanted: None,
                 there: list(&found),
             });
         }
@@ -514,7 +446,7 @@ impl Places<'_> {
 }
 
 /// The failure of a command that was stopped before it sent anything.
-fn interrupted(need: Need) -> Failure {
+fn interrupted(need: Purpose) -> Failure {
     let request = need.of_owner().unwrap_or("Hello");
     Failure::Client(ClientError::Interrupted { request })
 }
@@ -538,32 +470,12 @@ fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
 pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
     let mut found = look();
     for _ in 1..OWNERS {
-        if !matches!(
-            found,
-            Err(Failure::Client(ClientError::Link(
-                LinkError::OwnerGone { .. }
-            )))
-        ) {
+        if !matches!(&found, Err(Failure::Client(error)) if error.is_owner_gone()) {
             break;
         }
         found = look();
     }
     found
-}
-
-/// Tells once of the record that a killed process has left on this line. A campaign completes its own: those are
-/// CAMPAIGN/trials/ATTEMPT/RECORD.
-fn orphaned_record(device: &mut Device) -> Option<String> {
-    let sidecar = device.left_record()?;
-    device.left_has_ended();
-    let campaign = sidecar.ancestors().nth(3)?;
-    let is_running = Trial::read(&sidecar).is_ok_and(|trial| trial.status == Status::Running);
-    (is_running && !campaign.join(CAMPAIGN_LEDGER).exists()).then(|| {
-        format!(
-            "the process that recorded {} has ended before its action; `retrograde records fetch` saves what the machine knows of it",
-            sidecar.display()
-        )
-    })
 }
 
 /// Describes all places, one line each.
@@ -580,7 +492,7 @@ pub fn line(found: &Found) -> String {
     let candidate = &found.candidate;
     let who = match &found.answer {
         Ok(identity) => identity::line(identity),
-        Err(Failure::NothingFound { there }) => there.clone(),
+        Err(Failure::NotFound { there, .. }) => there.clone(),
         Err(failure) => failure.to_string(),
     };
     format!("{} ({}): {who}", candidate.address, candidate.description)

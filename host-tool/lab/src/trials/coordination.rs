@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use client::error::ClientError;
+use client::error::{ClientError, Missing};
 use client::identity::IdentityRecord;
 use client::{Begun, Both, Clock, Device, Observer};
 use protocol::capsule::{
@@ -84,9 +84,7 @@ pub fn run(
         Trial::new(action, device, recordings.actuation),
         recordings.actuation,
     )?;
-    capsule.records(Some(recorder.sidecar()));
     if let Err(error) = experiment::listen(capsule, recordings.actuation.telemetry_ms) {
-        capsule.records(None);
         let ending = experiment::without_record(&recorder, &error);
         // The loss of the capsule is the cause: report it even if the record cannot be written.
         let _ = recorder.finish(ending, capsule.take_lost_events());
@@ -361,7 +359,6 @@ impl Partner<'_> {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
             Err(left) => self.recorder.finish(left.ending.clone(), lost),
         };
-        self.capsule.records(None);
         let trial = match (finished, outcome) {
             // More urgent than a record that could not be written.
             (
@@ -392,7 +389,11 @@ impl Partner<'_> {
         let is_complete = run.is_some_and(|run| run.record.outcome == RunOutcome::Complete);
         let may_move = matches!(
             self.phase,
-            Phase::Accepted { .. } | Phase::Failed(ClientError::OutcomeUnknown { .. })
+            Phase::Accepted { .. }
+                | Phase::Failed(ClientError::Unanswered {
+                    missing: Missing::Outcome,
+                    ..
+                })
         );
         if !is_complete
             && may_move
