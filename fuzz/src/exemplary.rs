@@ -196,7 +196,7 @@ mod tests {
     fn a_recording_without_an_end_is_given_up() {
         let error = endless().trace().expect_err("no end");
         assert!(
-            matches!(error, ClientError::WrongResponse { .. }),
+            matches!(error, ClientError::NotUnderstood { error: None, .. }),
             "{error}"
         );
     }
@@ -209,7 +209,7 @@ mod tests {
             endless().take_events().expect_err("no end"),
         ] {
             assert!(
-                matches!(error, ClientError::WrongResponse { .. }),
+                matches!(error, ClientError::NotUnderstood { error: None, .. }),
                 "{error}"
             );
         }

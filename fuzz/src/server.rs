@@ -24,7 +24,6 @@ use tokio::runtime::{Builder, Runtime};
 use tower_service::Service as _;
 
 use lab::operations::connector::{Candidate, Connector, Purpose};
-use lab::operations::names::Names;
 use lab::operations::places::{Beginning, Places};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
@@ -182,7 +181,6 @@ pub fn with<R>(
     let places = Places {
         rig: Some(Address::Auto),
         capsule: Some(Address::Auto),
-        names: Names::default(),
         baud: DEFAULT_BAUD,
         connector: &connector,
         beginning: Beginning::now(),

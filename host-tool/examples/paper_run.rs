@@ -34,7 +34,7 @@ fn main() -> Result<()> {
         .into_diagnostic()?;
 
     // A session is refused if this is not a rig, or not one that speaks this program's protocol. Nothing moves yet.
-    let link = Ports.open(DeviceKind::Rig, &address, DEFAULT_BAUD, Purpose::Work)?;
+    let link = Ports.open(DeviceKind::Rig, &address, DEFAULT_BAUD, Purpose::Own("run"))?;
     let mut rig = Device::connect(link, DeviceKind::Rig, Ports.nonce())?;
     if let Some(identity) = rig.identity() {
         println!("{}", identity::line(identity));

@@ -6,10 +6,8 @@ mod calculation;
 mod campaign;
 mod capsule;
 mod commission;
-mod configured;
 mod cycle;
 mod design;
-mod devices;
 mod doctor;
 mod failure;
 mod fold;
@@ -35,7 +33,7 @@ mod settings;
 mod stops;
 mod trace;
 mod verify;
-pub mod watch;
+mod watch;
 
 use std::ffi::OsString;
 use std::io::{self, IsTerminal, Write};
@@ -54,7 +52,6 @@ use lab::operations::arguments::{
 use lab::operations::connector::Connector;
 use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{DONE, Failure, USAGE, usage, usage_text};
-use lab::operations::names::{self, Names};
 use lab::operations::places::{Beginning, Places};
 use protocol::capsule::ActuationKind;
 use protocol::system::{DeviceKind, Urgent};
@@ -77,8 +74,7 @@ use crate::cli::watch::WatchArgs;
 
 const EXAMPLES: &str = "\
 Examples:
-  retrograde devices                            which machines are there
-  retrograde doctor                             what is wrong, and what to do about it
+  retrograde doctor                             which machines are there, and what is wrong
   retrograde --rig /dev/ttyACM0 info            how the rig is, also while it runs
   retrograde home                               find the position, before a run
   retrograde run --cycles 5 --duration-s 40     the paper's run, recorded in retrograde-data
@@ -94,10 +90,7 @@ Examples:
 
 /// Subcommands as `--help` shows them: a heading, and what stands below it.
 const GROUPS: [(&str, &[&str]); 5] = [
-    (
-        "Look",
-        &["devices", "doctor", "info", "health", "watch", "serve"],
-    ),
+    ("Look", &["doctor", "info", "health", "watch", "serve"]),
     (
         "Move",
         &[
@@ -134,10 +127,10 @@ const WITHOUT_MACHINES: [&str; 8] = [
 #[derive(Debug, Parser)]
 #[command(name = "retrograde", version, arg_required_else_help = true, after_help = EXAMPLES)]
 pub struct Cli {
-    /// The rig: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
+    /// The rig: `auto`, a serial port, `tcp:HOST:PORT` or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_RIG", value_name = "WHERE")]
     pub rig: Option<Given>,
-    /// The capsule: `auto`, a serial port, `tcp:HOST:PORT`, a name from the file of machines, or `virtual`.
+    /// The capsule: `auto`, a serial port, `tcp:HOST:PORT` or `virtual`.
     #[arg(long, global = true, env = "RETROGRADE_CAPSULE", value_name = "WHERE")]
     pub capsule: Option<Given>,
     /// Speed of serial ports.
@@ -154,11 +147,9 @@ pub struct Cli {
 /// The subcommands.
 #[derive(Debug, clap::Subcommand)]
 pub enum Subcommand {
-    /// List ports and the machines at them. Moves nothing.
-    Devices,
-    /// Find out what is wrong with ports and machines, and what to do about it.
+    /// List ports and the machines at them, and find out what is wrong. Moves nothing.
     ///
-    /// Takes a second or so. Moves nothing.
+    /// Takes a second or so. Each problem comes with its remedy.
     Doctor(Which),
     /// Show identity, state and last fault of the machines. Moves nothing.
     Info(Which),
@@ -223,7 +214,7 @@ pub enum Subcommand {
     Jog(JogArgs),
     /// Move the rig to a position.
     Move(MoveArgs),
-    /// Watch the machines on one screen, with keys that hold, resume and stop.
+    /// Print the state of the machines every second, until Ctrl-C. Moves nothing.
     ///
     /// It works beside another `retrograde` that has the machines.
     Watch(WatchArgs),
@@ -395,17 +386,15 @@ fn run_in(
         keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };
-    let result = Addressed::of(&cli).and_then(|found| {
-        let places = Places {
-            rig: found.rig,
-            capsule: found.capsule,
-            names: found.names,
-            baud: cli.baud,
-            connector,
-            beginning,
-        };
-        carry_out(&cli.subcommand, &places, found.unread, &mut screen)
-    });
+    let found = Addressed::of(&cli);
+    let places = Places {
+        rig: found.rig,
+        capsule: found.capsule,
+        baud: cli.baud,
+        connector,
+        beginning,
+    };
+    let result = carry_out(&cli.subcommand, &places, found.unread, &mut screen);
     screen.finish(result)
 }
 
@@ -455,61 +444,35 @@ fn without_variables(error: clap::Error, args: &[OsString]) -> clap::Error {
 /// Machines whose addresses cannot be read, so that no stop reaches them.
 type Unread = Vec<(DeviceKind, Told)>;
 
-/// The addresses of a command line, with names replaced.
+/// The addresses of a command line.
 struct Addressed {
     rig: Option<Address>,
     capsule: Option<Address>,
-    names: Names,
     /// Empty unless the command is a stop.
     unread: Unread,
 }
 
 impl Addressed {
-    fn of(cli: &Cli) -> Result<Self, Failure> {
+    fn of(cli: &Cli) -> Self {
         let mut unread = vec![];
-        if cli.subcommand.is_stop() {
-            return Ok(Self {
-                rig: place_to_stop(DeviceKind::Rig, cli.rig.as_ref(), &mut unread),
-                capsule: place_to_stop(DeviceKind::Capsule, cli.capsule.as_ref(), &mut unread),
-                // A stop compares no names.
-                names: Names::default(),
-                unread,
-            });
-        }
-        let address = |given: &Option<Given>| given.as_ref()?.address.clone().ok();
-        let (mut rig, mut capsule) = (address(&cli.rig), address(&cli.capsule));
-        Ok(Self {
-            names: names::resolve(&mut rig, &mut capsule)?,
-            rig,
-            capsule,
+        let mut address = |kind, given: &Option<Given>| match &given.as_ref()?.address {
+            Ok(address) => Some(address.clone()),
+            Err(why) => {
+                let told = Told {
+                    machine: format!("{} at {}", identity::kind_name(kind), given.as_ref()?.text),
+                    delivery: Delivery::NotDelivered,
+                    why: why.to_string(),
+                };
+                unread.push((kind, told));
+                None
+            }
+        };
+        Self {
+            rig: address(DeviceKind::Rig, &cli.rig),
+            capsule: address(DeviceKind::Capsule, &cli.capsule),
             unread,
-        })
+        }
     }
-}
-
-/// The place of a machine to stop. If it cannot be read, or its name not be looked up, the machine is `unread`.
-fn place_to_stop(kind: DeviceKind, given: Option<&Given>, unread: &mut Unread) -> Option<Address> {
-    let given = given?;
-    let address = given.address.clone().map_err(|why| why.to_string());
-    let place = address.and_then(|address| {
-        let (mut address, mut other) = (Some(address), None);
-        let named = match kind {
-            DeviceKind::Rig => names::resolve(&mut address, &mut other),
-            DeviceKind::Capsule => names::resolve(&mut other, &mut address),
-        };
-        named
-            .map(|_| address)
-            .map_err(|failure| failure.to_string())
-    });
-    place.unwrap_or_else(|why| {
-        let told = Told {
-            machine: format!("{} at {}", identity::kind_name(kind), given.text),
-            delivery: Delivery::NotDelivered,
-            why,
-        };
-        unread.push((kind, told));
-        None
-    })
 }
 
 /// Stops the machines whose addresses can be read, and reports the other ones as not told.
@@ -555,7 +518,6 @@ fn carry_out(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     match subcommand {
-        Subcommand::Devices => devices::devices(places, screen),
         Subcommand::Doctor(which) => doctor::doctor(which, places, screen),
         Subcommand::Info(which) => info::info(which, places, screen),
         Subcommand::Home => home::home(places, screen),

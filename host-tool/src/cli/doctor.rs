@@ -11,9 +11,8 @@ use client::identity;
 use client::link::{OpenError, Reason};
 use lab::operations::arguments::Which;
 use lab::operations::connector::{Candidate, Purpose};
-use lab::operations::failure::{CommandFailure, DONE, FAILED, FAULT, Failure, NO_DEVICE};
+use lab::operations::failure::{DONE, FAILED, FAULT, Failure, NO_DEVICE};
 use lab::operations::places::{KINDS, Places, past_owners};
-use miette::Diagnostic;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
@@ -58,7 +57,7 @@ impl Finding {
         Self {
             code: code(failure),
             text: failure.to_string(),
-            remedy: Diagnostic::help(failure).map(|help| help.to_string()),
+            remedy: Some(failure.remedy()).filter(|remedy| !remedy.is_empty()),
             exit_code: failure.exit_code(),
             ..Self::fine(place, "", String::new())
         }
@@ -108,13 +107,14 @@ fn code(failure: &Failure) -> &'static str {
                 Sign::Text(_) => "other_instrument",
                 Sign::Noise(_) => "no_frames",
             },
-            ClientError::WrongDevice { .. } => "wrong_kind",
-            ClientError::Mismatch { .. } => "other_firmware",
-            ClientError::OwnerBusy { .. } => "owner_silent",
+            ClientError::WrongMachine { wanted, found, .. } if found.device != *wanted => {
+                "wrong_kind"
+            }
+            ClientError::WrongMachine { .. } => "other_firmware",
+            ClientError::Owned { .. } => "owner_silent",
             _ => "lost",
         },
-        Failure::WrongName { .. } => "other_name",
-        Failure::NothingFound { .. } | Failure::NotFound { .. } => "absent",
+        Failure::NotFound { .. } => "absent",
         Failure::Ambiguous { .. } => "several",
         _ => "failed",
     }
@@ -140,11 +140,17 @@ pub(crate) fn doctor(
     for finding in &findings {
         screen.say(&finding.line());
     }
+    let value = json!({ "findings": findings.iter().map(Finding::json).collect::<Vec<_>>() });
     if findings.iter().any(|finding| finding.exit_code != 0) {
-        return Err(Sick { findings }.into());
+        let codes = findings.iter().map(|finding| finding.exit_code);
+        // A missing machine outweighs a problem that a machine reports.
+        let code = codes.filter(|code| *code != DONE).min().unwrap_or(FAILED);
+        let help = "each finding above has its remedy";
+        return Err(
+            Failure::said("retrograde::doctor", code, summary(&findings), help).with(value),
+        );
     }
-    let findings: Vec<_> = findings.iter().map(Finding::json).collect();
-    Ok(json!({ "findings": findings }))
+    Ok(value)
 }
 
 /// The places named by the user, or else all ports.
@@ -214,13 +220,10 @@ type Trouble = Option<(&'static str, String, &'static str)>;
 fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
-    let mut device = places.open(kind, address, Purpose::Look)?;
+    let mut device = places.open(kind, address, Purpose::Glance)?;
     device.ask_once(true);
     let identity = device.hello(places.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;
-    if place.wanted.is_some() {
-        places.require_name(&mut device)?;
-    }
     let mut text = identity::line(&identity);
     if let Some(owner) = device.owner() {
         text.push_str(&format!("; the line belongs to {owner}"));
@@ -286,29 +289,15 @@ fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Fin
         let there = "no port with an ST-LINK, and no address was given".to_owned();
         let wanted = which.machine.map(DeviceKind::from);
         let name = wanted.map_or("any machine", identity::kind_name).to_owned();
-        more.push(Finding::wrong(name, &Failure::NothingFound { there }));
+        more.push(Finding::wrong(
+            name,
+            &Failure::NotFound {
+                wanted: None,
+                there,
+            },
+        ));
     }
     more
-}
-
-/// The doctor has found at least one problem.
-#[derive(Debug, thiserror::Error, Diagnostic)]
-#[error("{}", summary(findings))]
-#[diagnostic(code(retrograde::doctor), help("each finding above has its remedy"))]
-struct Sick {
-    findings: Vec<Finding>,
-}
-
-impl CommandFailure for Sick {
-    fn exit_code(&self) -> u8 {
-        let codes = self.findings.iter().map(|finding| finding.exit_code);
-        // A missing machine outweighs a problem that a machine reports.
-        codes.filter(|code| *code != DONE).min().unwrap_or(FAILED)
-    }
-
-    fn describe(&self, value: &mut Value) {
-        value["findings"] = self.findings.iter().map(Finding::json).collect();
-    }
 }
 
 fn summary(findings: &[Finding]) -> String {

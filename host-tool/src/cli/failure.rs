@@ -2,16 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use client::error::ClientError;
-use client::identity::kind_name;
 use lab::campaign::differences::Finding;
 use lab::campaign::{CampaignError, resumption};
-use lab::operations::failure::{
-    CommandFailure, FAILED, FAULT, REFUSED, STOPPED, UNKNOWN, USAGE, client_code,
-};
+use lab::operations::failure::{FAILED, FAULT, Failure, REFUSED, STOPPED, USAGE};
 use miette::Diagnostic;
-use protocol::error::Refusal;
-use protocol::system::DeviceKind;
 use report::figures::FigureError;
 use report::html::ReportError;
 use report::html::campaign::CampaignReportError;
@@ -71,21 +65,6 @@ pub(crate) enum Own {
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
-    /// The rig refused an import of settings, or it was interrupted.
-    #[error("{}: {setting}: {cause}; {}", file.display(), aftermath(changed))]
-    #[diagnostic(code(retrograde::import), help("{}", way_back(changed, *machine, cause)))]
-    Import {
-        /// Whose settings they are.
-        machine: DeviceKind,
-        /// The file.
-        file: PathBuf,
-        /// The setting that could not be set.
-        setting: &'static str,
-        /// The reason.
-        cause: Box<ClientError>,
-        /// Changes that could not be undone; empty if everything is restored.
-        changed: Vec<String>,
-    },
     /// A commissioning is incomplete.
     #[error("{why}")]
     #[diagnostic(code(retrograde::commission), help("{help}"))]
@@ -99,16 +78,20 @@ pub(crate) enum Own {
     },
 }
 
-impl CommandFailure for Own {
+impl From<Own> for Failure {
+    fn from(own: Own) -> Self {
+        let fields = match &own {
+            Own::Changed { findings, .. } => json!({ "findings": findings }),
+            Own::ReportDefects { written, .. } => written.clone(),
+            _ => Value::Null,
+        };
+        Self::of(&own, own.exit_code()).with(fields)
+    }
+}
+
+impl Own {
     fn exit_code(&self) -> u8 {
         match self {
-            Self::Import { cause, changed, .. } => {
-                if changed.is_empty() {
-                    client_code(cause)
-                } else {
-                    UNKNOWN
-                }
-            }
             Self::Commission { ending, .. } => match ending {
                 Unfinished::Defect => FAULT,
                 Unfinished::NotShown => REFUSED,
@@ -122,18 +105,6 @@ impl CommandFailure for Own {
             | Self::Report(_)
             | Self::CampaignReport(_)
             | Self::Figure(_) => FAILED,
-        }
-    }
-
-    fn describe(&self, value: &mut Value) {
-        match self {
-            Self::Changed { findings, .. } => value["findings"] = json!(findings),
-            Self::ReportDefects { written, .. } => {
-                if let (Some(value), Some(written)) = (value.as_object_mut(), written.as_object()) {
-                    value.extend(written.clone());
-                }
-            }
-            _ => {}
         }
     }
 }
@@ -160,41 +131,4 @@ fn changed(folder: &Path, findings: &[Finding]) -> String {
         folder.display(),
         first.unwrap_or_default()
     )
-}
-
-fn aftermath(changed: &[String]) -> String {
-    if changed.is_empty() {
-        return "all settings are as before".to_owned();
-    }
-    format!(
-        "the import could not be undone; these are changed: {}",
-        changed.join(", ")
-    )
-}
-
-fn way_back(changed: &[String], machine: DeviceKind, cause: &ClientError) -> String {
-    let name = kind_name(machine);
-    if !changed.is_empty() {
-        return format!(
-            "`retrograde settings --of {name} list` shows the present values; correct them by hand, or import a correct file"
-        );
-    }
-    let of_value = |refusal: &Refusal| {
-        matches!(
-            refusal,
-            Refusal::SettingRange { .. } | Refusal::SettingRule { .. } | Refusal::NameNotPrintable
-        )
-    };
-    let first = match cause {
-        ClientError::Refused { refusal, .. } if of_value(refusal) => "correct the file",
-        _ => "the file may be good: remove the cause, then again",
-    };
-    match machine {
-        DeviceKind::Rig => {
-            format!("{first}; `retrograde info rig` shows whether the rig has to be homed again")
-        }
-        DeviceKind::Capsule => {
-            format!("{first}; `retrograde info capsule` shows how the capsule is")
-        }
-    }
 }

@@ -40,7 +40,7 @@ impl Screen<'_> {
         }
     }
 
-    /// Prints a line; false if no reader is left.
+    /// Prints a line at once; false if no reader is left.
     pub(crate) fn tell(&mut self, text: &str) -> bool {
         let text = visible::lines(text);
         let written = writeln!(self.stream(), "{text}").and_then(|()| self.stream().flush());
@@ -106,7 +106,7 @@ impl Screen<'_> {
                 match self.failed.take() {
                     None => DONE,
                     Some(io) => {
-                        let failure = Failure::Output { io };
+                        let failure = Failure::output(&io);
                         self.hint(&failure.text());
                         failure.exit_code()
                     }

@@ -18,7 +18,6 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
-use crate::cli::settings::import::Imported;
 use crate::cli::settings::values::{Key, checked_name, value_of};
 
 /// Subcommands of `settings`.
@@ -46,7 +45,7 @@ pub enum SettingsSubcommand {
         #[arg(long)]
         force: bool,
     },
-    /// Set all settings from a JSON file written by `export`, or none if one is refused.
+    /// Set all settings from a JSON file written by `export`, in its order.
     Import {
         /// The file.
         file: PathBuf,
@@ -105,23 +104,23 @@ pub(crate) fn settings(
             let wanted = import::read(file, kind)?;
             let mut machine = places.connect(kind, Need::Own("settings import"))?;
             let before = Basis::of(&mut machine, kind)?;
-            let Imported { changed, renamed } = import::import(&mut machine, kind, file, wanted)?;
-            screen.say(&format!("{changed} settings changed"));
-            if let Some((from, to)) = renamed {
-                screen.say(&format!("the name is now `{to}`; it was `{from}`"));
+            let changed = import::import(&mut machine, kind, file, wanted)?;
+            for change in &changed {
+                screen.say(change);
             }
+            screen.say(&format!("{} settings changed", changed.len()));
             before.tell_change(&mut machine, screen)?;
-            Ok(json!({ "changed": changed }))
+            Ok(json!({ "changed": changed.len() }))
         }
         SettingsSubcommand::Name { name: None } => {
-            let name = places.connect(kind, Need::Name(None))?.call(GetName)?.name;
+            let name = places.connect(kind, Need::Look)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
         SettingsSubcommand::Name { name: Some(name) } => {
             let name = checked_name(name).map_err(|why| Failure::input(why, NAME_HELP))?;
             let name = places
-                .connect(kind, Need::Name(Some("settings name")))?
+                .connect(kind, Need::Own("settings name"))?
                 .call(Name { name })?;
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))

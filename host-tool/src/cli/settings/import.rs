@@ -1,10 +1,9 @@
-//! Imports settings from a file: all of them or none. Checks the whole file first. Only the rig knows which values
-//! are valid together; if it refuses one, the import restores those already changed.
+//! Imports settings from a file: checks all of it first, then sets the values in the order of the file. Only the machine
+//! knows which values are valid together.
 
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::Path;
-use std::sync::Arc;
 
 use client::error::ClientError;
 use client::limited::{self, BY_HAND};
@@ -16,7 +15,6 @@ use protocol::system::DeviceKind;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 
-use crate::cli::failure::Own;
 use crate::cli::settings::values::{Key, checked_name, value_of};
 
 /// The file. Unknown and repeated fields are errors.
@@ -129,136 +127,55 @@ pub(super) fn read(file: &Path, kind: DeviceKind) -> Result<Wanted, Failure> {
     }
 }
 
-/// A setting or the name, with its value.
-enum Entry {
-    Setting(Setting),
-    Name(heapless::String<MAX_NAME>),
-}
-
-impl Entry {
-    fn name(&self) -> &'static str {
-        match self {
-            Self::Setting(setting) => setting.key.name(),
-            Self::Name(_) => "name",
-        }
-    }
-
-    fn write(&self, rig: &mut Device) -> Result<(), ClientError> {
-        match self {
-            Self::Setting(setting) => rig.call(*setting).map(drop),
-            Self::Name(name) => rig.call(Name { name: name.clone() }).map(drop),
-        }
-    }
-}
-
-impl fmt::Display for Entry {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Setting(setting) => write!(f, "{}", setting.value),
-            Self::Name(name) => write!(f, "{name:?}"),
-        }
-    }
-}
-
-struct Change {
-    from: Entry,
-    to: Entry,
-}
-
-/// Changes made by an import.
-pub(super) struct Imported {
-    /// Number of settings.
-    pub(super) changed: usize,
-    /// The name before and after, if they differ.
-    pub(super) renamed: Option<(String, String)>,
-}
-
-/// Sets the values that differ.
+/// Sets the values that differ, in the order of the file, and the name at last. Returns the changes.
 ///
 /// # Errors
-/// [`Own::Import`], which lists the changes that could not be undone.
+/// The first refusal or loss of the line; its text names what was set before.
 pub(super) fn import(
-    rig: &mut Device,
-    machine: DeviceKind,
+    machine: &mut Device,
+    kind: DeviceKind,
     file: &Path,
     wanted: Wanted,
-) -> Result<Imported, Failure> {
-    let mut changes = vec![];
-    for to in wanted.settings {
-        let from = rig.call(GetSetting { key: to.key })?;
-        if from != to {
-            let (from, to) = (Entry::Setting(from), Entry::Setting(to));
-            changes.push(Change { from, to });
-        }
-    }
-    let changed = changes.len();
-    let name = rig.call(GetName)?.name;
-    let differs = name != wanted.name;
-    let renamed = differs.then(|| (name.to_string(), wanted.name.to_string()));
-    if differs {
-        let (from, to) = (Entry::Name(name), Entry::Name(wanted.name));
-        changes.push(Change { from, to });
-    }
+) -> Result<Vec<String>, Failure> {
     let mut done = vec![];
-    match apply(rig, changes, &mut done) {
-        Ok(()) => Ok(Imported { changed, renamed }),
-        Err((setting, cause)) => Err(Own::Import {
-            machine,
-            file: file.to_owned(),
-            setting,
-            cause: Box::new(cause),
-            changed: put_back(rig, done),
-        }
-        .into()),
-    }
+    let set = set(machine, wanted, &mut done);
+    set.map_err(|(setting, cause)| {
+        let before = match done.is_empty() {
+            true => "nothing was changed before".to_owned(),
+            false => format!("before it these were set: {}", done.join(", ")),
+        };
+        let name = identity::kind_name(kind);
+        let help = format!(
+            "`retrograde settings --of {name} list` shows what counts now; correct the file or its order, or remove the cause, then again: what is set stays. `retrograde info {name}` shows whether positions have to be found again"
+        );
+        let why = format!("{}: {setting}: {cause}; {before}", file.display());
+        Failure::said("retrograde::import", cause.exit_code(), why, help)
+    })?;
+    Ok(done)
 }
 
-/// Sets the values in passes. The rig checks each against the others that it holds at the time, so a refused value is
-/// tried again after the rest, until a pass changes nothing.
-fn apply(
-    rig: &mut Device,
-    mut left: Vec<Change>,
-    done: &mut Vec<Change>,
+fn set(
+    machine: &mut Device,
+    wanted: Wanted,
+    done: &mut Vec<String>,
 ) -> Result<(), (&'static str, ClientError)> {
-    while !left.is_empty() {
-        let (count, mut refused, mut why) = (left.len(), vec![], None);
-        for change in left {
-            let name = change.to.name();
-            match change.to.write(rig) {
-                Ok(()) => done.push(change),
-                Err(error @ ClientError::Refused { .. }) => {
-                    refused.push(change);
-                    why.get_or_insert((name, error));
-                }
-                Err(error) => {
-                    // The rig may have changed it, so it must be undone, too.
-                    done.push(change);
-                    return Err((name, error));
-                }
-            }
+    for to in wanted.settings {
+        let failed = |error| (to.key.name(), error);
+        let from = machine
+            .call(GetSetting { key: to.key })
+            .map_err(failed)?
+            .value;
+        if from != to.value {
+            machine.call(to).map_err(failed)?;
+            done.push(format!("{} from {from} to {}", to.key.name(), to.value));
         }
-        if let Some(why) = why.filter(|_| refused.len() == count) {
-            return Err(why);
-        }
-        left = refused;
+    }
+    let failed = |error| ("name", error);
+    let from = machine.call(GetName).map_err(failed)?.name;
+    if from != wanted.name {
+        let name = wanted.name.clone();
+        machine.call(Name { name }).map_err(failed)?;
+        done.push(format!("name from {from:?} to {:?}", wanted.name));
     }
     Ok(())
-}
-
-/// Undoes the changes in reverse order, so that the rig only meets combinations that it has accepted before. Returns
-/// the changes that remain. If a stop has interrupted the import, it is confirmed first; then the changes are undone all
-/// the same.
-fn put_back(rig: &mut Device, done: Vec<Change>) -> Vec<String> {
-    let mut changed = vec![];
-    if rig.settle().is_ok() {
-        rig.set_interrupt(Arc::new(|| None));
-        rig.forget_stop();
-    }
-    for Change { from, to } in done.into_iter().rev() {
-        if from.write(rig).is_err() {
-            changed.push(format!("{} from {from} to {to}", to.name()));
-        }
-    }
-    changed.reverse();
-    changed
 }
