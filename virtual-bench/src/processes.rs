@@ -150,10 +150,6 @@ impl Rig {
             .env("RETROGRADE_RIG", &self.port)
             .env_remove("RETROGRADE_CAPSULE")
             .env("RETROGRADE_RUNTIME_DIR", self.folder.path())
-            .env(
-                "RETROGRADE_CONFIG",
-                self.folder.path().join("machines.toml"),
-            )
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())

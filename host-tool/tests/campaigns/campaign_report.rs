@@ -13,13 +13,12 @@ use client::identity::Origin;
 use jiff::Timestamp;
 use lab::campaign::contents::Campaign;
 use lab::campaign::folder::Folder;
-use lab::campaign::form::Form;
 use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use lab::campaign::manifest;
 use lab::campaign::plan::{Lubrication, Millimetres, Purpose};
 use lab::campaign::readings::{Kind, Quantity, ReadingRow};
 use lab::campaign::statistics::{FittedLine, Spread};
-use lab::trials::experiment;
+use lab::trials::experiment::{self, Shape};
 use lab::trials::trial::Recording;
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
@@ -173,7 +172,7 @@ fn campaign(path: &Path) -> Folder {
                 note: None,
                 telemetry_ms: 50,
             };
-            let folded = planned.shape == Form::Folded;
+            let folded = planned.shape == Shape::Folded.into();
             if folded {
                 let recording = recording("fold", &mut clock);
                 let kind = ActuationKind::Fold;
@@ -195,7 +194,7 @@ fn campaign(path: &Path) -> Folder {
                 .seal_attempt(planned.trial, attempt)
                 .expect("written");
         }
-        if planned.shape == Form::Folded {
+        if planned.shape == Shape::Folded.into() {
             // The capsule is unfolded once the body has been measured: long after the attempt has ended.
             clock.0 += 60;
             let recording = Recording {
@@ -816,6 +815,7 @@ fn figures_show_the_trials_beside_each_other_and_what_is_the_same_once() {
         numbers.iter().all(|mm| *mm < 2.0 * most_mm),
         "{most_mm} {numbers:?}"
     );
+    assert!(page.contains("the plot shows as much of it as lies beside the trials"));
     // Dry and lubricated at the same indentation do not hide each other.
     let (dry, wet) = (dots(&figure7, "#C06A10"), dots(&figure7, "#1F5AA8"));
     assert!(dry.len() > 1 && dry.is_disjoint(&wet), "{dry:?} {wet:?}");

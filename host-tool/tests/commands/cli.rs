@@ -230,7 +230,7 @@ fn machines_are_found_by_asking_and_each_command_takes_the_right_one() {
     let new = Memory::with(vec![Script::new(DeviceKind::Capsule)]);
     let (_, out, _) = new.run(&["info"]);
     assert!(out.contains("not calibrated: unfold it by hand"), "{out}");
-    let (code, out, _) = both.run(&["devices"]);
+    let (code, out, _) = both.run(&["doctor"]);
     assert!(code == 0 && out.lines().count() == 2, "{out}");
 }
 
@@ -347,13 +347,14 @@ fn the_recording_of_the_last_actuation_becomes_a_file() {
     let mut lines = text.lines();
     assert_eq!(
         lines.next(),
-        Some("time_ms,thread_um,current_ma,battery_mv,drive_mv,origin")
+        Some("time_ms,thread_um,current_ma,battery_mv,drive_mv,force_least_n,force_most_n,origin")
     );
     let rows: Vec<Vec<i64>> = lines
         .map(|line| {
             let numbers = line.strip_suffix(",board").expect("its origin");
             numbers
                 .split(',')
+                .take(5)
                 .map(|field| field.parse().expect("a number"))
                 .collect()
         })

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::support::asked::Asked;
 use crate::support::tool::{Memory, ready};
-use client::error::ClientError;
+use client::error::{ClientError, Missing};
 use client::link::owner::Question;
 use client::{Clock, Device, Observer, Unobserved};
 use jiff::Timestamp;
@@ -384,7 +384,10 @@ fn a_capsule_that_confirms_no_stop_is_told() {
     assert!(
         matches!(
             why,
-            ExperimentError::Client(ClientError::StopUnconfirmed { .. })
+            ExperimentError::Client(ClientError::Unanswered {
+                missing: Missing::Stop,
+                ..
+            })
         ),
         "{why}"
     );

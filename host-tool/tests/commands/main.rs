@@ -19,4 +19,3 @@ mod settings;
 mod stop_model;
 mod stops;
 mod suspended;
-mod watch_screen;

@@ -376,7 +376,6 @@ fn the_table_of_the_manual_names_tests_that_exist() {
         include_str!("../lines/leaving.rs"),
         include_str!("../lines/stopping.rs"),
         include_str!("../signals/main.rs"),
-        include_str!("../terminals/watch.rs"),
     ];
     let in_python = include_str!("../../../python/tests/test_client.py");
     let on_the_image = include_str!("../../../virtual-bench/tests/images/estop.rs");
@@ -404,5 +403,5 @@ fn the_table_of_the_manual_names_tests_that_exist() {
         assert!(is_there, "{name}");
         count += 1;
     }
-    assert_eq!(count, 23);
+    assert_eq!(count, 22);
 }

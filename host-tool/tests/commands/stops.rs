@@ -374,32 +374,38 @@ impl Connector for Desk {
     }
 }
 
-/// An import is all or nothing, also if it is stopped.
 #[test]
-fn an_import_that_is_stopped_leaves_everything_as_it_was() {
+fn an_import_that_is_stopped_says_what_was_set() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("rig.json");
     let text = r#"{"name": "new", "settings": {"dead_man_ms": 350, "stroke_um": 20000, "seek_um_s": 5000}}"#;
     std::fs::write(&file, text).expect("written");
     let import = ["settings", "import", file.to_str().expect("UTF-8")];
-    let mut undone = 0;
+    let mut partly = 0;
     for from_us in (0..400_000).step_by(4_000) {
         let desk = Desk::new(from_us, Urgent::Stop);
         let (code, err) = desk.run(&import);
+        if code == 0 {
+            continue;
+        }
         let log = desk.log.lock().expect("free").clone().expect("a rig");
         let values = log.lock().expect("free").settings();
-        let changed = SettingKey::ALL.iter().zip(&values);
-        let changed = changed
-            .filter(|(key, value)| key.range().default != **value)
-            .count();
-        assert_eq!(
-            changed,
-            if code == 0 { 3 } else { 0 },
-            "{from_us} us: {err}"
-        );
-        undone += u32::from(err.contains("all settings are as before"));
+        for (key, value) in SettingKey::ALL.iter().zip(&values) {
+            let told = err.contains(&format!(
+                "{} from {} to {value}",
+                key.name(),
+                key.range().default
+            ));
+            // A stop may overtake the answer to the last order.
+            let last = err.contains(&format!("{}: stopped by the operator", key.name()));
+            assert!(
+                key.range().default == *value || told || last,
+                "{from_us} us: {err}"
+            );
+            partly += u32::from(told);
+        }
     }
-    assert!(undone > 0, "no stop came between two settings");
+    assert!(partly > 0, "no stop came between two settings");
 }
 
 /// Regression: a stop from another process took the place of an emergency stop that was not confirmed yet, and the

@@ -1,6 +1,6 @@
 //! A process that was suspended while something moved: the machine stopped or went on, and somebody pressed its button.
 
-use client::error::ClientError;
+use client::error::{ClientError, Missing};
 use client::{Device, Unobserved};
 use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{LinkLossPolicy, MoveTo, Run, RunOutcome, RunTiming};
@@ -50,8 +50,9 @@ fn a_run_has_no_outcome_once_another_one_has_begun() {
         let accepted = rig.run(Run { link_loss, ..RUN }).expect("accepted");
         rig.fall_silent(silent_us).expect("the line is there");
         let ended = rig.wait_run(&accepted, &mut Unobserved);
-        let Err(ClientError::RecordGone {
-            run: 1, last: 2, ..
+        let Err(ClientError::Unanswered {
+            missing: Missing::Record { run: 1, last: 2 },
+            ..
         }) = ended
         else {
             panic!("{link_loss:?}, {silent_us} us: {ended:?}");

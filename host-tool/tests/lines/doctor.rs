@@ -42,7 +42,7 @@ fn what_is_no_machine_is_named_with_its_remedy() {
         (deaf, "deaf", "PA3"),
         (web, "web_server", "virtual-bench serve"),
         (ssh, "ssh_server", "virtual-bench serve"),
-        (instrument, "other_instrument", "retrograde devices"),
+        (instrument, "other_instrument", "retrograde doctor"),
         (other_baud, "no_frames", "--baud"),
     ];
     for (serve, finding, remedy) in ends {

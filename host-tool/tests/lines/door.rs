@@ -114,7 +114,7 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
         let gone = loop {
             match subscriber.idle(50_000, &mut seen) {
                 // Five windows ask as well, and a busy computer takes its time for each of them.
-                Ok(()) | Err(ClientError::OwnerBusy { .. }) => {}
+                Ok(()) | Err(ClientError::Owned { busy: true, .. }) => {}
                 Err(error) => break error,
             }
         };
@@ -159,7 +159,10 @@ fn a_question_waits_for_an_owner_that_is_held_up() {
     kill(Signal::STOP, run.id());
     window.ask_once(true);
     let error = window.rig_status().expect_err("no answer");
-    assert!(matches!(error, ClientError::OwnerBusy { .. }), "{error:?}");
+    assert!(
+        matches!(error, ClientError::Owned { busy: true, .. }),
+        "{error:?}"
+    );
     kill(Signal::CONT, run.id());
     assert_eq!(bench.retrograde(&["stop"]).0, Some(0));
     assert_eq!(end(run).0, Some(130));

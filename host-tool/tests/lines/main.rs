@@ -5,11 +5,10 @@
 mod support;
 
 mod bad_inputs;
-mod diagnosis;
 mod doctor;
 mod door;
 mod held_up;
 mod leaving;
-mod named;
 mod remedies;
 mod stopping;
+mod watch;

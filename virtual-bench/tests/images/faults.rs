@@ -423,7 +423,7 @@ fn a_wrong_kind_of_machine_is_not_driven() {
     let wanted = DeviceKind::Capsule;
     let refused = Device::connect(link, wanted, 7).err();
     assert!(
-        matches!(refused, Some(ClientError::WrongDevice { .. })),
+        matches!(refused, Some(ClientError::WrongMachine { .. })),
         "{refused:?}"
     );
     assert_eq!(rig.edge_count(), 0);
