@@ -491,6 +491,26 @@ mod tests {
         assert_eq!(said, 2, "in the description and in the picture: {svg}");
     }
 
+    #[test]
+    fn a_long_title_is_not_cut() {
+        let title = format!(
+            "Trial 102: lubricated, {}, repeat 10",
+            "indentation-".repeat(3)
+        );
+        let heading = Heading::new(title.clone(), Source::Records(Origin::Board));
+        let svg = over_time(&heading, "y", vec![]).expect("drawn");
+        let texts = svg.split("<text").skip(1);
+        let texts: Vec<_> = texts
+            .filter_map(|text| Some(text.split_once('>')?.1.split_once('<')?.0.trim()))
+            .collect();
+        let first = texts.iter().position(|text| title.starts_with(text));
+        let first = first.expect("the title");
+        assert!(texts[first].chars().count() < 54, "{texts:?}");
+        assert!(texts[first + 1].ends_with("repeat 10"), "{texts:?}");
+        let height = format!("height=\"{}\"", 116 + 54 + SIZE.1);
+        assert!(svg.contains(&height), "{svg}");
+    }
+
     /// The numbers at the axes of a drawing.
     fn numbers(svg: &str) -> Vec<f64> {
         let texts = svg.split("<text").skip(1);
