@@ -1,5 +1,4 @@
-//! The page: what it offers in a state is what the machine takes then, and the stops come first for the Tab key. How it
-//! looks and what it keeps is checked in a browser: `virtual-bench page`.
+//! The page: what it offers in a state is what the machine takes then, and the stops come first for the Tab key.
 
 use client::error::ClientError;
 use client::{Device, Unobserved, wording};
@@ -193,106 +192,49 @@ fn function(head: &str) -> &'static str {
     after.split_once("\n}").expect("its end").0
 }
 
+/// Lines of the script that a stop depends on. No browser runs here.
 #[test]
 fn a_stop_goes_on_until_it_is_confirmed_and_goes_before_all_other_requests() {
-    let stop = function("async function stop(name) {");
-    let (before, tries) = stop.split_once("for (let limit").expect("attempts");
-    assert!(
-        tries.starts_with(" = 2500, pause = 100; isPending() && !mine.over;"),
-        "{tries}"
-    );
-    for first in ["abort(orders);", "abort(plans);", "dropJog();"] {
-        assert!(before.contains(first), "{first}");
+    for (head, line) in [
+        // A stop ends orders, plan and jog, and goes on at the machines that have not confirmed it.
+        ("async function stop(name) {", "stops += 1;"),
+        ("async function stop(name) {", "abort(orders);"),
+        ("async function stop(name) {", "abort(plans);"),
+        ("async function stop(name) {", "dropJog();"),
+        ("async function stop(name) {", "isPending() && !mine.over;"),
+        ("async function stop(name) {", "{ machine: mine.waits[0] }"),
+        (
+            "async function post(",
+            "setTimeout(() => control.abort(), limit)",
+        ),
+        // No order is sent meanwhile but a hold, which moves nothing, and none is sent again after a stop.
+        ("async function command(", "if (!token)"),
+        ("async function command(", "if (isStale() && !holds)"),
+        ("async function command(", "if (stopping && !holds)"),
+        (
+            "async function command(",
+            "if (stops !== before) return null;",
+        ),
+        // A finger reaches a disabled button; a jog that was not answered yet is stopped, too.
+        (
+            "async function beginJog(",
+            "if (jog || button.disabled) return;",
+        ),
+        ("function endJog() {", "stopJog();"),
+        // A run begins at 0.
+        ("function refuses(", "command === 'rig/run' && isAway(rig)"),
+        // No late answer wipes a word about a stop.
+        (
+            "function tell(text, tone) {",
+            "if (!unconfirmed && !confirmed)",
+        ),
+    ] {
+        assert!(function(head).contains(line), "{head} {line}");
     }
+    let (before, _) = function("async function stop(name) {")
+        .split_once("for (let limit")
+        .expect("attempts");
     assert!(!before.contains("await"), "nothing is waited for");
-    // An answer in time, or none: also without the `AbortSignal.timeout` of newer browsers.
-    assert!(!PAGE.contains("AbortSignal.timeout"));
     let requests: Vec<_> = PAGE.match_indices("fetch(").collect();
     assert_eq!(requests.len(), 2, "the stream, and `post` for all others");
-    assert!(function("async function post(").contains("setTimeout(() => control.abort(), limit)"));
-    assert!(
-        tries.contains("{ machine: mine.waits[0] }"),
-        "a machine that stands is left alone"
-    );
-    // No order ends the attempts. None is sent meanwhile, but a hold, which moves nothing.
-    let command = function("async function command(");
-    let (refused, sent) = command.split_once("const more = ").expect("the headers");
-    assert!(refused.contains("if (!token)") && refused.contains("if (isStale() && !holds)"));
-    assert!(refused.contains("if (stopping && !holds)"));
-    assert!(refused.contains("if (one.over) pending.delete(name);"));
-    assert!(!sent.contains("pending"), "{sent}");
-    // A finger reaches a disabled button; a jog that was not answered yet is stopped, too.
-    assert!(function("async function beginJog(").contains("if (jog || button.disabled) return;"));
-    assert!(function("function endJog() {").ends_with("stopJog();"));
-}
-
-/// The state alone does not say it: a run begins at 0.
-#[test]
-fn a_run_is_not_offered_away_from_0() {
-    let away = || {
-        let mut rig = rig_in(RigState::Ready);
-        press(&mut rig, "rig/move").expect("accepted");
-        rig.wait_rest(&mut Unobserved).expect("stands");
-        rig
-    };
-    assert_eq!(
-        away().rig_status().expect("a status").state,
-        RigState::Ready
-    );
-    press(&mut away(), "rig/run").expect_err("not at 0");
-    press(&mut away(), "rig/home").expect("homes");
-    assert!(function("function refuses(").contains("command === 'rig/run' && isAway(rig)"));
-}
-
-#[test]
-fn a_phone_can_type_numbers_and_sees_the_stops_and_what_went_wrong() {
-    // Some keyboards for `decimal` have a comma alone, which the server refuses.
-    assert!(!PAGE.contains("inputmode=\"decimal\""));
-    assert!(PAGE.contains("interactive-widget=resizes-content"));
-    assert!(PAGE.contains("view.addEventListener(name, lift)"));
-    let told = PAGE.split_once("<div id=\"told\">").expect("there").1;
-    let told = told.split_once("</div>").expect("its end").0;
-    for id in ["said", "banner"] {
-        assert!(told.contains(&format!("<p id=\"{id}\"")), "{id}");
-    }
-    assert!(PAGE.contains("#told { position: sticky;"));
-    assert!(PAGE.contains("shows nothing and STOPS NOTHING"));
-}
-
-/// A jog is stopped by letting go, and an order is answered late, also while an emergency stop goes on that is not
-/// confirmed yet. Only the word that an order was not sent, which repeats that of the stop, takes its place.
-#[test]
-fn no_late_answer_wipes_a_word_about_a_stop() {
-    for (function, says) in [("function stopJog()", 0), ("async function command(", 1)] {
-        let after = PAGE.split_once(function).expect("there").1;
-        let body = after.split_once("\n}").expect("its end").0;
-        let said: Vec<_> = body.lines().filter(|line| line.contains("say(")).collect();
-        assert_eq!(said.len(), says, "{said:?}");
-        assert!(body.contains("tell("), "{function}");
-    }
-    let tell = PAGE
-        .split_once("function tell(text, tone) {")
-        .expect("there")
-        .1;
-    let body = tell.split_once("\n}").expect("its end").0;
-    assert!(body.contains("if (!unconfirmed && !confirmed)"), "{body}");
-}
-
-/// A command that was not answered is sent again, and a stop may have come meanwhile.
-#[test]
-fn no_command_is_sent_again_after_a_stop() {
-    let after = PAGE.split_once("async function command(").expect("there").1;
-    let body = after.split_once("\n}").expect("its end").0;
-    let (sent, failed) = body.split_once("} catch (error) {").expect("a failure");
-    assert!(sent.contains("const before = stops;"), "{sent}");
-    let first = failed
-        .lines()
-        .map(str::trim)
-        .find(|line| line.starts_with("if"));
-    assert_eq!(first, Some("if (stops !== before) return null;"));
-    let stop = PAGE
-        .split_once("async function stop(name) {")
-        .expect("there")
-        .1;
-    assert!(stop.trim_start().starts_with("stops += 1;"));
 }

@@ -183,16 +183,8 @@ fn rig_state(state: &Value) -> &str {
 }
 
 fn moved(bench: &Bench) -> usize {
-    let motions = [
-        "Home",
-        "Run",
-        "MoveTo",
-        "Jog",
-        "Hold",
-        "Resume",
-        "Acknowledge",
-    ];
-    motions.iter().map(|name| bench.count(name)).sum()
+    let motions = "Home Run MoveTo Jog Hold Resume Acknowledge".split(' ');
+    motions.map(|name| bench.count(name)).sum()
 }
 
 /// The paper's run, much shortened.
@@ -270,7 +262,8 @@ fn a_stop_passes_a_crowd_that_takes_up_every_place() {
         assert!(begin.elapsed() < Duration::from_secs(5), "room for all");
     }
     let begin = Instant::now();
-    assert_eq!(server.stop("stop"), 200);
+    let stopped = server.ask("POST", "/api/v1/stop", &[], "").json();
+    assert_eq!(stopped["machines"][0]["outcome"], "stopped");
     assert!(
         begin.elapsed() < Duration::from_secs(2),
         "{:?}",
@@ -333,7 +326,6 @@ fn every_route_of_the_document_is_served() {
         methods.map(move |(method, about)| (path, method, &about["responses"]))
     });
     for (path, method, responses) in routes.filter(|(path, ..)| !path.ends_with("stream")) {
-        // Too many connections, and a body that does not come.
         let is_stop = path.ends_with("stop");
         assert_eq!(responses["503"].is_null(), is_stop, "{method} {path}");
         let reads_body = method == "post" && !is_stop;
@@ -356,17 +348,13 @@ fn every_route_of_the_document_is_served() {
         );
     }
     assert_eq!(moved(&bench), 0);
-    for (method, path, status) in [
-        ("GET", "/api/v2/state", 404),
-        ("POST", "/api/v1/rig/flash", 404),
-        ("GET", "/api/v1/rig/home", 405),
-        ("DELETE", "/api/v1/state", 405),
-        ("GET", "/api/v1/actions/%FF", 400),
-        ("GET", "/api/v1/records/%FF", 400),
-        ("POST", "/api/v1/rig/%FF", 400),
+    for (path, status) in [
+        ("/api/v2/state", 404),
+        ("/api/v1/rig/home", 405),
+        ("/api/v1/actions/%FF", 400),
     ] {
-        let answer = server.ask(method, path, &token, "");
-        assert_eq!(answer.status, status, "{method} {path}: {}", answer.body);
+        let answer = server.get(path);
+        assert_eq!(answer.status, status, "{path}: {}", answer.body);
         assert_eq!(answer.json()["ok"], false);
     }
 }
@@ -377,7 +365,14 @@ fn a_request_that_is_repeated_is_executed_once() {
     let server = Server::start(&bench);
     let key = server.key();
     let body = json!({ "position_mm": 3 });
-    // Send all at once, as an impatient network does.
+    // A browser that goes away ends nothing. Then all at once, as an impatient network does.
+    let bearer = server.bearer();
+    let headers = [("Authorization", &*bearer), ("Idempotency-Key", &*key)];
+    let order = request("POST", "/api/v1/rig/move", &headers, &body.to_string());
+    let mut browser = TcpStream::connect(&server.at).expect("a server");
+    browser.write_all(order.as_bytes()).expect("sent");
+    bench.wait_for("MoveTo");
+    drop(browser);
     let answers: Vec<_> = thread::scope(|scope| {
         let send = || server.post_as(&key, "rig/move", &body).json()["action"].clone();
         let all: Vec<_> = (0..8).map(|_| scope.spawn(send)).collect();
@@ -413,6 +408,19 @@ fn a_request_that_is_repeated_is_executed_once() {
         };
         let answer = server.post_as(key, command, body);
         assert_eq!(answer.status, status, "{key}: {}", answer.body);
+    }
+    // An order that waited in a dead link says when it was given.
+    let late = UNIX_EPOCH.elapsed().expect("after 1970").as_millis() - 6_000;
+    for (key, sent, status) in [
+        (server.key(), late.to_string(), 409),
+        (server.key(), "yesterday".to_owned(), 409),
+        // A repetition is told what has become of the order.
+        (key, late.to_string(), 200),
+    ] {
+        let token = ("Authorization", &*bearer);
+        let headers = [token, ("Idempotency-Key", &key), ("Retrograde-Sent", &sent)];
+        let answer = server.ask("POST", "/api/v1/rig/move", &headers, &body.to_string());
+        assert_eq!(answer.status, status, "{sent}: {}", answer.body);
     }
     assert_eq!(moved(&bench), 1);
 }
@@ -457,34 +465,6 @@ fn bad_input_is_refused_and_moves_nothing() {
     assert_eq!(tried, [0; 3]);
     let plan = server.post("plan", &json!({})).json();
     assert_eq!(plan["plan"]["achieved"]["edges"], 1_040_000);
-}
-
-/// An order that waited in a dead link says when it was given.
-#[test]
-fn a_late_order_moves_nothing() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let server = Server::start(&bench);
-    let bearer = server.bearer();
-    let now_ms = || UNIX_EPOCH.elapsed().expect("after 1970").as_millis();
-    let order = |key: &str, sent: &str| {
-        let token = ("Authorization", &*bearer);
-        let headers = [token, ("Idempotency-Key", key), ("Retrograde-Sent", sent)];
-        server.ask("POST", "/api/v1/rig/move", &headers, "{\"position_mm\":3}")
-    };
-    let late = (now_ms() - 6_000).to_string();
-    for sent in [&*late, "yesterday", ""] {
-        let answer = order(&server.key(), sent);
-        assert_eq!(answer.status, 409, "{sent}: {}", answer.body);
-        assert!(answer.message().contains("late"), "{}", answer.body);
-    }
-    assert_eq!(moved(&bench), 0);
-    let key = server.key();
-    let answer = order(&key, &now_ms().to_string());
-    assert!(answer.status < 300, "{}", answer.body);
-    let ended = server.end_of(&answer.json()["action"]);
-    // A repetition comes late, and is told what has become of the order.
-    assert_eq!(order(&key, &late).json()["action"], ended);
-    assert_eq!(bench.count("MoveTo"), 1);
 }
 
 #[test]
@@ -542,22 +522,21 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     let (rows, missed) = bench.telemetry();
     assert_eq!(missed, 0);
     // The stream has reported the same.
-    let told = stream.until(|event, data| {
-        event == "action" && data["id"] == ended["id"] && data["state"] == "complete"
-    });
-    let samples = told.iter().filter(|(event, _)| event == "rig");
-    let times = samples.flat_map(|(_, data)| data["samples"].as_array().expect("samples"));
-    let times: Vec<_> = times.map(|sample| sample["time_us"].as_u64()).collect();
+    let told = stream.until([ended["id"].as_str().expect("an id"), "\"complete\""]);
+    let data = told.iter().filter_map(|line| line.strip_prefix("data: "));
+    let data = data.map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    let samples: Vec<_> = data
+        .filter_map(|data| data["samples"].as_array().cloned())
+        .flatten()
+        .collect();
+    let in_order = samples.is_sorted_by_key(|sample| sample["time_us"].as_u64());
     assert!(
-        times.len() >= rows && times.is_sorted(),
+        samples.len() >= rows && in_order,
         "{} of {rows}",
-        times.len()
+        samples.len()
     );
-    let is_hold = |(event, data): &(String, Value)| {
-        event == "event" && data["text"].to_string().starts_with("\"held at")
-    };
-    assert!(told.iter().any(is_hold));
-    assert!(told.iter().all(|(event, _)| event != "lost"));
+    assert!(told.iter().any(|line| line.contains("held at")));
+    assert!(told.iter().all(|line| !line.starts_with("event: lost")));
 }
 
 /// As `nc -N` or a button on a microcontroller does.
@@ -580,42 +559,6 @@ fn a_stop_counts_whose_sender_closes_the_connection_at_once() {
         sender.shutdown(how).expect("closed");
         server.until("the stop", |_| bench.urgent()[before..].contains(&urgent));
     }
-}
-
-#[test]
-fn a_browser_that_goes_away_stops_nothing_and_a_stop_ends_a_run() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let server = Server::start(&bench);
-    let stream = Events::open(&server.at);
-    let (bearer, key) = (server.bearer(), server.key());
-    let headers = [("Authorization", &*bearer), ("Idempotency-Key", &*key)];
-    let mut browser = TcpStream::connect(&server.at).expect("a server");
-    let run = request(
-        "POST",
-        "/api/v1/rig/run",
-        &headers,
-        &short_run().to_string(),
-    );
-    browser.write_all(run.as_bytes()).expect("sent");
-    bench.wait_for("Run");
-    browser.shutdown(Shutdown::Both).expect("gone");
-    drop((browser, stream));
-    server.until("motion", |state| {
-        state["machines"]["rig"]["position_um"].as_i64() > Some(2_000)
-    });
-    assert_eq!(bench.urgent(), []);
-    // The answer stays available to a repeated request.
-    let again = server.post_as(&key, "rig/run", &short_run());
-    assert_eq!(again.status, 202, "{}", again.body);
-    let stopped = server.ask("POST", "/api/v1/stop", &[], "");
-    assert_eq!(stopped.status, 200);
-    assert_eq!(stopped.json()["machines"][0]["outcome"], "stopped");
-    let ended = server.end_of(&again.json()["action"]);
-    assert_eq!(ended["state"], "stopped", "{ended}");
-    let why = ended["error"]["message"].to_string();
-    assert!(why.contains("stopped on request"), "{why}");
-    assert_eq!(rig_state(&server.state()), "ready");
-    assert_eq!(bench.count("Run"), 1);
 }
 
 #[test]
@@ -659,17 +602,6 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
         }
         acknowledge();
     }
-    // Many at once are all confirmed.
-    let all: Vec<_> = thread::scope(|scope| {
-        let all: Vec<_> = (0..40)
-            .map(|_| scope.spawn(|| server.stop("estop")))
-            .collect();
-        all.into_iter()
-            .map(|one| one.join().expect("answered"))
-            .collect()
-    });
-    assert!(all.iter().all(|status| *status == 200), "{all:?}");
-    acknowledge();
 }
 
 #[test]
@@ -734,13 +666,6 @@ fn a_jog_lives_on_renewals_alone() {
     assert_eq!(bench.count("Jog"), jogs);
     assert_eq!(rig_state(&server.state()), "ready");
     assert!((21_000..60_000).contains(&at_um()), "{}", at_um());
-    // A stop ends a jog at once, renewed or not.
-    let begun = server
-        .post("rig/jog", &json!({ "direction": "home" }))
-        .json();
-    assert_eq!(server.stop("stop"), 200);
-    server.end_of(&begun["action"]);
-    assert_eq!(renew(&begun["action"], 1), 409);
 }
 
 #[test]
@@ -825,9 +750,8 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
     assert!(state["machines"]["rig"].is_null());
 }
 
-/// The page shows the campaign of `--campaign`, and says why it cannot be read if its ledger is damaged.
 #[test]
-fn the_state_of_a_campaign_is_shown_until_it_cannot_be_read() {
+fn the_state_of_a_campaign_is_shown() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let folder = bench.folder.path().join("shown");
     let folder = folder.to_str().expect("UTF-8");
@@ -841,10 +765,6 @@ fn the_state_of_a_campaign_is_shown_until_it_cannot_be_read() {
     let next = shown["next"].as_str().expect("a step");
     assert!(next.starts_with("trial 1: "), "{next}");
     assert!(shown["left_text"].is_string(), "{shown}");
-    std::fs::write(format!("{folder}/trials.csv"), "damaged").expect("written");
-    let state = server.until("an error", |state| !state["campaign"]["error"].is_null());
-    let fields = state["campaign"].as_object().expect("fields");
-    assert_eq!((fields.len(), &fields["folder"]), (2, &json!(folder)));
 }
 
 #[test]
@@ -882,23 +802,18 @@ impl Events {
         }
     }
 
-    /// Reads all events up to this one.
-    fn until(&mut self, is: impl Fn(&str, &Value) -> bool) -> Vec<(String, Value)> {
-        let (mut all, mut event) = (vec![], String::new());
-        loop {
+    /// Reads all lines up to one that has these words.
+    fn until(&mut self, words: [&str; 2]) -> Vec<String> {
+        let mut all: Vec<String> = vec![];
+        while !all
+            .last()
+            .is_some_and(|line| words.iter().all(|word| line.contains(word)))
+        {
             let mut line = String::new();
             let read = self.from.read_line(&mut line).expect("more");
             assert_ne!(read, 0, "the stream ended");
-            if let Some(name) = line.strip_prefix("event: ") {
-                name.trim().clone_into(&mut event);
-            } else if let Some(data) = line.strip_prefix("data: ") {
-                let data = serde_json::from_str(data).expect("JSON");
-                let last = is(&event, &data);
-                all.push((event.clone(), data));
-                if last {
-                    return all;
-                }
-            }
+            all.push(line);
         }
+        all
     }
 }
