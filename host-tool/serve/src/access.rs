@@ -11,6 +11,8 @@ use axum::http::header::{AUTHORIZATION, HOST, ORIGIN};
 use axum::http::uri::Authority;
 use axum::http::{HeaderMap, Method, StatusCode, Uri};
 
+use crate::answers::{Instead, refused};
+
 /// Minimum length of a token, characters.
 pub const LEAST_TOKEN: usize = 16;
 
@@ -32,17 +34,6 @@ pub enum Demand {
 pub struct Peer {
     /// It comes from this computer, over the loopback interface.
     pub here: bool,
-}
-
-/// The reason why a request is refused.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Denied {
-    /// Status of the answer.
-    pub status: StatusCode,
-    /// The reason.
-    pub why: String,
-    /// The remedy.
-    pub help: &'static str,
 }
 
 /// Decides whether a request is let in.
@@ -84,14 +75,14 @@ impl Access {
     /// Checks whether this request may have the access that it needs.
     ///
     /// # Errors
-    /// [`Denied`], which becomes the answer.
+    /// The answer that refuses it.
     pub fn check(
         &self,
         peer: Peer,
         demand: Demand,
         uri: &Uri,
         headers: &HeaderMap,
-    ) -> Result<(), Denied> {
+    ) -> Result<(), Instead> {
         let host = self.check_host(uri, headers)?;
         if demand != Demand::Page {
             check_origin(&host, headers)?;
@@ -102,37 +93,34 @@ impl Access {
             Demand::Change => true,
         };
         if needed && !self.has_token(headers) {
-            return Err(Denied {
-                status: StatusCode::UNAUTHORIZED,
-                why: match headers.contains_key(AUTHORIZATION) {
-                    true => "the token is wrong; nothing was done".to_owned(),
-                    false => {
-                        "this request needs the token and has none; nothing was done".to_owned()
-                    }
+            return Err(refused(
+                StatusCode::UNAUTHORIZED,
+                match headers.contains_key(AUTHORIZATION) {
+                    true => "the token is wrong; nothing was done",
+                    false => "this request needs the token and has none; nothing was done",
                 },
-                help: "open the address that `retrograde serve` prints, with all that is behind `#`; a program sends `Authorization: Bearer TOKEN`",
-            });
+                "open the address that `retrograde serve` prints, with all that is behind `#`; a program sends `Authorization: Bearer TOKEN`",
+            ));
         }
         Ok(())
     }
 
-    fn check_host(&self, uri: &Uri, headers: &HeaderMap) -> Result<Authority, Denied> {
-        let denied = |why: String| Denied {
-            status: StatusCode::FORBIDDEN,
-            why,
-            help: "use the address that `retrograde serve` prints; `--host NAME` lets another name of this computer in",
+    fn check_host(&self, uri: &Uri, headers: &HeaderMap) -> Result<Authority, Instead> {
+        let denied = |why: &str| {
+            let help = "use the address that `retrograde serve` prints; `--host NAME` lets another name of this computer in";
+            refused(StatusCode::FORBIDDEN, why, help)
         };
         let mut hosts = headers.get_all(HOST).iter();
         let (Some(host), None) = (hosts.next(), hosts.next()) else {
-            return Err(denied("the request has not one `Host`".to_owned()));
+            return Err(denied("expected exactly one Host header"));
         };
         let host: Option<Authority> = host.to_str().ok().and_then(|text| text.parse().ok());
         let Some(host) = host else {
-            return Err(denied("the request has no usable `Host`".to_owned()));
+            return Err(denied("the request has no usable `Host`"));
         };
         for name in [Some(&host), uri.authority()].into_iter().flatten() {
             if !self.is_ours(name.host()) {
-                return Err(denied(format!(
+                return Err(denied(&format!(
                     "`{}` is no name of this server: another page may have made it point here; nothing was done",
                     name.host()
                 )));
@@ -167,11 +155,11 @@ fn is_same(one: &[u8], other: &[u8]) -> bool {
 }
 
 /// Refuses requests that another page has caused.
-fn check_origin(host: &Authority, headers: &HeaderMap) -> Result<(), Denied> {
-    let denied = |what: &str| Denied {
-        status: StatusCode::FORBIDDEN,
-        why: format!("{what} has caused this request; nothing was done"),
-        help: "use the page that this server shows; a program sends no `Origin`",
+fn check_origin(host: &Authority, headers: &HeaderMap) -> Result<(), Instead> {
+    let denied = |what: &str| {
+        let why = format!("{what} has caused this request; nothing was done");
+        let help = "use the page that this server shows; a program sends no `Origin`";
+        refused(StatusCode::FORBIDDEN, &why, help)
     };
     for origin in headers.get_all(ORIGIN) {
         let text = origin.to_str().unwrap_or_default();
@@ -190,6 +178,8 @@ fn check_origin(host: &Authority, headers: &HeaderMap) -> Result<(), Denied> {
 
 #[cfg(test)]
 mod tests {
+    use axum::response::IntoResponse;
+
     use super::*;
 
     const HERE: Peer = Peer { here: true };
@@ -202,7 +192,7 @@ mod tests {
             map.append(*name, value.parse().expect("a header"));
         }
         let denied = access.check(peer, demand, &Uri::from_static("/x"), &map);
-        denied.err().map(|denied| denied.status)
+        denied.err().map(|denied| denied.into_response().status())
     }
 
     const BEARER: (&str, &str) = ("authorization", "Bearer 0123456789abcdef");

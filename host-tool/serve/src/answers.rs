@@ -3,12 +3,31 @@
 use axum::body::Body;
 use axum::http::StatusCode;
 use axum::http::header::{CONNECTION, CONTENT_TYPE, HeaderValue};
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use lab::operations::failure::{self, Failure};
 use serde_json::{Value, json};
 
-/// An error response, returned in place of a value.
-pub type Instead = Box<Response>;
+/// A refusal, returned in place of an answer.
+#[derive(Debug)]
+pub struct Instead(Box<Response>);
+
+impl From<Response> for Instead {
+    fn from(response: Response) -> Self {
+        Self(Box::new(response))
+    }
+}
+
+impl From<Failure> for Instead {
+    fn from(failure: Failure) -> Self {
+        failed(&failure).into()
+    }
+}
+
+impl IntoResponse for Instead {
+    fn into_response(self) -> Response {
+        *self.0
+    }
+}
 
 /// Closes the connection after this answer, so that a refused client holds no place.
 pub fn closing(mut response: Response) -> Response {
@@ -17,12 +36,18 @@ pub fn closing(mut response: Response) -> Response {
     response
 }
 
+/// An answer of this content type.
+pub fn typed(kind: &'static str, body: impl Into<Body>) -> Response {
+    let mut response = Response::new(body.into());
+    let kind = HeaderValue::from_static(kind);
+    response.headers_mut().insert(CONTENT_TYPE, kind);
+    response
+}
+
 /// An answer with this status and JSON body.
 pub fn answer(status: StatusCode, value: &Value) -> Response {
-    let mut response = Response::new(Body::from(format!("{value}\n")));
+    let mut response = typed("application/json", format!("{value}\n"));
     *response.status_mut() = status;
-    let json = HeaderValue::from_static("application/json");
-    response.headers_mut().insert(CONTENT_TYPE, json);
     response
 }
 
@@ -49,18 +74,9 @@ pub fn bad(status: StatusCode, why: &str, help: &str) -> Response {
     answer(status, &value)
 }
 
-/// The answer to a path whose parts cannot be read.
-pub fn not_utf8() -> Response {
-    bad(
-        StatusCode::BAD_REQUEST,
-        "the path is not UTF-8; nothing was done",
-        "docs/serve.md and /openapi.json list all requests",
-    )
-}
-
-/// Like [`bad`], boxed for use as an error.
-pub fn boxed(status: StatusCode, why: &str, help: &str) -> Instead {
-    Box::new(bad(status, why, help))
+/// Like [`bad`], for use as an error.
+pub fn refused(status: StatusCode, why: &str, help: &str) -> Instead {
+    bad(status, why, help).into()
 }
 
 /// HTTP status for a failure with this exit code.
@@ -100,23 +116,6 @@ mod tests {
             (u8::MAX, 500),
         ] {
             assert_eq!(status(code).as_u16(), expected, "{code}");
-        }
-    }
-
-    #[test]
-    fn who_may_not_is_told_apart_from_who_asks_wrongly() {
-        let runtime = tokio::runtime::Builder::new_current_thread();
-        let runtime = { runtime }.build().expect("a runtime");
-        for (status, code) in [
-            (StatusCode::UNAUTHORIZED, "retrograde::denied"),
-            (StatusCode::FORBIDDEN, "retrograde::denied"),
-            (StatusCode::BAD_REQUEST, "retrograde::request"),
-            (StatusCode::CONFLICT, "retrograde::request"),
-        ] {
-            let body = axum::body::to_bytes(bad(status, "no", "mend it").into_body(), 1_000);
-            let text = runtime.block_on(body).expect("short");
-            let value: Value = serde_json::from_slice(&text).expect("JSON");
-            assert_eq!(value["error"]["code"], code);
         }
     }
 }

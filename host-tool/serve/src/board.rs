@@ -28,9 +28,6 @@ use lab::operations::stops::{Ask, Stops};
 /// Telemetry is sent to readers in batches of this length.
 const PORTION: Duration = Duration::from_millis(50);
 
-/// Samples buffered for one batch; the telemetry rate never yields more within [`PORTION`].
-const WAITING_SAMPLES: usize = 64;
-
 /// Latest events of a machine that the state lists.
 const SHOWN_EVENTS: usize = 12;
 
@@ -254,14 +251,8 @@ impl Board {
             }
             sample_json(sample, missed, panel.rig.as_ref())
         };
-        let full = {
-            let mut samples = lock(&machine.samples);
-            samples.0.push(shown);
-            samples.0.len() >= WAITING_SAMPLES
-        };
-        if full {
-            self.flush(machine, true);
-        }
+        lock(&machine.samples).0.push(shown);
+        self.flush(machine, false);
     }
 
     /// Sends a batch that is complete; `now` also sends an incomplete one.
@@ -381,35 +372,43 @@ impl Board {
             "events": events,
             "action": self.actions.latest(machine.kind),
         });
-        let Some(object) = value.as_object_mut() else {
-            return value;
+        let (status, fault, shown) = match (&panel.rig, &panel.capsule) {
+            (Some(status), _) => (json!(status), fault_json(status.fault), &RIG[..]),
+            (None, Some(status)) => (json!(status), fault_json(status.fault), &CAPSULE[..]),
+            (None, None) => (Value::Null, Value::Null, &["state"][..]),
         };
+        for name in shown {
+            value[*name] = status[*name].clone();
+        }
         if let Some(status) = &panel.rig {
-            object.insert("state".into(), json!(status.state));
-            object.insert("fault".into(), fault_json(status.fault));
-            object.insert("needs_acknowledge".into(), json!(status.needs_acknowledge));
-            object.insert("homed".into(), json!(status.homed));
-            object.insert("position_um".into(), json!(status.position_um));
-            object.insert("speed_um_s".into(), json!(panel.speed_um_s(now)));
-            object.insert("stroke_length_um".into(), json!(status.stroke_um));
-            object.insert("home_flag_open".into(), json!(status.inputs.home_flag));
-            object.insert("far_limit_open".into(), json!(status.inputs.far_limit));
-            object.insert("estop_loop_open".into(), json!(status.inputs.estop_loop));
-            object.insert("run".into(), run_json(status, panel.run_thousandths()));
-            object.insert("status".into(), json!(status));
-        } else if let Some(status) = &panel.capsule {
-            object.insert("state".into(), json!(status.state));
-            object.insert("fault".into(), fault_json(status.fault));
-            object.insert("needs_acknowledge".into(), json!(status.needs_acknowledge));
-            object.insert("referenced".into(), json!(status.referenced));
-            object.insert("thread_um".into(), json!(status.thread_um));
-            object.insert("current_ma".into(), json!(status.current_ma));
-            object.insert("battery_mv".into(), json!(status.battery_mv));
-            object.insert("status".into(), json!(status));
-        } else {
-            object.insert("state".into(), Value::Null);
+            value["speed_um_s"] = json!(panel.speed_um_s(now));
+            value["stroke_length_um"] = json!(status.stroke_um);
+            value["run"] = run_json(status, panel.run_thousandths());
+            with_inputs(&mut value, &json!(status.inputs));
+        }
+        if !status.is_null() {
+            value["fault"] = fault;
+            value["status"] = status;
         }
         value
+    }
+}
+
+/// Fields of a status that the state has as well.
+const RIG: [&str; 4] = ["state", "needs_acknowledge", "homed", "position_um"];
+const CAPSULE: [&str; 6] = [
+    "state",
+    "needs_acknowledge",
+    "referenced",
+    "thread_um",
+    "current_ma",
+    "battery_mv",
+];
+
+/// Adds the switches and the loop of a rig, each as a field.
+fn with_inputs(value: &mut Value, inputs: &Value) {
+    for (name, is_open) in inputs.as_object().into_iter().flatten() {
+        value[name.as_str()] = is_open.clone();
     }
 }
 
@@ -446,35 +445,19 @@ fn run_json(status: &RigStatus, thousandths: Option<u64>) -> Value {
 }
 
 fn sample_json(sample: &Telemetry, missed: u16, status: Option<&RigStatus>) -> Value {
-    match sample {
+    let mut value = match sample {
         Telemetry::Rig(sample) => {
+            let mut value = json!(sample);
+            with_inputs(&mut value, &json!(sample.inputs));
+            value.as_object_mut().map(|fields| fields.remove("inputs"));
             // The panel has already computed the position with the screw of the rig's own status.
-            let position_um = status.map(|status| status.position_um);
-            json!({
-                "time_us": sample.time_us,
-                "state": sample.state,
-                "position_um": position_um,
-                "position_steps": sample.position_steps,
-                "commanded_steps": sample.commanded_steps,
-                "speed_um_s": sample.speed_um_s,
-                "stroke": sample.stroke,
-                "residual_steps": sample.residual_steps,
-                "home_flag_open": sample.inputs.home_flag,
-                "far_limit_open": sample.inputs.far_limit,
-                "estop_loop_open": sample.inputs.estop_loop,
-                "missed": missed,
-            })
+            value["position_um"] = json!(status.map(|status| status.position_um));
+            value
         }
-        Telemetry::Capsule(sample) => json!({
-            "time_us": sample.time_us,
-            "state": sample.state,
-            "thread_um": sample.thread_um,
-            "current_ma": sample.current_ma,
-            "battery_mv": sample.battery_mv,
-            "drive_mv": sample.drive_mv,
-            "missed": missed,
-        }),
-    }
+        Telemetry::Capsule(sample) => json!(sample),
+    };
+    value["missed"] = json!(missed);
+    value
 }
 
 #[cfg(test)]

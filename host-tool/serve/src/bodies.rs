@@ -2,14 +2,14 @@
 
 use std::time::Duration;
 
-use axum::body::{Body, Bytes, to_bytes};
+use axum::body::{Body, to_bytes};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use client::wording;
 use serde_json::{Map, Value};
 use tokio::time::timeout;
 
-use crate::answers::{Instead, boxed};
+use crate::answers::{Instead, refused};
 
 /// Maximum length of a body, bytes.
 pub const LONGEST_BODY: usize = 16 * 1024;
@@ -18,7 +18,23 @@ const BODY: Duration = Duration::from_secs(5);
 
 /// Reads a body that is a JSON object or empty.
 pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value>, Instead> {
-    let bytes = bytes(body).await?;
+    let bytes = match timeout(BODY, to_bytes(body, LONGEST_BODY)).await {
+        Ok(Ok(bytes)) => bytes,
+        Ok(Err(_)) => {
+            return Err(refused(
+                StatusCode::PAYLOAD_TOO_LARGE,
+                "the body is longer than 16 KiB, or was cut off; nothing was done",
+                "send less",
+            ));
+        }
+        Err(_) => {
+            return Err(refused(
+                StatusCode::REQUEST_TIMEOUT,
+                "the body did not come within 5 s; nothing was done",
+                "send it at once",
+            ));
+        }
+    };
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Ok(Map::new());
     }
@@ -28,7 +44,7 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
         .unwrap_or_default();
     let kind = kind.split(';').next().unwrap_or_default().trim();
     if !kind.eq_ignore_ascii_case("application/json") {
-        return Err(boxed(
+        return Err(refused(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
             "the body is not said to be JSON; nothing was done",
             "send `Content-Type: application/json`",
@@ -36,34 +52,18 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
     }
     match serde_json::from_slice(&bytes) {
         Ok(Value::Object(object)) => Ok(object),
-        Ok(_) => Err(boxed(
+        Ok(_) => Err(refused(
             StatusCode::BAD_REQUEST,
             "the body is no JSON object; nothing was done",
             "send for example {\"cycles\": 5}",
         )),
-        Err(why) => Err(boxed(
+        Err(why) => Err(refused(
             StatusCode::BAD_REQUEST,
             &format!(
                 "the body cannot be read: {}; nothing was done",
                 wording::unreadable(&why)
             ),
             "send for example {\"cycles\": 5}",
-        )),
-    }
-}
-
-pub async fn bytes(body: Body) -> Result<Bytes, Instead> {
-    match timeout(BODY, to_bytes(body, LONGEST_BODY)).await {
-        Ok(Ok(bytes)) => Ok(bytes),
-        Ok(Err(_)) => Err(boxed(
-            StatusCode::PAYLOAD_TOO_LARGE,
-            "the body is longer than 16 KiB, or was cut off; nothing was done",
-            "send less",
-        )),
-        Err(_) => Err(boxed(
-            StatusCode::REQUEST_TIMEOUT,
-            "the body did not come within 5 s; nothing was done",
-            "send it at once",
         )),
     }
 }

@@ -13,12 +13,12 @@ use axum::body::{Body, Bytes, to_bytes};
 use axum::extract::rejection::PathRejection;
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, HeaderName, HeaderValue, REFERRER_POLICY,
     WWW_AUTHENTICATE, X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{Next, from_fn_with_state};
-use axum::response::Response;
+use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use client::identity::kind_name;
 use futures_util::stream::unfold;
@@ -37,10 +37,10 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 
-use crate::access::{Access, Demand, Denied, Peer, demand};
+use crate::access::{Access, Demand, Peer, demand};
 use crate::actions::{Action, Arrival, RequestedAction, Standing};
-use crate::answers::{Instead, answer, bad, boxed, closing, failed, good, not_utf8, status};
-use crate::board::{Board, Machine, Order};
+use crate::answers::{Instead, answer, bad, closing, good, refused, status, typed};
+use crate::board::{Board, Order};
 use crate::bodies::{LONGEST_BODY, object};
 use crate::direct::{DirectRequest, Question, Wait};
 use crate::orders::{self, Work};
@@ -53,6 +53,10 @@ const PAGE: &str = include_str!("page.html");
 /// Placeholder in the page for the nonce that admits the page's own script and style, and no others.
 const NONCE: &str = "@NONCE@";
 
+const OPENER_POLICY: HeaderName = HeaderName::from_static("cross-origin-opener-policy");
+const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
+/// Where a request that is not known is told of the others.
+const ALL_REQUESTS: &str = "docs/serve.md and /openapi.json list all requests";
 /// Connections on which everything is answered. On further ones only stops are.
 const CONNECTIONS: usize = 256;
 /// Time limit for the head of a request on a further connection; short, so that idle ones do not use up the system's
@@ -104,8 +108,14 @@ impl App {
 }
 
 type Shared = State<Arc<App>>;
+type Answered = Result<Response, Instead>;
 /// The named parts of a path; an error if they are not UTF-8.
 type Parts<T> = Result<Path<T>, PathRejection>;
+
+fn not_utf8() -> Instead {
+    let why = "the path is not UTF-8; nothing was done";
+    refused(StatusCode::BAD_REQUEST, why, ALL_REQUESTS)
+}
 
 /// Routes all requests.
 pub fn router(app: Arc<App>) -> Router {
@@ -119,11 +129,16 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/api/v1/records", get(records))
         .route("/api/v1/records/{name}", get(record))
         .route("/api/v1/rig/health", get(health))
-        .route("/api/v1/rig/settings", get(rig_settings))
-        .route("/api/v1/capsule/settings", get(capsule_settings))
+        .route("/api/v1/{machine}/settings", get(settings))
         .route("/api/v1/plan", post(plan_run))
-        .route("/api/v1/stop", post(stop))
-        .route("/api/v1/estop", post(estop))
+        .route(
+            "/api/v1/stop",
+            post(|app, body| stop(app, Urgent::Stop, body)),
+        )
+        .route(
+            "/api/v1/estop",
+            post(|app, body| stop(app, Urgent::EStop, body)),
+        )
         .route("/api/v1/rig/jog/renew", post(renew))
         .route("/api/v1/{machine}/{command}", post(command))
         .fallback(nothing_there)
@@ -219,7 +234,7 @@ async fn guard(
         .check(peer, demand, request.uri(), request.headers());
     let mut response = match checked {
         Ok(()) => next.run(request).await,
-        Err(Denied { status, why, help }) => closing(bad(status, &why, help)),
+        Err(denied) => closing(denied.into_response()),
     };
     let is_unauthorized = response.status() == StatusCode::UNAUTHORIZED;
     let headers = response.headers_mut();
@@ -231,14 +246,8 @@ async fn guard(
         (REFERRER_POLICY, "no-referrer"),
         (X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (X_FRAME_OPTIONS, "DENY"),
-        (
-            HeaderName::from_static("cross-origin-opener-policy"),
-            "same-origin",
-        ),
-        (
-            HeaderName::from_static("cross-origin-resource-policy"),
-            "same-origin",
-        ),
+        (OPENER_POLICY, "same-origin"),
+        (RESOURCE_POLICY, "same-origin"),
     ] {
         headers.insert(name, HeaderValue::from_static(value));
     }
@@ -251,11 +260,7 @@ async fn guard(
 
 async fn nothing_there(request: Request) -> Response {
     let why = format!("there is nothing at {}", request.uri().path());
-    bad(
-        StatusCode::NOT_FOUND,
-        &why,
-        "docs/serve.md and /openapi.json list all requests",
-    )
+    bad(StatusCode::NOT_FOUND, &why, ALL_REQUESTS)
 }
 
 async fn wrong_method(request: Request) -> Response {
@@ -264,37 +269,26 @@ async fn wrong_method(request: Request) -> Response {
         request.method(),
         request.uri().path()
     );
-    bad(
-        StatusCode::METHOD_NOT_ALLOWED,
-        &why,
-        "docs/serve.md and /openapi.json list all requests",
-    )
+    bad(StatusCode::METHOD_NOT_ALLOWED, &why, ALL_REQUESTS)
 }
 
 // Routes that read.
 
 async fn page() -> Response {
     let nonce = crate::access::new_token();
-    let mut response = Response::new(Body::from(PAGE.replace(NONCE, &nonce)));
-    let headers = response.headers_mut();
-    headers.insert(
-        CONTENT_TYPE,
-        HeaderValue::from_static("text/html; charset=utf-8"),
-    );
+    let mut response = typed("text/html; charset=utf-8", PAGE.replace(NONCE, &nonce));
     let policy = format!(
         "default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'; img-src data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     );
     if let Ok(policy) = HeaderValue::from_str(&policy) {
+        let headers = response.headers_mut();
         headers.insert(CONTENT_SECURITY_POLICY, policy);
     }
     response
 }
 
 async fn openapi() -> Response {
-    let mut response = Response::new(Body::from(OPENAPI));
-    let json = HeaderValue::from_static("application/json");
-    response.headers_mut().insert(CONTENT_TYPE, json);
-    response
+    typed("application/json", OPENAPI)
 }
 
 async fn state(State(app): Shared) -> Response {
@@ -302,45 +296,32 @@ async fn state(State(app): Shared) -> Response {
 }
 
 async fn stream(State(app): Shared) -> Response {
-    let mut response = Response::new(app.board.stream.body(|| app.board.json()));
-    let events = HeaderValue::from_static("text/event-stream");
-    response.headers_mut().insert(CONTENT_TYPE, events);
-    response
+    let events = app.board.stream.body(|| app.board.json());
+    typed("text/event-stream", events)
 }
 
 async fn actions(State(app): Shared) -> Response {
     good(json!({ "actions": app.board.actions.all() }))
 }
 
-async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Response {
-    let Ok(Path(id)) = id else {
-        return not_utf8();
-    };
-    let wait_s = match wait_s(request.uri().query().unwrap_or_default()) {
-        Ok(wait_s) => wait_s,
-        Err(why) => return bad(StatusCode::BAD_REQUEST, &why, "nothing was done"),
-    };
+async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answered {
+    let Path(id) = id.map_err(|_| not_utf8())?;
+    let wait_s = wait_s(request.uri().query().unwrap_or_default())
+        .map_err(|why| refused(StatusCode::BAD_REQUEST, &why, "nothing was done"))?;
     let unknown = || {
-        bad(
+        refused(
             StatusCode::NOT_FOUND,
             "there is no such action: it is too long ago, or the server was started again since",
             "`GET /api/v1/actions` lists those that are known",
         )
     };
-    let Some(number) = app.board.actions.number(&id) else {
-        return unknown();
-    };
-    let over = |action: &Action| action.standing.is_over();
-    let limit = Duration::from_secs(wait_s);
-    match timeout(limit, wait(&app.board, number, over)).await {
-        Ok(Some(action)) => good(json!({ "action": app.board.actions.json(&action) })),
-        Ok(None) => unknown(),
-        // The action has not ended yet.
-        Err(_) => match app.board.actions.get(number) {
-            Some(action) => good(json!({ "action": app.board.actions.json(&action) })),
-            None => unknown(),
-        },
-    }
+    let actions = &app.board.actions;
+    let number = actions.number(&id).ok_or_else(unknown)?;
+    let over = wait(&app.board, number, |action| action.standing.is_over());
+    // After that time the action may not have ended yet.
+    let _ = timeout(Duration::from_secs(wait_s), over).await;
+    let action = actions.get(number).ok_or_else(unknown)?;
+    Ok(good(json!({ "action": actions.json(&action) })))
 }
 
 fn wait_s(query: &str) -> Result<u64, String> {
@@ -371,60 +352,43 @@ async fn wait(board: &Board, number: u64, until: impl Fn(&Action) -> bool) -> Op
     }
 }
 
-async fn health(State(app): Shared) -> Response {
+async fn health(State(app): Shared) -> Answered {
     ask(&app, Question::Health).await
 }
 
-async fn rig_settings(State(app): Shared) -> Response {
-    ask(&app, Question::Settings(DeviceKind::Rig)).await
+async fn settings(State(app): Shared, machine: Parts<String>) -> Answered {
+    let Path(machine) = machine.map_err(|_| not_utf8())?;
+    let kind = machine_of(&machine).ok_or_else(unknown_command)?;
+    ask(&app, Question::Settings(kind)).await
 }
 
-async fn capsule_settings(State(app): Shared) -> Response {
-    ask(&app, Question::Settings(DeviceKind::Capsule)).await
-}
-
-async fn ask(app: &App, question: Question) -> Response {
-    let Ok(place) = Arc::clone(&app.asking).try_acquire_owned() else {
-        return failed(&Failure::Unreached {
-            why: "too many questions at once".to_owned(),
-            help: "ask again".to_owned(),
-        });
-    };
+async fn ask(app: &App, question: Question) -> Answered {
+    let place = Arc::clone(&app.asking).try_acquire_owned();
+    let place = place.map_err(|_| Failure::Unreached {
+        why: "too many questions at once".to_owned(),
+        help: "ask again".to_owned(),
+    })?;
     let (reply, answered) = oneshot::channel();
     let _ = app.direct.send(DirectRequest::Ask {
         question,
         reply,
         place,
     });
-    match answered.await {
-        Ok(Ok(value)) => good(value),
-        Ok(Err(failure)) => failed(&failure),
-        Err(_) => ends(),
-    }
+    Ok(good(answered.await.map_err(|_| ends())??))
 }
 
-fn ends() -> Response {
-    bad(
-        StatusCode::SERVICE_UNAVAILABLE,
-        "the server ends",
-        "start it again",
-    )
+fn ends() -> Instead {
+    let why = "the server ends";
+    refused(StatusCode::SERVICE_UNAVAILABLE, why, "start it again")
 }
 
-async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
-    let body = match object(&headers, body).await {
-        Ok(body) => body,
-        Err(response) => return *response,
-    };
-    let Ok(_one) = app.planning.acquire().await else {
-        return ends();
-    };
+async fn plan_run(State(app): Shared, headers: HeaderMap, body: Body) -> Answered {
+    let body = object(&headers, body).await?;
+    let _one = app.planning.acquire().await.map_err(|_| ends())?;
     // Plan on a thread of its own: on an answering thread it could delay a stop.
-    match tokio::task::spawn_blocking(move || planned(&body)).await {
-        Ok(Ok(summary)) => good(json!({ "plan": summary })),
-        Ok(Err(failure)) => failed(&failure),
-        Err(_) => ends(),
-    }
+    let planned = tokio::task::spawn_blocking(move || planned(&body)).await;
+    let summary = planned.map_err(|_| ends())??;
+    Ok(good(json!({ "plan": summary })))
 }
 
 fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
@@ -434,37 +398,29 @@ fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
     Ok(json!(plan::summary(&run, &axis, &plan)))
 }
 
-async fn records(State(app): Shared) -> Response {
-    let Ok(_one) = app.listing.acquire().await else {
-        return ends();
-    };
+async fn records(State(app): Shared) -> Answered {
+    let _one = app.listing.acquire().await.map_err(|_| ends())?;
     let folder = app.board.out.clone();
-    match tokio::task::spawn_blocking(move || list(&folder)).await {
-        Ok(list) => good(list),
-        Err(_) => ends(),
-    }
+    let listed = tokio::task::spawn_blocking(move || list(&folder)).await;
+    Ok(good(listed.map_err(|_| ends())?))
 }
 
-async fn record(name: Parts<String>, State(app): Shared) -> Response {
-    let Ok(Path(name)) = name else {
-        return not_utf8();
-    };
+async fn record(name: Parts<String>, State(app): Shared) -> Answered {
+    let Path(name) = name.map_err(|_| not_utf8())?;
     let kind = if name.ends_with(".csv") {
         "text/csv"
     } else {
         "application/json"
     };
-    let file = match is_record(&name) {
-        true => open(app.board.out.join(&name)).await,
-        false => None,
-    };
-    let Some(file) = file else {
-        return bad(
+    let path = app.board.out.join(&name);
+    let opened = tokio::task::spawn_blocking(move || is_record(&name).then(|| open(&path))?);
+    let file = opened.await.ok().flatten().ok_or_else(|| {
+        refused(
             StatusCode::NOT_FOUND,
             "there is no such record",
             "`GET /api/v1/records` lists all",
-        );
-    };
+        )
+    })?;
     // Stream in pieces: a record of a whole day is too large to hold in memory.
     let pieces = unfold(Some(file), |file| async {
         let file = file?;
@@ -481,23 +437,12 @@ async fn record(name: Parts<String>, State(app): Shared) -> Response {
             Err(why) => Some((Err(why), None)),
         }
     });
-    let mut response = Response::new(Body::from_stream(pieces));
-    let kind = HeaderValue::from_static(kind);
-    response.headers_mut().insert(CONTENT_TYPE, kind);
-    response
+    Ok(typed(kind, Body::from_stream(pieces)))
 }
 
 // Routes that stop.
 
-async fn stop(state: Shared, body: Body) -> Response {
-    stop_all(state, Urgent::Stop, body).await
-}
-
-async fn estop(state: Shared, body: Body) -> Response {
-    stop_all(state, Urgent::EStop, body).await
-}
-
-async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
+async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     // A body that is invalid or late stops every machine.
     let body = timeout(STOP_BODY, to_bytes(body, LONGEST_BODY)).await;
     let only = body
@@ -505,18 +450,11 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
         .and_then(Result::ok)
         .and_then(|body| serde_json::from_slice::<Value>(&body).ok())
         .and_then(|body| body["machine"].as_str().and_then(machine_of));
-    let kinds: Vec<_> = app
-        .board
-        .machines
-        .iter()
-        .map(|machine| machine.kind)
-        .filter(|kind| only.is_none_or(|only| only == *kind))
-        .collect();
-    if kinds.is_empty() {
-        return no_machine(only.unwrap_or(DeviceKind::Rig));
-    }
-    let mut replies = vec![];
-    for machine in kinds.iter().filter_map(|kind| app.board.machine(*kind)) {
+    let mut waiting = vec![];
+    for machine in &app.board.machines {
+        if only.is_some_and(|only| only != machine.kind) {
+            continue;
+        }
         let (reply, told) = oneshot::channel();
         // Stop in both ways at once: through the worker and past it.
         let wait = Wait {
@@ -529,25 +467,28 @@ async fn stop_all(State(app): Shared, urgent: Urgent, body: Body) -> Response {
             urgent,
             wait,
         });
-        replies.push(told);
+        waiting.push((machine, told));
+    }
+    if waiting.is_empty() {
+        return Err(no_machine(only.unwrap_or(DeviceKind::Rig)));
     }
     let mut told = vec![];
     let until = At::now() + STOPPING;
-    for (kind, reply) in kinds.iter().zip(replies) {
+    for (kind, reply) in waiting {
         told.push(match timeout_at(until, reply).await {
             Ok(Ok(told)) => told,
             _ => Told {
-                machine: kind_name(*kind).to_owned(),
+                machine: kind_name(kind).to_owned(),
                 delivery: Delivery::NotConfirmed,
                 why: "no answer within 10 s".to_owned(),
             },
         });
     }
     if told.iter().any(|told| told.delivery != Delivery::Stopped) {
-        return failed(&Failure::Stops { told });
+        return Err(Failure::Stops { told }.into());
     }
     let machines: Vec<_> = told.iter().map(Told::json).collect();
-    good(json!({ "machines": machines }))
+    Ok(good(json!({ "machines": machines })))
 }
 
 // Routes that move or change something.
@@ -560,19 +501,24 @@ fn machine_of(name: &str) -> Option<DeviceKind> {
     }
 }
 
-fn no_machine(kind: DeviceKind) -> Response {
+fn no_machine(kind: DeviceKind) -> Instead {
     let name = kind_name(kind);
-    bad(
+    refused(
         StatusCode::NOT_FOUND,
         &format!("this server has no {name}"),
         &format!("start it with `--{name} WHERE`"),
     )
 }
 
+fn unknown_command() -> Instead {
+    let why = "there is no such command; nothing was done";
+    refused(StatusCode::NOT_FOUND, why, ALL_REQUESTS)
+}
+
 /// The key of a command, if it belongs to this server instance.
 fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
     let denied = |why: &str| {
-        boxed(
+        refused(
             StatusCode::PRECONDITION_REQUIRED,
             why,
             "send `Idempotency-Key: INSTANCE-ANYTHING`: INSTANCE is in `GET /api/v1/state`, ANYTHING is new for each command, so that none is executed twice",
@@ -611,46 +557,19 @@ async fn command(
     path: Parts<(String, String)>,
     headers: HeaderMap,
     body: Body,
-) -> Response {
-    let Ok(Path((machine, name))) = path else {
-        return not_utf8();
-    };
-    match order(&app, &machine, &name, &headers, body).await {
-        Ok(response) => response,
-        Err(response) => *response,
-    }
-}
-
-async fn order(
-    app: &App,
-    machine: &str,
-    name: &str,
-    headers: &HeaderMap,
-    body: Body,
-) -> Result<Response, Instead> {
-    let unknown = || {
-        boxed(
-            StatusCode::NOT_FOUND,
-            "there is no such command; nothing was done",
-            "docs/serve.md and /openapi.json list all",
-        )
-    };
-    let kind = machine_of(machine).ok_or_else(unknown)?;
-    // Note the last stop before waiting for the body, so that a stop meanwhile overtakes this order.
-    let after = app.board.machine(kind).map(Machine::last_stop);
-    let body = object(headers, body).await?;
-    let work = Work::read(kind, name, &body)
-        .ok_or_else(unknown)?
-        .map_err(|failure| Box::new(failed(&failure)))?;
+) -> Answered {
+    let Path((machine, name)) = path.map_err(|_| not_utf8())?;
+    let kind = machine_of(&machine).ok_or_else(unknown_command)?;
     let board = &app.board;
-    let (Some(worker), Some(after)) = (board.machine(kind), after) else {
-        return Err(Box::new(no_machine(kind)));
-    };
-    let print =
-        hmac_sha256::Hash::hash(format!("{machine}/{name} {}", Value::Object(body)).as_bytes());
+    let worker = board.machine(kind).ok_or_else(|| no_machine(kind))?;
+    // Note the last stop before waiting for the body, so that a stop meanwhile overtakes this order.
+    let after = worker.last_stop();
+    let body = object(&headers, body).await?;
+    let work = Work::read(kind, &name, &body).ok_or_else(unknown_command)??;
+    let request = format!("{machine}/{name} {}", Value::Object(body));
     let command = RequestedAction {
-        key: key(headers, &board.instance)?,
-        print,
+        key: key(&headers, &board.instance)?,
+        print: hmac_sha256::Hash::hash(request.as_bytes()),
         machine: kind,
         kind: work.kind(),
         requested: work.requested(),
@@ -660,7 +579,7 @@ async fn order(
     let number = match board.actions.arrive(command, Timestamp::now()) {
         Arrival::Again(number) => number,
         Arrival::Contradiction => {
-            return Err(boxed(
+            return Err(refused(
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "this key was used for another request; nothing was done",
                 "make a new key for each command",
@@ -673,7 +592,7 @@ async fn order(
                 at: (Instant::now(), SystemTime::now()),
                 after,
             };
-            if is_late(headers) {
+            if is_late(&headers) {
                 let failure = Failure::refused(
                     "the order is late: its `Retrograde-Sent` is more than 5 s ago, or no whole number of ms since 1970",
                     "nothing was moved by this order; look at the machine, then again",
@@ -695,9 +614,7 @@ async fn order(
     let until = |action: &Action| {
         action.standing.is_over() || (!short && action.standing == Standing::UnderWay)
     };
-    let action = wait(board, number, until)
-        .await
-        .ok_or_else(|| Box::new(ends()))?;
+    let action = wait(board, number, until).await.ok_or_else(ends)?;
     let mut value = json!({ "ok": true, "action": board.actions.json(&action) });
     let code = match &action.failure {
         None if action.standing.is_over() => StatusCode::OK,
@@ -712,23 +629,19 @@ async fn order(
     Ok(answer(code, &value))
 }
 
-async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
-    let body = match object(&headers, body).await {
-        Ok(body) => body,
-        Err(response) => return *response,
-    };
+async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Answered {
+    let body = object(&headers, body).await?;
     let (id, n) = (body.get("action"), body.get("n").and_then(Value::as_u64));
     let (Some(id), Some(n)) = (id.and_then(Value::as_str), n) else {
-        return bad(
+        return Err(refused(
             StatusCode::BAD_REQUEST,
             "a renewal has the fields `action`, the id of the jog, and `n`, 1, 2, 3 and so on; nothing was done",
             "the jog ends by itself if nobody renews it",
-        );
+        ));
     };
     let number = app.board.actions.number(id);
-    let Some(machine) = app.board.machine(DeviceKind::Rig) else {
-        return no_machine(DeviceKind::Rig);
-    };
+    let rig = app.board.machine(DeviceKind::Rig);
+    let machine = rig.ok_or_else(|| no_machine(DeviceKind::Rig))?;
     let mut lease = machine.lease();
     match lease.as_mut() {
         Some(lease) if Some(lease.action) == number && lease.renewed.elapsed() < lease.within => {
@@ -738,12 +651,13 @@ async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Response {
                 lease.renewed = Instant::now();
                 lease.due = true;
             }
-            good(json!({}))
+            Ok(good(json!({})))
         }
-        _ => failed(&Failure::refused(
+        _ => Err(Failure::refused(
             "this jog has ended; nothing was moved by this request",
             "begin a new one",
-        )),
+        )
+        .into()),
     }
 }
 

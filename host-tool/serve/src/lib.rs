@@ -12,7 +12,6 @@
 //! * `orders`: turns the body of a request into an order, using the command line's arguments.
 //! * `actions`: commands and their results; each is executed once.
 //! * `worker`: connection, orders and telemetry of one machine; `worker::busy` while it works.
-//! * `results`: the result of an order.
 //! * `direct`: stops and questions, which bypass the worker.
 //! * `board`: the state that all of them share, and its JSON form.
 //! * `stream`: sends events to all readers.
@@ -32,7 +31,6 @@ pub mod http;
 #[doc(hidden)]
 pub mod orders;
 mod records;
-mod results;
 pub mod stream;
 #[doc(hidden)]
 pub mod worker;
@@ -435,12 +433,7 @@ mod tests {
         let file = folder.path().join("token");
         let token = token_of(&file).expect("made");
         assert_eq!(token_of(&file).expect("read"), token);
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::MetadataExt;
-            let mode = fs::metadata(&file).expect("there").mode();
-            assert_eq!(mode & 0o077, 0);
-        }
+        assert!(!is_open_to_others(&file).expect("there"));
         #[cfg(unix)]
         for mode in [0o640, 0o604, 0o620, 0o602] {
             use std::os::unix::fs::PermissionsExt;
@@ -454,78 +447,51 @@ mod tests {
             let why = token_of(&file).expect_err("bad").to_string();
             assert!(why.contains("at least 16 letters"), "{why}");
         }
+        let shortest = "a".repeat(LEAST_TOKEN);
+        fs::write(&file, &shortest).expect("written");
+        assert_eq!(token_of(&file).expect("long enough"), shortest);
+        // A path that cannot be read is no invitation to write a token there.
+        let why = token_of(folder.path()).expect_err("a folder").to_string();
+        assert!(!why.contains("exists"), "it was tried: {why}");
     }
 
     #[test]
-    fn the_first_servers_plate_stays() {
+    fn the_file_of_the_first_server_stays() {
         let folder = tempfile::tempdir().expect("a folder");
         let file = folder.path().join("serve.json");
         let first = ServerFile::within(folder.path(), &json!({"url": "first"})).expect("free");
         let second = ServerFile::within(folder.path(), &json!({"url": "second"}));
         assert!(second.is_err());
-        drop(second);
-        let text = fs::read_to_string(&file).expect("still there");
-        assert_eq!(text, first.text);
-        // A cleaner of temporary files was there, and looks at the lock next.
+        let text = || fs::read_to_string(&file).expect("it is there");
+        assert_eq!(text(), first.text);
+        // A cleaner of temporary files was there.
         fs::remove_file(&file).expect("removed");
         first.lock.set_modified(UNIX_EPOCH).expect("set");
         first.renew();
-        assert_eq!(fs::read_to_string(&file).expect("again"), first.text);
+        assert_eq!(text(), first.text);
         let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
         assert!(lock.modified().expect("a time") > UNIX_EPOCH);
         // Another server has replaced the file, and renews it itself.
         fs::write(&file, "another").expect("written");
-        first.lock.set_modified(UNIX_EPOCH).expect("set");
         first.renew();
-        assert_eq!(fs::read_to_string(&file).expect("there"), "another");
-        let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
-        assert_eq!(lock.modified().expect("a time"), UNIX_EPOCH);
+        assert_eq!(text(), "another");
         fs::write(&file, &first.text).expect("written");
-        first.renew();
-        let lock = fs::metadata(folder.path().join("serve.lock")).expect("it is there");
-        assert!(lock.modified().expect("a time") > UNIX_EPOCH);
         drop(first);
         assert!(!file.exists());
-        drop(ServerFile::within(folder.path(), &json!({"url": "third"})).expect("free again"));
     }
 
     #[test]
     fn what_listening_elsewhere_means_is_said() {
-        let say = |at: &str| {
-            let at = at.parse().expect("an address");
-            introduction(&[], at, &url(at), "t").join("\n")
-        };
-        assert!(!say("127.0.0.1:7080").contains("WARNING"));
-        let elsewhere = say("0.0.0.0:7080");
-        assert!(
-            elsewhere.contains("http://127.0.0.1:7080/#token=t"),
-            "{elsewhere}"
-        );
-        assert!(elsewhere.contains("nothing is encrypted"), "{elsewhere}");
-    }
-
-    #[test]
-    fn a_browser_on_this_computer_finds_a_server_that_listens_everywhere() {
-        for (at, expected) in [
-            ("0.0.0.0:7080", "http://127.0.0.1:7080/"),
-            ("[::]:7080", "http://[::1]:7080/"),
-            ("192.0.2.7:7080", "http://192.0.2.7:7080/"),
-            ("[2001:db8::7]:7080", "http://[2001:db8::7]:7080/"),
+        for (at, here, warns) in [
+            ("127.0.0.1:7080", "http://127.0.0.1:7080/", false),
+            ("0.0.0.0:7080", "http://127.0.0.1:7080/", true),
+            ("[::]:7080", "http://[::1]:7080/", true),
+            ("192.0.2.7:7080", "http://192.0.2.7:7080/", true),
         ] {
-            assert_eq!(url(at.parse().expect("an address")), expected);
+            let at = at.parse().expect("an address");
+            let lines = introduction(&[], at, &url(at), "t").join("\n");
+            assert!(lines.contains(&format!("{here}#token=t")), "{lines}");
+            assert_eq!(lines.contains("nothing is encrypted"), warns, "{lines}");
         }
-    }
-
-    /// A path that cannot be read is no invitation to write a token there.
-    #[test]
-    fn a_token_is_made_only_where_there_is_no_file() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let why = token_of(folder.path()).expect_err("a folder").to_string();
-        assert!(why.contains(&folder.path().display().to_string()), "{why}");
-        assert!(!why.contains("exists"), "it was tried: {why}");
-        let file = folder.path().join("token");
-        let shortest = "a".repeat(LEAST_TOKEN);
-        private(&file, &shortest).expect("written");
-        assert_eq!(token_of(&file).expect("long enough"), shortest);
     }
 }

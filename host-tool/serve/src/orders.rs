@@ -250,170 +250,90 @@ mod tests {
 
     use super::*;
 
-    fn read(machine: DeviceKind, name: &str, body: Value) -> Result<Work, Failure> {
-        let Value::Object(body) = body else {
-            panic!("an object");
-        };
+    const RIG: DeviceKind = DeviceKind::Rig;
+    const BOTH: &str = r#"{"duration_s":40,"speed_mm_s":5}"#;
+
+    fn read(machine: DeviceKind, name: &str, body: &str) -> Result<Work, Failure> {
+        let body = serde_json::from_str(body).expect("JSON");
         Work::read(machine, name, &body).expect("a command")
     }
 
-    fn refused(name: &str, body: Value) -> String {
-        read(DeviceKind::Rig, name, body)
-            .expect_err("refused")
-            .to_string()
-    }
-
-    #[test]
-    fn an_empty_run_is_the_papers() {
-        let work = read(DeviceKind::Rig, "run", json!({})).expect("good");
-        let Work::Run(run, record) = work else {
-            panic!("a run");
-        };
-        assert_eq!((run, record.telemetry_ms), (PAPER_RUN, 10));
-    }
-
-    #[test]
-    fn numbers_and_texts_mean_the_same() {
-        for value in [json!(12.5), json!("12.5"), json!("12.500")] {
-            let body = json!({ "position_mm": value, "speed_mm_s": 3 });
-            let Ok(Work::Move(to)) = read(DeviceKind::Rig, "move", body) else {
-                panic!("a move");
-            };
-            assert_eq!((to.position_um, to.speed_um_s), (12_500, 3_000));
-        }
-        assert!(read(DeviceKind::Rig, "jog", json!({ "direction": "away" })).is_ok());
-    }
-
-    #[test]
-    fn bad_input_gets_the_texts_of_the_command_line() {
-        for (name, body, text) in [
-            (
-                "run",
-                json!({ "stroke_mm": -5 }),
-                "negative: use a number of at least 0",
-            ),
-            (
-                "run",
-                json!({ "stroke_mm": "1,5" }),
-                "has a comma: write a point",
-            ),
-            (
-                "run",
-                json!({ "stroke_mm": 1.23456 }),
-                "more than 3 decimals",
-            ),
-            ("run", json!({ "cycles": "--estop" }), "invalid value"),
-            (
-                "run",
-                json!({ "duration_s": 40, "speed_mm_s": 5 }),
-                "cannot be used with",
-            ),
-            ("run", json!({ "telemetry_ms": 1 }), "1 is not in 5 to 1000"),
-            ("run", json!({ "duration_s": 1 }), "too little time"),
-            (
-                "run",
-                json!({ "out": "/etc" }),
-                "there is no field `out` here",
-            ),
-            (
-                "run",
-                json!({ "rig": "tcp:elsewhere:1" }),
-                "there is no field `rig` here",
-            ),
-            (
-                "run",
-                json!({ "note": ["x"] }),
-                "neither a number nor a text",
-            ),
-            ("move", json!({}), "required arguments were not provided"),
-            (
-                "move",
-                json!({ "position_mm": "--speed-mm-s=9" }),
-                "invalid value",
-            ),
-            ("jog", json!({ "direction": "left" }), "away, home"),
-            (
-                "home",
-                json!({ "fast": true }),
-                "there is no field `fast` here",
-            ),
-        ] {
-            let said = refused(name, body.clone());
-            assert!(said.contains(text), "{name} {body}: {said}");
+    fn a_run(body: &str) -> (Run, RecordArgs) {
+        match read(RIG, "run", body) {
+            Ok(Work::Run(run, record)) => (run, record),
+            other => panic!("{other:?}"),
         }
     }
 
     #[test]
-    fn a_refusal_names_the_field_and_no_option() {
-        for (name, body, says) in [
-            (
-                "run",
-                json!({ "stroke_mm": -5 }),
-                "invalid value '-5' for `stroke_mm`: negative",
-            ),
-            (
-                "run",
-                json!({ "duration_s": 40, "speed_mm_s": 5 }),
-                "the argument `duration_s` cannot be used with `speed_mm_s`",
-            ),
-            (
-                "move",
-                json!({ "position_mm": "x" }),
-                "invalid value 'x' for `position_mm`",
-            ),
-        ] {
-            let failure = read(DeviceKind::Rig, name, body).expect_err("refused");
-            let said = failure.in_one_line();
-            assert!(said.contains(says), "{said}");
-            assert!(
-                !said.contains("--") && !said.contains("command line"),
-                "{said}"
-            );
+    fn an_empty_run_is_the_papers_and_a_null_is_no_field() {
+        for body in ["{}", r#"{"stroke_mm":null,"note":null}"#] {
+            let (run, record) = a_run(body);
+            assert_eq!((run, record.telemetry_ms), (PAPER_RUN, 10));
         }
     }
 
     #[test]
     fn a_note_is_a_note_whatever_is_in_it() {
         let note = "--on-link-loss=finish \n $(x)";
-        let work = read(DeviceKind::Rig, "run", json!({ "note": note })).expect("good");
-        let Work::Run(run, record) = work else {
-            panic!("a run");
-        };
+        let (run, record) = a_run(&json!({ "note": note }).to_string());
         assert_eq!((run, record.note.as_deref()), (PAPER_RUN, Some(note)));
     }
 
     #[test]
-    fn what_was_requested_is_shown_with_the_units_of_the_machine() {
+    fn numbers_and_texts_mean_the_same_and_are_shown_with_the_units_of_the_machine() {
+        let to = json!({ "position_um": 12_500, "speed_um_s": 3_000 });
+        let capsule = DeviceKind::Capsule;
+        let (number, text) = (
+            r#"{"position_mm":12.5,"speed_mm_s":3}"#,
+            r#"{"position_mm":"12.500","speed_mm_s":"3"}"#,
+        );
+        let thread = json!({ "thread_um": 5_000 });
         for (machine, name, body, shown) in [
-            (
-                DeviceKind::Rig,
-                "move",
-                json!({ "position_mm": 12.5, "speed_mm_s": 3 }),
-                json!({ "position_um": 12_500, "speed_um_s": 3_000 }),
-            ),
-            (
-                DeviceKind::Capsule,
-                "fold",
-                json!({ "thread_mm": 5 }),
-                json!({ "thread_um": 5_000 }),
-            ),
-            (DeviceKind::Capsule, "fold", json!({}), json!({})),
-            (DeviceKind::Rig, "home", json!({}), json!({})),
+            (RIG, "move", number, to.clone()),
+            (RIG, "move", text, to),
+            (RIG, "home", "{}", json!({})),
+            (RIG, "run", "{}", json!(PAPER_RUN)),
+            (capsule, "fold", r#"{"thread_mm":5}"#, thread),
+            (capsule, "fold", "{}", json!({})),
         ] {
-            let requested = read(machine, name, body).expect(name).requested();
-            let object = shown.as_object().expect("an object");
-            for (field, value) in object {
-                assert_eq!(requested[field], *value, "{name} {field}: {requested}");
-            }
-            assert_eq!(requested == json!({}), object.is_empty(), "{requested}");
+            let work = read(machine, name, body).expect(name);
+            assert_eq!(work.requested(), shown, "{name}");
         }
-        let run = read(DeviceKind::Rig, "run", json!({})).expect("good");
-        assert_eq!(run.requested(), json!(PAPER_RUN));
-        let jog = read(DeviceKind::Rig, "jog", json!({ "direction": "away" })).expect("good");
-        let Work::Jog(to) = &jog else {
-            panic!("a jog");
-        };
-        assert_eq!(jog.requested(), json!(to));
+        let jog = read(RIG, "jog", r#"{"direction":"away"}"#).expect("good");
+        assert_eq!(jog.requested()["speed_um_s"], 5_000);
+    }
+
+    #[test]
+    fn a_refusal_has_the_text_of_the_command_line_and_names_the_field() {
+        for (name, body, text) in [
+            ("run", r#"{"stroke_mm":-5}"#, "for `stroke_mm`: negative"),
+            ("run", r#"{"stroke_mm":"1,5"}"#, "a comma: write a point"),
+            ("run", r#"{"stroke_mm":1.23456}"#, "than 3 decimals"),
+            ("run", r#"{"duration_s":1}"#, "too little time"),
+            ("run", r#"{"telemetry_ms":1}"#, "1 is not in 5 to 1000"),
+            ("run", r#"{"out":"/etc"}"#, "no field `out` here"),
+            ("run", r#"{"rig":"tcp:x:1"}"#, "no field `rig` here"),
+            ("run", r#"{"note":["x"]}"#, "neither a number nor a text"),
+            ("run", BOTH, "`duration_s` cannot be used with `speed_mm_s`"),
+            ("move", "{}", "the field `position_mm` is missing"),
+            ("move", r#"{"position_mm":"x"}"#, "'x' for `position_mm`"),
+            ("jog", r#"{"direction":"left"}"#, "away, home"),
+            ("home", r#"{"fast":true}"#, "no field `fast` here"),
+        ] {
+            let failure = read(RIG, name, body).expect_err(text);
+            let message = failure.in_one_line();
+            assert!(message.contains(text), "{message}");
+            assert!(!failure.to_string().contains("--"), "{failure}");
+        }
+        // A value is never read as an option.
+        for (name, body) in [
+            ("run", r#"{"cycles":"--estop"}"#),
+            ("move", r#"{"position_mm":"--speed-mm-s=9"}"#),
+        ] {
+            let failure = read(RIG, name, body).expect_err("refused");
+            assert!(failure.to_string().contains("invalid value"), "{failure}");
+        }
     }
 
     #[test]
@@ -425,22 +345,8 @@ mod tests {
             ("home", true),
             ("run", true),
         ] {
-            let work = read(DeviceKind::Rig, name, json!({})).expect(name);
+            let work = read(RIG, name, "{}").expect(name);
             assert_eq!(work.is_for_owner(), is_for_owner, "{name}");
         }
-    }
-
-    #[test]
-    fn a_missing_field_is_named_and_a_null_is_one() {
-        for (body, remedy) in [
-            (json!({}), "the field `position_mm` is missing"),
-            (json!({ "position_mm": "x" }), "correct the value"),
-        ] {
-            let failure = read(DeviceKind::Rig, "move", body).expect_err("refused");
-            assert!(failure.remedy().contains(remedy), "{}", failure.remedy());
-        }
-        let body = json!({ "stroke_mm": null, "note": null });
-        let work = read(DeviceKind::Rig, "run", body).expect("as if it were not there");
-        assert_eq!(work.requested(), json!(PAPER_RUN));
     }
 }

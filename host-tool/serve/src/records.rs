@@ -1,6 +1,6 @@
 //! Lists records and hands them out.
 
-use std::path::{Path as FilePath, PathBuf};
+use std::path::Path as FilePath;
 
 use client::plain;
 use lab::trials::listing::Listing;
@@ -45,12 +45,7 @@ pub fn is_record(name: &str) -> bool {
 }
 
 /// Opens a file of a trial's record. Other files in the folder are not for everybody who can reach the server.
-pub async fn open(path: PathBuf) -> Option<std::fs::File> {
-    let opened = tokio::task::spawn_blocking(move || of_trial(&path));
-    opened.await.ok()?
-}
-
-fn of_trial(path: &FilePath) -> Option<std::fs::File> {
+pub fn open(path: &FilePath) -> Option<std::fs::File> {
     let sidecar = path.with_extension("json");
     let trial = Trial::read(&sidecar).ok()?;
     let is_part = path == sidecar || *path.file_name()? == *trial.telemetry;
@@ -69,7 +64,7 @@ mod tests {
         fs::write(file("secret.json"), "{\"password\": 1}").expect("written");
         fs::write(file("secret.csv"), "password\n1\n").expect("written");
         for name in ["secret.json", "secret.csv", "none.json"] {
-            assert!(of_trial(&file(name)).is_none(), "{name}");
+            assert!(open(&file(name)).is_none(), "{name}");
         }
     }
 }

@@ -3,6 +3,7 @@
 
 mod busy;
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
@@ -21,7 +22,7 @@ use lab::operations::places::{Need, Places, Target};
 use lab::operations::{ending, reached};
 use lab::trials::experiment::{self, Actuation, ExperimentError};
 use lab::trials::trial::Status;
-use protocol::rig::{self, RigState, RunOutcome};
+use protocol::rig::{self, RigState, RigStatus, RunOutcome};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
@@ -29,7 +30,6 @@ use serde_json::{Value, json};
 
 use crate::board::{Board, Lease, Machine, Order};
 use crate::orders::Work;
-use crate::results::{files, lost, overtaken, place, server_ends};
 use crate::worker::busy::{Busy, Pacing, held};
 
 /// Interval between status requests, us.
@@ -60,13 +60,19 @@ struct ActionResult {
     failure: Option<Failure>,
 }
 
-impl From<Value> for ActionResult {
-    fn from(result: Value) -> Self {
+impl ActionResult {
+    fn failed(result: Value, failure: impl Into<Option<Failure>>) -> Self {
         Self {
             result,
             files: Value::Null,
-            failure: None,
+            failure: failure.into(),
         }
+    }
+}
+
+impl From<Value> for ActionResult {
+    fn from(result: Value) -> Self {
+        Self::failed(result, None)
     }
 }
 
@@ -348,12 +354,7 @@ impl Worker<'_> {
             Ok(outcome) => (outcome, false),
             Err(failure) => {
                 let lost = matches!(failure.exit_code(), NO_DEVICE | UNKNOWN);
-                let outcome = ActionResult {
-                    result: Value::Null,
-                    files: Value::Null,
-                    failure: Some(failure),
-                };
-                (outcome, lost)
+                (ActionResult::failed(Value::Null, failure), lost)
             }
         };
         let notice = match &outcome.failure {
@@ -517,11 +518,8 @@ impl Worker<'_> {
         };
         let (outcome, status) = rig.wait_move(&accepted, busy)?;
         if outcome != RunOutcome::Complete {
-            return Ok(ActionResult {
-                result: place(&status),
-                files: Value::Null,
-                failure: Some(ending::cut_short("the move", rig, &status)),
-            });
+            let failure = ending::cut_short("the move", rig, &status);
+            return Ok(ActionResult::failed(place(&status), failure));
         }
         Ok(place(&status).into())
     }
@@ -594,12 +592,9 @@ impl Worker<'_> {
         rig.urgent(Urgent::Stop)?;
         let status = rig.wait_rest(busy)?;
         let emergency = rig.interrupted() == Some(Urgent::EStop);
-        Ok(ActionResult {
-            result: place(&status),
-            files: Value::Null,
-            failure: (status.fault.is_some() || emergency)
-                .then(|| ending::cut_short("the jog", rig, &status)),
-        })
+        let failure = (status.fault.is_some() || emergency)
+            .then(|| ending::cut_short("the jog", rig, &status));
+        Ok(ActionResult::failed(place(&status), failure))
     }
 }
 
@@ -613,4 +608,42 @@ impl Observer for Seen<'_> {
     fn event(&mut self, event: &Event) {
         self.0.board.event(self.0.machine, event);
     }
+}
+
+// Results of orders, and why they fail.
+
+fn place(status: &RigStatus) -> Value {
+    json!({ "position_um": status.position_um, "position_steps": status.position_steps })
+}
+
+fn files(csv: &Path, sidecar: &Path) -> Value {
+    let name = |path: &Path| {
+        path.file_name()
+            .map(|name| name.to_string_lossy().into_owned())
+    };
+    json!({ "csv": name(csv), "sidecar": name(sidecar) })
+}
+
+/// Failure of an order that arrives without a connection.
+fn lost(failure: &Failure) -> Failure {
+    Failure::Unreached {
+        why: format!("nothing was sent, there is no contact: {failure}"),
+        help: failure.remedy(),
+    }
+}
+
+/// Failure of an order that is older than a stop.
+fn overtaken() -> Failure {
+    Failure::refused(
+        "a stop came after this order",
+        "nothing was moved by this order; look at the machine, then order it again",
+    )
+}
+
+/// Failure of an order when the server shuts down.
+fn server_ends() -> Failure {
+    Failure::refused(
+        "the server ends",
+        "nothing was moved by this order; start the server again",
+    )
 }

@@ -7,6 +7,7 @@ use protocol::error::Refusal;
 use protocol::rig::{HomeAccepted, MoveAccepted, RunAccepted};
 use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
+use serde::Serialize;
 
 /// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge:
 /// once it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
@@ -41,13 +42,15 @@ pub enum Begun {
 }
 
 /// Progress of an action.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(untagged)]
 pub enum Progress {
     /// Homing.
     Homing {
         /// Time since its acceptance, us.
         elapsed_us: u64,
         /// It ends within this time, us, successfully or with a fault.
+        #[serde(rename = "total_us")]
         at_most_us: u64,
         /// Position, um; meaningful only if the rig was homed before.
         position_um: i32,
@@ -73,6 +76,7 @@ pub enum Progress {
         /// Time since its acceptance, us.
         elapsed_us: u64,
         /// It ends within this time, us, successfully or with a fault.
+        #[serde(rename = "total_us")]
         at_most_us: u64,
         /// Thread wound up, um.
         thread_um: i32,

