@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use clap::Args;
 use lab::operations::failure::Failure;
 use locomotion::kinematics::Design;
-use locomotion::range::{Ends, OutOfRange};
 use report::science::design::{self, Report};
 use report::science::{charts, drawing};
 use serde_json::{Value, json};
@@ -58,61 +57,31 @@ pub struct DesignArgs {
 
 /// The requested design: options override the file, the file overrides the paper's printed design.
 fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
-    let file = ModelArgs::of_file(args.model.clone());
-    if args.model.is_some() {
-        file.model()?; // what cannot be used is refused, also where only the design is taken from it
-    }
-    let number = |given: Option<f64>, key: &str, default: f64| -> Result<f64, Failure> {
-        match given {
-            Some(number) => Ok(number),
-            None => Ok(file.number(key)?.unwrap_or(default)),
-        }
+    let base = match args.model {
+        Some(_) => ModelArgs::of_file(args.model.clone()).model()?.design()?,
+        None if args.exact_slopes => Design::paper_ratios(),
+        None => Design::paper_printed(),
     };
-    let width_mm = number(args.width_mm, "design.width_mm", 24.40)?;
-    let ratio = number(args.core_ratio, "design.core_ratio", 0.2)?;
-    // `model` has checked that a file's value, too, is a whole number from 1 to 32.
-    let crescents = match args.crescents {
-        Some(crescents) => crescents,
-        None => file.number("design.crescents")?.unwrap_or(9.0) as u8,
+    let width_mm = args.width_mm.unwrap_or(base.width_mm());
+    let ratio = (args.core_ratio).unwrap_or(base.core_mm() / base.width_mm());
+    let crescents = args.crescents.unwrap_or(base.crescents());
+    let (alpha, beta) = match args.exact_slopes {
+        true => (2.0 / 9.0, 2.0 / 3.0),
+        false => (base.tan_alpha(), base.tan_beta()),
     };
-    if !(ratio > 0.0 && ratio < 1.0) {
-        return Err(OutOfRange {
-            quantity: "c/W",
-            value: ratio,
-            min: 0.0,
-            max: 1.0,
-            unit: "",
-            ends: Ends::Open,
-            because: "the crescents stand between core and wall",
-        }
-        .into());
+    if args.alpha_deg.is_none() && args.beta_deg.is_none() {
+        return Ok(Design::with_ratio(width_mm, ratio, alpha, beta, crescents)?);
     }
-    let core_mm = ratio * width_mm;
-    if args.exact_slopes {
-        return Ok(Design::with_slopes(
-            width_mm,
-            core_mm,
-            2.0 / 9.0,
-            2.0 / 3.0,
-            crescents,
-        )?);
-    }
-    let angle = |given: Option<f64>, deg: &str, tan: &str, default: f64| -> Result<f64, Failure> {
-        let default = match file.number(tan)? {
-            Some(tan) => tan.atan().to_degrees(),
-            None => default,
-        };
-        number(given, deg, default)
-    };
-    let alpha_deg = angle(
-        args.alpha_deg,
-        "design.alpha_deg",
-        "design.tan_alpha",
-        12.53,
-    )?;
-    let beta_deg = angle(args.beta_deg, "design.beta_deg", "design.tan_beta", 33.69)?;
+    let deg = |given: Option<f64>, tan: f64| given.unwrap_or(tan.atan().to_degrees());
+    let (alpha_deg, beta_deg) = (deg(args.alpha_deg, alpha), deg(args.beta_deg, beta));
+    // A ratio that is no ratio is refused as such, not as a width of the core.
+    Design::with_ratio(width_mm, ratio, alpha, beta, crescents)?;
     Ok(Design::new(
-        width_mm, core_mm, alpha_deg, beta_deg, crescents,
+        width_mm,
+        ratio * width_mm,
+        alpha_deg,
+        beta_deg,
+        crescents,
     )?)
 }
 

@@ -98,21 +98,6 @@ impl ModelArgs {
         Ok(model)
     }
 
-    /// The number that the file gives for a parameter.
-    ///
-    /// # Errors
-    /// A file that cannot be read.
-    pub fn number(&self, key: &str) -> Result<Option<f64>, Failure> {
-        let file = self.read()?;
-        Ok(file
-            .choices
-            .iter()
-            .find_map(|(setting, given)| match given {
-                Given::Number(number) if setting.key == key => Some(*number),
-                _ => None,
-            }))
-    }
-
     /// An option gives this parameter, by this key or by the other one for the same.
     pub fn names(&self, setting: &Setting) -> bool {
         let keys = [Some(setting.key), setting.other_key()];

@@ -9,7 +9,7 @@ use locomotion::model::{Model, Setting};
 use locomotion::paper::INDENTATIONS_MM;
 use locomotion::parameter::Label;
 use report::figures::{FigureError, ModelName};
-use report::science::series::{self, Axis, Case, SweepRow, TubeRow, Variant};
+use report::science::series::{self, Axis, Case, SweepRow, TubeRow, TubeRun, Variant};
 use report::science::values::Values;
 use report::science::{charts, model_file, snapshots, table};
 use serde::Serialize;
@@ -153,62 +153,71 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
 impl Session<'_, '_> {
     fn friction(&mut self) -> Result<(), Failure> {
         self.own_values(FRICTION)?;
-        let params = self.model.tube()?;
-        let runs = self.work.map(&series::friction_cases(), |case| {
-            series::tube_run(params, case)
-        })?;
+        let runs = self.tube_runs(&series::friction_cases())?;
         let rows: Vec<_> = runs.iter().map(|run| run.end).collect();
         self.title("friction series, tube, 7000 Pa", "tube");
-        self.tube_table(&rows);
-        self.work
-            .screen
-            .say("  the paper's text: about 14 mm at each friction, one sentence for 25 values");
-        let courses: Vec<_> = runs.iter().flat_map(|run| &run.course).collect();
-        self.csv("friction-time.csv", &courses)?;
-        self.keep("friction", &rows, charts::friction(self.name(), &runs))
+        self.tube_table("friction", &runs, &rows)?;
+        self.say("  the paper's text: about 14 mm at each friction, one sentence for 25 values");
+        let svg = charts::friction(self.name(), &runs, &rows);
+        self.keep("friction", &rows, svg)
     }
 
     fn pressure(&mut self) -> Result<(), Failure> {
-        let params = self.model.tube()?;
-        let cases = series::pressure_cases(params.body.friction);
-        let runs = self
-            .work
-            .map(&cases, |case| series::tube_run(params, case))?;
+        let friction = self.model.tube()?.body.friction;
+        let runs = self.tube_runs(&series::pressure_cases(friction))?;
         let rows = series::beside_the_paper(&runs);
         self.title(
-            &format!("pressure series, tube, friction {}", params.body.friction),
+            &format!("pressure series, tube, friction {friction}"),
             "tube",
         );
-        self.tube_table(&rows);
-        let courses: Vec<_> = runs.iter().flat_map(|run| &run.course).collect();
-        self.csv("pressure-time.csv", &courses)?;
+        self.tube_table("pressure", &runs, &rows)?;
         let svg = charts::pressure(self.name(), &runs, &rows);
         self.keep("pressure", &rows, svg)
     }
 
+    fn tube_runs(&self, cases: &[Case]) -> Result<Vec<TubeRun>, Failure> {
+        let params = self.model.tube()?;
+        self.work.map(cases, |case| series::tube_run(params, case))
+    }
+
+    /// Prints the ends of runs in the tube, and writes their courses.
+    fn tube_table(
+        &mut self,
+        name: &str,
+        runs: &[TubeRun],
+        rows: &[TubeRow],
+    ) -> Result<(), Failure> {
+        self.say("  friction  pressure/Pa  tail/mm  head/mm  the paper's text/mm");
+        for row in rows {
+            let about = |mm| format!("about {mm}");
+            let paper = row.paper_about_mm.map_or("-".to_owned(), about);
+            let (tail, head) = (row.displacement_mm, row.head_displacement_mm);
+            self.say(&format!(
+                "  {:>8} {:>12} {tail:>8.1} {head:>8.1}  {paper:>19}",
+                row.friction, row.pressure_pa
+            ));
+        }
+        let courses: Vec<_> = runs.iter().flat_map(|run| &run.course).collect();
+        self.csv(&format!("{name}-time.csv"), &courses)
+    }
+
     fn roller(&mut self) -> Result<(), Failure> {
         self.own_values(FRICTION)?;
-        let (rig, pipe) = (self.model.rig()?, self.model.tube()?);
+        let rig = self.model.rig()?;
         let rows = self.work.map(&series::lubrication_cases(), |case| {
             series::roller_run(rig, case)
         })?;
         // Fig. 7 shows the simulation at both ends of the friction range beside the experiment.
-        let ends: Vec<Case> = series::LUBRICATION
-            .iter()
-            .flat_map(|(_, friction)| series::pressure_cases(*friction))
-            .collect();
-        let ends = self.work.map(&ends, |case| series::tube_run(pipe, case))?;
-        let tube = series::beside_the_paper(&ends);
+        let ends = series::LUBRICATION.map(|(_, friction)| series::pressure_cases(friction));
+        let tube = series::beside_the_paper(&self.tube_runs(&ends.concat())?);
         let (cycles, stroke_mm) = (rig.cycles, rig.stroke_mm);
         self.title(
             &format!("roller series, {cycles} cycles of {stroke_mm} mm"),
             "rig",
         );
-        self.work
-            .screen
-            .say("  lubrication  friction   a/mm  displacement/mm");
+        self.say("  lubrication  friction   a/mm  displacement/mm");
         for row in &rows {
-            self.work.screen.say(&format!(
+            self.say(&format!(
                 "  {:<11} {:>9} {:>6} {:>16.1}",
                 row.lubrication, row.friction, row.indentation_mm, row.displacement_mm,
             ));
@@ -233,11 +242,9 @@ impl Session<'_, '_> {
                 format!("pushed {ahead_mm:.3} mm ahead of the rollers (slope {slope:.3})")
             }
         };
-        let (folded, unfolded) = test
-            .course
-            .last()
-            .map_or((0.0, 0.0), |row| (row.folded_mm, row.unfolded_mm));
-        self.work.screen.say(&format!(
+        let end = test.course.last();
+        let (folded, unfolded) = end.map_or((0.0, 0.0), |row| (row.folded_mm, row.unfolded_mm));
+        self.say(&format!(
             "  folded to {:.3} mm, a = {indentation_mm} mm: {contact}\n  \
              displacement: folded {folded:.1} mm (the fold is declared, not worked out), unfolded {unfolded:.1} mm",
             test.params.width_mm,
@@ -273,24 +280,7 @@ impl Session<'_, '_> {
     }
 
     fn sweep(&mut self, args: &SweepArgs) -> Result<(), Failure> {
-        let friction = Setting::named(FRICTION).zip(args.frictions.as_ref());
-        let friction = friction.map(|(setting, values)| Axis {
-            setting,
-            values: values.0.clone(),
-        });
-        let axes: Vec<Axis> = friction.into_iter().chain(args.vary.clone()).collect();
-        for (index, axis) in axes.iter().enumerate() {
-            self.own_values(axis.setting.key)?;
-            let key = axis.setting.key;
-            let same =
-                |other: &Axis| other.setting.key == key || other.setting.other_key() == Some(key);
-            if axes[..index].iter().any(same) {
-                return Err(Failure::input(
-                    format!("{key} is varied twice"),
-                    "leave one of them out",
-                ));
-            }
-        }
+        let axes = self.axes(args)?;
         let (in_tube, loads) = match (&args.pressures_pa, &args.indentations_mm) {
             (Some(Values(pressures)), _) => (true, &pressures[..]),
             (None, indentations) => (false, indentations.as_ref().map_or(&[][..], |all| &all.0)),
@@ -305,87 +295,72 @@ impl Session<'_, '_> {
         }
         let variants = series::variants(&self.model, &axes)
             .map_err(|error| self.args.model.failure(&error))?;
-        let cases: Vec<(&Variant, f64)> = variants
-            .iter()
-            .flat_map(|variant| loads.iter().map(move |load| (variant, *load)))
-            .collect();
+        let with_loads = |variant| loads.iter().map(move |load| (variant, *load));
+        let cases: Vec<(&Variant, f64)> = variants.iter().flat_map(with_loads).collect();
         if in_tube {
             let rows = self.work.map(&cases, |((model, axes), load)| {
                 let params = model.tube()?;
                 let (friction, load) = (params.body.friction, *load);
                 let run = series::tube_run(params, &Case { friction, load })?.end;
-                let axes = axes.clone();
-                Ok(SweepRow { axes, run })
+                Ok(SweepRow::new(axes, load, run.displacement_mm, run))
             })?;
-            let at = |row: &TubeRow| (row.pressure_pa, row.displacement_mm);
-            self.swept("tube", &rows, loads.len(), at)
+            self.swept("tube", "sweep-tube", "pressure/Pa", &rows)
         } else {
             let rows = self.work.map(&cases, |((model, axes), load)| {
                 let params = model.rig()?;
                 let (friction, load) = (params.body.friction, *load);
                 let run = series::roller_run(params, &Case { friction, load })?;
-                let axes = axes.clone();
-                Ok(SweepRow { axes, run })
+                Ok(SweepRow::new(axes, load, run.displacement_mm, run))
             })?;
-            let at = |row: &series::RollerRow| (row.indentation_mm, row.displacement_mm);
-            self.swept("rig", &rows, loads.len(), at)
+            self.swept("rig", "sweep-roller", "a/mm", &rows)
         }
     }
 
-    /// Prints and writes the rows of a sweep, of which each combination has `loads`.
+    /// The parameters that a sweep varies, each once.
+    fn axes(&self, args: &SweepArgs) -> Result<Vec<Axis>, Failure> {
+        let friction = Setting::named(FRICTION).zip(args.frictions.clone());
+        let friction = friction.map(|(setting, Values(values))| Axis { setting, values });
+        let axes: Vec<Axis> = friction.into_iter().chain(args.vary.clone()).collect();
+        for (index, Axis { setting, .. }) in axes.iter().enumerate() {
+            self.own_values(setting.key)?;
+            let keys = [Some(setting.key), setting.other_key()];
+            if (axes[..index].iter()).any(|other| keys.contains(&Some(other.setting.key))) {
+                return Err(Failure::input(
+                    format!("{} is varied twice", setting.key),
+                    "leave one of them out",
+                ));
+            }
+        }
+        Ok(axes)
+    }
+
+    /// Prints and writes the rows of a sweep.
     fn swept<R: Serialize>(
         &mut self,
         world: &str,
+        file: &str,
+        load: &str,
         rows: &[SweepRow<R>],
-        loads: usize,
-        at: impl Fn(&R) -> (f64, f64),
     ) -> Result<(), Failure> {
         self.title(&format!("sweep of {} runs, {world}", rows.len()), world);
-        let load = if world == "tube" {
-            "pressure/Pa"
-        } else {
-            "a/mm"
-        };
-        let keys: Vec<&str> = rows
-            .first()
-            .map_or(vec![], |row| row.axes.keys().map(String::as_str).collect());
-        let mut header = String::from(" ");
-        for key in &keys {
-            header += &format!(" {key:>12}");
-        }
-        let screen = &mut self.work.screen;
-        screen.say(&format!("{header} {load:>12}  displacement/mm"));
+        let keys = || rows.iter().take(1).flat_map(|row| row.axes.keys());
+        let header: String = keys().map(|key| format!(" {key:>12}")).collect();
+        self.say(&format!(" {header} {load:>12}  displacement/mm"));
         for row in rows.iter().take(MOST_PRINTED) {
-            let mut line = String::from(" ");
-            for key in &keys {
-                let width = key.len().max(12);
-                line += &format!(" {:>width$}", row.axes[*key].to_string());
-            }
-            let (load, mm) = at(&row.run);
-            screen.say(&format!("{line} {load:>12} {mm:>16.1}"));
+            let cell = |(key, value): (&String, &Value)| {
+                format!(" {:>width$}", value.to_string(), width = key.len().max(12))
+            };
+            let axes: String = row.axes.iter().map(cell).collect();
+            self.say(&format!(" {axes} {:>12} {:>16.1}", row.load, row.mm));
         }
         if rows.len() > MOST_PRINTED {
-            screen.say(&format!(
-                "  the first {MOST_PRINTED} of {} rows",
-                rows.len()
+            let all = rows.len();
+            self.say(&format!(
+                "  these are the first {MOST_PRINTED} of {all} rows"
             ));
         }
-        let label = |row: &SweepRow<R>| {
-            let axes = row.axes.iter().map(|(key, value)| format!("{key} {value}"));
-            format!("{} (model)", axes.collect::<Vec<_>>().join(", "))
-        };
-        let members = rows.chunks(loads.max(1));
-        let members = members.map(|part| {
-            let points = part.iter().map(|row| at(&row.run)).collect();
-            (label(&part[0]), points)
-        });
-        let svg = charts::sweep(self.name(), world == "tube", members.collect());
-        let name = if world == "tube" {
-            "sweep-tube"
-        } else {
-            "sweep-roller"
-        };
-        self.keep(name, rows, svg)
+        let svg = charts::sweep(self.name(), world == "tube", rows);
+        self.keep(file, rows, svg)
     }
 
     /// Refuses an option for a parameter of which the series has values of its own.
@@ -407,45 +382,27 @@ impl Session<'_, '_> {
     /// Prints a heading that names the model and its calibrated, assumed and changed parameters, as far as they act in
     /// this world.
     fn title(&mut self, title: &str, world: &str) {
-        let names = |label| {
-            let all: Vec<_> = self
-                .model
-                .parameters()
-                .filter(|parameter| parameter.label == label)
-                .map(|parameter| parameter.name)
-                .filter(|name| {
-                    ["design", "body", world].contains(&name.split('.').next().unwrap_or_default())
-                })
-                .collect();
-            all.join(", ")
-        };
         let mut text = format!("{title}: {}", model_file::short_origin(&self.model));
         for (word, label) in [
             ("calibrated", Label::Calibrated),
             ("assumed", Label::Assumed),
             ("changed", Label::Given),
         ] {
-            let names = names(label);
+            let acts = |name: &&str| {
+                let section = name.split('.').next().unwrap_or_default();
+                ["design", "body", world].contains(&section)
+            };
+            let rows = self.model.parameters().filter(|row| row.label == label);
+            let names: Vec<_> = rows.map(|row| row.name).filter(acts).collect();
             if !names.is_empty() {
-                text += &format!("; {word}: {names}");
+                text += &format!("; {word}: {}", names.join(", "));
             }
         }
-        self.work.screen.say(&text);
+        self.say(&text);
     }
 
-    fn tube_table(&mut self, rows: &[TubeRow]) {
-        self.work
-            .screen
-            .say("  friction  pressure/Pa  tail/mm  head/mm  the paper's text/mm");
-        for row in rows {
-            let paper = row
-                .paper_about_mm
-                .map_or("-".to_owned(), |mm| format!("about {mm}"));
-            self.work.screen.say(&format!(
-                "  {:>8} {:>12} {:>8.1} {:>8.1}  {paper:>19}",
-                row.friction, row.pressure_pa, row.displacement_mm, row.head_displacement_mm,
-            ));
-        }
+    fn say(&mut self, text: &str) {
+        self.work.screen.say(text);
     }
 
     /// Writes the table and the figure of a series.

@@ -8,7 +8,8 @@ use crate::figures::{Chart, Curve, FigureError, Heading, Mark, ModelName, curve,
 use crate::science::design::{Curves, Maps};
 use crate::science::drawing::KINEMATICS;
 use crate::science::series::{
-    FRICTION_SERIES_PA, FoldRow, FoldTest, PAPER_ON_FRICTION_MM, RollerRow, TubeRow, TubeRun,
+    FRICTION_SERIES_PA, FoldRow, FoldTest, PAPER_ON_FRICTION_MM, RollerRow, SweepRow, TubeRow,
+    TubeRun,
 };
 
 /// Most entries in the legend of a family; of a larger family it names only the first and the last.
@@ -86,13 +87,16 @@ fn ends(rows: &[TubeRow], x: impl Fn(&TubeRow) -> f64) -> [Curve; 2] {
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn friction(model: ModelName, runs: &[TubeRun]) -> Result<String, FigureError> {
-    let rows: Vec<_> = runs.iter().map(|run| run.end).collect();
+pub fn friction(
+    model: ModelName,
+    runs: &[TubeRun],
+    rows: &[TubeRow],
+) -> Result<String, FigureError> {
     let at = |row: &TubeRow| row.friction;
-    let sentence = line("paper's sentence (about 14 mm)", PAPER, 3, &rows, |row| {
+    let sentence = line("paper's sentence (about 14 mm)", PAPER, 3, rows, |row| {
         (at(row), PAPER_ON_FRICTION_MM)
     });
-    let ends = ends(&rows, at).into_iter().chain([sentence]).collect();
+    let ends = ends(rows, at).into_iter().chain([sentence]).collect();
     let title =
         format!("Displacement in the tube over friction, {FRICTION_SERIES_PA} Pa (Fig. 4a)");
     figure(
@@ -195,9 +199,25 @@ pub fn fold(model: ModelName, test: &FoldTest) -> Result<String, FigureError> {
 ///
 /// # Errors
 /// If the drawing library fails.
-pub fn sweep(model: ModelName, in_tube: bool, members: Curves) -> Result<String, FigureError> {
+pub fn sweep<R>(
+    model: ModelName,
+    in_tube: bool,
+    rows: &[SweepRow<R>],
+) -> Result<String, FigureError> {
     let x_label = if in_tube { PRESSURE } else { INDENTATION };
-    let curves = family(members, 4);
+    let members = rows.chunk_by(|one, other| one.axes == other.axes);
+    let member = |part: &[SweepRow<R>]| {
+        let axes = part[0].axes.iter();
+        let axes: Vec<_> = axes.map(|(key, value)| format!("{key} {value}")).collect();
+        let points = part.iter().map(|row| (row.load, row.mm)).collect();
+        (
+            format!("{} (model)", axes.join(", "))
+                .trim_start()
+                .to_owned(),
+            points,
+        )
+    };
+    let curves = family(members.map(member).collect(), 4);
     let heading = Heading::of_model("Sweep", model);
     figure(&heading, vec![chart(x_label, "displacement / mm", curves)])
 }

@@ -256,7 +256,12 @@ pub fn variants(model: &Model, axes: &[Axis]) -> Result<Vec<Variant>, ModelError
                     key: setting.key,
                     why,
                 })?;
-                of.insert(setting.key.to_owned(), json!(value));
+                // A run has a column of its friction.
+                let name = match setting.key {
+                    "body.friction" => "friction",
+                    key => key,
+                };
+                of.insert(name.to_owned(), json!(value));
                 next.push((model, of));
             }
         }
@@ -271,9 +276,28 @@ pub struct SweepRow<R> {
     /// The values of the axes.
     #[serde(flatten)]
     pub axes: Map<String, serde_json::Value>,
+    /// Pressure, Pa, or indentation, mm.
+    #[serde(skip)]
+    pub load: f64,
+    /// Displacement, mm.
+    #[serde(skip)]
+    pub mm: f64,
     /// The run.
     #[serde(flatten)]
     pub run: R,
+}
+
+impl<R> SweepRow<R> {
+    /// A run with the values of its axes.
+    pub fn new(axes: &Map<String, serde_json::Value>, load: f64, mm: f64, run: R) -> Self {
+        let axes = axes.clone();
+        Self {
+            axes,
+            load,
+            mm,
+            run,
+        }
+    }
 }
 
 /// A moment of the fold test.
