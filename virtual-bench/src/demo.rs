@@ -3,19 +3,19 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use client::Device;
 use client::decimal;
 use client::error::ClientError;
 use client::identity;
-use client::{Device, Homed, Observer};
 use jiff::Timestamp;
-use lab::trials::experiment::{
-    self, ActuationTrial, ExperimentError, Hooks, Procedure, RunTrial, Shape,
-};
+use lab::trials::experiment::{self, ActuationTrial, ExperimentError, RecordedTrial, RunTrial};
 use lab::trials::progress::Live;
+use lab::trials::trial::{Recording, Status};
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
-use protocol::system::{DeviceKind, Identity};
+use protocol::capsule::ActuationKind;
+use protocol::system::DeviceKind;
 use report::html;
 use report::html::remark::Remark;
 use report::html::{Existing, Found, ReportError};
@@ -89,47 +89,44 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     let rig_bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
     let capsule_bench = capsule::start(Parameters::nominal())?;
     // The nonce is fixed, so that two demos are identical to the byte.
-    let mut rig = Device::connect(
+    let rig = Device::connect(
         Box::new(VirtualLink::new(&rig_bench, "virtual rig")),
         DeviceKind::Rig,
         1,
     )?;
     let link = Box::new(VirtualLink::new(&capsule_bench, "virtual capsule"));
-    let mut capsule = Device::connect(link, DeviceKind::Capsule, 1)?;
-    let procedure = Procedure {
-        run: experiment::PAPER_RUN,
-        folder: options.out.clone(),
-        telemetry_ms: experiment::DEFAULT_TELEMETRY_MS,
-    };
+    let capsule = Device::connect(link, DeviceKind::Capsule, 1)?;
+    for identity in [rig.identity(), capsule.identity()].into_iter().flatten() {
+        say(&identity::line(identity));
+    }
     let mut stdout = std::io::stdout();
-    let mut judge = Judge {
-        rig: rig_bench.clone(),
-        capsule: capsule_bench.clone(),
+    let mut stage = Stage {
+        rig,
+        capsule,
+        options,
         live: Live::new(&mut stdout, terminal),
-        first_edge: 0,
-        thread_mm: 0.0,
-        remarks: Vec::new(),
-        failures: Vec::new(),
+        judge: Judge {
+            rig: rig_bench.clone(),
+            capsule: capsule_bench.clone(),
+            first_edge: 0,
+            remarks: Vec::new(),
+            failures: Vec::new(),
+        },
+        sidecars: Vec::new(),
     };
-    let result = experiment::paper(
-        &mut rig,
-        &mut capsule,
-        &procedure,
-        &|| options.now,
-        &mut judge,
-    );
-    let Judge {
-        remarks,
-        mut failures,
+    if let Err(error) = stage.experiment() {
+        print_logs(&rig_bench, &capsule_bench)?;
+        return Err(error);
+    }
+    let Stage {
+        judge: Judge {
+            remarks,
+            mut failures,
+            ..
+        },
+        sidecars,
         ..
-    } = judge;
-    let experiment = match result {
-        Ok(experiment) => experiment,
-        Err(error) => {
-            print_logs(&rig_bench, &capsule_bench)?;
-            return Err(error.into());
-        }
-    };
+    } = stage;
     for (name, bus) in [("rig", rig_bench.bus()?), ("capsule", capsule_bench.bus()?)] {
         failures.extend(bus.check(0).err().map(|why| format!("{name}: {why}")));
     }
@@ -139,13 +136,13 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     }
     let page = options.out.join("report.html");
     let found = Found {
-        sidecars: experiment.sidecars(),
+        sidecars,
         left_out: vec![],
     };
     // The page of the demo before it, if there is one.
     html::write(&found, &remarks, &page, Existing::Replace)?;
     say("Data and report");
-    for sidecar in experiment.sidecars() {
+    for sidecar in &found.sidecars {
         say(&format!(
             "  {} and {}",
             sidecar.with_extension("csv").display(),
@@ -170,21 +167,107 @@ fn print_logs(rig: &Bench<RigBoard>, capsule: &Bench<CapsuleBoard>) -> Result<()
     Ok(())
 }
 
-/// Watches the experiment and judges each step from the pins.
-struct Judge<'a> {
+/// Both machines, their records, and the judge of each step.
+struct Stage<'a> {
+    rig: Device,
+    capsule: Device,
+    options: &'a DemoOptions,
+    live: Live<'a>,
+    judge: Judge,
+    /// Sidecars of the records, in the order of the steps.
+    sidecars: Vec<PathBuf>,
+}
+
+impl Stage<'_> {
+    /// The paper's experiment: reference and home; run unfolded; fold; the same run folded; unfold. Each step begins
+    /// only if the previous one is complete.
+    fn experiment(&mut self) -> Result<(), DemoError> {
+        let reference = self.actuate("reference the capsule", ActuationKind::Reference)?;
+        self.judge.show_actuation("Referenced", &reference);
+
+        say("\n== home the rig");
+        let homed = experiment::home(&mut self.rig, &mut self.live)?;
+        say(&lab::operations::ending::homed_text(&homed));
+        self.judge.first_edge = self
+            .judge
+            .rig
+            .visit(|visit| visit.board().rig.edges().len())?;
+
+        self.run("unfolded", None)?;
+        let fold = self.actuate("fold the capsule", ActuationKind::Fold)?;
+        self.judge.show_actuation("Folded", &fold);
+        let thread_mm = f64::from(fold.record.thread_um) / 1_000.0;
+        self.run("folded", Some(thread_mm))?;
+        let unfold = self.actuate("unfold the capsule", ActuationKind::Unfold)?;
+        self.judge.show_actuation("Unfolded", &unfold);
+        Ok(())
+    }
+
+    fn actuate(&mut self, step: &str, kind: ActuationKind) -> Result<ActuationTrial, DemoError> {
+        say(&format!("\n== {step}"));
+        let recording = self.recording(experiment::stem(kind).to_owned(), None);
+        let trial = experiment::actuate(&mut self.capsule, kind, &recording, &mut self.live)?;
+        self.complete(experiment::doing(kind), &trial)?;
+        Ok(trial)
+    }
+
+    /// The paper's run with the capsule in this shape; `thread_mm` is wound up if it is folded.
+    fn run(&mut self, shape: &str, thread_mm: Option<f64>) -> Result<(), DemoError> {
+        say(&format!("\n== run, capsule {shape}"));
+        let recording = self.recording(format!("run-{shape}"), Some(format!("capsule {shape}")));
+        let run = experiment::PAPER_RUN;
+        let trial = experiment::run(&mut self.rig, run, &recording, &mut self.live)?;
+        self.complete("the run", &trial)?;
+        self.judge.judge_run(shape, thread_mm, &trial)
+    }
+
+    fn recording(&self, stem: String, note: Option<String>) -> Recording {
+        Recording {
+            folder: self.options.out.clone(),
+            stem,
+            now: self.options.now,
+            note,
+            telemetry_ms: experiment::DEFAULT_TELEMETRY_MS,
+        }
+    }
+
+    /// Keeps the record of a step; fails unless the step is complete.
+    fn complete<R>(
+        &mut self,
+        step: &'static str,
+        recorded: &RecordedTrial<R>,
+    ) -> Result<(), ExperimentError> {
+        let RecordedTrial { trial, sidecar, .. } = recorded;
+        if trial.status != Status::Complete {
+            return Err(ExperimentError::Incomplete {
+                step,
+                status: trial.status,
+                reason: trial.error.clone(),
+                sidecar: sidecar.clone(),
+            });
+        }
+        self.sidecars.push(sidecar.clone());
+        Ok(())
+    }
+}
+
+/// Judges each step from the pins.
+struct Judge {
     rig: Bench<RigBoard>,
     capsule: Bench<CapsuleBoard>,
-    live: Live<'a>,
     /// Number of edges before the next run.
     first_edge: usize,
-    /// Thread wound up when folded, mm.
-    thread_mm: f64,
     remarks: Vec<Remark>,
     failures: Vec<String>,
 }
 
-impl Judge<'_> {
-    fn judge_run(&mut self, shape: Shape, trial: &RunTrial) -> Result<(), DemoError> {
+impl Judge {
+    fn judge_run(
+        &mut self,
+        shape: &str,
+        thread_mm: Option<f64>,
+        trial: &RunTrial,
+    ) -> Result<(), DemoError> {
         let first = self.first_edge;
         let (edges, violations, carriage, syncs) = self.rig.visit(move |visit| {
             let rig = &visit.board().rig;
@@ -197,7 +280,7 @@ impl Judge<'_> {
         })?;
         self.first_edge += edges.len();
         let verdict = Verdict::of(&Run::paper(), &edges);
-        let displacement_mm = displacement_mm(shape, &edges, self.thread_mm)?;
+        let displacement_mm = displacement_mm(&edges, thread_mm)?;
         let rows = vec![
             row(
                 "edges on the STEP pin",
@@ -240,13 +323,12 @@ impl Judge<'_> {
                 ),
             ),
         ];
-        say(&format!("Verdict from the pins, capsule {}", shape.name()));
+        say(&format!("Verdict from the pins, capsule {shape}"));
         print_rows(&rows);
         self.failures.extend(verdict.check(EDGE_LIMIT_NS).err());
         let mut expect = |holds: bool, what: &str| {
             if !holds {
-                self.failures
-                    .push(format!("run, capsule {}: {what}", shape.name()));
+                self.failures.push(format!("run, capsule {shape}: {what}"));
             }
         };
         expect(
@@ -311,48 +393,6 @@ impl Judge<'_> {
     }
 }
 
-impl Hooks for Judge<'_> {
-    fn begins(&mut self, step: &str) {
-        say(&format!("\n== {step}"));
-    }
-
-    fn observer(&mut self) -> &mut dyn Observer {
-        &mut self.live
-    }
-
-    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
-        say(&identity::line(rig));
-        say(&identity::line(capsule));
-    }
-
-    fn referenced(&mut self, trial: &ActuationTrial) {
-        self.show_actuation("Referenced", trial);
-    }
-
-    fn homed(&mut self, homed: &Homed) {
-        say(&lab::operations::ending::homed_text(homed));
-        match self.rig.visit(|visit| visit.board().rig.edges().len()) {
-            Ok(edges) => self.first_edge = edges,
-            Err(error) => self.failures.push(error.to_string()),
-        }
-    }
-
-    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
-        if let Err(error) = self.judge_run(shape, trial) {
-            self.failures.push(error.to_string());
-        }
-    }
-
-    fn folded(&mut self, trial: &ActuationTrial) {
-        self.thread_mm = f64::from(trial.record.thread_um) / 1_000.0;
-        self.show_actuation("Folded", trial);
-    }
-
-    fn unfolded(&mut self, trial: &ActuationTrial) {
-        self.show_actuation("Unfolded", trial);
-    }
-}
-
 fn row(name: &str, value: String) -> (String, String) {
     (name.to_owned(), value)
 }
@@ -363,19 +403,19 @@ fn print_rows(rows: &[(String, String)]) {
     }
 }
 
-/// Displacement of the body by the locomotion models, mm, when the carriage makes exactly these steps. Positive is
-/// against the antegrade wave, the direction of the paper's unfolded body.
+/// Displacement of the body by the locomotion models, mm, when the carriage makes exactly these steps; the body is
+/// folded if thread is wound up. Positive is against the antegrade wave, the direction of the paper's unfolded body.
 ///
 /// # Errors
 /// [`OutOfRange`] if the models do not cover the rig's numbers.
-fn displacement_mm(shape: Shape, edges: &EdgeLog, thread_mm: f64) -> Result<f64, OutOfRange> {
-    match shape {
-        Shape::Unfolded => {
+fn displacement_mm(edges: &EdgeLog, thread_mm: Option<f64>) -> Result<f64, OutOfRange> {
+    match thread_mm {
+        None => {
             let mut body = roller::UnfoldedBody::new(roller::Params::PAPER, INDENTATION_MM)?;
             carry(edges, |at_mm| body.carriage_to(at_mm))?;
             Ok(body.displacement_mm())
         }
-        Shape::Folded => {
+        Some(thread_mm) => {
             let design = Design::paper_printed();
             let params = folded::Params::PAPER.folded_by(&design, thread_mm - SLACK_MM)?;
             let mut body = folded::FoldedBody::new(params, INDENTATION_MM)?;

@@ -6,7 +6,7 @@
 //! * [`check`]: whether a record contradicts itself.
 //! * [`sidecar`]: the heading of a record, and JSON files of other kinds.
 //! * [`listing`]: the trials in a folder.
-//! * [`experiment`]: recorded actions, and the paper's experiment.
+//! * [`experiment`]: recorded actions.
 //! * [`coordination`]: an actuation that begins at a position of a run, its [`cue`].
 //! * [`plan`]: a run, calculated before it is sent.
 //! * [`progress`]: progress for people, as a bar or as lines.
@@ -19,9 +19,7 @@ pub mod cue;
 pub mod experiment;
 pub mod fetched;
 pub mod force;
-mod left;
 pub mod listing;
-mod older;
 pub mod plan;
 pub mod progress;
 pub mod sidecar;

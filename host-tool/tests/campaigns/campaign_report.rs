@@ -13,12 +13,13 @@ use client::identity::Origin;
 use jiff::Timestamp;
 use lab::campaign::contents::Campaign;
 use lab::campaign::folder::Folder;
+use lab::campaign::form::Form;
 use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use lab::campaign::manifest;
 use lab::campaign::plan::{Lubrication, Millimetres, Purpose};
 use lab::campaign::readings::{Kind, Quantity, ReadingRow};
 use lab::campaign::statistics::{FittedLine, Spread};
-use lab::trials::experiment::{self, Shape};
+use lab::trials::experiment;
 use lab::trials::trial::Recording;
 use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
@@ -172,7 +173,7 @@ fn campaign(path: &Path) -> Folder {
                 note: None,
                 telemetry_ms: 50,
             };
-            let folded = planned.shape == Shape::Folded.into();
+            let folded = planned.shape == Form::Folded;
             if folded {
                 let recording = recording("fold", &mut clock);
                 let kind = ActuationKind::Fold;
@@ -194,7 +195,7 @@ fn campaign(path: &Path) -> Folder {
                 .seal_attempt(planned.trial, attempt)
                 .expect("written");
         }
-        if planned.shape == Shape::Folded.into() {
+        if planned.shape == Form::Folded {
             // The capsule is unfolded once the body has been measured: long after the attempt has ended.
             clock.0 += 60;
             let recording = Recording {

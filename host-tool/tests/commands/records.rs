@@ -10,21 +10,17 @@ use std::time::{Duration, Instant};
 
 use crate::support::tool::device;
 use client::identity::{IdentityRecord, Origin};
-use client::{Begun, Device, Homed, Observer, Progress, Unobserved};
+use client::{Device, Observer, Progress, Unobserved};
 use jiff::Timestamp;
 use lab::campaign::catalogue::{self, Wanted};
 use lab::trials::check;
-use lab::trials::experiment::{
-    self, ActuationTrial, ExperimentError, Hooks, PAPER_RUN, Procedure, RunTrial, Shape,
-};
-use lab::trials::trial::{Action, Ending, Recorder, Recording, RigSample, Screw, Status, Trial};
+use lab::trials::experiment::{self, ExperimentError, PAPER_RUN, RunTrial};
+use lab::trials::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
 use protocol::capsule::{ActuationKind, ActuationOutcome};
 use protocol::rig::{MoveTo, RigState, Run, RunOutcome, RunTiming};
-use protocol::system::{DeviceKind, Identity, Urgent};
+use protocol::system::{DeviceKind, Urgent};
 use report::html;
-use report::html::remark::Remark;
-use report::html::{Found, LeftOut};
-use simulated_machines::machine::capsule::FOLDED_UM;
+use report::html::LeftOut;
 use simulated_machines::machine::{Script, link};
 
 const SHORT_RUN: Run = Run {
@@ -271,50 +267,6 @@ fn an_emergency_stop_behind_a_complete_run_is_no_contradiction() {
     assert_eq!(found.contradictions, [""; 0]);
 }
 
-/// A killed process leaves a sidecar that says `running`, without events, and rows of which the last is cut short.
-#[test]
-fn a_record_that_a_killed_process_left_is_ended_without_a_contradiction() {
-    let folder = tempfile::tempdir().expect("folder");
-    let mut rig = device(DeviceKind::Rig);
-    let recording = recording(folder.path());
-    // An earlier run, whose events the rig keeps, too.
-    rig.run(SHORT_RUN).expect("accepted");
-    rig.idle(10_000_000, &mut Unobserved).expect("there");
-    let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
-    let Action::Run {
-        screw,
-        requested,
-        achieved,
-        ..
-    } = run.trial.action.clone()
-    else {
-        panic!("a run");
-    };
-    let mut left = Trial {
-        status: Status::Running,
-        samples: 0,
-        missed_samples: 0,
-        events: vec![],
-        action: Action::Run {
-            screw,
-            requested,
-            achieved,
-            executed: None,
-        },
-        ..run.trial.clone()
-    };
-    let rows = fs::read_to_string(&run.csv).expect("rows");
-    fs::write(&run.csv, &rows[..rows.len() - 7]).expect("written");
-    let kept = rig.kept_events().expect("there");
-    left.end_left(&run.sidecar, Ending::Run(run.record), kept)
-        .expect("written");
-    let told = Trial::read(&run.sidecar).expect("sidecar");
-    assert_eq!(told.samples + 1, run.trial.samples);
-    assert_eq!(told.events, run.trial.events);
-    let found = check::record(&run.sidecar, &told);
-    assert_eq!(found.contradictions, [""; 0]);
-}
-
 /// Events lost in an earlier action are not lost in the next record.
 #[test]
 fn events_that_were_lost_before_a_run_are_not_lost_in_it() {
@@ -456,7 +408,7 @@ fn telemetry_may_be_ahead_of_a_cut_by_what_was_prepared() {
             panic!("a run");
         };
         executed.max_steps = most - 100;
-        executed.prepared_edges = Some(executed.commanded_edges + prepared);
+        executed.prepared_edges = executed.commanded_edges + prepared;
         check::run(&trial, &samples).all().join("; ")
     };
     let outside = "the telemetry is at";
@@ -539,158 +491,6 @@ fn nothing_moves_if_the_record_cannot_be_written() {
     );
     assert!(matches!(error, Err(ExperimentError::Record(_))));
     assert!(!log.lock().expect("log").heard.contains(&"Run"));
-}
-
-#[derive(Default)]
-struct Steps {
-    names: Vec<String>,
-    watch: Watch,
-}
-
-#[derive(Default)]
-struct Watch {
-    begun: u32,
-}
-
-impl Observer for Watch {
-    fn begun(&mut self, _: &Begun) {
-        self.begun += 1;
-    }
-}
-
-impl Hooks for Steps {
-    fn observer(&mut self) -> &mut dyn Observer {
-        &mut self.watch
-    }
-    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
-        self.names
-            .push(format!("{:?} and {:?}", rig.device, capsule.device));
-    }
-    fn referenced(&mut self, _: &ActuationTrial) {
-        self.names.push("referenced".to_owned());
-    }
-    fn homed(&mut self, _: &Homed) {
-        self.names.push("homed".to_owned());
-    }
-    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
-        self.names
-            .push(format!("ran {} {}", shape.name(), trial.record.strokes));
-    }
-    fn folded(&mut self, trial: &ActuationTrial) {
-        self.names
-            .push(format!("folded {}", trial.record.thread_um));
-    }
-    fn unfolded(&mut self, trial: &ActuationTrial) {
-        self.names
-            .push(format!("unfolded {}", trial.record.thread_um));
-    }
-}
-
-fn paper(
-    rig: &mut Device,
-    capsule: &mut Device,
-    folder: &Path,
-    steps: &mut Steps,
-) -> Result<experiment::Experiment, ExperimentError> {
-    let procedure = Procedure {
-        run: SHORT_RUN,
-        folder: folder.to_owned(),
-        telemetry_ms: 20,
-    };
-    experiment::paper(rig, capsule, &procedure, &|| Timestamp::UNIX_EPOCH, steps)
-}
-
-#[test]
-fn the_papers_experiment_goes_step_by_step_and_ends_in_a_report() {
-    let folder = tempfile::tempdir().expect("folder");
-    let mut rig =
-        Device::connect(link(Script::new(DeviceKind::Rig)).0, DeviceKind::Rig, 1).expect("there");
-    let mut capsule = Device::connect(
-        link(Script::new(DeviceKind::Capsule)).0,
-        DeviceKind::Capsule,
-        1,
-    )
-    .expect("there");
-    let mut steps = Steps::default();
-    let done = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect("complete");
-    let (folded, unfolded) = (done.fold.record.thread_um, done.unfold.record.thread_um);
-    assert!(folded.abs_diff(FOLDED_UM) < 150, "{folded}");
-    assert!((0..=60).contains(&unfolded), "{unfolded}");
-    assert_eq!(
-        steps.names,
-        [
-            "Rig and Capsule",
-            "referenced",
-            "homed",
-            "ran unfolded 4",
-            &format!("folded {folded}"),
-            "ran folded 4",
-            &format!("unfolded {unfolded}"),
-        ]
-    );
-    assert_eq!(steps.watch.begun, 6);
-    assert_eq!(
-        done.fold.trial.action,
-        Trial::read(&done.fold.sidecar).expect("sidecar").action
-    );
-
-    let sidecars = done.sidecars();
-    let remark = Remark {
-        sidecar: Some(done.folded_run.sidecar.clone()),
-        title: "Displacement <of the body>".to_owned(),
-        rows: vec![("by the model".to_owned(), "-12 mm".to_owned())],
-    };
-    let found = Found {
-        sidecars,
-        left_out: vec![],
-    };
-    let report = html::html(&found, &[remark]).expect("report");
-    assert_eq!(report.damaged, [], "a clean record has no defect");
-    let html = report.html;
-    assert_eq!(html.matches("<svg").count(), 10);
-    assert_eq!(html.matches("<section").count(), 5);
-    assert!(html.contains("Displacement &lt;of the body&gt;"));
-    assert!(
-        !html.contains("http-equiv") && !html.contains("<script"),
-        "nothing is loaded"
-    );
-    assert_eq!(
-        html::find(&[folder.path().to_owned()])
-            .expect("folder")
-            .sidecars
-            .len(),
-        5
-    );
-}
-
-#[test]
-fn the_experiment_ends_at_the_first_step_that_is_not_complete() {
-    let folder = tempfile::tempdir().expect("folder");
-    let mut rig = device(DeviceKind::Rig);
-    let mut capsule = device(DeviceKind::Capsule);
-    // The operator stops the rig at the first stroke of the first run.
-    let asked = std::sync::atomic::AtomicU32::new(0);
-    rig.set_interrupt(Arc::new(move || {
-        let asked = asked.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-        (asked > 400).then_some(Urgent::Stop)
-    }));
-    let mut steps = Steps::default();
-    let error = paper(&mut rig, &mut capsule, folder.path(), &mut steps).expect_err("stopped");
-    assert!(
-        matches!(
-            error,
-            ExperimentError::Incomplete {
-                status: Status::Stopped,
-                ..
-            }
-        ),
-        "{error:?}"
-    );
-    assert_eq!(steps.names.last().map(String::as_str), Some("homed"));
-    assert_eq!(
-        capsule.actuation_record().expect("record").kind,
-        ActuationKind::Reference
-    );
 }
 
 #[test]

@@ -1,6 +1,5 @@
 //! The body's shape during a run.
 
-use crate::trials::experiment::Shape;
 use serde::{Deserialize, Serialize};
 
 /// The body's shape during a run.
@@ -20,18 +19,9 @@ impl Form {
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
-            Self::Unfolded => Shape::Unfolded.name(),
-            Self::Folded => Shape::Folded.name(),
+            Self::Unfolded => "unfolded",
+            Self::Folded => "folded",
             Self::Folding => "folding",
-        }
-    }
-}
-
-impl From<Shape> for Form {
-    fn from(shape: Shape) -> Self {
-        match shape {
-            Shape::Unfolded => Self::Unfolded,
-            Shape::Folded => Self::Folded,
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Recorded actions, and the paper's experiment, which is a sequence of them.
+//! Recorded actions: a run, a move, an actuation.
 
 use std::path::PathBuf;
 
@@ -7,7 +7,6 @@ use client::diagnosis::Sign;
 use client::error::ClientError;
 use client::identity::IdentityRecord;
 use client::{Begun, Both, Clock, Device, Homed, Observer, Pace, Progress};
-use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{
     ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
@@ -80,7 +79,7 @@ pub enum ExperimentError {
         /// How the capsule was lost.
         capsule: ClientError,
     },
-    /// A step of the experiment did not end as planned, so the remaining steps were skipped.
+    /// An action did not end as planned, so what was to follow was not begun.
     #[error("{step} ended as {status:?}{}", reason.as_deref().map(|why| format!(": {why}")).unwrap_or_default())]
     #[diagnostic(
         code(retrograde::incomplete),
@@ -451,194 +450,6 @@ pub fn home(rig: &mut Device, observer: &mut dyn Observer) -> Result<Homed, Clie
     rig.take_events()?;
     let accepted = rig.home()?;
     rig.wait_homing(&accepted, observer)
-}
-
-/// Shape of the capsule's origami during a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Shape {
-    /// The waves carry it forward.
-    Unfolded,
-    /// The same waves carry it the other way.
-    Folded,
-}
-
-impl Shape {
-    /// `unfolded` or `folded`, as in records.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Unfolded => "unfolded",
-            Self::Folded => "folded",
-        }
-    }
-}
-
-/// Observes the experiment's steps and their results. By default every method except [`Hooks::observer`] does
-/// nothing.
-pub trait Hooks {
-    /// A step is about to begin.
-    fn begins(&mut self, step: &str) {
-        let _ = step;
-    }
-    /// The observer of the present step.
-    fn observer(&mut self) -> &mut dyn Observer;
-    /// Both machines have identified themselves.
-    fn identified(&mut self, rig: &Identity, capsule: &Identity) {
-        let _ = (rig, capsule);
-    }
-    /// The capsule found its zero.
-    fn referenced(&mut self, trial: &ActuationTrial) {
-        let _ = trial;
-    }
-    /// The rig found its zero.
-    fn homed(&mut self, homed: &Homed) {
-        let _ = homed;
-    }
-    /// A run is complete. Its verdict and the body's displacement can be determined here.
-    fn ran(&mut self, shape: Shape, trial: &RunTrial) {
-        let _ = (shape, trial);
-    }
-    /// The capsule is folded.
-    fn folded(&mut self, trial: &ActuationTrial) {
-        let _ = trial;
-    }
-    /// The capsule is unfolded.
-    fn unfolded(&mut self, trial: &ActuationTrial) {
-        let _ = trial;
-    }
-}
-
-/// The experiment's run and the folder of its records.
-#[derive(Clone, Debug)]
-pub struct Procedure {
-    /// The run, carried out once unfolded and once folded.
-    pub run: Run,
-    /// Folder of all records.
-    pub folder: PathBuf,
-    /// Interval of telemetry, 5..=1000 ms.
-    pub telemetry_ms: u16,
-}
-
-/// The experiment's records, in the order of the steps.
-#[derive(Clone, Debug)]
-pub struct Experiment {
-    /// Search for the thread's zero.
-    pub reference: ActuationTrial,
-    /// Result of homing the rig.
-    pub homed: Homed,
-    /// The run with the capsule unfolded.
-    pub unfolded_run: RunTrial,
-    /// Folding.
-    pub fold: ActuationTrial,
-    /// The same run with the capsule folded.
-    pub folded_run: RunTrial,
-    /// Unfolding.
-    pub unfold: ActuationTrial,
-}
-
-impl Experiment {
-    /// The sidecars, in the order of the steps.
-    #[must_use]
-    pub fn sidecars(&self) -> Vec<PathBuf> {
-        vec![
-            self.reference.sidecar.clone(),
-            self.unfolded_run.sidecar.clone(),
-            self.fold.sidecar.clone(),
-            self.folded_run.sidecar.clone(),
-            self.unfold.sidecar.clone(),
-        ]
-    }
-}
-
-/// The paper's experiment: identities; reference and home; run unfolded; fold; the same run folded; unfold. Each step
-/// begins only if the previous one is complete. Calls `now` once per record.
-///
-/// # Errors
-/// The first step that was refused, lost, or did not end as planned.
-pub fn paper(
-    rig: &mut Device,
-    capsule: &mut Device,
-    procedure: &Procedure,
-    now: &dyn Fn() -> Timestamp,
-    hooks: &mut dyn Hooks,
-) -> Result<Experiment, ExperimentError> {
-    let recording = |stem: &str, note: Option<Shape>| Recording {
-        folder: procedure.folder.clone(),
-        stem: stem.to_owned(),
-        now: now(),
-        note: note.map(|shape| format!("capsule {}", shape.name())),
-        telemetry_ms: procedure.telemetry_ms,
-    };
-    hooks.identified(
-        &identity(rig, DeviceKind::Rig)?,
-        &identity(capsule, DeviceKind::Capsule)?,
-    );
-
-    let mut actuated = |begins: &'static str, kind: ActuationKind, hooks: &mut dyn Hooks| {
-        hooks.begins(begins);
-        let trial = actuate(
-            capsule,
-            kind,
-            &recording(stem(kind), None),
-            hooks.observer(),
-        )?;
-        complete(doing(kind), &trial.trial, &trial.sidecar)?;
-        Ok::<_, ExperimentError>(trial)
-    };
-    let ran = |rig: &mut Device, shape: Shape, hooks: &mut dyn Hooks| {
-        hooks.begins(match shape {
-            Shape::Unfolded => "run, capsule unfolded",
-            Shape::Folded => "run, capsule folded",
-        });
-        let recording = recording(&format!("run-{}", shape.name()), Some(shape));
-        let trial = run(rig, procedure.run, &recording, hooks.observer())?;
-        complete("the run", &trial.trial, &trial.sidecar)?;
-        hooks.ran(shape, &trial);
-        Ok::<_, ExperimentError>(trial)
-    };
-
-    let reference = actuated("reference the capsule", ActuationKind::Reference, hooks)?;
-    hooks.referenced(&reference);
-
-    hooks.begins("home the rig");
-    let homed = home(rig, hooks.observer())?;
-    hooks.homed(&homed);
-
-    let unfolded_run = ran(rig, Shape::Unfolded, hooks)?;
-
-    let fold = actuated("fold the capsule", ActuationKind::Fold, hooks)?;
-    hooks.folded(&fold);
-
-    let folded_run = ran(rig, Shape::Folded, hooks)?;
-
-    let unfold = actuated("unfold the capsule", ActuationKind::Unfold, hooks)?;
-    hooks.unfolded(&unfold);
-
-    Ok(Experiment {
-        reference,
-        homed,
-        unfolded_run,
-        fold,
-        folded_run,
-        unfold,
-    })
-}
-
-/// Fails unless a step is complete.
-fn complete(
-    step: &'static str,
-    trial: &Trial,
-    sidecar: &std::path::Path,
-) -> Result<(), ExperimentError> {
-    if trial.status == Status::Complete {
-        return Ok(());
-    }
-    Err(ExperimentError::Incomplete {
-        step,
-        status: trial.status,
-        reason: trial.error.clone(),
-        sidecar: sidecar.to_owned(),
-    })
 }
 
 #[cfg(test)]
