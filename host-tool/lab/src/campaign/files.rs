@@ -3,11 +3,11 @@
 use crate::trials::experiment::{ACTUATIONS, stem};
 
 /// The plan as the user wrote it.
-pub const PLAN: &str = crate::trials::trial::CAMPAIGN_PLAN;
+pub const PLAN: &str = "plan.toml";
 /// The trials in their order.
 pub const ORDER: &str = "order.csv";
 /// The ledger.
-pub const TRIALS: &str = crate::trials::trial::CAMPAIGN_LEDGER;
+pub const TRIALS: &str = "trials.csv";
 /// The caliper's readings.
 pub const READINGS: &str = "readings.csv";
 /// Locked by the process that writes to the folder. The file is empty and not in the manifest.

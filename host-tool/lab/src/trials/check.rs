@@ -638,9 +638,9 @@ fn travelled(
     }
     let (least, most) = (executed.min_steps, executed.max_steps);
     // A sample before a cut already counts steps that the cut then held back; the record does not.
-    let kept = executed.prepared_edges.map_or(0, |prepared| {
-        prepared.saturating_sub(executed.commanded_edges)
-    });
+    let kept = executed
+        .prepared_edges
+        .saturating_sub(executed.commanded_edges);
     let kept = i32::try_from(kept).unwrap_or(i32::MAX);
     let commanded = least.saturating_sub(kept)..=most.saturating_add(kept);
     let out = (samples.iter()).find(|sample| !commanded.contains(&sample.commanded_steps));

@@ -22,14 +22,8 @@ use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
 
 use crate::trials::cue::Coordination;
-use crate::trials::older;
 pub use crate::trials::status::Status;
 use crate::trials::writer::{Appender, Writer};
-
-/// A folder that contains this file belongs to a campaign. The campaign completes its own records.
-pub const CAMPAIGN_PLAN: &str = "plan.toml";
-/// Name of its ledger there.
-pub const CAMPAIGN_LEDGER: &str = "trials.csv";
 
 /// Version of the sidecar's format; incremented when a field changes its meaning or its name.
 pub const FORMAT: u32 = 2;
@@ -171,13 +165,10 @@ pub struct Executed {
     /// Fingerprint of the firmware's image, 8 hex digits, as `retrograde health` shows it.
     pub image_hash: String,
     /// Steps prepared: those emitted plus those that a cut held back.
-    #[serde(default)]
-    pub prepared_edges: Option<u64>,
+    pub prepared_edges: u64,
     /// Steps whose time was captured at the pin and compared with the plan; 0 if none was timed.
-    #[serde(default)]
     pub edges_timed: u64,
     /// Largest difference between a captured interval and the planned one, ticks of 10 ns.
-    #[serde(default)]
     pub worst_interval_error_ticks: u32,
 }
 
@@ -197,7 +188,7 @@ impl From<&RunRecord> for Executed {
             glitches: record.glitches,
             holds: record.holds,
             image_hash: format!("{:08x}", record.image_hash),
-            prepared_edges: Some(record.prepared_edges),
+            prepared_edges: record.prepared_edges,
             edges_timed: record.edges_timed,
             worst_interval_error_ticks: record.worst_interval_error_ticks,
         }
@@ -325,7 +316,7 @@ impl Trial {
     }
 
     /// Notes how the trial ended.
-    pub fn end(&mut self, ending: Ending) {
+    fn end(&mut self, ending: Ending) {
         match (&mut self.action, ending) {
             (Action::Run { executed, .. }, Ending::Run(record)) => {
                 self.status = record.outcome.into();
@@ -371,7 +362,6 @@ impl Trial {
         let text =
             plain::read_text(path, limited::RECORD).map_err(|io| RecordError::read(path, io))?;
         let mut trial: Self = serde_json::from_str(&text)
-            .or_else(|json| older::read(&text, FORMAT).map_or(Err(json), serde_json::from_value))
             .map_err(|json| RecordError::read(path, wording::unreadable(&json)))?;
         if trial.format != FORMAT {
             let why = format!("format {}, this tool reads {FORMAT}", trial.format);
@@ -435,13 +425,10 @@ pub struct RigSample {
     /// Residual of the position ledger, steps.
     pub residual_steps: i32,
     /// Home flag open.
-    #[serde(alias = "home_flag")]
     pub home_flag_open: bool,
     /// Far limit open.
-    #[serde(alias = "far_limit")]
     pub far_limit_open: bool,
     /// E-stop loop open.
-    #[serde(alias = "estop_loop")]
     pub estop_loop_open: bool,
     /// Samples lost just before this one.
     pub missed: u16,
@@ -646,7 +633,7 @@ impl Recorder {
 }
 
 /// Truncates an incomplete last row of a file that could not be written to its end. Returns the number of rows left.
-pub(crate) fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
+fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
     let file = OpenOptions::new().read(true).write(true).open(csv)?;
     let mut reader = io::BufReader::new(&file);
     let (mut line, mut lines, mut whole) = (vec![], 0_u64, 0);

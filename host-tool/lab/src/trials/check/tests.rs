@@ -87,7 +87,7 @@ fn run_record() -> (Trial, Vec<RigSample>) {
         glitches: 0,
         holds: 0,
         image_hash: String::new(),
-        prepared_edges: None,
+        prepared_edges: 8_000,
         edges_timed: 0,
         worst_interval_error_ticks: 0,
     };

@@ -2,8 +2,6 @@
 
 use super::*;
 use protocol::capsule::{CapsuleState, CapsuleTelemetry};
-use protocol::rig::{RigEvent, RigFault};
-use protocol::system::What;
 
 #[test]
 fn a_row_that_was_cut_short_is_taken_off() {
@@ -123,110 +121,6 @@ fn steps_are_places_to_the_nearest_nanometre() {
     let usual = screw(4_000, 1_600);
     assert_eq!((usual.nm(3), usual.steps(1_001)), (7_500, 400));
     assert!((usual.mm(800.0) - 2.0).abs() < 1e-12);
-}
-
-#[test]
-fn a_record_of_format_1_is_read_with_all_its_names() {
-    let outcome = RunOutcome::Faulted(RigFault::EStopLoop);
-    let action = Action::Move {
-        screw: Screw {
-            lead_um: 4_000,
-            steps_per_rev: 1_600,
-            stroke_um: 20_000,
-        },
-        requested: MoveTo {
-            position_um: 10_000,
-            speed_um_s: 5_000,
-        },
-        accepted: None,
-        moved: Some(Moved {
-            outcome,
-            position_steps: 17,
-        }),
-    };
-    let recording = Recording {
-        folder: "x".into(),
-        stem: "pass".to_owned(),
-        now: Timestamp::UNIX_EPOCH,
-        note: Some("The E-stop: EStopLoop".to_owned()),
-        telemetry_ms: 10,
-    };
-    let mut trial = Trial::new(action, device(), &recording);
-    trial.events = vec![
-        event(1, What::Acknowledged),
-        event(2, What::Rig(RigEvent::Moved { position_steps: 17 })),
-        event(
-            3,
-            What::Rig(RigEvent::Faulted(RigFault::LostSteps { residual_steps: 9 })),
-        ),
-    ];
-    trial.telemetry = "pass.csv".to_owned();
-    let today = serde_json::to_string(&trial).expect("text");
-    let of_format_1 = [
-        ("\"format\":2", "\"format\":1"),
-        ("\"faulted\"", "\"Faulted\""),
-        ("\"estop_loop\"", "\"EStopLoop\""),
-        ("\"acknowledged\"", "\"Acknowledged\""),
-        ("{\"rig\":", "{\"Rig\":"),
-        ("{\"moved\":", "{\"Moved\":"),
-        ("\"lost_steps\"", "\"LostSteps\""),
-    ]
-    .iter()
-    .fold(today.clone(), |text, (now, then)| {
-        assert!(text.contains(now), "{now} in {text}");
-        text.replace(now, then)
-    });
-    assert!(serde_json::from_str::<Trial>(&of_format_1).is_err());
-    let read = |text: &str| {
-        let folder = tempfile::tempdir().expect("a folder");
-        let path = folder.path().join("pass.json");
-        fs::write(&path, text).expect("written");
-        Trial::read(&path)
-    };
-    assert_eq!(read(&of_format_1).expect("a record"), trial);
-    assert_eq!(read(&today).expect("a record"), trial);
-    let nothing = read(r#"{"format": 1}"#).expect_err("no record");
-    assert!(nothing.to_string().contains("missing field"), "{nothing}");
-}
-
-#[test]
-fn telemetry_with_the_columns_of_format_1_is_read() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let mut trial = Trial::new(
-        Action::Actuation {
-            actuation: ActuationKind::Fold,
-            accepted: None,
-            record: None,
-        },
-        device(),
-        &Recording {
-            folder: folder.path().to_owned(),
-            stem: "run".to_owned(),
-            now: Timestamp::UNIX_EPOCH,
-            note: None,
-            telemetry_ms: 10,
-        },
-    );
-    trial.telemetry = "run.csv".to_owned();
-    let rows = "time_us,state,position_mm,speed_mm_s,stroke,position_steps,commanded_steps,residual_steps,home_flag,far_limit,estop_loop,missed,origin\n\
-                5,Running,1.250,0.000,0,1000,1000,0,true,false,true,0,board\n";
-    fs::write(folder.path().join("run.csv"), rows).expect("written");
-    let read: Vec<RigSample> = trial
-        .samples(&folder.path().join("run.json"))
-        .expect("rows");
-    let [row] = read.as_slice() else {
-        panic!("one row: {read:?}");
-    };
-    let inputs = (row.home_flag_open, row.far_limit_open, row.estop_loop_open);
-    assert_eq!((inputs, row.position_steps), ((true, false, true), 1_000));
-}
-
-fn event(index: u32, what: What) -> Event {
-    Event {
-        index,
-        time_us: 5,
-        what,
-    }
 }
 
 #[test]
