@@ -389,33 +389,6 @@ fn what_the_telemetry_lacks_is_told_in_one_unit() {
     }
 }
 
-/// A sample just before a cut counts steps as commanded that were prepared and never left: that is no damage, and a step
-/// more is.
-#[test]
-fn telemetry_may_be_ahead_of_a_cut_by_what_was_prepared() {
-    let folder = tempfile::tempdir().expect("folder");
-    let run = recorded_run(folder.path());
-    let samples: Vec<RigSample> = run.trial.samples(&run.sidecar).expect("telemetry");
-    let most = samples.iter().map(|sample| sample.commanded_steps).max();
-    let most = most.expect("a sample");
-    let said = |prepared: u64| {
-        let mut trial = run.trial.clone();
-        let Action::Run {
-            executed: Some(executed),
-            ..
-        } = &mut trial.action
-        else {
-            panic!("a run");
-        };
-        executed.max_steps = most - 100;
-        executed.prepared_edges = executed.commanded_edges + prepared;
-        check::run(&trial, &samples).all().join("; ")
-    };
-    let outside = "the telemetry is at";
-    assert!(!said(100).contains(outside), "{}", said(100));
-    assert!(said(99).contains(outside));
-}
-
 /// No outcome that an entry may have is unknown to `list --outcome`.
 #[test]
 fn each_outcome_can_be_asked_for() {

@@ -1,26 +1,22 @@
-//! Checks a trial's telemetry against its sidecar, so that a contradictory record does not look complete.
+//! Checks a record: counted, commanded and planned steps agree, as do rows, losses, origin and outcome, and the telemetry
+//! covers the motion without gaps.
 //!
-//! Each defect is a sentence with its numbers. Pure, except for [`read`] and what reads by it.
+//! Each defect is a sentence with its numbers. Only [`read`], and what reads by it, opens files.
 
 use std::path::Path;
 
 use client::decimal;
 use client::identity::Origin;
 use client::plain;
-use protocol::capsule::{ActuationRecord, CapsuleEvent};
+use protocol::capsule::CapsuleEvent;
 use protocol::rig::{RigEvent, Run};
-use protocol::settings::SettingKey;
 use protocol::system::What;
 use serde::Deserialize;
 
-use crate::trials::trial::{
-    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial,
-};
+use crate::trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Status, Trial};
 
 /// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
 const LATE_US: u64 = 10_000;
-/// Distance that the thread may settle between the end of a motion and the last sample, um.
-const SETTLES_UM: u32 = 300;
 
 /// Common fields of the telemetry rows of both machines.
 pub trait Sample: for<'de> Deserialize<'de> {
@@ -30,10 +26,6 @@ pub trait Sample: for<'de> Deserialize<'de> {
     fn missed(&self) -> u16;
     /// Origin as the row states it.
     fn origin(&self) -> Origin;
-    /// An invalid number of the row, or one that contradicts another.
-    fn wrong(&self, _trial: &Trial) -> Option<String> {
-        None
-    }
 }
 
 impl Sample for RigSample {
@@ -45,26 +37,6 @@ impl Sample for RigSample {
     }
     fn origin(&self) -> Origin {
         self.origin
-    }
-    fn wrong(&self, trial: &Trial) -> Option<String> {
-        for (name, text) in [
-            ("position_mm", &self.position_mm),
-            ("speed_mm_s", &self.speed_mm_s),
-        ] {
-            if !text.parse::<f64>().is_ok_and(f64::is_finite) {
-                return Some(format!("{name} is `{text}`"));
-            }
-        }
-        let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &trial.action else {
-            return None;
-        };
-        let exact = decimal::write_signed(screw.nm(self.position_steps.into()), 6);
-        (self.position_mm != exact).then(|| {
-            format!(
-                "position_mm is {}, and {} steps are {exact} mm",
-                self.position_mm, self.position_steps
-            )
-        })
     }
 }
 
@@ -176,45 +148,15 @@ pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Defects) {
         Action::Move { .. } => movement(trial, &samples),
         _ => run(trial, &samples),
     };
-    let files = [misnamed(sidecar, trial), unreadable].concat();
-    (samples, defects.after(files))
+    (samples, defects.after(unreadable))
 }
 
 /// The readable telemetry of a record of the capsule, and the defects of the record.
 #[must_use]
 pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Defects) {
     let (samples, unreadable) = read::<CapsuleSample>(sidecar, trial);
-    let files = [misnamed(sidecar, trial), unreadable].concat();
-    let defects = actuation(trial, &samples).after(files);
+    let defects = actuation(trial, &samples).after(unreadable);
     (samples, defects)
-}
-
-/// Names that the record contradicts: that of its telemetry, and the start in its own.
-fn misnamed(sidecar: &Path, trial: &Trial) -> Vec<String> {
-    let beside = sidecar.with_extension("csv");
-    let other = beside
-        .file_name()
-        .is_none_or(|name| *name != *trial.telemetry);
-    let other = other.then(|| format!("the record names {} as its telemetry", trial.telemetry));
-    other
-        .into_iter()
-        .chain(begun_as_named(sidecar, trial))
-        .collect()
-}
-
-/// A start that is not the one in the file's name. Files with other names than this program gives are not judged.
-fn begun_as_named(sidecar: &Path, trial: &Trial) -> Option<String> {
-    let name = sidecar.file_stem()?.to_string_lossy();
-    let stamp = name.split('-').find(|part| {
-        let form = b"00000000T000000Z";
-        let fits = |(byte, like): (u8, &u8)| match like {
-            b'0' => byte.is_ascii_digit(),
-            like => byte == *like,
-        };
-        part.len() == form.len() && part.bytes().zip(form).all(fits)
-    })?;
-    let begun = trial.started_utc.strftime("%Y%m%dT%H%M%SZ").to_string();
-    (begun != stamp).then(|| format!("it began at {begun}, by its name at {stamp}"))
 }
 
 /// Defects of a rig's run.
@@ -222,16 +164,16 @@ fn begun_as_named(sidecar: &Path, trial: &Trial) -> Option<String> {
 pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
     let mut defects = telemetry(trial, samples);
     let Action::Run {
-        screw,
         requested,
         achieved,
         executed,
+        ..
     } = &trial.action
     else {
         return defects;
     };
     if let (Some(achieved), Some(executed)) = (achieved, executed) {
-        planned_and_done(trial, screw, requested, achieved, executed, &mut defects);
+        planned_and_done(trial, requested, achieved, executed, &mut defects);
         covers(
             trial,
             samples,
@@ -239,7 +181,6 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
             executed.ticks / 100,
             &mut defects,
         );
-        travelled(screw, achieved, executed, samples, &mut defects);
     } else if trial.status == Status::Complete {
         defects.say("it is called complete, without what was planned or executed");
     }
@@ -344,12 +285,6 @@ pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Defects {
         accepted.is_none_or(|accepted| accepted.actuation == record.actuation),
         "the record is that of another actuation than was accepted",
     );
-    if record.end_current_ma > record.peak_current_ma {
-        defects.say(format!(
-            "the current at the end, {} mA, is above the largest one, {} mA",
-            record.end_current_ma, record.peak_current_ma
-        ));
-    }
     covers(
         trial,
         samples,
@@ -357,7 +292,6 @@ pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Defects {
         u64::from(record.duration_ms) * 1_000,
         &mut defects,
     );
-    ends_at(trial, record, samples, &mut defects);
     defects
 }
 
@@ -380,9 +314,6 @@ pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
 /// Checks that apply to the telemetry of both machines.
 fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
     let mut defects = Defects::default();
-    if trial.status == Status::Refused && trial.has_begun() {
-        defects.say("it is called refused, and the machine accepted it");
-    }
     let name = &trial.telemetry;
     // While a trial runs, its sidecar does not know the final number of samples.
     if trial.status != Status::Running {
@@ -404,13 +335,6 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
             ));
         }
     }
-    let wrong = samples
-        .iter()
-        .enumerate()
-        .find_map(|(index, sample)| Some((index + 1, sample.wrong(trial)?)));
-    if let Some((row, why)) = wrong {
-        defects.say(format!("row {row} of {name}: {why}"));
-    }
     let other =
         |sample: &T| sample.origin() != Origin::Unknown && sample.origin() != trial.device.origin;
     if let Some(sample) = samples.iter().find(|sample| other(sample)) {
@@ -430,17 +354,6 @@ fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
             row + 2
         )),
         None => gaps(trial, samples, &mut defects),
-    }
-    if trial.lost_events == 0
-        && let Some(pair) = trial
-            .events
-            .windows(2)
-            .find(|pair| pair[1].index != pair[0].index.wrapping_add(1))
-    {
-        defects.say(format!(
-            "event {} follows event {}",
-            pair[1].index, pair[0].index
-        ));
     }
     defects
 }
@@ -518,10 +431,9 @@ fn covers<T: Sample>(
     }
 }
 
-/// Compares plan and execution of a run whose status is complete.
+/// Compares what was requested, planned and executed; the counts only of a complete run.
 fn planned_and_done(
     trial: &Trial,
-    screw: &Screw,
     requested: &Run,
     achieved: &Achieved,
     executed: &Executed,
@@ -533,16 +445,6 @@ fn planned_and_done(
         defects.say(format!(
             "{} cycles of {cycle_steps} steps are {planned}, the plan says {}",
             requested.cycles, achieved.edges
-        ));
-    }
-    let stroke_nm = screw.nm(achieved.forward.steps.into());
-    let step_nm = screw.nm(1).max(1);
-    if (stroke_nm - i64::from(requested.stroke_um) * 1_000).abs() > step_nm {
-        defects.say(format!(
-            "{} steps are {} mm, and {} mm were asked for",
-            achieved.forward.steps,
-            decimal::write_signed(stroke_nm, 6),
-            decimal::write(requested.stroke_um.into(), 3)
         ));
     }
     defects.agree(
@@ -576,102 +478,6 @@ fn planned_and_done(
             "it took {} s, the plan {} s",
             decimal::seconds(executed.ticks),
             decimal::seconds(achieved.total_ticks)
-        ));
-    }
-    let done = |what: &What| matches!(what, What::Rig(RigEvent::StrokeDone { .. }));
-    let done = trial
-        .events
-        .iter()
-        .filter(|event| done(&event.what))
-        .count();
-    if trial.lost_events == 0 && done as u64 != u64::from(executed.strokes) {
-        defects.say(format!(
-            "{} strokes have an event of their end, {} were counted",
-            done, executed.strokes
-        ));
-    }
-}
-
-/// Compares the distance in the telemetry with the counted steps. A reversal between two samples hides at most the
-/// distance that the rig can travel meanwhile, there and back.
-fn travelled(
-    screw: &Screw,
-    achieved: &Achieved,
-    executed: &Executed,
-    samples: &[RigSample],
-    defects: &mut Defects,
-) {
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        return;
-    };
-    let seen: u64 = samples
-        .windows(2)
-        .map(|pair| u64::from(pair[1].position_steps.abs_diff(pair[0].position_steps)))
-        .sum();
-    if seen > executed.counted_edges {
-        defects.say(format!(
-            "the telemetry goes {seen} steps, {} were counted",
-            executed.counted_edges
-        ));
-    }
-    let longest_us = samples
-        .windows(2)
-        .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
-        .max()
-        .unwrap_or(0);
-    let fastest_um_s = achieved.forward.peak_um_s.max(achieved.back.peak_um_s);
-    let hidden_um = f64::from(fastest_um_s) * longest_us as f64 * 1e-6;
-    let hidden = hidden_um * f64::from(screw.steps_per_rev) / f64::from(screw.lead_um.max(1));
-    let ends = u64::from(
-        first
-            .position_steps
-            .unsigned_abs()
-            .max(last.position_steps.unsigned_abs()),
-    );
-    let most = (f64::from(executed.strokes) + 2.0) * hidden + ends as f64;
-    let missing = executed.counted_edges.saturating_sub(seen);
-    if missing as f64 > most {
-        defects.lack(format!(
-            "the telemetry goes {seen} steps, {} were counted; its reversals hide at most {most:.0}",
-            executed.counted_edges
-        ));
-    }
-    let (least, most) = (executed.min_steps, executed.max_steps);
-    // A sample before a cut already counts steps that the cut then held back; the record does not.
-    let kept = executed
-        .prepared_edges
-        .saturating_sub(executed.commanded_edges);
-    let kept = i32::try_from(kept).unwrap_or(i32::MAX);
-    let commanded = least.saturating_sub(kept)..=most.saturating_add(kept);
-    let out = (samples.iter()).find(|sample| !commanded.contains(&sample.commanded_steps));
-    if let Some(sample) = out {
-        defects.say(format!(
-            "the telemetry is at {} steps, the record says {least} to {most}",
-            sample.commanded_steps
-        ));
-    }
-}
-
-fn ends_at(
-    trial: &Trial,
-    record: &ActuationRecord,
-    samples: &[CapsuleSample],
-    defects: &mut Defects,
-) {
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        return;
-    };
-    let start_us = actuation_start_us(trial).unwrap_or(first.time_us);
-    let end_us = start_us.saturating_add(u64::from(record.duration_ms) * 1_000);
-    // The thread still moves between the last sample and the end of the motion.
-    let fastest_um_s = u64::from(SettingKey::UnfoldUmS.range().max);
-    let hidden_um = end_us.saturating_sub(last.time_us) * fastest_um_s / 1_000_000;
-    let apart_um = u64::from(last.thread_um.abs_diff(record.thread_um));
-    if trial.status == Status::Complete && apart_um > u64::from(SETTLES_UM) + hidden_um {
-        defects.lack(format!(
-            "the telemetry ends at {} mm of thread, the record says {} mm",
-            decimal::fixed(last.thread_um.into(), 3),
-            decimal::fixed(record.thread_um.into(), 3)
         ));
     }
 }
