@@ -125,7 +125,7 @@ mod tests {
         let nobody = "tcp:127.0.0.1:1".parse().expect("an address");
         assert!(
             ports
-                .open(DeviceKind::Rig, &nobody, 115_200, Purpose::Work)
+                .open(DeviceKind::Rig, &nobody, 115_200, Purpose::Own("run"))
                 .is_err()
         );
         assert_ne!(ports.nonce(), ports.nonce());
