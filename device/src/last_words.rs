@@ -1,49 +1,55 @@
-//! The text that a panic or a processor fault leaves. Built without `core::fmt`, which would take 9.5 KB of flash.
+//! The text that a panic or a processor fault leaves.
 
-use heapless::{String, Vec};
+use core::fmt::{self, Display, Write};
+use heapless::String;
 
 /// Longest text, bytes; as in [`protocol::system::LastWords`].
 pub const LONGEST: usize = 120;
+/// Longest part of a file's name that a panic tells: its end.
+const LONGEST_FILE: usize = 40;
+/// Room for an address and the space before it.
+const ADDRESS: usize = " 0x01234567".len();
 
 /// Text of the last panic or processor fault.
 pub type LastWords = String<LONGEST>;
 
-/// Builds the last words. Text that does not fit is cut off.
+/// Collects the last words. Text that does not fit is cut off.
 #[derive(Debug, Default)]
-pub struct Draft(Vec<u8, LONGEST>);
+pub struct Draft(pub LastWords);
 
-impl Draft {
-    /// Begins with `text`.
-    #[must_use]
-    pub fn new(text: &str) -> Self {
-        let mut draft = Self(Vec::new());
-        draft.push(text);
-        draft
+impl Write for Draft {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        let mut letters = text.chars();
+        letters
+            .try_for_each(|letter| self.0.push(letter))
+            .map_err(|_| fmt::Error)
     }
+}
 
-    /// Appends a text.
-    pub fn push(&mut self, text: &str) {
-        for byte in text.bytes() {
-            let _ = self.0.push(byte);
+/// The last words of a panic: place, message, and as many return addresses as there is room for, innermost first.
+pub fn of_a_panic(
+    file: &str,
+    line: u32,
+    message: impl Display,
+    callers: impl Iterator<Item = u32>,
+) -> Draft {
+    let file = file.get(file.len().saturating_sub(LONGEST_FILE)..);
+    let mut words = Draft::default();
+    let _ = write!(words, "panic at {}:{line}: {message}", file.unwrap_or("?"));
+    add_callers(&mut words, ", called from", callers);
+    words
+}
+
+/// Appends return addresses, as many as fit whole.
+pub fn add_callers(words: &mut Draft, what: &str, callers: impl Iterator<Item = u32>) {
+    let room = |words: &Draft| LONGEST - words.0.len();
+    if room(words) >= what.len() + ADDRESS {
+        let _ = words.write_str(what);
+        for caller in callers {
+            if room(words) < ADDRESS {
+                return;
+            }
+            let _ = write!(words, " {caller:#x}");
         }
-    }
-
-    /// Appends an address as `0x...`.
-    pub fn push_address(&mut self, address: u32) {
-        self.push("0x");
-        self.push_hex(address);
-    }
-
-    fn push_hex(&mut self, number: u32) {
-        if number >= 16 {
-            self.push_hex(number / 16);
-        }
-        let _ = self.0.push(b"0123456789abcdef"[number as usize % 16]);
-    }
-
-    /// The text so far.
-    #[must_use]
-    pub fn bytes(&self) -> &[u8] {
-        &self.0
     }
 }

@@ -3,7 +3,7 @@
 
 use device::{
     identity::reset_cause,
-    last_words::{Draft, LONGEST},
+    last_words::{Draft, LONGEST, of_a_panic},
     retained::{
         EStop, Retained, WORDS, Words, keep_clock_failed, keep_last_words, keep_latched,
         leave_again, start,
@@ -148,18 +148,29 @@ fn a_start_that_takes_the_place_of_another_is_told_what_that_one_was() {
     }
 }
 
+/// The end of a long file name, and only whole addresses.
 #[test]
-fn last_words_are_put_together_and_cut_off() {
-    let mut draft = Draft::new("HardFault at ");
-    draft.push_address(0x0801_2AF0);
-    draft.push(" from ");
-    draft.push_address(0);
-    assert_eq!(draft.bytes(), b"HardFault at 0x8012af0 from 0x0");
-    for length in [LONGEST - 1, LONGEST, LONGEST + 1] {
-        let mut draft = Draft::new(&"x".repeat(length));
-        draft.push("yz");
-        let expected = format!("{}yz", "x".repeat(length));
-        assert_eq!(draft.bytes(), &expected.as_bytes()[..LONGEST]);
+fn a_panic_leaves_place_message_and_callers() {
+    let callers = [0x0801_2AF0, 0x0801_0000, 0];
+    let words = |file: &str, message: &str| {
+        let Draft(words) = of_a_panic(file, 7, message, callers.iter().copied().cycle());
+        words.as_str().to_owned()
+    };
+    assert_eq!(
+        words("motion/src/run.rs", "attempt to add with overflow"),
+        "panic at motion/src/run.rs:7: attempt to add with overflow, called from 0x8012af0 0x8010000 0x0 0x8012af0 0x8010000"
+    );
+    let long = words(&"x/".repeat(100), "oh");
+    let expected = format!("panic at {}:7: oh, called from 0x8012af0", "x/".repeat(20));
+    assert!(long.starts_with(&expected), "{long}");
+    for message in 0..2 * LONGEST {
+        let words = words("a.rs", &"m".repeat(message));
+        assert!(words.len() <= LONGEST);
+        let (_, told) = words.split_once(", called from").unwrap_or_default();
+        for address in told.split_whitespace() {
+            let address = u32::from_str_radix(&address[2..], 16).expect(&words);
+            assert!(callers.contains(&address), "{words}");
+        }
     }
 }
 
@@ -181,15 +192,6 @@ fn the_layout_stays() {
 }
 
 proptest! {
-    #[test]
-    fn addresses_are_hexadecimal(address in any::<u32>(), digits in 0..32_u32) {
-        let address = address >> digits;
-        let mut draft = Draft::default();
-        draft.push_address(address);
-        let expected = format!("{address:#x}");
-        prop_assert_eq!(draft.bytes(), expected.as_bytes());
-    }
-
     /// RAM after power-on: the start counts as the first one, nothing is latched, there is nothing to report, and
     /// later starts are normal.
     #[test]

@@ -36,12 +36,16 @@ pub const NOWHERE: u32 = 0x6000_0000;
 const DEMCR: u32 = 0xE000_EDFC;
 /// Address of the substitute: the end of the flash, which no image reaches.
 const UNUSED: u32 = 0x0807_FF00;
+/// Address of the place that [`Misbehaviour::Panic`] names, also unused.
+const PLACE: u32 = 0x0807_FE00;
+/// File of that place, as the last words tell it.
+pub const FILE: &str = "bench.rs";
 
 /// Code to put into a machine's flash.
 #[derive(Clone, Debug)]
 pub struct Sabotage {
     /// Addresses and the half-words that go there, in order.
-    code: [(u64, Vec<u16>); 2],
+    code: [(u64, Vec<u16>); 3],
 }
 
 impl Sabotage {
@@ -88,21 +92,21 @@ impl Sabotage {
             Misbehaviour::Hang => vec![0xE7FE],   // b .
             Misbehaviour::Forget => vec![0x4770], // bx lr
             Misbehaviour::Fault => jump(NOWHERE),
-            Misbehaviour::Panic => jump(address("9panic_fmt")?),
+            Misbehaviour::Panic => panic(address("24panic_const_add_overflow")?),
             Misbehaviour::PanicInLog => {
-                let mut code = load_r1(symbol_at("_defmt_acquire")? | 1).to_vec();
+                let mut code = load(1, symbol_at("_defmt_acquire")? | 1).to_vec();
                 code.push(0x4788); // blx r1
-                code.extend(jump(address("9panic_fmt")?));
+                code.extend(panic(address("24panic_const_add_overflow")?));
                 code
             }
             Misbehaviour::Overflow => vec![0xB5F0, 0xE7FD], // push {r4-r7, lr}; b to the push
             Misbehaviour::OverflowByInterrupt => {
-                let mut code = load_r1(symbol_at("_stack_end")? + 16).to_vec();
+                let mut code = load(1, symbol_at("_stack_end")? + 16).to_vec();
                 code.extend([0x468D, 0xE7FE]); // mov sp, r1; b .
                 code
             }
             Misbehaviour::SetCatches => {
-                let mut code = load_r1(DEMCR).to_vec();
+                let mut code = load(1, DEMCR).to_vec();
                 code.extend([0xF240, 0x73F1, 0x600B]); // movw r3, #0x7F1; str r3, [r1]
                 code
             }
@@ -110,6 +114,7 @@ impl Sabotage {
         Ok(Self {
             code: [
                 (UNUSED.into(), substitute(client, &payload, check_ins)),
+                (PLACE.into(), place()),
                 (check_in.into(), branch(check_in, UNUSED).to_vec()),
             ],
         })
@@ -129,7 +134,7 @@ fn substitute(client: u8, payload: &[u16], check_ins: u32) -> Vec<u16> {
     let past = payload.len() as u16 - 1;
     let mut code = vec![0x2800 | u16::from(client), 0xD100 | past]; // cmp r0, #client; bne past the payload
     code.extend_from_slice(payload);
-    code.extend(load_r1(check_ins));
+    code.extend(load(1, check_ins));
     code.extend([0xE8D1, 0x2F4F]); // ldrexb r2, [r1]
     code.push(0x4302); // orrs r2, r0
     code.extend([0xE8C1, 0x2F43]); // strexb r3, r2, [r1]
@@ -140,14 +145,30 @@ fn substitute(client: u8, payload: &[u16], check_ins: u32) -> Vec<u16> {
 
 /// bx r1, with the return address of `check_in` still in lr.
 fn jump(to: u32) -> Vec<u16> {
-    [&load_r1(to | 1)[..], &[0x4708]].concat()
+    [&load(1, to | 1)[..], &[0x4708]].concat()
 }
 
-/// movw r1, #low; movt r1, #high (Armv7-M ARM A7.7.76 T3, A7.7.79).
-fn load_r1(value: u32) -> [u16; 4] {
+/// Jumps to core's function for a panic, which takes the place in r0.
+fn panic(function: u32) -> Vec<u16> {
+    [&load(0, PLACE)[..], &jump(function)].concat()
+}
+
+/// A `core::panic::Location` as rustc lays it out: file, line and column; and the file's name.
+fn place() -> Vec<u16> {
+    let words = [PLACE + 16, FILE.len() as u32, 1, 1];
+    let bytes = words.into_iter().flat_map(u32::to_le_bytes);
+    let bytes: Vec<_> = bytes.chain(FILE.bytes()).collect();
+    let halves = bytes.chunks_exact(2);
+    halves
+        .map(|half| u16::from_le_bytes([half[0], half[1]]))
+        .collect()
+}
+
+/// movw, #low; movt, #high (Armv7-M ARM A7.7.76 T3, A7.7.79).
+fn load(register: u16, value: u32) -> [u16; 4] {
     let halves = |opcode: u16, half: u16| {
         let first = opcode | (half >> 12) | (half >> 1 & 0x400);
-        [first, (half << 4 & 0x7000) | 0x0100 | (half & 0xFF)]
+        [first, (half << 4 & 0x7000) | register << 8 | (half & 0xFF)]
     };
     let [[a, b], [c, d]] = [
         halves(0xF240, value as u16),
@@ -176,8 +197,8 @@ mod tests {
     /// Expected values from an assembler.
     #[test]
     fn instructions_are_encoded_as_the_manual_says() {
-        assert_eq!(load_r1(0x2000_0434), [0xF240, 0x4134, 0xF2C2, 0x0100]);
-        assert_eq!(load_r1(0xFFFF_FFFF), [0xF64F, 0x71FF, 0xF6CF, 0x71FF]);
+        assert_eq!(load(1, 0x2000_0434), [0xF240, 0x4134, 0xF2C2, 0x0100]);
+        assert_eq!(load(1, 0xFFFF_FFFF), [0xF64F, 0x71FF, 0xF6CF, 0x71FF]);
         assert_eq!(branch(0x0800_0000, 0x0800_0004), [0xF000, 0xB800]);
         assert_eq!(branch(0x0800_0004, 0x0800_0000), [0xF7FF, 0xBFFC]);
     }
@@ -187,7 +208,7 @@ mod tests {
         for payload in [vec![0xE7FE], jump(NOWHERE)] {
             let code = substitute(2, &payload, 0x2000_0434);
             let past = 2 + usize::from(code[1] & 0xFF) + 1;
-            assert_eq!(code[past..past + 4], load_r1(0x2000_0434));
+            assert_eq!(code[past..past + 4], load(1, 0x2000_0434));
             assert!(code.len() * 2 <= 0x100);
         }
     }

@@ -1,38 +1,30 @@
 //! Panic and processor faults: outputs off, last words kept over the reset, reset.
 
 use super::{retained::Ram, stm32f411re::RAM};
-use crate::{last_words::Draft, retained::keep_last_words};
+use crate::{
+    last_words::{Draft, add_callers, of_a_panic},
+    retained::keep_last_words,
+};
 use core::{
     arch::asm,
+    fmt::Write,
+    panic::PanicInfo,
     ptr::read_volatile,
     sync::atomic::{AtomicBool, Ordering},
 };
 use cortex_m_rt::ExceptionFrame;
 
-/// Defines the handlers of an image: for a panic, for a failed check of defmt and for a processor fault. Each calls
-/// `$outputs_off`, the image's safe state, before it keeps its last words. No task and no interrupt can switch an output
-/// on again: a panic switches the interrupts off first, and a processor fault has the highest priority.
+/// Defines the handlers of an image: for a panic and for a processor fault. Each calls `$outputs_off`, the image's safe
+/// state, before it keeps its last words. No task and no interrupt can switch an output on again: a panic switches the
+/// interrupts off first, and a processor fault has the highest priority.
 #[macro_export]
 macro_rules! last_resort {
     ($outputs_off:path) => {
-        /// Inlined, so that the optimiser drops the unused message and location: 9.5 KB of texts and formatting stay
-        /// out of the image. The callers' addresses tell as much, see `cargo xtask where`.
-        // rustc warns that the hint is ignored; it is not, as the image's size shows.
-        #[allow(unused_attributes)]
-        #[inline(always)]
         #[panic_handler]
-        fn panic(_: &core::panic::PanicInfo<'_>) -> ! {
+        fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
             $crate::chip::last_resort::interrupts_off();
             $outputs_off();
-            $crate::chip::last_resort::die_of_a_panic()
-        }
-
-        /// `defmt::panic!` has printed its message; it must not format it a second time.
-        #[defmt::panic_handler]
-        fn defmt_panic() -> ! {
-            $crate::chip::last_resort::interrupts_off();
-            $outputs_off();
-            $crate::chip::last_resort::die_of_a_failed_check()
+            $crate::chip::last_resort::die_of_a_panic(info)
         }
 
         /// An overflow leaves the stack pointer below the RAM, where nothing can be pushed: the rest runs on a stack of
@@ -74,33 +66,26 @@ pub(super) fn die(words: &Draft) -> ! {
     if DYING.load(Ordering::Relaxed) {
         cortex_m::peripheral::SCB::sys_reset();
     }
-    keep_last_words(&mut Ram, words.bytes());
+    keep_last_words(&mut Ram, words.0.as_bytes());
     DYING.store(true, Ordering::Relaxed);
-    defmt::error!("{=[u8]:a}", words.bytes());
+    defmt::error!("{=str}", words.0.as_str());
     cortex_m::peripheral::SCB::sys_reset()
 }
 
 /// A panic. The outputs are off.
-#[inline(never)]
-pub fn die_of_a_panic() -> ! {
+pub fn die_of_a_panic(info: &PanicInfo<'_>) -> ! {
     let frame;
     // SAFETY: reads a register.
     unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
-    die_with_callers("panic, called from", frame)
-}
-
-fn die_with_callers(what: &str, frame: u32) -> ! {
-    let mut words = Draft::new(what);
-    for caller in (Callers { frame, left: 9 }) {
-        words.push(" ");
-        words.push_address(caller);
-    }
-    die(&words)
-}
-
-/// A failed check of defmt. The outputs are off.
-pub fn die_of_a_failed_check() -> ! {
-    die(&Draft::new("a check failed; its text is in the debug log"))
+    let place = info
+        .location()
+        .map_or(("?", 0), |at| (at.file(), at.line()));
+    die(&of_a_panic(
+        place.0,
+        place.1,
+        info.message(),
+        Callers { frame },
+    ))
 }
 
 /// A processor fault, with the address of the exception's frame and the frame pointer (r7) of the interrupted
@@ -110,30 +95,30 @@ pub fn die_of_a_failed_check() -> ! {
 /// finds no room either (Armv7-M ARM B1.5.11).
 pub fn die_of_a_fault(frame: u32, interrupted: u32) -> ! {
     if !RAM.contains(&frame) {
-        die_with_callers("stack overflow, called from", interrupted);
+        let mut words = Draft::default();
+        let frame = interrupted;
+        add_callers(&mut words, "stack overflow, called from", Callers { frame });
+        die(&words)
     }
     // SAFETY: the processor has stored the frame there, in the RAM.
     let frame = unsafe { &*(frame as *const ExceptionFrame) };
-    let mut words = Draft::new("processor fault at ");
-    words.push_address(frame.pc());
-    words.push(", called from ");
-    words.push_address(frame.lr());
+    let (pc, lr) = (frame.pc(), frame.lr());
+    let mut words = Draft::default();
+    let _ = write!(words, "processor fault at {pc:#x}, called from {lr:#x}");
     die(&words)
 }
 
-/// Return addresses, innermost first, as many as the last words hold.
+/// Return addresses, innermost first.
 ///
 /// rustc keeps frame pointers on this target: r7 points to a pair of words, the caller's r7 and the return address.
 struct Callers {
     frame: u32,
-    left: u8,
 }
 
 impl Iterator for Callers {
     type Item = u32;
 
     fn next(&mut self) -> Option<u32> {
-        self.left = self.left.checked_sub(1)?;
         if !RAM.contains(&self.frame) || !self.frame.is_multiple_of(4) {
             return None;
         }

@@ -11,13 +11,11 @@ unsafe extern "C" {
 pub(super) struct Ram;
 
 impl Words for Ram {
-    #[inline(never)]
     fn get(&self, index: usize) -> u32 {
         // SAFETY: the linker script reserves a kilobyte at this address for nothing else; any bit pattern is a number.
         unsafe { read_volatile(addr_of_mut!(_last_words_start).cast::<u32>().add(index)) }
     }
 
-    #[inline(never)]
     fn set(&mut self, index: usize, value: u32) {
         // SAFETY: as in `get`; callers are start-up, one task, or a panic, of which there is one at a time.
         unsafe {

@@ -51,7 +51,6 @@ pub fn forget_catches() {
     }
 }
 
-/// Feeds the watchdog.
 pub(super) fn feed() {
     pac::IWDG
         .kr()

@@ -1077,21 +1077,12 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
 }
 
 #[test]
-fn a_panic_switches_off_and_leaves_its_callers() {
+fn a_panic_switches_off_and_leaves_its_words() {
     for client in [1, 2, 4] {
         let (took_ns, words) = sabotaged(client, Misbehaviour::Panic, ResetCause::Panic);
         assert!(took_ns <= 101_000_000, "client {client}: {took_ns} ns");
-        let callers = words.strip_prefix("panic, called from 0x");
-        let callers = callers.unwrap_or_else(|| panic!("client {client}: {words:?}"));
-        let callers: Vec<_> = callers
-            .split(" 0x")
-            .map(|number| u32::from_str_radix(number, 16).expect("an address"))
-            .collect();
-        assert!(callers.len() >= 4, "client {client}: {words:?}");
-        assert!(
-            (0x0801_0000..0x0808_0000).contains(&callers[0]),
-            "{words:?}"
-        );
+        let expected = "panic at bench.rs:1: attempt to add with overflow, called from 0x80";
+        assert!(words.starts_with(expected), "client {client}: {words:?}");
     }
 }
 
