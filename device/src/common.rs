@@ -31,14 +31,10 @@ pub trait Surroundings {
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Change<S> {
-    /// One value.
     Value {
-        /// The value as accepted.
         setting: Setting,
-        /// The settings with it.
         settings: S,
     },
-    /// The machine's name.
     Name(String<MAX_NAME>),
     /// The defaults of all values and of the name.
     Reset,
@@ -49,7 +45,6 @@ pub enum Change<S> {
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect<S> {
-    /// Nothing.
     None,
     /// Change the interval of telemetry.
     Telemetry {
@@ -62,12 +57,9 @@ pub enum Effect<S> {
     Store(Change<S>),
 }
 
-/// Outcome of a request.
 #[derive(Clone, Debug)]
 pub struct Executed<A, S> {
-    /// Answer for the host.
     pub reply: Reply,
-    /// Actions of the state machine.
     pub actions: A,
     /// Work besides these.
     pub effect: Effect<S>,
@@ -91,9 +83,7 @@ impl<A, S> Executed<A, S> {
 /// Data for answering the common requests.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
-    /// Which machine this is.
     pub kind: DeviceKind,
-    /// Events so far.
     pub events: &'a EventRing,
     /// Text of the last panic or processor fault.
     pub last_words: &'a str,
@@ -101,7 +91,6 @@ pub struct About<'a> {
     pub chip: Chip,
     /// Settings as single values.
     pub values: &'a Values,
-    /// The machine's name.
     pub name: &'a str,
 }
 
@@ -112,8 +101,6 @@ impl About<'_> {
     /// # Errors
     /// An interval or a setting out of range, a setting that contradicts others, a name with control characters, or a
     /// change at the wrong time.
-    // In its callers it takes 600 bytes more.
-    #[inline(never)]
     pub fn answer<S>(
         &self,
         request: &Request,

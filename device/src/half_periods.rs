@@ -6,7 +6,6 @@
 
 /// A half-period, ticks of 1 us.
 const HALF_PERIOD: u32 = 1 << 15;
-/// A whole one.
 const PERIOD: u32 = 1 << 16;
 
 /// Time reserved for handling the half-periods that a stall has lost. The handlers take far less.

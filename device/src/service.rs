@@ -12,7 +12,6 @@ use protocol::{
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq)]
 pub enum Inbound {
-    /// A request of the session.
     Request(Request),
     /// A stop; valid at any time.
     Urgent(Urgent),
@@ -26,7 +25,6 @@ pub trait Answers {
     /// Carries out a stop, which cannot be refused.
     fn stop(&mut self, urgent: Urgent);
 
-    /// Answers a question.
     fn answer(&mut self, inbound: Inbound) -> Reply {
         match inbound {
             Inbound::Request(request) => self.request(request),
@@ -43,7 +41,6 @@ pub trait Answers {
 #[allow(clippy::large_enum_variant)]
 #[derive(Debug, PartialEq)]
 pub enum Incoming {
-    /// Send this.
     Send(Encoded),
     /// Have this carried out, then send [`Service::answer`].
     Ask(Inbound, Return),
@@ -116,7 +113,6 @@ impl Return {
     }
 }
 
-/// The device's end.
 #[derive(Debug)]
 pub struct Service {
     deframer: Deframer,
@@ -158,7 +154,6 @@ impl Service {
     }
 
     /// Takes a byte. `now_us` is the low 32 bits of the time. Returns a value when the byte completes a good frame.
-    #[inline(never)]
     pub fn receive(&mut self, byte: u8, now_us: u32) -> Option<Incoming> {
         let frame = self.deframer.push(byte)?;
         let before = self.session.number();
@@ -218,8 +213,6 @@ fn serve(session: &mut Session, identity: &Identity, decision: Decision) -> Inco
     answer(session, to, &reply).map_or(Incoming::Ignore, Incoming::Send)
 }
 
-/// Not inlined: one copy of the whole encoder.
-#[inline(never)]
 fn answer(open: &mut Session, to: Return, reply: &Reply) -> Option<Encoded> {
     let Return {
         session,

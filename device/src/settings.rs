@@ -115,7 +115,6 @@ enum Found {
     Unread,
     /// A log whose values contradict each other.
     Conflict,
-    /// No log.
     Noise,
 }
 
@@ -187,7 +186,6 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         (kept, usable)
     }
 
-    /// The values in force.
     pub fn values(&self) -> &Values {
         &self.values
     }
@@ -332,7 +330,6 @@ fn name_in(record: &[u8]) -> String<MAX_NAME> {
     text.try_into().unwrap_or_default()
 }
 
-/// The setting in a record.
 fn setting<R: Records>(number: u8) -> Option<SettingKey> {
     SettingKey::from_number(number).filter(|key| key.is_of(R::KIND))
 }

@@ -6,11 +6,9 @@ use core::sync::atomic::{AtomicU8, Ordering};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Client {
-    /// Drives the motor.
     Motion = 1,
     /// Reads the serial port.
     Link = 2,
-    /// Runs the state machine.
     Control = 4,
 }
 

@@ -26,7 +26,6 @@ use protocol::{
 pub struct Context<'a> {
     /// Time, position and inputs.
     pub now: Now,
-    /// Stroke in progress.
     pub stroke: u32,
     /// Data for the requests that both machines answer alike.
     pub about: About<'a>,
@@ -47,7 +46,6 @@ pub fn execute(
     Executed::new(answer, actions)
 }
 
-#[inline(never)]
 fn respond(
     request: Request,
     machine: &mut Machine,

@@ -65,7 +65,6 @@ pub trait Rig {
 /// The state machine's data for telemetry and the LED.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Snapshot {
-    /// State.
     pub state: RigState,
     /// Residual of the ledger, steps.
     pub residual_steps: i32,
@@ -142,7 +141,6 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         }
     }
 
-    /// The rest of the rig.
     pub fn rig(&mut self) -> &mut R {
         &mut self.rig
     }
@@ -318,7 +316,6 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
 }
 
 impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
-    #[inline(never)]
     fn request(&mut self, request: Request) -> Reply {
         // Rearm first, so that an opening from now on is a new fault.
         if matches!(request, Request::Acknowledge(_)) {

@@ -140,7 +140,6 @@ pub trait Mailbox {
 /// A path, and how to execute it.
 #[derive(Clone, Debug)]
 pub struct Order {
-    /// The path.
     pub path: Path,
     /// Allowed positions.
     pub window: Window,
@@ -156,10 +155,7 @@ pub enum Pace {
     /// Nothing to do.
     Idle,
     /// The ring is full: half of it has played after this time.
-    Filled {
-        /// Time in us.
-        within_us: u32,
-    },
+    Filled { within_us: u32 },
     /// A turn, the end or an answer is awaited.
     Waiting,
 }
@@ -200,7 +196,6 @@ impl MotionTask {
         }
     }
 
-    /// One round.
     pub fn round(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
         if let Some(execution) = &mut self.execution {
             let ended = execution.advance(ring, mailbox);
@@ -227,17 +222,17 @@ impl MotionTask {
 /// Why the ring is not being filled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Filling {
-    /// It is full.
     Full,
     /// The last pulse of a stroke has to leave the pin first.
-    Turn { next: Direction },
+    Turn {
+        next: Direction,
+    },
     /// Everything is queued.
     Done,
     /// Nothing more may be queued.
     Failed(PathEnd),
 }
 
-/// A path being executed.
 #[derive(Debug)]
 struct Execution {
     periods: Periods,

@@ -36,7 +36,6 @@ use running::ActiveRun;
 /// Time for which a host repeats an unanswered request, us.
 const REPEATED_US: u64 = ATTEMPTS as u64 * RETRY_AFTER_US;
 
-/// How a path ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PathEnd {
     /// All steps were emitted.
@@ -71,7 +70,6 @@ pub struct PathReport {
 /// Time, position and inputs that come with every event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Now {
-    /// Device time.
     pub time_us: u64,
     /// Position by the read-back counter.
     pub position: StepPosition,
@@ -122,9 +120,7 @@ pub enum Event<'a> {
 pub enum Command {
     /// Find the reference.
     Home,
-    /// Execute a plan.
     Run {
-        /// The plan.
         plan: RunPlan,
         /// Reaction to a silent host.
         link_loss: LinkLossPolicy,
@@ -140,7 +136,6 @@ pub enum Command {
         /// Highest speed.
         speed: Speed,
     },
-    /// Move to a position.
     MoveTo {
         /// Where to.
         target: Position,
@@ -153,7 +148,6 @@ pub enum Command {
     Stop,
     /// Emergency stop by frame; never refused. The pulses are already cut.
     EStop,
-    /// Clear a latched fault.
     Acknowledge,
 }
 
@@ -164,14 +158,12 @@ pub enum Command {
 pub enum Action {
     /// Execute a path; no step outside `window`.
     Start {
-        /// The path.
         path: Path,
         /// Allowed positions.
         window: Window,
     },
     /// Decelerate to rest.
     StopPath,
-    /// Cut the pulses now.
     Cut,
     /// Set the position. The carriage stands.
     SetPosition(StepPosition),
@@ -224,7 +216,6 @@ enum Then {
     Faulted(RigFault),
 }
 
-/// The machine.
 #[derive(Clone, Debug)]
 pub struct Machine {
     settings: Settings,
@@ -297,12 +288,10 @@ impl Machine {
         }
     }
 
-    /// The settings in force.
     pub fn settings(&self) -> &Settings {
         &self.settings
     }
 
-    /// State as on the wire.
     pub fn state(&self) -> RigState {
         match self.state {
             State::Unhomed => RigState::Unhomed,
@@ -316,7 +305,6 @@ impl Machine {
         }
     }
 
-    /// The latched fault.
     pub fn fault(&self) -> Option<RigFault> {
         match self.state {
             State::Faulted(fault) => Some(fault),

@@ -65,7 +65,6 @@ impl From<Equal> for Period {
 /// An entry of the list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
-    /// A period for the timer.
     Period(Period),
     /// The period before was the last pulse of a stroke that another one follows.
     StrokeEnd {
@@ -74,10 +73,8 @@ pub enum Item {
     },
     /// The pause is over: when the last pulse has left, change DIR.
     Turn {
-        /// Direction of the next stroke.
         next: Direction,
     },
-    /// The path is complete.
     End,
     /// The next step would leave the window: nothing more comes.
     Guard,
@@ -90,26 +87,20 @@ pub enum Item {
 pub enum Path {
     /// A single stroke.
     Move {
-        /// Its profile.
         profile: StrokeProfile,
-        /// Its direction.
         direction: Direction,
     },
     /// A whole run, from position 0.
     Run(RunPlan),
     /// The rest of a run that was held.
     Rest {
-        /// The run.
         plan: RunPlan,
-        /// The stroke to go on with.
         stroke: u32,
-        /// The rest of that stroke.
         first: StrokeProfile,
     },
 }
 
 impl Path {
-    /// The stroke it begins with.
     pub fn first_stroke(&self) -> u32 {
         match self {
             Path::Move { .. } | Path::Run(_) => 0,
@@ -271,7 +262,6 @@ impl Periods {
         self.after = After::End;
     }
 
-    /// The next entry.
     pub fn next_item(&mut self) -> Item {
         loop {
             if self.gap > 0 {

@@ -5,15 +5,13 @@ use motion::{
     axis::{Acceleration, Axis, AxisError, Speed},
     run::Limits,
     trapezoid::StrokeProfile,
-    units::{Micrometres, StepPosition, Steps, TICK_HZ},
+    units::{Micrometres, StepPosition, Steps, TICK_HZ, TICKS_PER_US},
 };
 use protocol::{
     error::{Field, Refusal},
     settings::{SettingKey, SettingRule},
 };
 
-/// Ticks of 10 ns per microsecond.
-const TICKS_PER_US: u32 = (TICK_HZ / 1_000_000) as u32;
 /// Largest distance between the places where the home flag closes and opens, the differential travel in a switch's
 /// datasheet. A stroke that turns within it meets no edge on its way home.
 const FLAG_HYSTERESIS: Micrometres = Micrometres(1_000);
@@ -23,7 +21,6 @@ const FLAG_HYSTERESIS: Micrometres = Micrometres(1_000);
 pub struct Settings {
     /// Screw, motor, microsteps, stroke.
     pub axis: Axis,
-    /// Limits for every plan.
     pub limits: Limits,
     /// Width of a step pulse.
     pub pulse_ticks: u16,
@@ -125,7 +122,7 @@ impl Settings {
                 max_speed_um_s: get(values, Key::MaxSpeedUmS),
                 max_accel_um_s2: get(values, Key::MaxAccelUmS2),
                 min_interval_ticks,
-                min_turnaround_ticks: get(values, Key::TurnaroundUs) * TICKS_PER_US,
+                min_turnaround_ticks: get(values, Key::TurnaroundUs) * TICKS_PER_US as u32,
             },
             pulse_ticks: pulse_ticks as u16,
             seek_um_s,

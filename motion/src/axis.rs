@@ -5,7 +5,6 @@
 use core::fmt;
 
 use crate::units::{Decimal, Micrometres, StepPosition, Steps, TICK_HZ, Window};
-use crate::wide::{div_ceil, div_nearest};
 
 /// Longest stroke of any axis: 130 mm, the paper's.
 pub const MAX_STROKE: Micrometres = Micrometres(130_000);
@@ -101,7 +100,6 @@ impl Axis {
         self.microsteps
     }
 
-    /// The configured stroke.
     #[must_use]
     pub const fn stroke(&self) -> Micrometres {
         Micrometres(self.stroke_um)
@@ -234,7 +232,7 @@ impl Axis {
     pub(crate) fn scaled_um(&self, steps: u32, scale: u128, per: u128) -> u32 {
         let numerator = u128::from(steps) * u128::from(self.ratio.um) * scale;
         let denominator = per * u128::from(self.ratio.steps);
-        u32::try_from(div_nearest(numerator, denominator)).unwrap_or(u32::MAX)
+        u32::try_from((numerator + denominator / 2) / denominator).unwrap_or(u32::MAX)
     }
 }
 
@@ -337,7 +335,6 @@ pub struct Speed {
 }
 
 impl Speed {
-    /// The speed in um/s.
     #[must_use]
     pub const fn um_s(self) -> u32 {
         self.um_s
@@ -345,10 +342,8 @@ impl Speed {
 
     /// Fewest whole ticks for `steps` at this speed: ceil(steps / speed).
     pub(crate) fn least_span(self, steps: Steps) -> u128 {
-        div_ceil(
-            u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um),
-            u128::from(self.um_s) * u128::from(self.ratio.steps),
-        )
+        let way = u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um);
+        way.div_ceil(u128::from(self.um_s) * u128::from(self.ratio.steps))
     }
 }
 
@@ -368,18 +363,14 @@ impl Acceleration {
 
     /// `steps / acceleration` in ticks^2, rounded up.
     pub(crate) fn least_square(self, steps: Steps) -> u128 {
-        div_ceil(
-            self.square_of_unit(steps),
-            u128::from(self.um_s2) * u128::from(self.ratio.steps),
-        )
+        let per = u128::from(self.um_s2) * u128::from(self.ratio.steps);
+        self.square_of_unit(steps).div_ceil(per)
     }
 
     /// The least acceleration, um/s^2, for which `least_square(steps)` is at most `square`.
     pub(crate) fn least_for(self, steps: Steps, square: u128) -> u64 {
-        let um_s2 = div_ceil(
-            self.square_of_unit(steps),
-            square.max(1) * u128::from(self.ratio.steps),
-        );
+        let per = square.max(1) * u128::from(self.ratio.steps);
+        let um_s2 = self.square_of_unit(steps).div_ceil(per);
         u64::try_from(um_s2).unwrap_or(u64::MAX)
     }
 
@@ -387,10 +378,8 @@ impl Acceleration {
     pub(crate) fn steps_to_rest(self, interval: u32) -> u128 {
         let speed_of_unit = u128::from(TICK_HZ) * u128::from(TICK_HZ) * u128::from(self.ratio.um);
         let square = u128::from(interval) * u128::from(interval);
-        div_ceil(
-            speed_of_unit,
-            2 * square.max(1) * u128::from(self.um_s2) * u128::from(self.ratio.steps),
-        )
+        speed_of_unit
+            .div_ceil(2 * square.max(1) * u128::from(self.um_s2) * u128::from(self.ratio.steps))
     }
 
     /// Numerator of `steps / acceleration` in ticks^2; the denominator is the acceleration in um/s^2.
@@ -430,7 +419,6 @@ pub enum AxisError {
     },
     /// A speed of zero.
     NoSpeed,
-    /// An acceleration of zero.
     NoAcceleration,
 }
 

@@ -28,7 +28,6 @@ pub struct Intervals {
 /// A missing, moved or additional edge shows as a wrong interval; at the last step, in [`EdgeTiming::timed_whole`].
 #[derive(Debug, Default)]
 pub struct EdgeTiming {
-    /// Number of the next period.
     next: u32,
     /// End of the period before it.
     end: Mark,
@@ -49,7 +48,6 @@ pub struct EdgeTiming {
 }
 
 impl EdgeTiming {
-    /// Starts a new path.
     pub fn clear(&mut self) {
         *self = Self {
             intervals: self.intervals,
@@ -80,7 +78,7 @@ impl EdgeTiming {
 
     /// Compares edges captured at these instants, which DMA has written; their clock wraps. Runs once per step, so each
     /// edge costs a few instructions.
-    // Not inlined, so that its state stays in registers although its caller is optimised for size.
+    // Not inlined, so that its state stays in registers.
     #[inline(never)]
     pub fn compare(&mut self, line: &Timeline, instants: &[AtomicU32]) {
         if self.lost {

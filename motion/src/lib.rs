@@ -21,4 +21,3 @@ pub mod step_times;
 pub mod timeline;
 pub mod trapezoid;
 pub mod units;
-mod wide;

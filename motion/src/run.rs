@@ -42,7 +42,6 @@ pub struct RunRequest {
     pub start_delay_us: u32,
 }
 
-/// Timing of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Timing {
     /// All strokes are alike, and the run takes exactly this long, delay and dwells included.
@@ -72,6 +71,7 @@ pub struct RunPlan {
     far_dwell_ticks: u64,
     home_dwell_ticks: u64,
     start_delay_ticks: u64,
+    /// Less than a tick per stroke: it makes the total exact.
     last_far_extra_ticks: u64,
     total_ticks: u64,
 }
@@ -226,31 +226,6 @@ impl RunPlan {
     #[must_use]
     pub const fn return_(&self) -> &StrokeProfile {
         &self.return_
-    }
-
-    /// Rest at the far end.
-    #[must_use]
-    pub const fn far_dwell(&self) -> Ticks {
-        Ticks(self.far_dwell_ticks)
-    }
-
-    /// Rest at home between two cycles.
-    #[must_use]
-    pub const fn home_dwell(&self) -> Ticks {
-        Ticks(self.home_dwell_ticks)
-    }
-
-    /// Rest before the first stroke.
-    #[must_use]
-    pub const fn start_delay(&self) -> Ticks {
-        Ticks(self.start_delay_ticks)
-    }
-
-    /// Time by which the last far dwell is longer than the others, less than a tick per stroke. It makes the total
-    /// exact.
-    #[must_use]
-    pub const fn last_far_extra(&self) -> Ticks {
-        Ticks(self.last_far_extra_ticks)
     }
 
     /// Time from the start to the last step.
@@ -457,30 +432,20 @@ fn within_step_rate(axis: &Axis, limits: &Limits, profile: &StrokeProfile) -> Re
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RunError {
     /// Cycles outside 1..=[`MAX_CYCLES`].
-    Cycles {
-        /// Requested cycles.
-        cycles: u16,
-    },
+    Cycles { cycles: u16 },
     /// A stroke of zero, or beyond the axis.
     Stroke {
-        /// Requested stroke.
         stroke: Micrometres,
-        /// The configured stroke.
         longest: Micrometres,
     },
     /// Stroke shorter than one step.
-    StrokeBelowOneStep {
-        /// Requested stroke.
-        stroke: Micrometres,
-    },
-    /// Acceleration above the machine's limit.
+    StrokeBelowOneStep { stroke: Micrometres },
     AccelerationAboveLimit {
         /// Requested acceleration, um/s^2.
         accel_um_s2: u32,
         /// Limit, um/s^2.
         max_um_s2: u32,
     },
-    /// A requested speed above the machine's limit.
     SpeedAboveLimit {
         /// Requested speed, um/s.
         speed_um_s: u32,
@@ -519,7 +484,6 @@ pub enum RunError {
     StepRate {
         /// Interval at peak speed.
         interval: Ticks,
-        /// Limit.
         min_interval: Ticks,
         /// A peak speed that is slow enough, um/s.
         max_um_s: u64,
@@ -528,7 +492,6 @@ pub enum RunError {
     Turnaround {
         /// Direction of the next stroke: [`Direction::Home`] is the turn at the far end.
         before: Direction,
-        /// Requested dwell.
         dwell: Ticks,
         /// The shortest dwell that suffices for these strokes, in whole microseconds.
         minimal_dwell_us: u64,

@@ -70,7 +70,7 @@ impl Slots {
 
     /// Writes a slot for each group of steps, from `first` on, but for the first word of the first one: until
     /// [`Slots::show`] writes it, the queue ends there.
-    // Not inlined, so that it runs through the loop fast although its caller is optimised for size.
+    // Not inlined, so that the loop's state stays in registers.
     #[inline(never)]
     pub fn write_steps(&self, first: u32, groups: &[Equal], pulse_ticks: u16) {
         let mut slot = first;

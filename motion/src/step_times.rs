@@ -15,7 +15,6 @@
 use crate::axis::Acceleration;
 use crate::trapezoid::StrokeProfile;
 use crate::units::{Steps, Ticks};
-use crate::wide::isqrt;
 
 /// Number of steps from rest that use a square root, because the prediction is poor there.
 const WARM_UP: u32 = 32;
@@ -66,7 +65,6 @@ enum Phase {
 pub struct Equal {
     /// Ticks from each step to the next.
     pub interval: u32,
-    /// Number of steps.
     pub steps: u32,
 }
 
@@ -322,7 +320,7 @@ impl Ramp {
         let (whole, part) = (square / n, u64::from(k) * (square % n));
         let (x, fraction) = (u64::from(k) * whole + part / n, part % n);
         // x <= t^2 < 2^62.
-        let tick = isqrt(4 * x + 4 * fraction / n).div_ceil(2);
+        let tick = (4 * x + 4 * fraction / n).isqrt().div_ceil(2);
         self.rest = n as i64 * (x as i64 - (tick * tick) as i64 + tick as i64) + fraction as i64
             - i64::from(self.steps.div_ceil(4));
         self.k = k;
@@ -364,7 +362,7 @@ impl Ramp {
 
     /// Takes up to `most` steps as [`StepTimes::batch`] does, until one needs a square root. Each step is a group of
     /// its own.
-    // Not inlined, so that its state stays in registers although its caller is optimised for size.
+    // Not inlined, so that its state stays in registers.
     #[inline(never)]
     fn climb_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
         // On the way up intervals shrink and k grows, so if the first step is predictable, all are.
@@ -431,7 +429,7 @@ impl Ramp {
     }
 
     /// Corrects the predicted tick until it is the nearest one.
-    // Runs once per step, so inline it although the image is optimised for size.
+    // Runs once per step.
     #[inline(always)]
     fn settle(&mut self, k: u32, mut tick: u32, change: i64) {
         let double = 2 * self.steps;
@@ -642,52 +640,6 @@ mod tests {
                 prop_assert!(step == 0 || is_exact(&ramp), "{ramp:?}");
             }
         }
-    }
-
-    /// A prediction is only cheaper than a square root if it is off by at most a tick or two.
-    #[test]
-    fn a_prediction_leaves_next_to_nothing_to_correct() {
-        let mut predicted = 0;
-        let mut check = |before: &Ramp, after: &Ramp, prediction: fn(u32, u32) -> u32| {
-            if before.predictable(after.k) {
-                predicted += 1;
-                let interval = prediction(before.interval, after.k);
-                assert!(interval.abs_diff(after.interval) <= 2, "{before:?}");
-            }
-        };
-        // Tick of the first step: the interval falls below 655 us within the first 33 steps, or as late as step 5,800.
-        for first in [1_000_u64, 30_000, 700_000, 745_000, 1_000_000, 10_000_000] {
-            for n in [1, 3, 1_000] {
-                let mut ramp = Ramp::new(n, u64::from(n) * first * first + u64::from(n) / 2);
-                for _ in 0..7_000 {
-                    let before = ramp.clone();
-                    ramp.up();
-                    check(&before, &ramp, shorter);
-                }
-                ramp.seed(7_000);
-                for _ in 1..7_000 {
-                    let before = ramp.clone();
-                    ramp.down();
-                    check(&before, &ramp, longer);
-                }
-            }
-        }
-        assert!(predicted > 100_000);
-    }
-
-    #[test]
-    fn the_first_steps_and_slow_ones_take_the_square_root() {
-        let at = |k: u32, interval: u32| {
-            let mut ramp = Ramp::new(1_000, 1 << 40);
-            ramp.interval = interval;
-            ramp.predictable(k)
-        };
-        assert!(at(33, UNHURRIED - 1));
-        assert!(!at(32, UNHURRIED - 1));
-        assert!(!at(33, UNHURRIED));
-        assert!(!at(32, UNHURRIED));
-        // The longest predicted interval, with its correction.
-        assert!(longer(UNHURRIED - 1, WARM_UP + 1) + 2 <= LONGEST_TAKEN);
     }
 
     /// With n = 4 and N = m^2, step k = j^2 is at m j / 2: for odd m and j exactly between two ticks.

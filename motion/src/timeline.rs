@@ -49,7 +49,6 @@ impl Default for Timeline {
 }
 
 impl Timeline {
-    /// Starts a new path.
     pub fn clear(&mut self) {
         self.marks.fill(Mark::default());
         (self.end, self.given) = (Mark::default(), 0);
@@ -63,7 +62,7 @@ impl Timeline {
     }
 
     /// Appends periods with a pulse in each round, one period for each group.
-    // Not inlined, so that the line stays in registers although its caller is optimised for size.
+    // Not inlined, so that the line stays in registers.
     #[inline(never)]
     pub fn extend(&mut self, groups: &[Equal]) {
         let (mut given, mut end) = (self.given, self.end);

@@ -15,7 +15,6 @@ use core::fmt;
 
 use crate::axis::{Acceleration, Axis, Speed};
 use crate::units::{Decimal, Steps, TICK_HZ, Ticks};
-use crate::wide::{div_ceil, isqrt};
 
 /// Maximum steps of one stroke. The finest axis has 26.6 M in 130 mm.
 pub const MAX_STEPS: Steps = Steps(1 << 25);
@@ -132,8 +131,8 @@ impl StrokeProfile {
         let square = span * u128::from(self.ramp_ticks);
         Self::shortest_within(
             left,
-            div_ceil(left_steps * span, n),
-            div_ceil(left_steps * square, n),
+            (left_steps * span).div_ceil(n),
+            (left_steps * square).div_ceil(n),
         )
     }
 
@@ -144,7 +143,7 @@ impl StrokeProfile {
         span: u128,
         square: u128,
     ) -> Result<Self, StrokeError> {
-        let ramp = div_ceil(square, span);
+        let ramp = square.div_ceil(span);
         if ramp >= span {
             let duration = shortest(square);
             return Self::from_parts(steps, duration, Ticks(duration.0 / 2));
@@ -167,7 +166,6 @@ impl StrokeProfile {
         (longest > 0).then_some(Ticks(longest))
     }
 
-    /// Number of steps.
     #[must_use]
     pub const fn steps(&self) -> Steps {
         Steps(self.steps)
@@ -214,7 +212,7 @@ impl StrokeProfile {
             Ticks((n * self.ramp_ticks + 2 * span + n) / (2 * n))
         } else {
             // The square is below 2^62 for every accepted profile.
-            Ticks(isqrt(4 * self.square() / n).div_ceil(2))
+            Ticks((4 * self.square() / n).isqrt().div_ceil(2))
         }
     }
 
@@ -271,18 +269,14 @@ fn least(mut low: u64, mut high: u64, holds: impl Fn(u64) -> bool) -> u64 {
 /// The reason why a stroke was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StrokeError {
-    /// A stroke of no steps.
     NoSteps,
     /// More than [`MAX_STEPS`].
     TooManySteps {
-        /// Requested steps.
         steps: u32,
     },
     /// Not 0 < ramp <= duration / 2.
     Ramp {
-        /// Requested duration.
         duration: Ticks,
-        /// Requested ramp.
         ramp: Ticks,
     },
     /// Steps would be closer than [`MIN_INTERVAL`].
@@ -292,7 +286,6 @@ pub enum StrokeError {
     },
     /// Too slow for exact step times in 64 bits.
     TooSlow {
-        /// Duration of the stroke.
         duration: Ticks,
     },
     /// Too little time at this acceleration. Changing either number alone is enough; both are exact.
@@ -339,20 +332,3 @@ impl fmt::Display for StrokeError {
 }
 
 impl core::error::Error for StrokeError {}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_stroke_that_is_too_slow_with_any_ramp_has_no_longest_one() {
-        let too_long = Ticks(1 << 60);
-        assert_eq!(StrokeProfile::longest_ramp(Steps(1), too_long, 1_000), None);
-        // 10 s for 1,000 steps: too slow with no ramp up to half of it.
-        let half = 500_000_000;
-        assert_eq!(
-            StrokeProfile::longest_ramp(Steps(1_000), Ticks(2 * half), half),
-            Some(Ticks(half))
-        );
-    }
-}

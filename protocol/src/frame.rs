@@ -1,6 +1,5 @@
 //! The frame: encoding, decoding and the deframer that finds frames in a stream.
 
-use postcard::ser_flavors::Flavor;
 use serde::{Serialize, de::DeserializeOwned};
 
 /// Largest body in bytes; the test `every_message_fits` measures it.
@@ -53,7 +52,6 @@ impl Kind {
 /// Kind, session and sequence number of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
-    /// Kind of the body.
     pub kind: Kind,
     /// Session number; 0 outside a session.
     pub session: u8,
@@ -94,64 +92,17 @@ pub struct TooLong;
 /// [`TooLong`] if the body exceeds [`MAX_BODY`].
 pub fn encode<T: Serialize>(header: Header, body: &T) -> Result<Encoded, TooLong> {
     let [low, high] = header.seq.to_le_bytes();
-    let mut raw = Raw::default();
-    for byte in [header.kind as u8, header.session, low, high] {
-        raw.put(byte);
-    }
-    postcard::serialize_with_flavor(body, &mut raw).map_err(|_| TooLong)?;
-    raw.close()
-}
-
-/// A frame before COBS.
-///
-/// Writing to it as postcard's output never fails: a byte that does not fit sets a flag, which is checked once, at
-/// the end. An output that can fail costs a check after every field of every message, 3 KB of flash in all.
-#[derive(Default)]
-struct Raw {
-    bytes: heapless::Vec<u8, MAX_RAW>,
-    too_long: bool,
-}
-
-impl Raw {
-    #[inline(never)]
-    fn put(&mut self, byte: u8) {
-        self.too_long |= self.bytes.push(byte).is_err();
-    }
-
-    /// Appends the CRC, encodes with COBS and adds the delimiters.
-    fn close(mut self) -> Result<Encoded, TooLong> {
-        for byte in CRC32C.checksum(&self.bytes).to_le_bytes() {
-            self.put(byte);
-        }
-        if self.too_long {
-            return Err(TooLong);
-        }
-        // The zeros around the block are its delimiters.
-        let mut frame = Encoded::from_array([0; MAX_FRAME]);
-        let coded = cobs::try_encode(&self.bytes, &mut frame[1..=MAX_COBS]).map_err(|_| TooLong)?;
-        frame.truncate(coded + 2);
-        Ok(frame)
-    }
-}
-
-impl Flavor for &mut Raw {
-    type Output = ();
-
-    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
-        self.put(byte);
-        Ok(())
-    }
-
-    fn try_extend(&mut self, bytes: &[u8]) -> postcard::Result<()> {
-        for byte in bytes {
-            self.put(*byte);
-        }
-        Ok(())
-    }
-
-    fn finalize(self) -> postcard::Result<()> {
-        Ok(())
-    }
+    let mut raw = [0; MAX_RAW];
+    raw[..HEAD].copy_from_slice(&[header.kind as u8, header.session, low, high]);
+    let body = postcard::to_slice(body, &mut raw[HEAD..HEAD + MAX_BODY]).map_err(|_| TooLong)?;
+    let end = HEAD + body.len();
+    let crc = CRC32C.checksum(&raw[..end]);
+    raw[end..end + CRC].copy_from_slice(&crc.to_le_bytes());
+    // The zeros around the block are its delimiters.
+    let mut frame = Encoded::from_array([0; MAX_FRAME]);
+    let coded = cobs::try_encode(&raw[..end + CRC], &mut frame[1..=MAX_COBS]);
+    frame.truncate(coded.map_err(|_| TooLong)? + 2);
+    Ok(frame)
 }
 
 /// Finds frames in a stream of bytes. Finds the first undamaged frame whatever came before it.
@@ -171,7 +122,6 @@ impl Default for Deframer {
 }
 
 impl Deframer {
-    /// An empty deframer.
     pub const fn new() -> Self {
         Self {
             block: heapless::Vec::new(),

@@ -28,7 +28,6 @@ pub enum Decision {
     },
     /// Execute, answer, and [`Session::remember`] the encoded answer.
     Execute {
-        /// The request.
         request: Request,
         /// Ticket for [`Session::remember`].
         ticket: Ticket,
@@ -46,14 +45,12 @@ pub enum Decision {
     Resend(Encoded),
     /// Answer with the refusal and [`Session::remember`] it; execute nothing.
     Refuse {
-        /// The answer's content.
         refusal: Refusal,
         /// Ticket for [`Session::remember`], with the reply's session and sequence.
         ticket: Ticket,
     },
     /// Answer with the wire error; execute nothing.
     Reject {
-        /// The answer's content.
         error: WireError,
         /// Session of the reply, as received.
         session: u8,
@@ -67,9 +64,7 @@ pub enum Decision {
 /// Identifies the request that an answer belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Ticket {
-    /// Session of the request.
     pub session: u8,
-    /// Sequence of the request.
     pub seq: u16,
     body_hash: u64,
 }
@@ -80,7 +75,6 @@ struct Cached {
     reply: Encoded,
 }
 
-/// The device's end of a session.
 #[derive(Debug)]
 pub struct Session {
     number: u8,
@@ -107,8 +101,6 @@ impl Session {
     }
 
     /// Decides what to do with one frame.
-    // Keep one copy of the decoder of all requests in flash.
-    #[inline(never)]
     pub fn receive(&mut self, frame: &Frame<'_>) -> Decision {
         let (session, seq) = (frame.header.session, frame.header.seq);
         match frame.header.kind {
@@ -155,12 +147,13 @@ impl Session {
 
     fn request(&mut self, request: Option<Request>, frame: &Frame<'_>) -> Decision {
         let (session, seq) = (frame.header.session, frame.header.seq);
+        let reject = |error| Decision::Reject {
+            error,
+            session,
+            seq,
+        };
         if !self.open || session != self.number {
-            return Decision::Reject {
-                error: WireError::NoSession,
-                session,
-                seq,
-            };
+            return reject(WireError::NoSession);
         }
         let ticket = Ticket {
             session,
@@ -171,26 +164,14 @@ impl Session {
             return if cached.ticket == ticket {
                 Decision::Resend(cached.reply.clone())
             } else {
-                Decision::Reject {
-                    error: WireError::SequenceReused,
-                    session,
-                    seq,
-                }
+                reject(WireError::SequenceReused)
             };
         }
         if self.newest_seq.is_some_and(|newest| !is_newer(seq, newest)) {
-            return Decision::Reject {
-                error: WireError::Stale,
-                session,
-                seq,
-            };
+            return reject(WireError::Stale);
         }
         let Some(request) = request else {
-            return Decision::Reject {
-                error: WireError::Malformed,
-                session,
-                seq,
-            };
+            return reject(WireError::Malformed);
         };
         self.newest_seq = Some(seq);
         if request.needs_match() && !self.matched {

@@ -36,13 +36,10 @@ const AF_CAPTURE: u8 = 2;
 
 /// Peripherals that the tasks own.
 pub struct Board {
-    /// Link.
     pub serial: (UartTx<'static, Async>, RingBufferedUartRx<'static>),
-    /// Status LED.
     pub led: Output<'static>,
     /// Not yet started.
     pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
-    /// Settings.
     pub sectors: Sectors,
 }
 
@@ -253,7 +250,6 @@ fn set(pin: Pin, high: bool) {
     });
 }
 
-/// The level at a pin.
 #[inline(always)]
 fn is_high(pin: Pin) -> bool {
     port(pin).idr().read().idr(pin.number) == pac::gpio::vals::Idr::HIGH
@@ -283,7 +279,6 @@ pub fn cut_pulses() {
     pac::TIM1.bdtr().modify(|w| w.set_moe(false));
 }
 
-/// STEP as it is at the pin.
 pub fn step_is_high() -> bool {
     is_high(STEP)
 }
@@ -293,7 +288,6 @@ pub fn enable_driver() {
     set(ENABLE, false);
 }
 
-/// Sets DIR.
 pub fn set_direction(direction: Direction) {
     set(DIR, direction == Direction::Away);
 }

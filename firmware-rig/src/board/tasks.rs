@@ -87,7 +87,6 @@ pub struct Rig;
 impl OnChip for Rig {}
 
 impl control::Rig for Rig {
-    #[inline(never)]
     fn now(&self) -> Now {
         let glitches = GLITCHES.each_ref().map(|switch| switch.get().count);
         Now {

@@ -15,7 +15,6 @@ use protocol::{
 /// Largest distance between the places where a switch opens in two passes: several times what a sound one scatters.
 const FLAG_SCATTER: Micrometres = Micrometres(100);
 
-/// Homing in progress.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Homing {
     pub(super) phase: HomingPhase,
