@@ -2,7 +2,7 @@
 //! device answers in the same way.
 
 use device::{
-    common::{About, Change, Effect},
+    common::{About, Effect},
     identity::identity,
     service::{Answers, Inbound, Incoming, Return, Service},
     settings::Values,
@@ -10,14 +10,14 @@ use device::{
 use proptest::prelude::*;
 use protocol::{
     VERSION,
-    error::{Field, Refusal},
+    error::Refusal,
     events::EventRing,
     frame::{Deframer, Encoded, Header, Kind, encode},
     rig::{GetRigStatus, Hold, Home, Resume},
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
     system::{
-        BrownOut, BuildProfile, Chip, Clock, DeviceKind, Done, GetChip, GetEvents, GetLastWords,
-        Hello, Identity, KeepAlive, LastWords, ResetCause, SetTelemetry, Urgent, What,
+        BrownOut, Chip, Clock, DeviceKind, GetChip, GetEvents, GetLastWords, Hello, Identity,
+        KeepAlive, ResetCause, SetTelemetry, Urgent, What,
     },
     table::{Reply, Request, Response, SCHEMA_KEY},
 };
@@ -141,22 +141,6 @@ fn set(period_ms: u16) -> Request {
 
 fn reply(period_ms: u16) -> Reply {
     Reply::Accepted(Response::SetTelemetry(SetTelemetry { period_ms }))
-}
-
-#[test]
-fn the_device_says_what_it_is() {
-    let identity = this_device();
-    assert_eq!((identity.device, identity.uid), (DeviceKind::Capsule, UID));
-    assert_eq!((identity.boot_id, identity.session), (7, 0));
-    assert_eq!(identity.reset_cause, ResetCause::Watchdog);
-    assert_eq!(identity.protocol, VERSION);
-    assert_eq!(identity.schema_key, SCHEMA_KEY);
-    let profile = if cfg!(debug_assertions) {
-        BuildProfile::Debug
-    } else {
-        BuildProfile::Firmware
-    };
-    assert_eq!(identity.profile, profile);
 }
 
 /// The device's end hears this: what it has carried out, and what it answers.
@@ -399,190 +383,78 @@ proptest! {
     }
 }
 
-fn events() -> EventRing {
-    let mut events = EventRing::new();
-    for time_us in 0..5 {
-        events.record(time_us, What::Booted(ResetCause::Pin));
-    }
-    events
-}
-
-const CHIP: Chip = Chip {
-    clock: Clock::Internal,
-    brown_out: BrownOut::Level1,
-    supply_low: true,
-    option_bytes: 0x00FF_AAE9,
-};
-
-/// The answer of a machine whose settings may be changed.
-fn answer(about: &About<'_>, request: &Request) -> Result<Option<(Response, Effect<()>)>, Refusal> {
-    about.answer(request, || Ok(()), |_| Ok(()))
-}
-
-#[test]
-fn common_requests_have_one_answer_for_all_devices() {
-    let events = events();
-    for text in ["", "tasks/link.rs:1: oh"] {
-        let about = About {
-            kind: DeviceKind::Rig,
-            events: &events,
-            last_words: text,
-            chip: CHIP,
-            values: &Values::DEFAULT,
-            name: "",
-        };
-        let answer = |request| match answer(&about, &request).unwrap() {
-            Some((response, effect)) => {
-                assert_eq!(effect, Effect::None);
-                Some(response)
-            }
-            None => None,
-        };
-        let keep_alive = Some(Response::KeepAlive(Done));
-        assert_eq!(answer(Request::KeepAlive(KeepAlive)), keep_alive);
-        let words = LastWords {
-            text: text.try_into().unwrap(),
-        };
-        assert_eq!(
-            answer(Request::GetChip(GetChip)),
-            Some(Response::GetChip(CHIP))
-        );
-        assert_eq!(
-            answer(Request::GetLastWords(GetLastWords)),
-            Some(Response::GetLastWords(words))
-        );
-        let from = 1;
-        assert_eq!(
-            answer(Request::GetEvents(GetEvents { from })),
-            Some(Response::GetEvents(events.since(from)))
-        );
-        // Requests of the machine itself.
-        assert_eq!(answer(Request::GetRigStatus(GetRigStatus)), None);
-    }
-}
-
-/// A rig's answer, where it may be changed now and its settings follow like this.
-fn of_rig(
+/// A rig's answer, where its settings may be changed now or not, and follow like this.
+fn answer(
     request: &Request,
     may_change: Result<(), Refusal>,
     settings: Result<u8, SettingRule>,
 ) -> Result<Option<(Response, Effect<u8>)>, Refusal> {
+    let mut events = EventRing::new();
+    for time_us in 0..5 {
+        events.record(time_us, What::Booted(ResetCause::Pin));
+    }
     let about = About {
         kind: DeviceKind::Rig,
-        events: &EventRing::new(),
-        last_words: "",
-        chip: CHIP,
+        events: &events,
+        last_words: "tasks/link.rs:1: oh",
+        chip: Chip {
+            clock: Clock::Internal,
+            brown_out: BrownOut::Level1,
+            supply_low: true,
+            option_bytes: 0x00FF_AAE9,
+        },
         values: &Values::DEFAULT,
         name: "left bench",
     };
     about.answer(request, || may_change, |_| settings)
 }
 
+/// Requests that both machines answer alike; none where the request is of the machine itself. What changes a setting or
+/// the name is refused while it may not.
 #[test]
-fn settings_and_name_are_told_and_changed_alike() {
-    let key = SettingKey::LeadUm;
-    let name = |name: &str| Name {
-        name: name.try_into().unwrap(),
-    };
-    let asked = |request| of_rig(&request, Err(Refusal::NotHomed), Ok(7)).unwrap();
-    let told = |response| Some((response, Effect::None));
-    assert_eq!(
-        asked(Request::GetName(GetName)),
-        told(Response::GetName(name("left bench")))
-    );
-    let value = key.range().default;
-    assert_eq!(
-        asked(Request::GetSetting(GetSetting { key })),
-        told(Response::GetSetting(Setting { key, value }))
-    );
-    let other = SettingKey::NoLoadMa;
-    assert_eq!(asked(Request::GetSetting(GetSetting { key: other })), None);
-    let of_capsule = Request::SetSetting(Setting {
-        key: other,
-        value: 16,
-    });
-    assert_eq!(asked(of_capsule), None);
-
-    let setting = Setting { key, value: 5_000 };
-    let settings = 7;
-    for (request, response, change) in [
-        (
-            Request::SetSetting(setting),
-            Response::SetSetting(setting),
-            Change::Value { setting, settings },
-        ),
-        (
-            Request::SetName(name("c-1")),
-            Response::SetName(name("c-1")),
-            Change::Name(name("c-1").name),
-        ),
-        (
-            Request::FactoryReset(FactoryReset),
-            Response::FactoryReset(Done),
-            Change::Reset,
-        ),
-    ] {
-        let changed = of_rig(&request, Ok(()), Ok(settings));
-        assert_eq!(changed, Ok(Some((response, Effect::Store(change)))));
-        let busy = of_rig(&request, Err(Refusal::NotHomed), Ok(settings));
-        assert_eq!(busy, Err(Refusal::NotHomed), "{request:?}");
-    }
-}
-
-#[test]
-fn a_setting_or_name_that_cannot_be_is_refused() {
-    let key = SettingKey::LeadUm;
-    let setting = |value| Request::SetSetting(Setting { key, value });
-    let refused = |request, rule| of_rig(&request, Ok(()), rule).unwrap_err();
-    let beyond = key.range().max + 1;
-    assert_eq!(
-        refused(setting(beyond), Ok(7)),
-        Refusal::SettingRange {
-            key,
-            requested: beyond
-        }
-    );
-    for rule in SettingRule::ALL {
-        assert_eq!(
-            refused(setting(5_000), Err(rule)),
-            Refusal::SettingRule { key, rule }
-        );
-    }
-    // A terminal would obey an escape sequence in a name.
-    for name in ["\u{1b}[2J", "two\nlines", "bell\x07", "c1 \u{9b}2J", "\x7f"] {
+fn common_requests_have_one_answer_for_all_devices() {
+    let (key, other) = (SettingKey::LeadUm, SettingKey::NoLoadMa);
+    let set = |key, value| Request::SetSetting(Setting { key, value });
+    let name = |name: &str| {
         let name = name.try_into().unwrap();
-        let refusal = refused(Request::SetName(Name { name }), Ok(7));
-        assert_eq!(refusal, Refusal::NameNotPrintable);
-    }
-}
-
-#[test]
-fn the_interval_of_telemetry_has_bounds() {
-    let events = EventRing::new();
-    let about = About {
-        kind: DeviceKind::Rig,
-        events: &events,
-        last_words: "",
-        chip: CHIP,
-        values: &Values::DEFAULT,
-        name: "",
+        Request::SetName(Name { name })
     };
-    assert_eq!(SetTelemetry::PERIOD_MS, (5, 1_000));
-    for period_ms in [0, 5, 6, 999, 1_000] {
-        let response = Response::SetTelemetry(SetTelemetry { period_ms });
-        let effect = Effect::Telemetry { period_ms };
-        assert_eq!(
-            answer(&about, &set(period_ms)),
-            Ok(Some((response, effect)))
-        );
+    let mut requests = vec![
+        Request::KeepAlive(KeepAlive),
+        Request::GetLastWords(GetLastWords),
+        Request::GetChip(GetChip),
+        Request::GetEvents(GetEvents { from: 1 }),
+        Request::GetRigStatus(GetRigStatus),
+        Request::GetName(GetName),
+        Request::GetSetting(GetSetting { key }),
+        Request::GetSetting(GetSetting { key: other }),
+        set(other, 16),
+        set(key, 5_000),
+        set(key, key.range().max + 1),
+        Request::FactoryReset(FactoryReset),
+        name("c-1"),
+        // A terminal would obey an escape sequence.
+        name("\u{1b}[2J"),
+        name("two\nlines"),
+        name("bell\x07"),
+        name("c1 \u{9b}2J"),
+        name("\x7f"),
+    ];
+    for period_ms in [0, 5, 1_000, 1, 4, 1_001, u16::MAX] {
+        requests.push(Request::SetTelemetry(SetTelemetry { period_ms }));
     }
-    for period_ms in [1, 4, 1_001, u16::MAX] {
-        let refusal = Refusal::OutOfRange {
-            field: Field::PeriodMs,
-            requested: period_ms.into(),
-            min: 5,
-            max: 1_000,
-        };
-        assert_eq!(answer(&about, &set(period_ms)), Err(refusal));
+    let mut table = String::new();
+    for request in requests {
+        let free = answer(&request, Ok(()), Ok(7));
+        table += &format!("{request:?}\n    {free:?}\n");
+        let busy = answer(&request, Err(Refusal::NotHomed), Ok(7));
+        if busy != free {
+            table += &format!("    while nothing may change: {busy:?}\n");
+        }
+    }
+    insta::assert_snapshot!("common_requests", table);
+    for rule in SettingRule::ALL {
+        let refusal = Refusal::SettingRule { key, rule };
+        assert_eq!(answer(&set(key, 5_000), Ok(()), Err(rule)), Err(refusal));
     }
 }

@@ -34,7 +34,6 @@ pub struct FoldTo {
     pub thread_um: i32,
 }
 
-/// An actuation was accepted and has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct ActuationAccepted {
     /// Number of the actuation, counted from 1 since the device started.
@@ -53,7 +52,6 @@ pub enum CapsuleState {
     Referencing,
     /// At rest, thread paid out.
     Unfolded,
-    /// Winding.
     Folding,
     /// At rest, folded; the worm holds with the motor off.
     Folded,
@@ -61,7 +59,6 @@ pub enum CapsuleState {
     Unfolding,
     /// At rest between the ends after a stop; the worm holds.
     Stopped,
-    /// A fault is latched.
     Faulted,
     /// At rest after a reset or an emergency stop. The last motion before it ended folded; nothing has confirmed that since.
     WasFolded,
@@ -69,7 +66,6 @@ pub enum CapsuleState {
     Checking,
 }
 
-/// Why the capsule latched a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -84,20 +80,13 @@ pub enum CapsuleFault {
     /// The motor turned and the encoder did not count, or counted the wrong way.
     EncoderLost,
     /// Current above the driver's limit.
-    OverCurrent {
-        /// Measured motor current.
-        current_ma: u16,
-    },
+    OverCurrent { current_ma: u16 },
     /// Battery below the limit.
-    LowBattery {
-        /// Measured battery voltage.
-        battery_mv: u16,
-    },
+    LowBattery { battery_mv: u16 },
     /// The actuation did not end in time.
     Timeout,
     /// The bridge reports a fault (nFAULT).
     DriverFault,
-    /// Emergency stop by frame.
     #[serde(rename(serialize = "estop_frame", deserialize = "estop_frame"))]
     EStopFrame,
     /// A task did not check in; the device was reset.
@@ -121,16 +110,13 @@ pub enum CapsuleFault {
     SenseOrEncoder,
 }
 
-/// Asks for the capsule's status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetCapsuleStatus;
 
-/// Status of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CapsuleStatus {
     /// Device time since its start.
     pub time_us: u64,
-    /// State of the machine.
     pub state: CapsuleState,
     /// The latched fault, if there is one.
     pub fault: Option<CapsuleFault>,
@@ -138,9 +124,7 @@ pub struct CapsuleStatus {
     pub referenced: bool,
     /// Thread wound up, by the encoder.
     pub thread_um: i32,
-    /// Motor current.
     pub current_ma: u16,
-    /// Battery voltage.
     pub battery_mv: u16,
     /// Number of the present or last actuation.
     pub actuation: u32,
@@ -148,7 +132,6 @@ pub struct CapsuleStatus {
     pub needs_acknowledge: bool,
 }
 
-/// The kinds of actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -167,7 +150,6 @@ pub enum ActuationKind {
     FoldTo,
 }
 
-/// How an actuation ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -176,32 +158,25 @@ pub enum ActuationOutcome {
     None,
     /// Still going on.
     Running,
-    /// Reached its end position.
     Complete,
     /// Stopped on request; the thread position is kept.
     Stopped,
     /// Ended by link loss; the thread position is kept.
     LinkLost,
-    /// Ended by a fault.
     Faulted(CapsuleFault),
 }
 
-/// Asks for the record of the last actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetActuationRecord;
 
-/// Record of an actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct ActuationRecord {
-    /// Number of the actuation.
     pub actuation: u32,
-    /// The requested actuation.
     pub kind: ActuationKind,
     /// How it ended, or that it goes on.
     pub outcome: ActuationOutcome,
     /// From the first drive until the motor is off.
     pub duration_ms: u32,
-    /// Thread position at the end.
     pub thread_um: i32,
     /// Current that ended the motion, or the last one measured before it ended.
     pub end_current_ma: u16,
@@ -234,7 +209,6 @@ pub const KEPT_TRACE_POINTS: usize = 2_800;
 pub struct TracePoint {
     /// Thread wound up, by the encoder.
     pub thread_um: i32,
-    /// Motor current.
     pub current_ma: u16,
     /// Battery voltage, to 10 mV, 2.00 to 4.55 V.
     pub battery_mv: u16,
@@ -260,9 +234,7 @@ pub struct GetCapsuleTotals;
 /// The totals that the capsule keeps in flash, and its calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CapsuleTotals {
-    /// Actuations so far.
     pub actuations: u32,
-    /// Energy drawn by the motor so far.
     pub energy_mj: u64,
     /// Measured by [`Calibrate`]; none before.
     pub calibration: Option<CapsuleCalibration>,
@@ -281,26 +253,19 @@ pub struct CapsuleCalibration {
     pub tension_ma: u16,
 }
 
-/// An event on the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleEvent {
     /// An actuation began.
     Started {
-        /// Number of the actuation.
         actuation: u32,
-        /// The requested actuation.
         kind: ActuationKind,
     },
-    /// An actuation ended.
     Ended {
-        /// Number of the actuation.
         actuation: u32,
-        /// How it ended.
         outcome: ActuationOutcome,
     },
-    /// A fault was latched.
     Faulted(CapsuleFault),
     /// The flash could not be written. At rest it is tried again every 10 s; until that succeeds a reset loses totals or
     /// calibration.
@@ -319,18 +284,14 @@ pub enum CapsuleEvent {
     SettingsUnusable,
 }
 
-/// Telemetry of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CapsuleTelemetry {
     /// Device time since its start.
     pub time_us: u64,
-    /// State of the machine.
     pub state: CapsuleState,
     /// Thread wound up, by the encoder.
     pub thread_um: i32,
-    /// Motor current.
     pub current_ma: u16,
-    /// Battery voltage.
     pub battery_mv: u16,
     /// Voltage applied to the motor, signed: positive winds.
     pub drive_mv: i16,

@@ -31,11 +31,9 @@ pub enum Output {
     Rejected(WireError),
     /// The urgent stop was carried out.
     UrgentDone(Urgent),
-    /// A telemetry sample.
     Telemetry {
         /// Samples lost just before this one.
         missed: u16,
-        /// The sample.
         sample: Telemetry,
     },
     /// An event, sent as it happened. A gap in the indices shows that events were lost; they can be fetched again.
@@ -227,7 +225,6 @@ impl Client {
         }
     }
 
-    /// Takes one received byte.
     pub fn receive(&mut self, byte: u8) -> Option<Output> {
         let frame = self.deframer.push(byte)?;
         // A device that has started again sends on its own, in no session, before this end knows of it.
@@ -277,7 +274,6 @@ impl Client {
         })
     }
 
-    /// Whether a session is open.
     pub fn is_open(&self) -> bool {
         self.session != 0
     }

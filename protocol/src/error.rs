@@ -17,13 +17,9 @@ pub enum Refusal {
     WrongDevice,
     /// Host and device were built from different protocols.
     Incompatible,
-    /// A fault is latched on the rig.
     RigFaulted(RigFault),
-    /// A fault is latched on the capsule.
     CapsuleFaulted(CapsuleFault),
-    /// The cause of the fault is still present.
     CauseStillPresent,
-    /// There is nothing to acknowledge.
     NothingToAcknowledge,
     /// The last start was caused by a watchdog or panic that has not been acknowledged.
     AcknowledgeFirst,
@@ -35,20 +31,14 @@ pub enum Refusal {
     RigBusy(RigState),
     /// Not possible in this state of the capsule.
     CapsuleBusy(CapsuleState),
-    /// The value is outside its range.
     OutOfRange {
-        /// The value's name.
         field: Field,
-        /// Requested value.
         requested: u64,
-        /// Smallest allowed.
         min: u64,
-        /// Largest allowed.
         max: u64,
     },
     /// The duration is too short for the stroke at this acceleration.
     TooFast {
-        /// Requested duration of the run.
         requested_us: u64,
         /// Shortest possible with the requested acceleration, within the limits of speed and step rate.
         min_us: u64,
@@ -74,37 +64,28 @@ pub enum Refusal {
     TooSlow,
     /// The carriage is not at home; home first.
     NotAtHome {
-        /// Position of the carriage.
         position_um: i32,
     },
     /// The battery is too low to finish an actuation.
     BatteryLow {
-        /// Measured voltage.
         battery_mv: u16,
         /// Least voltage needed.
         min_mv: u16,
     },
     /// The carriage or the thread already is where the request would take it.
     AlreadyThere,
-    /// A setting's value is outside its range.
     SettingRange {
-        /// The setting.
         key: SettingKey,
-        /// Requested value.
         requested: u32,
     },
     /// A setting's value breaks a rule between settings.
     SettingRule {
-        /// The setting.
         key: SettingKey,
-        /// The broken rule.
         rule: SettingRule,
     },
     /// The flash could not be written; the old value stands.
     StorageFailed,
-    /// No run is going on.
     NothingToHold,
-    /// No run is held.
     NothingToResume,
     /// The E-stop loop is open; no fault is latched.
     LoopOpen,
@@ -116,7 +97,6 @@ pub enum Refusal {
     SupplyLow,
     /// A name has a character that cannot be printed.
     NameNotPrintable,
-    /// The capsule has no calibration.
     NotCalibrated,
 }
 
@@ -124,31 +104,18 @@ pub enum Refusal {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 pub enum Field {
-    /// Cycles of a run.
     Cycles,
-    /// Stroke in um.
     StrokeUm,
-    /// Duration in us.
     TotalUs,
-    /// Acceleration in um/s2.
     AccelUmS2,
-    /// Forward speed in um/s.
     ForwardUmS,
-    /// Return speed in um/s.
     ReturnUmS,
-    /// Dwell at the far end in us.
     FarDwellUs,
-    /// Dwell at home in us.
     HomeDwellUs,
-    /// Start delay in us.
     StartDelayUs,
-    /// Telemetry period in ms.
     PeriodMs,
-    /// Position in um.
     PositionUm,
-    /// Speed in um/s.
     SpeedUmS,
-    /// Thread in um.
     ThreadUm,
 }
 

@@ -13,7 +13,6 @@ pub struct EventRing {
 }
 
 impl EventRing {
-    /// An empty ring.
     pub const fn new() -> Self {
         Self {
             ring: heapless::Deque::new(),

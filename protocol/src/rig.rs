@@ -25,7 +25,6 @@ pub struct HomeAccepted {
 pub enum LinkLossPolicy {
     /// Category-1 stop (the default).
     Stop,
-    /// Finish the run.
     Finish,
 }
 
@@ -74,7 +73,6 @@ pub struct Run {
 /// trapezoid from rest to rest over `steps` steps in `duration_ticks` whose ramps last `ramp_ticks` each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Stroke {
-    /// Steps of the stroke.
     pub steps: u32,
     /// Duration in timer ticks of 10 ns.
     pub duration_ticks: u64,
@@ -91,7 +89,6 @@ pub struct Stroke {
 pub struct RunAccepted {
     /// Number of the run, counted from 1 since the device started.
     pub run: u32,
-    /// As requested.
     pub requested: Run,
     /// Strokes away from home.
     pub forward: Stroke,
@@ -132,7 +129,6 @@ pub struct Jog {
     pub speed_um_s: u32,
 }
 
-/// Moves to a position within the stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MoveTo {
     /// Target, 0..= configured stroke: the last whole step within it.
@@ -141,12 +137,9 @@ pub struct MoveTo {
     pub speed_um_s: u32,
 }
 
-/// A move has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct MoveAccepted {
-    /// Position at the start.
     pub from_steps: i32,
-    /// Target position.
     pub to_steps: i32,
     /// The profile between them.
     pub stroke: Stroke,
@@ -170,9 +163,7 @@ pub struct Glitches {
 /// Health counters since the start of the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigHealth {
-    /// On the home flag.
     pub home_flag: Glitches,
-    /// On the far limit.
     pub far_limit: Glitches,
     /// Receptions that ended with noise, framing error or overrun.
     pub uart_errors: u32,
@@ -218,11 +209,9 @@ pub struct RigHardware {
     pub enable_high_at_start: bool,
 }
 
-/// Asks for the record of the last run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetRunRecord;
 
-/// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -237,11 +226,9 @@ pub enum RunOutcome {
     Stopped,
     /// Ended by link loss; the position is kept.
     LinkLost,
-    /// Ended by a fault.
     Faulted(RigFault),
 }
 
-/// Record of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RunRecord {
     /// Number of the run, as in [`RunAccepted`].
@@ -283,7 +270,6 @@ pub struct RunRecord {
     pub worst_interval_error_ticks: u32,
 }
 
-/// Asks for the rig's status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetRigStatus;
 
@@ -297,13 +283,11 @@ pub enum RigState {
     Homing,
     /// At rest at a known position.
     Ready,
-    /// A run is going on.
     Running,
     /// Feed hold: at rest inside a run.
     Held,
     /// Decelerating.
     Stopping,
-    /// A fault is latched.
     Faulted,
     /// Jog, or a move to a position.
     Moving,
@@ -326,7 +310,6 @@ pub enum HomingPhase {
     ToZero,
 }
 
-/// Why the rig latched a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -336,7 +319,6 @@ pub enum RigFault {
     // wire.
     #[serde(rename(serialize = "estop_loop", deserialize = "estop_loop"))]
     EStopLoop,
-    /// Emergency stop by frame.
     #[serde(rename(serialize = "estop_frame", deserialize = "estop_frame"))]
     EStopFrame,
     /// The far limit opened while the carriage was moving away from home (or its wire is cut).
@@ -382,19 +364,15 @@ pub enum RigFault {
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Switch {
-    /// Home flag.
     HomeFlag,
-    /// Far limit.
     FarLimit,
 }
 
 /// State of the rig's inputs; true = open (actuated, or wire cut).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigInputs {
-    /// Home flag.
     #[serde(rename(serialize = "home_flag_open", deserialize = "home_flag_open"))]
     pub home_flag: bool,
-    /// Far limit.
     #[serde(rename(serialize = "far_limit_open", deserialize = "far_limit_open"))]
     pub far_limit: bool,
     /// E-stop and end-of-travel loop.
@@ -402,12 +380,10 @@ pub struct RigInputs {
     pub estop_loop: bool,
 }
 
-/// Status of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigStatus {
     /// Device time since its start.
     pub time_us: u64,
-    /// State of the machine.
     pub state: RigState,
     /// The latched fault, if there is one.
     pub fault: Option<RigFault>,
@@ -417,7 +393,6 @@ pub struct RigStatus {
     pub position_steps: i32,
     /// The same in micrometres.
     pub position_um: i32,
-    /// Configured stroke.
     pub stroke_um: u32,
     /// Steps of one revolution of the screw.
     pub steps_per_rev: u32,
@@ -429,7 +404,6 @@ pub struct RigStatus {
     pub run: u32,
     /// Stroke in progress, from 0.
     pub stroke: u32,
-    /// Strokes of the run.
     pub strokes: u32,
     /// Time since the run was accepted, holds included; 0 when none is under way.
     pub elapsed_us: u64,
@@ -437,7 +411,6 @@ pub struct RigStatus {
     pub needs_acknowledge: bool,
 }
 
-/// An event on the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -451,7 +424,6 @@ pub enum RigEvent {
     },
     /// A run was accepted and begins, with its start delay.
     RunStarted {
-        /// Number of the run.
         run: u32,
     },
     /// A stroke was completed.
@@ -461,33 +433,24 @@ pub enum RigEvent {
         /// Residual of the position ledger: count at the last pass of the home flag minus the reference.
         residual_steps: i32,
     },
-    /// The run ended.
     RunEnded {
-        /// Number of the run.
         run: u32,
-        /// How it ended.
         outcome: RunOutcome,
     },
     /// The carriage came to rest after a stop.
     Stopped {
-        /// Position at rest.
         position_steps: i32,
     },
-    /// A fault was latched.
     Faulted(RigFault),
     /// The run was held and the carriage is at rest.
     Held {
-        /// Position at rest.
         position_steps: i32,
     },
     /// The held run continues.
     Resumed,
-    /// A move or a jog ended.
     Moved {
-        /// Position at rest.
         position_steps: i32,
     },
-    /// A setting was changed.
     SettingChanged(SettingKey),
     /// All settings are at their defaults now.
     SettingsReset,
@@ -497,12 +460,10 @@ pub enum RigEvent {
     ButtonIgnored,
 }
 
-/// Telemetry of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigTelemetry {
     /// Device time since its start.
     pub time_us: u64,
-    /// State of the machine.
     pub state: RigState,
     /// Position by the read-back counter.
     pub position_steps: i32,

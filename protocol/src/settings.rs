@@ -96,7 +96,6 @@ settings! {
     UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";
 }
 
-/// The machine that has a setting or a rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Owner {
     Rig,
@@ -117,11 +116,8 @@ impl Owner {
 /// Allowed values of a setting and its default.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Range {
-    /// Smallest allowed value.
     pub min: u32,
-    /// Largest allowed value.
     pub max: u32,
-    /// Value of a new machine.
     pub default: u32,
 }
 
@@ -137,7 +133,6 @@ impl SettingKey {
         Self::ALL.into_iter().filter(move |key| key.is_of(kind))
     }
 
-    /// The key with this number.
     #[must_use]
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.get(usize::from(number)).copied()
@@ -188,17 +183,14 @@ impl SettingRule {
     }
 }
 
-/// Asks for the value of a setting.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetSetting {
-    /// The setting.
     pub key: SettingKey,
 }
 
 /// A setting and its value. As a request it changes the setting; as the answer to both requests it is what is in force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Setting {
-    /// The setting.
     pub key: SettingKey,
     /// Value in the unit of the setting's name.
     pub value: u32,
@@ -208,7 +200,6 @@ pub struct Setting {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct FactoryReset;
 
-/// Asks for the machine's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetName;
 

@@ -6,7 +6,6 @@ use heapless::Vec;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Version of the protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Version {
     /// Raised when an existing message changes.
@@ -18,7 +17,6 @@ pub struct Version {
 /// Opens a session. The encoding of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Hello {
-    /// Version of the host.
     pub protocol: Version,
     /// [`crate::table::SCHEMA_KEY`] of the host.
     pub schema_key: u64,
@@ -65,9 +63,7 @@ pub struct Revision {
 /// Answer to [`Hello`]. The encoding of this message never changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Identity {
-    /// Kind of machine.
     pub device: DeviceKind,
-    /// Version of the device.
     pub protocol: Version,
     /// [`crate::table::SCHEMA_KEY`] of the device.
     pub schema_key: u64,
@@ -161,7 +157,6 @@ pub enum BrownOut {
     Level3,
 }
 
-/// Asks for events by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetEvents {
     /// Index of the first event wanted.
@@ -189,7 +184,6 @@ pub struct Event {
     pub index: u32,
     /// Device time since its start.
     pub time_us: u64,
-    /// Its content.
     pub what: What,
 }
 
@@ -197,15 +191,11 @@ pub struct Event {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 pub enum What {
-    /// The device started.
     Booted(ResetCause),
-    /// A latched fault was acknowledged.
     Acknowledged,
     /// The host was silent for longer than the link time-out while the machine moved.
     LinkLost,
-    /// An event of the rig.
     Rig(rig::RigEvent),
-    /// An event of the capsule.
     Capsule(capsule::CapsuleEvent),
 }
 

@@ -27,7 +27,6 @@ pub enum Impact {
 
 /// A type of request: its variant of [`Request`] and the type of its response.
 pub trait Endpoint: Sized {
-    /// The device's answer.
     type Response;
     /// Wraps the request for the wire.
     fn into_request(self) -> Request;
@@ -113,7 +112,6 @@ table! {
     GetRigHardware: rig::GetRigHardware => rig::RigHardware, match true, impact None;
 }
 
-/// Answer to a request.
 // One reply exists at a time, on the stack; there is no heap to box it on.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -131,9 +129,7 @@ pub enum Reply {
 /// Body of a telemetry frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Telemetry {
-    /// From the rig.
     Rig(rig::RigTelemetry),
-    /// From the capsule.
     Capsule(capsule::CapsuleTelemetry),
 }
 
