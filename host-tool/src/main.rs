@@ -1,9 +1,9 @@
 //! `retrograde`: the command line tool of both machines.
 #![forbid(unsafe_code)]
 
-use std::env::consts::EXE_SUFFIX;
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use host_tool::cli;
@@ -20,26 +20,17 @@ fn main() -> ExitCode {
 /// Path of the virtual bench's program, if it exists beside this one.
 fn bench() -> Option<PathBuf> {
     let own = std::env::current_exe().ok()?;
-    let bench = own.with_file_name(format!("virtual-bench{EXE_SUFFIX}"));
+    let bench = own.with_file_name("virtual-bench");
     bench.is_file().then_some(bench)
 }
 
 /// Runs the same command line in the virtual bench's program, which has the virtual machines.
-fn on(bench: &std::path::Path, args: &[OsString]) -> ExitCode {
+fn on(bench: &Path, args: &[OsString]) -> ExitCode {
     let mut command = Command::new(bench);
     // The bench has its own `serve`, so this word selects the tool's commands.
     command.arg("retrograde").args(args.iter().skip(1));
     // Replace this process, so that signals and exit code are the bench's.
-    #[cfg(unix)]
-    let why = std::os::unix::process::CommandExt::exec(&mut command);
-    #[cfg(not(unix))]
-    let why = match command.status() {
-        Ok(status) => {
-            let code = status.code().and_then(|code| u8::try_from(code).ok());
-            return code.map_or(ExitCode::FAILURE, ExitCode::from);
-        }
-        Err(why) => why,
-    };
+    let why = command.exec();
     eprintln!("{}: {why}", bench.display());
     ExitCode::FAILURE
 }

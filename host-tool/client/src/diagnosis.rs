@@ -146,20 +146,6 @@ mod tests {
     }
 
     #[test]
-    fn what_is_there_is_said_in_words() {
-        for (sign, said) in [
-            (Sign::Silence, "nothing comes"),
-            (Sign::Echo, "comes back"),
-            (Sign::Deaf, "does not hear"),
-            (Sign::Web, "a web server"),
-            (Sign::Ssh, "an SSH server"),
-            (Sign::Noise(7), "7 bytes"),
-        ] {
-            assert!(sign.to_string().contains(said), "{sign}");
-        }
-    }
-
-    #[test]
     fn no_instrument_can_write_to_the_terminal_or_fill_it() {
         let long = [b"\x1b[2J".repeat(2), b"x".repeat(1_000)].concat();
         let text = sign(&long).to_string();

@@ -53,9 +53,6 @@ pub const LONGEST_LINE: usize = 2_048;
 pub struct Greeting {
     /// [`VERSION`] of the guest.
     pub retrograde_window: u32,
-    /// The token from the runtime directory; needed where the system's permissions do not guard the door.
-    #[serde(default)]
-    pub token: String,
     /// The guest wants the line for itself if the owner gives it up. The guest then has to open the line itself.
     #[serde(default)]
     pub wants_line: bool,

@@ -264,38 +264,4 @@ mod tests {
         let simulated = identity(*b"virtual rig\0");
         assert!(line(&simulated).starts_with("rig, virtual, UID 7669"));
     }
-
-    #[test]
-    fn an_image_without_a_commit_is_unknown() {
-        for (commit, dirty, text) in [
-            (0, false, "unknown"),
-            (0, true, "unknown-dirty"),
-            (1, false, "00000001"),
-        ] {
-            assert_eq!(revision(&Revision { commit, dirty }), text);
-        }
-    }
-
-    #[test]
-    fn each_start_each_kind_and_each_origin_has_its_words() {
-        use std::collections::BTreeSet;
-        let causes = [
-            ResetCause::PowerOn,
-            ResetCause::Pin,
-            ResetCause::Panic,
-            ResetCause::Watchdog,
-            ResetCause::Software,
-        ];
-        let texts: BTreeSet<_> = causes.into_iter().map(reset_cause).collect();
-        assert_eq!(texts.len(), causes.len());
-        assert_eq!(kind_name(DeviceKind::Rig), "rig");
-        assert_eq!(kind_name(DeviceKind::Capsule), "capsule");
-        for origin in [Origin::Board, Origin::Unknown, Origin::Virtual] {
-            // In a record it is the same word, and its meaning begins with it.
-            let in_json = serde_json::to_value(origin).expect("JSON");
-            assert_eq!(in_json, origin.name());
-            assert_eq!(origin.to_string(), origin.name());
-            assert!(origin.meaning().starts_with(&format!("{origin}: ")));
-        }
-    }
 }

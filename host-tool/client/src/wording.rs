@@ -200,30 +200,6 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_says_the_numbers_in_peoples_units() {
-        let speed_limit = Refusal::SpeedLimit {
-            needed_um_s: 60_500,
-            max_um_s: 49_000,
-        };
-        let text = refusal(&speed_limit);
-        assert!(
-            text.starts_with("needs 60.5 mm/s, the axis allows 49 mm/s: "),
-            "{text}"
-        );
-        let too_fast = Refusal::TooFast {
-            requested_us: 30_000_000,
-            min_us: 40_000_616,
-            min_accel_um_s2: 32_500,
-        };
-        let text = refusal(&too_fast);
-        assert!(
-            text.starts_with("30 s is too short: ") && text.contains(" at least 40.000616 s; "),
-            "{text}"
-        );
-        assert!(text.ends_with(" at least 32.5 mm/s2"), "{text}");
-    }
-
-    #[test]
     fn a_file_that_cannot_be_read_is_explained_without_rusts_words() {
         let said = unreadable(&"expected u32 at line 1 column 7\n");
         assert_eq!(

@@ -31,14 +31,8 @@ pub(crate) fn is_there() -> bool {
 }
 
 /// Checks for a background job: if it read from the terminal, the shell would suspend it, and the run with it.
-#[cfg(unix)]
 fn in_foreground(input: &io::Stdin) -> bool {
     rustix::termios::tcgetpgrp(input).is_ok_and(|group| group == rustix::process::getpgrp())
-}
-
-#[cfg(not(unix))]
-fn in_foreground(_: &io::Stdin) -> bool {
-    true
 }
 
 /// An Enter sooner than this after a question is a second one for the question before, or the bounce of the key: nobody
@@ -133,13 +127,11 @@ pub(crate) fn pacer(keyboard: Keyboard, single: bool) -> Pacer {
 /// Makes standard input deliver single keys without echo until this is dropped. Ctrl-C stays a signal.
 #[derive(Debug)]
 pub(crate) struct SingleKeys {
-    #[cfg(unix)]
     before: rustix::termios::Termios,
 }
 
 impl SingleKeys {
     /// `None` if the terminal cannot deliver single keys.
-    #[cfg(unix)]
     pub(crate) fn begin() -> Option<Self> {
         use rustix::termios::{
             LocalModes, OptionalActions, SpecialCodeIndex, tcgetattr, tcsetattr,
@@ -153,14 +145,8 @@ impl SingleKeys {
         tcsetattr(&input, OptionalActions::Now, &keys).ok()?;
         Some(Self { before })
     }
-
-    #[cfg(not(unix))]
-    pub(crate) fn begin() -> Option<Self> {
-        None
-    }
 }
 
-#[cfg(unix)]
 impl Drop for SingleKeys {
     fn drop(&mut self) {
         use rustix::termios::{OptionalActions, tcsetattr};

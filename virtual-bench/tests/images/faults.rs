@@ -5,7 +5,8 @@ use std::thread;
 use std::time::Duration;
 
 use client::error::ClientError;
-use client::link::tcp::Tcp;
+use client::link::halves::Direct;
+use client::link::tcp;
 use client::{Device, Unobserved};
 
 use crate::common::{
@@ -88,7 +89,8 @@ fn a_served_rig_comes_back_after_a_power_cut() {
     let address = format!("127.0.0.1:{}", server.port());
     let served = bench.clone();
     thread::spawn(move || server.serve(&served, "rig", &Plug::default()));
-    let link = Tcp::open_within(&address, Duration::from_secs(5)).expect("it listens");
+    let halves = tcp::open(&address, Duration::from_secs(5)).expect("it listens");
+    let link = Direct::new(address.clone(), halves);
     let link = Box::new(link);
     let mut device = Device::connect(link, DeviceKind::Rig, 1).expect("it is served");
     let (cut, answered) = channel();

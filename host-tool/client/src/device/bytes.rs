@@ -309,9 +309,6 @@ impl Device {
 
     /// Returns the fault that is latched once every stop of the operator has been sent. Another stop may go out while
     /// the device answers, and an emergency stop loses the position even of a machine that stands.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn latched_fault(&mut self) -> Result<Option<String>, ClientError> {
         loop {
             let asked = self.interrupted();

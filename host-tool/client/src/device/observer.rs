@@ -16,9 +16,7 @@ pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
 /// A request of the operator during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
-    /// Hold it.
     Hold,
-    /// Resume it.
     Resume,
 }
 
@@ -31,13 +29,10 @@ pub type Pacer = Box<dyn FnMut() -> Option<Pace> + Send>;
 // Only one exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 pub enum Begun {
-    /// Homing.
     Homing(HomeAccepted),
-    /// A run.
     Run(RunAccepted),
     /// Referencing, folding or unfolding.
     Actuation(ActuationAccepted),
-    /// A move to a position.
     Move(MoveAccepted),
 }
 
@@ -45,7 +40,6 @@ pub enum Begun {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(untagged)]
 pub enum Progress {
-    /// Homing.
     Homing {
         /// Time since its acceptance, us.
         elapsed_us: u64,
@@ -200,45 +194,6 @@ pub struct Homed {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// Names of what was told.
-    #[derive(Default)]
-    struct Told(Vec<&'static str>);
-
-    impl Observer for Told {
-        fn event(&mut self, _: &Event) {
-            self.0.push("event");
-        }
-        fn progress(&mut self, _: &Progress) {
-            self.0.push("progress");
-        }
-        fn unrecorded(&mut self, _: &str) {
-            self.0.push("unrecorded");
-        }
-        fn refused(&mut self, _: Pace, _: &Refusal) {
-            self.0.push("refused");
-        }
-        fn turn(&mut self, _: u64, _: Option<Clock>) {
-            self.0.push("turn");
-        }
-    }
-
-    #[test]
-    fn two_observers_are_told_the_same() {
-        let (mut one, mut other) = (Told::default(), Told::default());
-        let mut both = Both(&mut one, &mut other);
-        both.unrecorded("the disk is full");
-        both.progress(&Progress::Actuation {
-            elapsed_us: 1,
-            at_most_us: 2,
-            thread_um: 3,
-            current_ma: 4,
-        });
-        both.refused(Pace::Hold, &Refusal::NotAtHome { position_um: 1 });
-        both.turn(5, None);
-        assert_eq!(one.0, ["unrecorded", "progress", "refused", "turn"]);
-        assert_eq!(one.0, other.0);
-    }
 
     #[test]
     fn a_clock_is_behind_by_no_more_than_two_exchanges_show() {

@@ -31,113 +31,71 @@ impl Device {
     }
 
     /// Tells the device that the host is still there.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn keep_alive(&mut self) -> Result<(), ClientError> {
         self.call(KeepAlive).map(|_| ())
     }
 
     /// Text of the last panic or processor fault; empty if there was none.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn last_words(&mut self) -> Result<String, ClientError> {
         Ok(self.call(GetLastWords)?.text.as_str().to_owned())
     }
 
     /// Sets the interval of telemetry in ms, 5..=1000, or 0 for none.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn set_telemetry(&mut self, period_ms: u16) -> Result<(), ClientError> {
         self.call(SetTelemetry { period_ms }).map(|_| ())
     }
 
     /// Fetches events from the device's ring, from index `from` on; not necessarily all.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn events(&mut self, from: u32) -> Result<Events, ClientError> {
         self.call(GetEvents { from })
     }
 
     /// Clears a latched fault after its cause was removed. Moves nothing.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn acknowledge(&mut self) -> Result<(), ClientError> {
         self.call(Acknowledge).map(|_| ())
     }
 
     /// Status of the rig.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn rig_status(&mut self) -> Result<RigStatus, ClientError> {
         self.call(rig::GetRigStatus)
     }
 
     /// Begins homing; [`Device::wait_homing`] waits for its end.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn home(&mut self) -> Result<HomeAccepted, ClientError> {
         self.call(rig::Home)
     }
 
     /// Begins a run; [`Device::wait_run`] waits for its end. The host checks nothing here: the device decides.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn run(&mut self, run: rig::Run) -> Result<RunAccepted, ClientError> {
         self.call(run)
     }
 
     /// Record of the last run.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn run_record(&mut self) -> Result<RunRecord, ClientError> {
         self.call(rig::GetRunRecord)
     }
 
     /// Status of the capsule.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn capsule_status(&mut self) -> Result<CapsuleStatus, ClientError> {
         self.call(capsule::GetCapsuleStatus)
     }
 
     /// Begins the search for the thread's zero; [`Device::wait_actuation`] waits for its end.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn reference(&mut self) -> Result<ActuationAccepted, ClientError> {
         self.call(capsule::Reference)
     }
 
     /// Begins to fold; [`Device::wait_actuation`] waits for its end.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn fold(&mut self) -> Result<ActuationAccepted, ClientError> {
         self.call(capsule::Fold)
     }
 
     /// Begins to unfold; [`Device::wait_actuation`] waits for its end.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn unfold(&mut self) -> Result<ActuationAccepted, ClientError> {
         self.call(capsule::Unfold)
     }
 
     /// Record of the last actuation.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn actuation_record(&mut self) -> Result<ActuationRecord, ClientError> {
         self.call(capsule::GetActuationRecord)
     }

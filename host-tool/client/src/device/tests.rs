@@ -2,14 +2,11 @@
 
 use std::sync::{Arc, Mutex};
 
-use protocol::error::WireError;
 use protocol::frame::{Deframer, Header, Kind, encode};
-use protocol::rig::{self, RigEvent, RigInputs, RigState, RigTelemetry};
+use protocol::rig::{self, RigEvent};
 use protocol::session::{Decision, Session};
 use protocol::settings::Setting;
-use protocol::system::{
-    BuildProfile, Done, Events, KeepAlive, LastWords, ResetCause, Revision, What,
-};
+use protocol::system::{BuildProfile, Done, Events, KeepAlive, ResetCause, Revision, What};
 use protocol::table::{Endpoint, Reply, Request};
 
 use super::*;
@@ -46,15 +43,6 @@ fn a_line_that_was_given_up_is_like_a_pulled_cable() {
             "{said}"
         );
     }
-}
-
-/// Most lines have no other owner, and nobody who wants them.
-#[test]
-fn a_line_that_says_nothing_else_belongs_to_this_process_alone() {
-    let mut line = Quiet;
-    assert!(line.owner().is_none() && line.question().is_none());
-    assert!(!line.want_line() && !line.is_line_wanted());
-    assert!(!line.is_overtaken() && line.stopped().is_none());
 }
 
 /// A machine's reply to a request; none if it stays silent.
@@ -206,19 +194,6 @@ fn connected(stops: bool, owner: Option<Owner>) -> (Device, Arc<Mutex<Answers>>)
 }
 
 #[test]
-fn the_last_words_of_a_machine_are_its_own() {
-    let (mut device, answers) = connected(true, None);
-    *answers.lock().expect("no panic") = |request| match request {
-        Request::GetLastWords(_) => Some(Reply::Accepted(Response::GetLastWords(LastWords {
-            text: "panicked".try_into().expect("fits"),
-        }))),
-        other => usual(other),
-    };
-    assert_eq!(device.last_words().expect("answered"), "panicked");
-    assert_eq!(device.rejected_frames(), 0);
-}
-
-#[test]
 fn events_that_the_machine_has_dropped_are_counted_and_the_others_delivered_once() {
     let (mut device, answers) = connected(true, None);
     let indices = |device: &mut Device| -> Vec<u32> {
@@ -248,62 +223,6 @@ fn events_that_the_machine_has_dropped_are_counted_and_the_others_delivered_once
     assert_eq!(device.take_lost_events(), 8);
     assert_eq!(device.take_lost_events(), 0);
     assert!(indices(&mut device).is_empty());
-}
-
-/// A machine that says nothing to a question may be moving, if it was when it last spoke.
-#[test]
-fn silence_is_worse_from_a_machine_that_moves() {
-    for (moves, expected) in [(true, Missing::End), (false, Missing::Reply)] {
-        let (mut device, answers) = connected(true, None);
-        *answers.lock().expect("no panic") = if moves {
-            |request| match request {
-                Request::Resume(_) => Some(Reply::Accepted(Response::Resume(Done))),
-                other => usual(other),
-            }
-        } else {
-            |request| match request {
-                Request::Resume(_) => Some(Reply::Wire(WireError::Malformed)),
-                other => usual(other),
-            }
-        };
-        let resumed = device.call(rig::Resume);
-        match resumed {
-            Ok(Done) => assert!(moves),
-            Err(ClientError::NotUnderstood { request, error, .. }) => {
-                assert!(!moves);
-                assert_eq!((request, error), ("Resume", Some(WireError::Malformed)));
-            }
-            Err(other) => panic!("{other:?}"),
-        }
-        *answers.lock().expect("no panic") = |_| None;
-        let error = device.keep_alive().expect_err("silent");
-        assert!(
-            matches!(error, ClientError::Unanswered { missing, .. } if missing == expected),
-            "{error:?}"
-        );
-    }
-}
-
-#[test]
-fn an_owner_that_is_busy_is_named() {
-    let owner = Owner::this_process();
-    let (mut device, answers) = connected(true, Some(owner.clone()));
-    device.ask_once(true);
-    *answers.lock().expect("no panic") = |_| Some(Reply::Wire(WireError::Stale));
-    let before_us = device.now_us();
-    let error = device.keep_alive().expect_err("busy");
-    let ClientError::Owned {
-        request,
-        owner: by,
-        busy: true,
-        ..
-    } = error
-    else {
-        panic!("{error:?}");
-    };
-    assert_eq!((request, *by), ("KeepAlive", owner));
-    // It is not asked again and again.
-    assert!(device.now_us() - before_us < OWNER_PATIENCE_US);
 }
 
 #[test]
@@ -365,30 +284,6 @@ fn an_event_that_is_no_end_leaves_a_machine_moving() {
         });
         assert_eq!(device.events.len(), 1);
     }
-}
-
-#[test]
-fn samples_are_taken_once_and_in_order() {
-    let (mut device, _answers) = connected(true, None);
-    let sample = |time_us| {
-        Telemetry::Rig(RigTelemetry {
-            time_us,
-            state: RigState::Ready,
-            position_steps: 1,
-            commanded_steps: 2,
-            speed_um_s: 3,
-            stroke: 4,
-            residual_steps: 5,
-            inputs: RigInputs {
-                home_flag: false,
-                far_limit: false,
-                estop_loop: false,
-            },
-        })
-    };
-    device.telemetry.extend([(0, sample(1)), (7, sample(2))]);
-    assert_eq!(device.take_telemetry(), [(0, sample(1)), (7, sample(2))]);
-    assert_eq!(device.take_telemetry(), []);
 }
 
 #[test]

@@ -304,9 +304,6 @@ impl Device {
     }
 
     /// Fetches the recording of the capsule's last actuation, after the actuation has ended: until then it grows.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn trace(&mut self) -> Result<Recorded, ClientError> {
         let mut recorded = Recorded::default();
         while moves(self.capsule_status()?.state) {
@@ -387,9 +384,6 @@ impl Device {
     }
 
     /// Waits for `duration_us` of link time with keep-alives; passes telemetry and events to the observer.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn idle(
         &mut self,
         duration_us: u64,
@@ -409,9 +403,6 @@ impl Device {
 
     /// Receives for `duration_us` of link time without sending requests of its own, and delivers everything that
     /// arrives. Questions from other processes are still sent.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn observe(
         &mut self,
         duration_us: u64,

@@ -7,37 +7,23 @@
 //! `.estop` tell each process that a stop was requested since it last looked.
 
 use std::fs::{self, OpenOptions, TryLockError};
-use std::hash::BuildHasher;
-use std::hash::RandomState;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs};
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::SystemTime;
 
 use protocol::session::fnv1a;
 use protocol::system::Urgent;
-use serde::{Deserialize, Serialize};
 
 use crate::address::Address;
-use crate::door::stream::{Listener, Stream};
+use crate::door::stream;
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 use crate::plain::Locked;
 
 /// Environment variable that names another folder for locks and doors.
 const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
-
-/// Description that the owner leaves for others.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct OwnerFile {
-    /// The process that owns the line.
-    pub owner: Owner,
-    /// Port of a loopback door.
-    pub port: Option<u16>,
-    /// Token of a loopback door.
-    pub token: String,
-}
 
 /// Location of lock and door of one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -52,7 +38,7 @@ pub struct Doorway {
 #[derive(Debug)]
 pub struct Lock {
     doorway: Doorway,
-    owner_file: Mutex<OwnerFile>,
+    owner: Owner,
     // The system releases the lock however the process ends.
     _locked: Locked,
 }
@@ -139,19 +125,14 @@ impl Doorway {
             .map_err(|why| self.error(why))?;
         match Locked::new(file) {
             // Somebody listens at the door, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
-            Ok(_) if cfg!(unix) && self.is_attended() => Ok(None),
+            Ok(_) if self.is_attended() => Ok(None),
             Ok(locked) => {
                 // Left by an owner that was killed.
                 let _ = fs::remove_file(self.file("door"));
                 let _ = fs::remove_file(self.file("owner"));
-                let owner_file = OwnerFile {
-                    owner: Owner::this_process(),
-                    port: None,
-                    token: String::new(),
-                };
                 Ok(Some(Lock {
                     doorway: self.clone(),
-                    owner_file: Mutex::new(owner_file),
+                    owner: Owner::this_process(),
                     _locked: locked,
                 }))
             }
@@ -186,79 +167,46 @@ impl Doorway {
         let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
     }
 
-    /// The owner's description, as far as it was written.
-    pub fn owner_file(&self) -> Option<OwnerFile> {
-        serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
-    }
-
     /// The owner of the line, as far as it was written.
     #[must_use]
     pub fn owner(&self) -> Option<Owner> {
-        self.owner_file().map(|owner_file| owner_file.owner)
+        serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
     }
 
     /// Whether the owner seems to listen. It does not if there is a description but no door: the owner is setting up
     /// or leaving.
     pub fn is_open(&self) -> bool {
-        if cfg!(unix) {
-            self.file("door").exists()
-        } else {
-            self.owner_file()
-                .is_some_and(|owner_file| owner_file.port.is_some())
-        }
+        self.file("door").exists()
     }
 
     /// Whether somebody listens at the door, taking guests in or not.
     fn is_attended(&self) -> bool {
-        match self.connect(None) {
+        match self.connect() {
             Ok(_) => true,
             Err(why) => why.kind() == io::ErrorKind::WouldBlock,
         }
     }
 
-    /// Connects to the door. A socket has a fixed path: it works even if somebody has removed the owner file.
-    pub fn connect(&self, owner_file: Option<&OwnerFile>) -> io::Result<Stream> {
-        if owner_file.is_none() && !cfg!(unix) {
-            return Err(io::ErrorKind::NotFound.into());
-        }
-        Stream::connect(
-            &self.file("door"),
-            owner_file.and_then(|owner_file| owner_file.port),
-        )
+    /// Connects to the door. Its path is fixed: it works even if somebody has removed the owner's description.
+    pub fn connect(&self) -> io::Result<UnixStream> {
+        stream::connect(&self.file("door"))
     }
 }
 
 impl Lock {
     /// Opens the door and publishes its owner.
-    pub fn listen(&self) -> Result<(Listener, OwnerFile), OpenError> {
-        let doorway = &self.doorway;
-        #[cfg(unix)]
-        let listener = Listener::unix(&doorway.file("door"));
-        #[cfg(not(unix))]
-        let listener = Listener::loopback();
-        let listener = listener.map_err(|why| doorway.error(why))?;
-        let port = listener.port();
-        let random = || RandomState::new().hash_one(port);
-        let mut owner_file = self.owner_file();
-        owner_file.port = port;
-        owner_file.token = port.map_or(String::new(), |_| {
-            format!("{:016x}{:016x}", random(), random())
-        });
-        self.publish(&owner_file)?;
-        Ok((listener, owner_file.clone()))
+    pub fn listen(&self) -> Result<UnixListener, OpenError> {
+        let listener = UnixListener::bind(self.doorway.file("door"));
+        let listener = listener.map_err(|why| self.doorway.error(why))?;
+        self.publish()?;
+        Ok(listener)
     }
 
-    fn owner_file(&self) -> MutexGuard<'_, OwnerFile> {
-        self.owner_file
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn publish(&self, owner_file: &OwnerFile) -> Result<(), OpenError> {
+    fn publish(&self) -> Result<(), OpenError> {
         let doorway = &self.doorway;
         // Write and rename, so that a reader finds the old file or the new one, never a part.
         let (new, file) = (doorway.file("new"), doorway.file("owner"));
-        let text = serde_json::to_vec(owner_file).map_err(|why| doorway.error(why))?;
+        let text = serde_json::to_vec(&self.owner).map_err(|why| doorway.error(why))?;
         fs::write(&new, text)
             .and_then(|()| fs::rename(&new, &file))
             .map_err(|why| doorway.error(why))
@@ -268,7 +216,12 @@ impl Lock {
     pub fn announce(&self) -> Result<(), OpenError> {
         // Remove the door of an owner that was killed: nobody answers there.
         let _ = fs::remove_file(self.doorway.file("door"));
-        self.publish(&self.owner_file())
+        self.publish()
+    }
+
+    /// The process that owns the line.
+    pub fn owner(&self) -> &Owner {
+        &self.owner
     }
 
     /// Lock and door of the line.
@@ -296,12 +249,8 @@ fn stop_file(urgent: Urgent) -> &'static str {
 fn line(address: &Address) -> Option<String> {
     match address {
         Address::Serial(path) => {
-            let path = if cfg!(windows) {
-                PathBuf::from(path.to_uppercase())
-            } else {
-                // A missing port has no owner; opening it reports the problem.
-                fs::canonicalize(path).ok()?
-            };
+            // A missing port has no owner; opening it reports the problem.
+            let path = fs::canonicalize(path).ok()?;
             Some(format!("serial {}", path.display()))
         }
         Address::Tcp(place) => {
@@ -329,26 +278,15 @@ fn host(at: SocketAddr) -> String {
 pub fn folder() -> Result<PathBuf, String> {
     let folder = match std::env::var_os(FOLDER_VARIABLE) {
         Some(folder) if !folder.is_empty() => PathBuf::from(folder),
-        _ => default_folder()?,
+        _ => {
+            let user = rustix::process::geteuid().as_raw();
+            PathBuf::from(format!("/tmp/retrograde-{user}"))
+        }
     };
     make(&folder).map_err(|why| format!("{}: {why}", folder.display()))?;
     Ok(folder)
 }
 
-#[cfg(unix)]
-fn default_folder() -> Result<PathBuf, String> {
-    let user = rustix::process::geteuid().as_raw();
-    Ok(PathBuf::from(format!("/tmp/retrograde-{user}")))
-}
-
-#[cfg(not(unix))]
-fn default_folder() -> Result<PathBuf, String> {
-    std::env::var_os("LOCALAPPDATA")
-        .map(|folder| PathBuf::from(folder).join("retrograde"))
-        .ok_or_else(|| "LOCALAPPDATA is not set".to_owned())
-}
-
-#[cfg(unix)]
 fn make(folder: &Path) -> Result<(), String> {
     use std::os::unix::fs::{DirBuilderExt, MetadataExt};
     match fs::DirBuilder::new().mode(0o700).create(folder) {
@@ -369,11 +307,6 @@ fn make(folder: &Path) -> Result<(), String> {
     Ok(())
 }
 
-#[cfg(not(unix))]
-fn make(folder: &Path) -> Result<(), String> {
-    fs::create_dir_all(folder).map_err(|why| why.to_string())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -392,10 +325,10 @@ mod tests {
         let other = doorway(folder.path(), "other");
         assert!(other.claim().expect("possible").is_some());
         owned.announce().expect("possible");
-        let pid = one.owner_file().expect("announced").owner.pid;
+        let pid = one.owner().expect("announced").pid;
         assert_eq!(pid, std::process::id());
         drop(owned);
-        assert!(one.owner_file().is_none());
+        assert!(one.owner().is_none());
         assert!(one.claim().expect("possible").is_some());
     }
 
@@ -449,19 +382,6 @@ mod tests {
     }
 
     #[test]
-    fn a_door_is_open_while_its_owner_listens() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let doorway = doorway(folder.path(), "one");
-        let lock = doorway.claim().expect("possible").expect("free");
-        lock.announce().expect("possible");
-        assert!(!doorway.is_open());
-        let listening = lock.listen().expect("a door");
-        assert!(doorway.is_open());
-        drop((listening, lock));
-        assert!(!doorway.is_open());
-    }
-
-    #[test]
     fn a_mark_that_is_cleaned_away_is_no_stop() {
         let folder = tempfile::tempdir().expect("a folder");
         let doorway = doorway(folder.path(), "one");
@@ -475,7 +395,6 @@ mod tests {
         }
     }
 
-    #[cfg(unix)]
     #[test]
     fn a_folder_that_others_can_enter_is_refused() {
         use std::os::unix::fs::PermissionsExt;

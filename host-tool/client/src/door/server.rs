@@ -2,6 +2,8 @@
 
 use std::collections::{HashMap, VecDeque};
 use std::io::{self, Read, Write};
+use std::net::Shutdown;
+use std::os::unix::net::{UnixListener, UnixStream};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -14,10 +16,10 @@ use protocol::session::{Decision, Session, Ticket};
 use protocol::system::{Done, Identity, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 
-use crate::door::lock::{Doorway, OwnerFile};
-use crate::door::stream::{Listener, Stream, read_line};
+use crate::door::lock::Doorway;
+use crate::door::stream::read_line;
 use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome, admits};
-use crate::link::owner::{Question, StopMark};
+use crate::link::owner::{Owner, Question, StopMark};
 
 /// Buffer for an owner that does not read, bytes: 90 s of a full line. Beyond that new bytes are lost.
 const UNREAD: usize = 1 << 20;
@@ -289,20 +291,12 @@ impl Core {
             }
         };
         state.last_question = Some(now);
-        // Ask once if several guests want to know the same. Five of them would ask for more than the line can carry,
-        // and each would wait for the others until it gives up.
-        let (same, others): (VecDeque<_>, _) = state.questions.drain(..).partition(|other| {
-            question.as_ref().is_some_and(|question| {
-                other.request.impact() == Impact::None && other.request == question.request
-            })
-        });
-        state.questions = others;
         drop(state);
         for question in stale {
             // The machine has not seen it. A guest that is still there may ask again.
             question.answer(Some(Reply::Wire(WireError::Stale)));
         }
-        question.map(|question| question.shared_with(same))
+        question
     }
 
     // Calls by the thread that reads the line.
@@ -458,40 +452,40 @@ impl Write for Closed {
 }
 
 /// Accepts guests until the core closes.
-pub fn serve(listener: &Listener, owner_file: &OwnerFile, core: &Arc<Core>) {
+pub fn serve(listener: &UnixListener, owner: &Owner, core: &Arc<Core>) {
     loop {
         let stream = listener.accept();
         if core.is_closing() {
             return;
         }
-        let Ok(stream) = stream else {
+        let Ok((stream, _)) = stream else {
             // Most likely too many open files; wait until some are closed.
             thread::sleep(Duration::from_millis(50));
             continue;
         };
-        let (core, owner_file) = (Arc::clone(core), owner_file.clone());
+        let (core, owner) = (Arc::clone(core), owner.clone());
         let host = thread::Builder::new()
             .name("guest".to_owned())
             .stack_size(GUEST_STACK);
         // If there is no thread for it, the guest finds its connection closed.
         let _ = host.spawn(move || {
             // A guest that leaves or breaks the rules affects nobody else.
-            let _ = receive_guest(stream, &owner_file, &core);
+            let _ = receive_guest(stream, &owner, &core);
         });
     }
 }
 
-fn receive_guest(mut stream: Stream, owner_file: &OwnerFile, core: &Arc<Core>) -> io::Result<()> {
+fn receive_guest(mut stream: UnixStream, owner: &Owner, core: &Arc<Core>) -> io::Result<()> {
     stream.set_read_timeout(Some(GREETING_TIME))?;
     stream.set_write_timeout(Some(GREETING_TIME))?;
-    let greeting = read_greeting(&read_line(&mut stream, LONGEST_LINE)?, owner_file)?;
+    let greeting = serde_json::from_slice(&read_line(&mut stream, LONGEST_LINE)?)?;
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
     let shut = stream.try_clone()?;
     // Admit the guest before the welcome: once welcomed, it has to be able to stop the machine.
-    let Some(mut visit) = Visit::new(core, Box::new(move || shut.shut()), frames) else {
+    let Some(mut visit) = Visit::new(core, Box::new(move || close(&shut)), frames) else {
         return Ok(());
     };
-    stream.write_all(&visit.welcome(&greeting, owner_file)?)?;
+    stream.write_all(&visit.welcome(&greeting, owner)?)?;
     if visit.looks {
         stream.set_read_timeout(None)?;
     }
@@ -503,7 +497,7 @@ fn receive_guest(mut stream: Stream, owner_file: &OwnerFile, core: &Arc<Core>) -
     let writing = writer.spawn(move || {
         for frame in waiting {
             if to_guest.write_all(&frame).is_err() {
-                to_guest.shut();
+                close(&to_guest);
                 return;
             }
         }
@@ -513,17 +507,13 @@ fn receive_guest(mut stream: Stream, owner_file: &OwnerFile, core: &Arc<Core>) -
         Err(why) => Err(why),
     };
     drop(visit);
-    stream.shut();
+    close(&stream);
     result
 }
 
-/// Parses a guest's first line and checks whether the guest may enter.
-pub fn read_greeting(line: &[u8], owner_file: &OwnerFile) -> io::Result<Greeting> {
-    let greeting: Greeting = serde_json::from_slice(line)?;
-    if greeting.token != owner_file.token {
-        return Err(io::ErrorKind::PermissionDenied.into());
-    }
-    Ok(greeting)
+/// It is no error if the connection is already gone.
+fn close(stream: &UnixStream) {
+    let _ = stream.shutdown(Shutdown::Both);
 }
 
 /// A guest's session with the door.
@@ -575,13 +565,13 @@ impl Visit {
     }
 
     /// The first line sent to the guest.
-    pub fn welcome(&self, greeting: &Greeting, owner_file: &OwnerFile) -> io::Result<Vec<u8>> {
+    pub fn welcome(&self, greeting: &Greeting, owner: &Owner) -> io::Result<Vec<u8>> {
         if greeting.wants_line {
             self.core.want_line();
         }
         let welcome = Welcome {
             retrograde_door: VERSION,
-            owner: owner_file.owner.clone(),
+            owner: owner.clone(),
             yields: self.core.yields.load(Ordering::Relaxed),
             full: !self.looks,
         };
@@ -590,7 +580,7 @@ impl Visit {
         Ok(line)
     }
 
-    fn receive(&mut self, stream: &mut Stream) -> io::Result<()> {
+    fn receive(&mut self, stream: &mut UnixStream) -> io::Result<()> {
         let mut bytes = [0; 512];
         loop {
             let count = match stream.read(&mut bytes) {

@@ -11,9 +11,8 @@ use protocol::system::{Identity, Urgent};
 
 use crate::door::lock::Lock;
 use crate::door::server::{Core, serve};
-use crate::link::halves::Halves;
+use crate::link::halves::{Halves, nothing_yet, wall_us};
 use crate::link::owner::{Question, StopMark};
-use crate::link::tcp::{nothing_yet, wall_us};
 use crate::link::{Link, LinkError, OpenError, Reason};
 
 /// A link with a door.
@@ -31,7 +30,7 @@ impl Shared {
     pub fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
         let place = lock.doorway().place().to_owned();
         let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
-        let (listener, owner_file) = lock.listen()?;
+        let (listener, owner) = (lock.listen()?, lock.owner().clone());
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
             reason: Reason::Other,
@@ -54,7 +53,7 @@ impl Shared {
         };
         thread::Builder::new()
             .name("door".to_owned())
-            .spawn(move || serve(&listener, &owner_file, &served))
+            .spawn(move || serve(&listener, &owner, &served))
             .map_err(failed)?;
         Ok(shared)
     }
@@ -71,8 +70,7 @@ impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
         // Wake the door's thread with a connection; otherwise it would not see the end until somebody connects.
-        let doorway = self.lock.doorway();
-        let _ = doorway.connect(doorway.owner_file().as_ref());
+        let _ = self.lock.doorway().connect();
         if let Some(pump) = self.pump.take() {
             let _ = pump.join();
         }

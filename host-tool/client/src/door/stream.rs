@@ -1,70 +1,15 @@
-//! Listeners and connections of a door: a Unix socket, or a loopback port on other systems.
+//! Connections of a door: Unix sockets, guarded by the permissions of their folder.
 
-use std::io::{self, Read, Write};
-use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
+use std::io::{self, Read};
+use std::os::unix::net::UnixStream;
 use std::path::Path;
-use std::time::Duration;
 
-#[cfg(unix)]
-use std::os::unix::net::{UnixListener, UnixStream};
-
-/// A listening door.
-pub enum Listener {
-    /// Guarded by the permissions of its folder.
-    #[cfg(unix)]
-    Unix(UnixListener),
-    /// Guarded by a token.
-    Loopback(TcpListener),
-}
-
-/// A guest's connection, used on both sides.
-#[derive(Debug)]
-pub enum Stream {
-    #[cfg(unix)]
-    Unix(UnixStream),
-    Loopback(TcpStream),
-}
-
-impl Listener {
-    /// Listens at the socket.
-    #[cfg(unix)]
-    pub fn unix(socket: &Path) -> io::Result<Self> {
-        UnixListener::bind(socket).map(Self::Unix)
-    }
-
-    /// Listens at a free port of the loopback interface.
-    #[cfg_attr(unix, allow(dead_code))]
-    pub fn loopback() -> io::Result<Self> {
-        TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).map(Self::Loopback)
-    }
-
-    /// The port, for a loopback door.
-    pub fn port(&self) -> Option<u16> {
-        match self {
-            #[cfg(unix)]
-            Self::Unix(_) => None,
-            Self::Loopback(listener) => listener.local_addr().ok().map(|at| at.port()),
-        }
-    }
-
-    pub fn accept(&self) -> io::Result<Stream> {
-        match self {
-            #[cfg(unix)]
-            Self::Unix(listener) => listener.accept().map(|(stream, _)| Stream::Unix(stream)),
-            Self::Loopback(listener) => {
-                let (stream, _) = listener.accept()?;
-                stream.set_nodelay(true)?;
-                Ok(Stream::Loopback(stream))
-            }
-        }
-    }
-}
-
-/// Longest wait for a port of this computer. Without a free place in its queue nothing answers.
-const LOOPBACK: Duration = Duration::from_secs(1);
-
-#[cfg(unix)]
-fn at_once(socket: &Path) -> io::Result<UnixStream> {
+/// Connects to the socket. Never waits: guests that nobody has taken in fill the queue of an owner that is frozen, and
+/// behind a full one the system would wait for ever.
+///
+/// # Errors
+/// [`io::ErrorKind::WouldBlock`] if the queue is full; the system's if no owner listens.
+pub fn connect(socket: &Path) -> io::Result<UnixStream> {
     use rustix::fs::{OFlags, fcntl_setfl};
     use rustix::io::{FdFlags, fcntl_setfd};
     use rustix::net::{AddressFamily, SocketAddrUnix, SocketType, connect, socket as open};
@@ -75,85 +20,6 @@ fn at_once(socket: &Path) -> io::Result<UnixStream> {
     let stream = UnixStream::from(near);
     stream.set_nonblocking(false)?;
     Ok(stream)
-}
-
-impl Stream {
-    /// Connects to the socket, or to the port if there is one. Never waits: guests that nobody has taken in fill the queue
-    /// of an owner that is frozen, and behind a full one the system would wait for ever.
-    ///
-    /// # Errors
-    /// [`io::ErrorKind::WouldBlock`] if the queue is full; the system's if no owner listens.
-    pub fn connect(socket: &Path, port: Option<u16>) -> io::Result<Self> {
-        let Some(port) = port else {
-            #[cfg(unix)]
-            return at_once(socket).map(Self::Unix);
-            #[cfg(not(unix))]
-            return Err(io::Error::new(
-                io::ErrorKind::NotFound,
-                format!("no port for {}", socket.display()),
-            ));
-        };
-        let stream = TcpStream::connect_timeout(&(Ipv4Addr::LOCALHOST, port).into(), LOOPBACK)?;
-        stream.set_nodelay(true)?;
-        Ok(Self::Loopback(stream))
-    }
-
-    pub fn try_clone(&self) -> io::Result<Self> {
-        Ok(match self {
-            #[cfg(unix)]
-            Self::Unix(stream) => Self::Unix(stream.try_clone()?),
-            Self::Loopback(stream) => Self::Loopback(stream.try_clone()?),
-        })
-    }
-
-    pub fn set_read_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
-        match self {
-            #[cfg(unix)]
-            Self::Unix(stream) => stream.set_read_timeout(limit),
-            Self::Loopback(stream) => stream.set_read_timeout(limit),
-        }
-    }
-
-    pub fn set_write_timeout(&self, limit: Option<Duration>) -> io::Result<()> {
-        match self {
-            #[cfg(unix)]
-            Self::Unix(stream) => stream.set_write_timeout(limit),
-            Self::Loopback(stream) => stream.set_write_timeout(limit),
-        }
-    }
-
-    pub fn shut(&self) {
-        // It is no error if the connection is already gone.
-        let _ = match self {
-            #[cfg(unix)]
-            Self::Unix(stream) => stream.shutdown(Shutdown::Both),
-            Self::Loopback(stream) => stream.shutdown(Shutdown::Both),
-        };
-    }
-}
-
-impl Read for Stream {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        match self {
-            #[cfg(unix)]
-            Self::Unix(stream) => stream.read(into),
-            Self::Loopback(stream) => stream.read(into),
-        }
-    }
-}
-
-impl Write for Stream {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        match self {
-            #[cfg(unix)]
-            Self::Unix(stream) => stream.write(bytes),
-            Self::Loopback(stream) => stream.write(bytes),
-        }
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
 }
 
 /// Reads a line of at most `limit` bytes, and no byte beyond its end.
@@ -175,6 +41,8 @@ pub fn read_line(from: &mut impl Read, limit: usize) -> io::Result<Vec<u8>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::net::UnixListener;
+    use std::time::Duration;
 
     /// Regression: beside an owner that was frozen for hours a stop waited here for ever, instead of going past it.
     #[cfg(target_os = "linux")]
@@ -186,7 +54,7 @@ mod tests {
         rustix::net::listen(&frozen, 1).expect("a short queue");
         let (tell, told) = std::sync::mpsc::channel();
         std::thread::spawn(move || {
-            let guests = (0..9).map(|_| Stream::connect(&socket, None));
+            let guests = (0..9).map(|_| connect(&socket));
             let full = guests.filter_map(Result::err).next();
             let _ = tell.send(full.map(|why| why.kind()));
         });

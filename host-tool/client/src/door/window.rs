@@ -1,13 +1,14 @@
 //! A guest's side of a door: a link to the machine that another process owns.
 
 use std::io::{self, Read, Write};
+use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
 use crate::door::lock::Doorway;
-use crate::door::stream::{Stream, read_line};
+use crate::door::stream::read_line;
 use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome};
+use crate::link::halves::{nothing_yet, timeout, wall_us};
 use crate::link::owner::{Owner, StopMark};
-use crate::link::tcp::{nothing_yet, timeout, wall_us};
 use crate::link::{Link, LinkError};
 
 /// A link through another process. Stops are sent at once; reading goes between the owner's requests.
@@ -19,7 +20,7 @@ pub struct Window {
     yields: bool,
     full: bool,
     doorway: Doorway,
-    stream: Stream,
+    stream: UnixStream,
     start: Instant,
     /// The last stop that was known when the orders were given.
     ordered_at: StopMark,
@@ -36,13 +37,11 @@ impl Window {
     }
 
     fn greet(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
-        let owner_file = doorway.owner_file();
-        let mut stream = doorway.connect(owner_file.as_ref())?;
+        let mut stream = doorway.connect()?;
         stream.set_read_timeout(Some(limit))?;
         stream.set_write_timeout(Some(limit))?;
         let greeting = Greeting {
             retrograde_window: VERSION,
-            token: owner_file.map_or_else(String::new, |owner_file| owner_file.token),
             wants_line,
         };
         let mut line = serde_json::to_vec(&greeting)?;
@@ -130,17 +129,17 @@ mod tests {
     use super::*;
 
     /// A window, and the owner's side of it.
-    fn opened() -> (Window, Stream, Doorway, tempfile::TempDir) {
+    fn opened() -> (Window, UnixStream, Doorway, tempfile::TempDir) {
         let folder = tempfile::tempdir().expect("a folder");
         let doorway = Doorway::new(folder.path().to_owned(), "one", "there".to_owned());
         let lock = doorway.claim().expect("possible").expect("free");
-        let (listener, owner_file) = lock.listen().expect("a door");
+        let listener = lock.listen().expect("a door");
         let owner = std::thread::spawn(move || {
-            let mut guest = listener.accept().expect("a guest");
+            let (mut guest, _) = listener.accept().expect("a guest");
             read_line(&mut guest, LONGEST_LINE).expect("a greeting");
             let welcome = Welcome {
                 retrograde_door: VERSION,
-                owner: owner_file.owner,
+                owner: lock.owner().clone(),
                 yields: false,
                 full: true,
             };
@@ -160,26 +159,5 @@ mod tests {
         assert!(window.is_overtaken());
         window.ordered_at(Doorway::last_stops(Some(&doorway)));
         assert!(!window.is_overtaken());
-    }
-
-    #[test]
-    fn bytes_pass_both_ways_until_the_owner_has_ended() {
-        let (mut window, mut owner, ..) = opened();
-        assert_eq!(window.place(), "there");
-        assert!(window.is_full() && !window.want_line());
-        window.start -= Duration::from_secs(2);
-        assert!(window.now_us() >= 2_000_000);
-        let mut buffer = [0; 16];
-        window.send(b"there").expect("connected");
-        owner.read_exact(&mut buffer[..5]).expect("connected");
-        owner.write_all(b"back").expect("connected");
-        let later_us = window.now_us() + 60_000_000;
-        let received = window.receive(&mut buffer, later_us);
-        assert_eq!((received.ok(), &buffer[..4]), (Some(4), &b"back"[..]));
-        // Nothing has come, which is no error.
-        assert_eq!(window.receive(&mut buffer, 0).ok(), Some(0));
-        drop(owner);
-        let gone = window.receive(&mut buffer, later_us).expect_err("gone");
-        assert!(matches!(gone, LinkError::OwnerGone { .. }), "{gone}");
     }
 }

@@ -1,6 +1,5 @@
 //! Shared knowledge of a line's owner and its guests: the owner, the stops, the guests' questions.
 
-use std::collections::VecDeque;
 use std::fmt;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -137,25 +136,6 @@ impl Question {
             request,
             asked: Instant::now(),
             answer: Box::new(answer),
-        }
-    }
-
-    /// Merges the same questions of several guests.
-    pub(crate) fn shared_with(self, others: VecDeque<Self>) -> Self {
-        let Self {
-            request,
-            asked,
-            answer,
-        } = self;
-        Self {
-            request,
-            asked,
-            answer: Box::new(move |reply| {
-                for other in others {
-                    other.answer(reply.clone());
-                }
-                answer(reply);
-            }),
         }
     }
 

@@ -1,14 +1,12 @@
-//! A link to a machine at a serial port, which this process opens exclusively.
+//! A line to a machine at a serial port, which this process opens exclusively.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
 use std::{fs, io};
 
-use serialport::{ClearBuffer, ErrorKind, SerialPort, SerialPortType};
+use serialport::{ClearBuffer, ErrorKind, SerialPortType};
 
-use crate::link::halves::{Halves, READ};
-use crate::link::tcp::{nothing_yet, timeout, wall_us};
-use crate::link::{Link, LinkError, OpenError, Reason};
+use crate::link::halves::{Halves, READ, WRITE};
+use crate::link::{OpenError, Reason};
 
 /// Baud rate of both firmwares.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -16,86 +14,24 @@ pub const DEFAULT_BAUD: u32 = 115_200;
 /// USB vendor of the ST-LINK on every Nucleo board.
 const STMICROELECTRONICS: u16 = 0x0483;
 
-/// Time limit for a write. A frame of 170 bytes takes 15 ms, so a port that takes longer than this is stuck.
-const WRITE: Duration = Duration::from_secs(1);
-
-/// Error text for a port that is lost.
-const GONE: &str = "the port is gone";
-
-/// A serial port.
-pub struct Serial {
-    path: String,
-    port: Box<dyn SerialPort>,
-    start: Instant,
-}
-
-impl Serial {
-    /// Opens a port exclusively. Sends nothing.
-    ///
-    /// # Errors
-    /// [`OpenError`], which tells missing, forbidden and busy ports apart and says what to do.
-    pub fn open(path: &str, baud: u32) -> Result<Self, OpenError> {
-        let port = serialport::new(path, baud)
-            .timeout(WRITE)
-            .open()
-            .map_err(|error| explain(path, &error))?;
+/// Opens a port exclusively. Sends nothing.
+///
+/// # Errors
+/// [`OpenError`], which tells missing, forbidden and busy ports apart and says what to do.
+pub fn open(path: &str, baud: u32) -> Result<Halves, OpenError> {
+    let halves = || {
+        let port = serialport::new(path, baud).timeout(WRITE).open()?;
         // Drop old bytes: they belong to no session of this process.
         let _ = port.clear(ClearBuffer::Input);
-        Ok(Self {
-            path: path.to_owned(),
-            port,
-            start: Instant::now(),
-        })
-    }
-
-    /// Splits the port for two threads.
-    pub fn halves(mut self) -> io::Result<Halves> {
-        let mut reader = self.port.try_clone()?;
+        let mut reader = port.try_clone()?;
         reader.set_timeout(READ)?;
-        self.port.set_timeout(WRITE)?;
         Ok(Halves {
             reader: Box::new(reader),
-            writer: Box::new(self.port),
-            end: GONE,
+            writer: Box::new(port),
+            end: "the port is gone",
         })
-    }
-
-    fn lost(&self, why: impl ToString) -> LinkError {
-        LinkError::Lost {
-            place: self.path.clone(),
-            why: why.to_string(),
-        }
-    }
-}
-
-impl Link for Serial {
-    fn place(&self) -> String {
-        self.path.clone()
-    }
-
-    fn now_us(&self) -> u64 {
-        wall_us(self.start)
-    }
-
-    fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        self.port
-            .set_timeout(WRITE)
-            .map_err(|error| self.lost(error))?;
-        self.port.write_all(bytes).map_err(|error| self.lost(error))
-    }
-
-    fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
-        let timeout = timeout(self.now_us(), deadline_us);
-        self.port
-            .set_timeout(timeout)
-            .map_err(|error| self.lost(error))?;
-        match self.port.read(buffer) {
-            Ok(0) => Err(self.lost(GONE)),
-            Ok(count) => Ok(count),
-            Err(io) if nothing_yet(io.kind()) => Ok(0),
-            Err(io) => Err(self.lost(io)),
-        }
-    }
+    };
+    halves().map_err(|error| explain(path, &error))
 }
 
 /// A serial port of this computer.
@@ -167,7 +103,7 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
             "give a serial port, such as /dev/ttyACM0; `retrograde doctor` lists the ports"
                 .to_owned(),
         ),
-        _ if !exists && cfg!(unix) => (
+        _ if !exists => (
             Reason::Absent,
             "there is no such port".to_owned(),
             "check the cable; `retrograde doctor` lists the ports".to_owned(),
@@ -187,7 +123,6 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
 }
 
 /// Whether a path may be a port: neither a file nor a folder, nor a device without a line.
-#[cfg(unix)]
 fn is_a_device(path: &str) -> bool {
     use std::io::IsTerminal;
     use std::os::unix::fs::FileTypeExt;
@@ -196,13 +131,7 @@ fn is_a_device(path: &str) -> bool {
     device && fs::File::open(path).map_or(true, |file| file.is_terminal())
 }
 
-#[cfg(not(unix))]
-fn is_a_device(_path: &str) -> bool {
-    true
-}
-
 /// Name of the group that owns a file.
-#[cfg(unix)]
 fn group(path: &str) -> Option<String> {
     use std::os::unix::fs::MetadataExt;
     let gid = fs::metadata(path).ok()?.gid().to_string();
@@ -212,11 +141,6 @@ fn group(path: &str) -> Option<String> {
         let name = fields.next()?;
         (fields.nth(1)? == gid).then(|| name.to_owned())
     })
-}
-
-#[cfg(not(unix))]
-fn group(_path: &str) -> Option<String> {
-    None
 }
 
 /// The process that has a file open, as far as this user can see it (Linux).
@@ -239,15 +163,6 @@ fn owner(path: &str) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_missing_port_is_named_and_says_where_to_look() {
-        let error = Serial::open("/dev/retrograde-no-such-port", DEFAULT_BAUD)
-            .err()
-            .expect("there is no such port");
-        assert_eq!(error.place, "/dev/retrograde-no-such-port");
-        assert!(error.remedy.contains("retrograde doctor"), "{error:?}");
-    }
 
     #[cfg(target_os = "linux")]
     #[test]
@@ -292,35 +207,6 @@ mod tests {
         unlockpt(&machine).expect("mine");
         let path = ptsname(&machine, vec![]).expect("a name");
         (path.into_string().expect("UTF-8"), machine.into())
-    }
-
-    #[cfg(target_os = "linux")]
-    #[test]
-    fn bytes_pass_both_ways_until_the_port_is_gone() {
-        use std::io::{Read, Write};
-        let (path, mut machine) = plugged_in();
-        let mut port = Serial::open(&path, DEFAULT_BAUD).expect("a port");
-        assert_eq!(port.place(), path);
-        port.start -= Duration::from_secs(2);
-        assert!(port.now_us() >= 2_000_000, "{}", port.now_us());
-        let mut buffer = [0; 16];
-        port.send(b"there").expect("connected");
-        machine.read_exact(&mut buffer[..5]).expect("connected");
-        assert_eq!(&buffer[..5], b"there");
-        machine.write_all(b"back").expect("connected");
-        let later_us = port.now_us() + 60_000_000;
-        let mut back: Vec<u8> = vec![];
-        while back.len() < 4 {
-            let count = port.receive(&mut buffer, later_us).expect("connected");
-            assert!(count > 0);
-            back.extend(&buffer[..count]);
-        }
-        assert_eq!(back, b"back");
-        // Nothing has come, which is no error.
-        assert_eq!(port.receive(&mut buffer, 0).ok(), Some(0));
-        drop(machine);
-        let lost = port.receive(&mut buffer, later_us).expect_err("gone");
-        assert!(lost.to_string().contains(&path), "{lost}");
     }
 
     /// The reason why a path cannot be opened as a port, if the system says this.

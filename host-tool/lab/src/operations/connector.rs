@@ -13,11 +13,9 @@ use client::door::server::GUESTS;
 use client::door::shared::Shared;
 use client::door::window::Window;
 use client::error::ClientError;
-use client::link::halves::Halves;
+use client::link::halves::{Direct, Halves};
 use client::link::owner::Owner;
-use client::link::serial::{self, Serial};
-use client::link::tcp::Tcp;
-use client::link::{Link, OpenError, Reason};
+use client::link::{Link, OpenError, Reason, serial, tcp};
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
 
@@ -237,26 +235,17 @@ fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
 
 /// Opens the line, split for two threads.
 fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenError> {
-    let opened = match address {
-        Address::Serial(path) => Serial::open(path, baud)?.halves(),
-        Address::Tcp(place) => Tcp::open_within(place, limit)?.halves(),
-        Address::Auto | Address::Virtual => return Err(nowhere(address)),
-    };
-    opened.map_err(|why| OpenError {
-        place: address.to_string(),
-        reason: Reason::Other,
-        why: why.to_string(),
-        remedy: "try again; `retrograde doctor` lists the ports".to_owned(),
-    })
+    match address {
+        Address::Serial(path) => serial::open(path, baud),
+        Address::Tcp(place) => tcp::open(place, limit),
+        Address::Auto | Address::Virtual => Err(nowhere(address)),
+    }
 }
 
 /// Opens the line without lock or door, whatever other processes do.
 fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>, OpenError> {
-    match address {
-        Address::Serial(path) => Ok(Box::new(Serial::open(path, baud)?)),
-        Address::Tcp(place) => Ok(Box::new(Tcp::open_within(place, limit)?)),
-        Address::Auto | Address::Virtual => Err(nowhere(address)),
-    }
+    let halves = halves(address, baud, limit)?;
+    Ok(Box::new(Direct::new(address.to_string(), halves)))
 }
 
 /// The error for an address without a line.

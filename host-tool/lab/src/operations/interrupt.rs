@@ -44,7 +44,6 @@ pub fn install() -> Interrupt {
 
 /// Calls `handle` for each signal that ends this program, in a thread that may wait and allocate. Without a handler,
 /// which a system may refuse, a signal ends the process, and the device stops by its link time-out.
-#[cfg(unix)]
 pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
@@ -54,7 +53,6 @@ pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
 }
 
 /// Passes on each of these signals. A pipe counts them: two that come before the thread wakes up stay two.
-#[cfg(unix)]
 fn follow(
     numbers: &[i32],
     signal: Signal,
@@ -72,12 +70,6 @@ fn follow(
         }
     });
     Ok(())
-}
-
-/// Calls `handle` for each Ctrl-C, and for a console that is closed.
-#[cfg(not(unix))]
-pub fn on_signals(handle: impl Fn(Signal) + Send + Sync + 'static) {
-    let _ = ctrlc::set_handler(move || handle(Signal::Key));
 }
 
 /// Requests a controlled stop, as the first Ctrl-C does. Repeating it changes nothing: a key that repeats is not an

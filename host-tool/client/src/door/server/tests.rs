@@ -138,73 +138,6 @@ fn a_question_that_waited_too_long_is_not_asked() {
 }
 
 #[test]
-fn what_many_want_to_see_is_asked_once_and_what_they_want_done_as_often_as_they_say() {
-    let (core, _written) = core();
-    let (answers, answered) = channel();
-    let ask = |guest: u32, request: Request| {
-        let answers = answers.clone();
-        core.ask(Question::new(request, move |reply| {
-            answers.send((guest, reply)).expect("heard");
-        }));
-    };
-    let status = || rig::GetRigStatus.into_request();
-    for guest in 0..5 {
-        ask(guest, status());
-    }
-    ask(5, rig::Resume.into_request());
-    ask(6, status());
-    ask(7, rig::Resume.into_request());
-    let reply = Reply::Wire(WireError::Malformed);
-    let first = core.question(Instant::now()).expect("one");
-    assert_eq!(first.request, status());
-    first.answer(Some(reply.clone()));
-    let mut guests: Vec<_> = answered.try_iter().collect();
-    guests.sort_by_key(|(guest, _)| *guest);
-    let told = |guest| (guest, Some(reply.clone()));
-    assert_eq!(guests, [0, 1, 2, 3, 4, 6].map(told));
-    for guest in [5, 7] {
-        thread::sleep(BREATH);
-        core.question(Instant::now()).expect("another").answer(None);
-        assert_eq!(answered.try_iter().collect::<Vec<_>>(), [(guest, None)]);
-    }
-    thread::sleep(BREATH);
-    assert!(core.question(Instant::now()).is_none());
-}
-
-/// The door as on a system without Unix sockets.
-#[test]
-fn at_a_loopback_door_the_token_decides() {
-    let (core, written) = core();
-    let listener = Listener::loopback().expect("a free port");
-    let owner_file = OwnerFile {
-        owner: crate::link::owner::Owner::this_process(),
-        port: listener.port(),
-        token: "secret".to_owned(),
-    };
-    let (served, shown) = (Arc::clone(&core), owner_file.clone());
-    thread::spawn(move || serve(&listener, &shown, &served));
-    let visit = |token: &str| {
-        let mut stream = Stream::connect("".as_ref(), owner_file.port).expect("open");
-        let greeting = format!("{{\"retrograde_window\":1,\"token\":\"{token}\"}}\n");
-        let stop = encode(STOP, &Urgent::EStop).expect("fits");
-        // The guest does not wait for the welcome.
-        stream.write_all(greeting.as_bytes()).expect("sent");
-        let _ = stream.write_all(&stop);
-        read_line(&mut stream, LONGEST_LINE)
-    };
-    for wrong in ["", "guess"] {
-        assert!(visit(wrong).is_err());
-        assert!(written.recv_timeout(Duration::from_millis(100)).is_err());
-    }
-    let welcome = visit("secret").expect("welcome");
-    let welcome: Welcome = serde_json::from_slice(&welcome).expect("JSON");
-    assert_eq!(welcome.owner, owner_file.owner);
-    let sent = written.recv_timeout(Duration::from_secs(2)).expect("sent");
-    assert_eq!(header(&sent).expect("a frame").kind, Kind::Urgent);
-    core.close();
-}
-
-#[test]
 fn a_stop_that_nobody_has_noticed_is_not_forgotten() {
     let (core, _written) = core();
     core.stop(0, STOP, Urgent::Stop).expect("sent");
@@ -315,13 +248,6 @@ fn a_question_without_an_answer_is_not_called_unseen() {
     now += BREATH;
     assert!(core.question(now).is_none());
     assert!(told.try_recv().is_err(), "nothing is known of it");
-}
-
-/// An order that was not written must not count as sent.
-#[test]
-fn a_line_that_is_closed_takes_nothing() {
-    let error = Closed.write(b"x").expect_err("closed");
-    assert_eq!(error.kind(), io::ErrorKind::NotConnected);
 }
 
 #[test]
