@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use client::error::{ClientError, Missing};
-use client::link::Link;
 use client::{Begun, Device, Observer, Pace, Pacer, Progress, Unobserved};
 use lab::trials::experiment::PAPER_RUN;
 use protocol::capsule::ActuationOutcome;
@@ -507,26 +506,6 @@ fn silence_while_something_moves_says_that_it_may_be_moving() {
     assert!(!text.contains("nothing was done"), "{text}");
 }
 
-#[test]
-fn the_device_is_the_authority_on_the_stroke() {
-    let (mut rig, log) = homed_rig(Script::new(DeviceKind::Rig));
-    let error = rig
-        .run(Run {
-            stroke_um: 131_000,
-            ..PAPER_RUN
-        })
-        .expect_err("too long");
-    assert!(matches!(
-        error,
-        ClientError::Refused {
-            refusal: Refusal::OutOfRange { max: 130_000, .. },
-            ..
-        }
-    ));
-    assert_eq!(rig.rig_status().expect("status").state, RigState::Ready);
-    assert_eq!(count(&log.lock().expect("log").executed, "Run"), 1);
-}
-
 /// The operator's wishes, each at its time on the machine's clock.
 fn wishes(
     log: &Arc<std::sync::Mutex<simulated_machines::machine::Log>>,
@@ -705,29 +684,6 @@ fn a_run_is_overdue_by_the_clock_of_the_machine() {
 }
 
 #[test]
-fn a_run_that_does_not_end_is_stopped() {
-    let mut script = Script::new(DeviceKind::Rig);
-    // The timer fails in the middle of the run.
-    script.world = vec![(3_500_000, World::TimerStands)];
-    let (mut rig, log) = homed_rig(script);
-    let accepted = rig.run(SHORT_RUN).expect("accepted");
-    let error = rig
-        .wait_run(&accepted, &mut Unobserved)
-        .expect_err("overdue");
-    assert!(
-        matches!(
-            error,
-            ClientError::Overdue {
-                limit_ms: 7_000,
-                ..
-            }
-        ),
-        "{error:?}"
-    );
-    assert_eq!(log.lock().expect("log").urgent.len(), 1);
-}
-
-#[test]
 fn idling_keeps_the_session_and_collects_events() {
     let (mut rig, _) = homed_rig(Script::new(DeviceKind::Rig));
     rig.run(SHORT_RUN).expect("accepted");
@@ -785,15 +741,6 @@ fn a_homing_that_the_rig_has_stopped_in_silence_says_so() {
         ),
         "{ended:?}"
     );
-}
-
-#[test]
-fn the_memory_link_takes_no_time_to_send_and_waits_no_longer_than_asked() {
-    let (mut link, _) = link(Script::new(DeviceKind::Rig));
-    link.send(&[1, 2, 3]).expect("sent");
-    assert_eq!(link.now_us(), 0);
-    assert_eq!(link.receive(&mut [0; 8], 1_000).expect("alive"), 0);
-    assert_eq!(link.now_us(), 1_000);
 }
 
 /// The host keeps to the rig's own link time-out, which is a setting.

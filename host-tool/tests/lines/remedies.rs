@@ -1,12 +1,57 @@
 //! Each refusal here has a remedy that is not refused as well: its command exists, and does what is wanted.
 
 use std::fs;
-use std::path::PathBuf;
 
 use crate::support::plan::{PAPER, changed};
 use crate::support::tool::{Memory, ready};
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, VIRTUAL_UID};
+
+/// Sessions at a folder `@` of their own: lines with `$` succeed, lines with `!` are refused with these parts.
+/// `bare.toml` is a plan without an expected width, `odd.toml` one with a width that its caliper cannot show.
+const SESSIONS: [&str; 9] = [
+    r"
+! campaign run @bare.toml --out @c --yes --trials 1 AT | it has no readings.width_about_mm
+! campaign run @odd.toml --out @c --yes --trials 1 AT | the caliper's resolution is 0.02 mm
+$ campaign run @plan.toml --out @c --yes --trials 1 AT
+$ campaign new @bare.toml --out @d
+! campaign run @d --yes AT | leave `--yes` out | `retrograde campaign run PLAN.toml --yes`",
+    r"
+! campaign new @plan.toml --out @other | `--out DIR` names another folder
+$ campaign new @plan.toml --out @c
+! campaign new @plan.toml --out @c | `retrograde campaign run @c` goes on
+! campaign new @plan.toml --out /dev/null/x/y | choose a folder | `--out DIR`",
+    r"
+$ campaign run @plan.toml --out @c --yes --trials 1 AT
+! campaign edit @c include 1 | `retrograde campaign status @c`
+$ campaign status @c
+! campaign edit @c displacement 1 5 | `retrograde campaign edit @c undo 1` | `retrograde campaign run @c --yes`
+$ campaign edit @c undo 1
+$ campaign run @c --yes --trials 1 AT",
+    r"
+$ campaign new @plan.toml --out @c
+! report @c --out @x.html | `retrograde report @c`
+$ report @c
+! report @c --out @x.html | `retrograde report @c --force`
+$ report @c --force",
+    r"
+! simulate roller --model @m.toml | takes a model as TOML
+! design --model @m.toml | takes a model as TOML
+! simulate roller --model / | takes a model as TOML",
+    r"
+! run --rig 0 --waves-per-minute 1000 | `--duration-s 31.430613` in place of the timing that was given
+! plan --waves-per-minute 1000 --duration-s 31.430613 | cannot be used with
+$ plan --duration-s 31.430613",
+    r"
+! settings --rig 0 import @capsule.json | `retrograde settings --of capsule import @capsule.json`
+! settings --rig 0 import @both.json | a setting of the capsule | `retrograde settings --of capsule export FILE`",
+    // The file is good, and no rig is concerned.
+    r"
+! settings --of capsule --capsule 1 import @capsule.json | again in a second | `retrograde info capsule`",
+    r"
+! settings --rig 0 name anamethatislongerthanarigcantake | shorten it to 24 letters
+$ settings --rig 0 name anamethatislongerthanari",
+];
 
 /// The paper's plan with one trial of each condition, and short runs.
 fn plan() -> String {
@@ -20,258 +65,68 @@ fn plan() -> String {
     changed(PAPER, &changes)
 }
 
-/// A folder with files, and machines that are made anew for each command.
-struct Desk {
-    place: tempfile::TempDir,
-    machines: Memory,
+fn files() -> [(&'static str, String); 5] {
+    let plan = plan();
+    let about = |line: &&str| !line.starts_with("width_about_mm");
+    let bare: Vec<_> = plan.lines().filter(about).collect();
+    let odd = changed(
+        &plan,
+        &[
+            ("width_about_mm = 24.40", "width_about_mm = 24.43"),
+            (
+                "caliper_resolution_mm = 0.01",
+                "caliper_resolution_mm = 0.02",
+            ),
+        ],
+    );
+    let settings = |text: &str| format!("{{\"name\": \"\", \"settings\": {{{text}}}}}");
+    [
+        ("bare.toml", bare.join("\n")),
+        ("odd.toml", odd),
+        ("plan.toml", plan),
+        ("capsule.json", settings("\"end_force_ma\": 100")),
+        (
+            "both.json",
+            settings("\"end_force_ma\": 100, \"lead_um\": 4000"),
+        ),
+    ]
 }
 
-impl Desk {
-    fn of(scripts: [Script; 2]) -> Self {
-        Self {
-            place: tempfile::tempdir().expect("a folder"),
-            machines: Memory::with(scripts.to_vec()),
+#[test]
+fn no_remedy_is_refused_as_well() {
+    for (index, session) in SESSIONS.iter().enumerate() {
+        let place = tempfile::tempdir().expect("a folder");
+        for (name, text) in files() {
+            fs::write(place.path().join(name), text).expect("written");
         }
-    }
-
-    fn measured() -> Self {
-        Self::of([ready(DeviceKind::Rig), ready(DeviceKind::Capsule)])
-    }
-
-    fn simulated() -> Self {
-        Self::of([DeviceKind::Rig, DeviceKind::Capsule].map(|kind| Script {
-            uid: VIRTUAL_UID,
-            ..ready(kind)
-        }))
-    }
-
-    fn path(&self, name: &str) -> PathBuf {
-        self.place.path().join(name)
-    }
-
-    fn write(&self, name: &str, text: &str) {
-        fs::write(self.path(name), text).expect("written");
-    }
-
-    /// Runs a command line in which `@` stands for the folder: exit code, output and errors with `@` for it.
-    fn run(&self, line: &str) -> (u8, String, String) {
-        let folder = format!("{}/", self.place.path().display());
-        let line = line.replace('@', &folder);
-        let (code, out, err) = self.machines.run(&line.split(' ').collect::<Vec<_>>());
-        (code, out.replace(&folder, "@"), err.replace(&folder, "@"))
-    }
-
-    /// Runs a command line that is refused, and returns what it says.
-    fn refused(&self, line: &str) -> String {
-        let (code, _, err) = self.run(line);
-        assert_ne!(code, 0, "{line}: {err}");
-        err
-    }
-
-    fn done(&self, line: &str) -> String {
-        let (code, out, err) = self.run(line);
-        assert_eq!(code, 0, "{line}: {err}");
-        out
-    }
-}
-
-const AT: &str = "--rig 0 --capsule 1";
-
-/// Its folder was made before; the corrected plan was refused for that, and the folder for its plan.
-#[test]
-fn a_plan_that_nobody_can_answer_is_refused_before_its_folder_is_made() {
-    let desk = Desk::simulated();
-    let lines = plan();
-    let kept = lines
-        .lines()
-        .filter(|line| !line.starts_with("width_about_mm"));
-    let bare = kept.collect::<Vec<_>>().join("\n");
-    desk.write("plan.toml", &bare);
-    let begin = format!("campaign run @plan.toml --out @c --yes --trials 1 {AT}");
-    let err = desk.refused(&begin);
-    assert!(err.contains("it has no readings.width_about_mm"), "{err}");
-    assert!(!desk.path("c").exists());
-    // Regression: the plan gave a reading that was refused, again and again without end.
-    let fine = plan().replace("width_about_mm = 24.40", "width_about_mm = 24.43");
-    let fine = fine.replace(
-        "caliper_resolution_mm = 0.01",
-        "caliper_resolution_mm = 0.02",
-    );
-    assert_ne!(fine, plan());
-    desk.write("plan.toml", &fine);
-    let err = desk.refused(&begin);
-    assert!(err.contains("the caliper's resolution is 0.02 mm"), "{err}");
-    assert!(!desk.path("c").exists());
-    desk.write("plan.toml", &plan());
-    desk.done(&begin);
-    // A plan is fixed once its campaign has a folder.
-    desk.write("plan.toml", &bare);
-    desk.done("campaign new @plan.toml --out @d");
-    let err = desk.refused(&format!("campaign run @d --yes {AT}"));
-    assert!(
-        err.contains("leave `--yes` out")
-            && err.contains("`retrograde campaign run PLAN.toml --yes`"),
-        "{err}"
-    );
-}
-
-#[test]
-fn a_folder_that_is_no_campaign_is_not_gone_on_with() {
-    let desk = Desk::measured();
-    desk.write("plan.toml", &plan());
-    fs::create_dir(desk.path("other")).expect("made");
-    let err = desk.refused("campaign new @plan.toml --out @other");
-    assert!(err.contains("`--out DIR` names another folder"), "{err}");
-    assert!(!err.contains("goes on"), "{err}");
-    desk.done("campaign new @plan.toml --out @c");
-    let err = desk.refused("campaign new @plan.toml --out @c");
-    assert!(
-        err.contains("`retrograde campaign run @c` goes on"),
-        "{err}"
-    );
-    let err = desk.refused("campaign new @plan.toml --out /dev/null/x/y");
-    assert!(
-        err.contains("choose a folder") && err.contains("`--out DIR`"),
-        "{err}"
-    );
-}
-
-/// `campaign status` without a folder is refused.
-#[test]
-fn a_refused_edit_names_the_folder_whose_status_to_look_at() {
-    let desk = Desk::simulated();
-    desk.write("plan.toml", &plan());
-    desk.done(&format!(
-        "campaign run @plan.toml --out @c --yes --trials 1 {AT}"
-    ));
-    let err = desk.refused("campaign edit @c include 1");
-    assert!(err.contains("`retrograde campaign status @c`"), "{err}");
-    desk.done("campaign status @c");
-    let err = desk.refused("campaign edit @c displacement 1 5");
-    for command in ["campaign edit @c undo 1", "campaign run @c --yes"] {
-        assert!(
-            err.contains(&format!("`retrograde {command}`")),
-            "{command}: {err}"
+        fs::create_dir(place.path().join("other")).expect("made");
+        let machines = Memory::with(
+            [DeviceKind::Rig, DeviceKind::Capsule]
+                .map(|kind| match index {
+                    // A new capsule, whose flash is busy for a moment.
+                    7 => Script::new(kind),
+                    _ => Script {
+                        uid: VIRTUAL_UID,
+                        ..ready(kind)
+                    },
+                })
+                .to_vec(),
         );
+        let folder = format!("{}/", place.path().display());
+        for row in session.trim().lines() {
+            let mut parts = row[2..].split(" | ");
+            let line = parts.next().expect("a command");
+            let line = line
+                .replace("AT", "--rig 0 --capsule 1")
+                .replace('@', &folder);
+            let (code, _, err) = machines.run(&line.split(' ').collect::<Vec<_>>());
+            let err = err.replace(&folder, "@");
+            assert_eq!(code == 0, row.starts_with('$'), "{row}: {err}");
+            for part in parts {
+                assert!(err.contains(part), "{row}: {err}");
+            }
+        }
+        // A refused plan has made no folder.
+        assert!(index != 0 || place.path().join("c").is_dir());
     }
-    desk.done("campaign edit @c undo 1");
-    let out = desk.done(&format!("campaign run @c --yes --trials 1 {AT}"));
-    assert!(out.contains("Displacement by the model"), "{out}");
-}
-
-#[test]
-fn a_path_with_blanks_is_quoted_in_a_command() {
-    let desk = Desk::measured();
-    desk.write("plan.toml", &plan());
-    let (plan, folder) = (desk.path("plan.toml"), desk.path("my study"));
-    let (plan, folder) = (
-        plan.to_str().expect("UTF-8"),
-        folder.to_str().expect("UTF-8"),
-    );
-    let new = ["campaign", "new", plan, "--out", folder];
-    let (code, out, err) = desk.machines.run(&new);
-    assert_eq!(code, 0, "{err}");
-    let wanted = format!("`retrograde campaign run '{folder}'`");
-    assert!(out.contains(&wanted), "{out}");
-    let (_, _, err) = desk.machines.run(&new);
-    assert!(err.contains(&wanted), "{err}");
-    let (_, _, err) = desk
-        .machines
-        .run(&["campaign", "edit", folder, "note", "hello"]);
-    assert!(err.contains(&wanted), "{err}");
-    let (_, _, err) = desk.machines.run(&["report", folder, "--out", "x.html"]);
-    assert!(
-        err.contains(&format!("`retrograde report '{folder}'`")),
-        "{err}"
-    );
-}
-
-/// Without `--force` it was refused again.
-#[test]
-fn a_campaigns_report_is_advised_with_the_options_it_needs() {
-    let desk = Desk::simulated();
-    desk.write("plan.toml", &plan());
-    desk.done("campaign new @plan.toml --out @c");
-    let err = desk.refused("report @c --out @x.html");
-    assert!(err.contains("`retrograde report @c`"), "{err}");
-    desk.done("report @c");
-    let err = desk.refused("report @c --out @x.html");
-    assert!(err.contains("`retrograde report @c --force`"), "{err}");
-}
-
-/// It advised a folder that can be written.
-#[test]
-fn a_model_that_cannot_be_read_is_to_be_named() {
-    let desk = Desk::measured();
-    for line in [
-        "simulate roller --model @m.toml",
-        "design --model @m.toml",
-        "simulate roller --model /",
-    ] {
-        let err = desk.refused(line);
-        assert!(
-            err.contains("takes a model as TOML") && !err.contains("written"),
-            "{err}"
-        );
-    }
-}
-
-/// `--duration-s` beside `--waves-per-minute` or `--preset` is refused.
-#[test]
-fn a_duration_is_advised_in_place_of_another_timing() {
-    let desk = Desk::measured();
-    for timing in [
-        "--waves-per-minute 1000",
-        "--preset paper --start-delay-s 30",
-    ] {
-        let err = desk.refused(&format!("run --rig 0 {timing}"));
-        let advised = err.split('`').nth(1).expect("an option");
-        assert!(advised.starts_with("--duration-s "), "{err}");
-        assert!(
-            err.contains("in place of the timing that was given"),
-            "{err}"
-        );
-        desk.refused(&format!("plan {timing} {advised}"));
-        let rest = timing.trim_start_matches("--preset paper");
-        let rest = rest.trim_start_matches("--waves-per-minute 1000").trim();
-        desk.done(format!("plan {advised} {rest}").trim());
-    }
-}
-
-#[test]
-fn a_settings_file_is_led_to_its_machine() {
-    let desk = Desk::of([DeviceKind::Rig, DeviceKind::Capsule].map(Script::new));
-    desk.write(
-        "capsule.json",
-        r#"{"name": "", "settings": {"end_force_ma": 100}}"#,
-    );
-    let err = desk.refused("settings --rig 0 import @capsule.json");
-    assert!(
-        err.contains("`retrograde settings --of capsule import @capsule.json`"),
-        "{err}"
-    );
-    let both = r#"{"name": "", "settings": {"end_force_ma": 100, "lead_um": 4000}}"#;
-    desk.write("both.json", both);
-    let err = desk.refused("settings --rig 0 import @both.json");
-    assert!(
-        err.contains("end_force_ma is a setting of the capsule") && !err.contains("`--of`"),
-        "{err}"
-    );
-    assert!(
-        err.contains("`retrograde settings --of capsule export FILE`"),
-        "{err}"
-    );
-    // The file is good, and no rig is concerned.
-    let err = desk.refused("settings --of capsule --capsule 1 import @capsule.json");
-    assert!(err.contains("again in a second"), "{err}");
-    assert!(err.contains("`retrograde info capsule`"), "{err}");
-}
-
-/// It has nothing but letters.
-#[test]
-fn a_long_name_is_to_be_shortened() {
-    let desk = Desk::measured();
-    let err = desk.refused("settings --rig 0 name anamethatislongerthanarigcantake");
-    assert!(err.contains("shorten it to 24 letters"), "{err}");
-    desk.done("settings --rig 0 name anamethatislongerthanari");
 }
