@@ -18,7 +18,7 @@ use lab::operations::connector::Purpose;
 use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
-use lab::operations::places::{Need, Places, Target};
+use lab::operations::places::{Places, Target};
 use lab::operations::{ending, reached};
 use lab::trials::experiment::{self, Actuation, ExperimentError};
 use lab::trials::trial::Status;
@@ -395,7 +395,7 @@ impl Worker<'_> {
 
     fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<ActionResult, Failure> {
         if work.is_for_owner() {
-            Need::Own(work.kind()).admit(device)?;
+            Purpose::Own(work.kind()).admit(device)?;
         }
         let mut busy = Busy {
             board: self.board,

@@ -4,9 +4,10 @@ use std::path::Path;
 
 use client::Device;
 use lab::operations::arguments::RecordArgs;
+use lab::operations::connector::Purpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::{FIND_THREAD, Failure};
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use lab::operations::reached::reached;
 use lab::trials::experiment::{self, Actuation};
 use lab::trials::trial::Status;
@@ -45,7 +46,7 @@ pub(crate) fn actuate(
             "Partial fold: wind or pay out to a length of thread, and stay there."
         }
     };
-    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own(command))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own(command))?;
     if matches!(
         kind,
         ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo

@@ -20,8 +20,9 @@ use lab::campaign::remaining::{remaining_s, text as time_text};
 use lab::campaign::{MAKE_ROOM, resumption};
 use lab::commissioning::warning;
 use lab::operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
+use lab::operations::connector::Purpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use lab::trials::experiment::ExperimentError;
 use lab::trials::plan::REFERENCE_LIMITS;
 use lab::trials::trial::RecordError;
@@ -383,10 +384,10 @@ fn sit_down(
             )
         })?;
     }
-    let mut rig = places.connect(DeviceKind::Rig, Need::Own(COMMAND))?;
+    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own(COMMAND))?;
     let capsule = plan
         .needs_capsule()
-        .then(|| places.connect(DeviceKind::Capsule, Need::Own(COMMAND)))
+        .then(|| places.connect(DeviceKind::Capsule, Purpose::Own(COMMAND)))
         .transpose()?;
     let origin = rig.origin().max(
         capsule
@@ -424,7 +425,7 @@ fn sit_down(
     };
     let mut desk = Counter::new(screen, places, who);
     let mut connect = |kind| {
-        let device = places.connect(kind, Need::Own(COMMAND));
+        let device = places.connect(kind, Purpose::Own(COMMAND));
         device.map_err(|failure| failure.in_one_line())
     };
     let ended = Conduct::new(folder, &mut machines, &mut desk, &Models, &mut connect)

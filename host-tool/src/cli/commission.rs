@@ -15,9 +15,10 @@ use lab::commissioning::session::{self, Broken, Ending};
 use lab::commissioning::work::{Options, Work};
 use lab::commissioning::{procedure, steps};
 use lab::operations::arguments::{DATA_FOLDER, MachineKind};
+use lab::operations::connector::Purpose;
 use lab::operations::failure::Failure;
 use lab::operations::interrupt;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use terminal::Terminal;
@@ -72,7 +73,7 @@ pub(crate) fn commission(
 ) -> Result<Value, Failure> {
     let kind = args.machine.into();
     let mut hands = hands(args, kind, places, screen)?;
-    let mut device = places.connect(kind, Need::Own("commission"))?;
+    let mut device = places.connect(kind, Purpose::Own("commission"))?;
     let subject = Subject::of(&mut device)?;
     let path = args
         .record
@@ -109,7 +110,7 @@ pub(crate) fn commission(
     };
     let reopen = || {
         places
-            .connect(kind, Need::Own("commission"))
+            .connect(kind, Purpose::Own("commission"))
             .map_err(|failure| failure.to_string())
     };
     let mut say = |text: &str| screen.say(text);

@@ -6,9 +6,10 @@ use clap::Args;
 use client::identity::Origin;
 use client::{Device, decimal};
 use lab::operations::arguments::RecordArgs;
+use lab::operations::connector::Purpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use lab::trials::experiment::{self, ActuationTrial};
 use lab::trials::trial::{RecordError, create_new};
 use protocol::capsule::{ActuationKind, CapsuleState};
@@ -73,7 +74,7 @@ pub(crate) fn cycle(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("capsule cycle"))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own("capsule cycle"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     require(CapsuleState::Unfolded, "a cycle", &mut capsule)?;
     let folder = &args.record.out;

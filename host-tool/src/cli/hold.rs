@@ -1,8 +1,9 @@
 //! `hold` and `resume`: pauses a run and continues it.
 
+use lab::operations::connector::Purpose;
 use lab::operations::ending::{held, millimetres};
 use lab::operations::failure::Failure;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use protocol::rig;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
@@ -10,7 +11,7 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 
 pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let status = held(&mut places.connect(DeviceKind::Rig, Need::Look)?)?;
+    let status = held(&mut places.connect(DeviceKind::Rig, Purpose::Look)?)?;
     screen.say(&format!(
         "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
         millimetres(&status)
@@ -19,7 +20,7 @@ pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value
 }
 
 pub(crate) fn resume(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Need::Look)?;
+    let mut rig = places.connect(DeviceKind::Rig, Purpose::Look)?;
     rig.call(rig::Resume)?;
     let status = rig.rig_status()?;
     screen.say(&format!(

@@ -1,9 +1,10 @@
 //! `home`: finds the rig's position.
 
+use lab::operations::connector::Purpose;
 use lab::operations::ending::homed_text;
 use lab::operations::failure::Failure;
 use lab::operations::panel::SETTINGS_UNUSABLE;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use lab::trials::experiment;
 use protocol::rig::RigEvent;
 use protocol::system::{DeviceKind, What};
@@ -12,7 +13,7 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 
 pub(crate) fn home(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Need::Own("home"))?;
+    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("home"))?;
     // Homing is the first motion after a start, which nobody has heard of.
     let (kept, _) = rig.kept_events()?;
     let last = kept.iter().rev().find_map(|event| match event.what {

@@ -3,9 +3,10 @@
 use client::identity::{self, IdentityRecord};
 use client::{decimal, matches, visible};
 use lab::operations::arguments::Which;
+use lab::operations::connector::Purpose;
 use lab::operations::failure::Failure;
 use lab::operations::panel::{in_run, run_text};
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use protocol::capsule::{CapsuleCalibration, CapsuleState, CapsuleStatus, GetCapsuleTotals};
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
@@ -20,7 +21,7 @@ pub(crate) fn info(
 ) -> Result<Value, Failure> {
     let mut all = Map::new();
     for kind in places.machines(which)? {
-        let mut device = places.greet(kind, Need::Look)?;
+        let mut device = places.greet(kind, Purpose::Look)?;
         let Some(identity) = device.identity().copied() else {
             continue;
         };

@@ -3,9 +3,10 @@
 use client::error::ClientError;
 use client::{Unobserved, while_moving};
 use lab::operations::arguments::JogArgs;
+use lab::operations::connector::Purpose;
 use lab::operations::ending::{cut_short, millimetres};
 use lab::operations::failure::Failure;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use protocol::rig::{self, Direction, RigState};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
@@ -22,7 +23,7 @@ pub(crate) fn jog(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Need::Own("jog"))?;
+    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("jog"))?;
     fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let jog = rig::Jog {
         sense: args.direction,

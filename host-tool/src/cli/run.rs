@@ -3,9 +3,10 @@
 use client::{Device, decimal};
 use lab::commissioning::warning;
 use lab::operations::arguments::{DATA_FOLDER, RunArgs};
+use lab::operations::connector::Purpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::{Coordination, Cue};
 use lab::trials::experiment::{self, ExperimentError, RunTrial, stem};
@@ -44,7 +45,7 @@ fn ready(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Device, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, Need::Own("run"))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own("run"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     let begins = match shaping {
         Shaping::Fold => CapsuleState::Unfolded,
@@ -66,7 +67,7 @@ pub(crate) fn run(
         Some((shaping, cue)) => Some((ready(shaping, places, screen)?, shaping, cue)),
         None => None,
     };
-    let mut rig = places.connect(DeviceKind::Rig, Need::Own("run"))?;
+    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("run"))?;
     fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let folders = [args.record.out.clone(), DATA_FOLDER.into()];
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {

@@ -10,8 +10,9 @@ use std::path::{Path, PathBuf};
 
 use client::{Device, identity, plain};
 use lab::operations::arguments::MachineKind;
+use lab::operations::connector::Purpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::{Need, Places};
+use lab::operations::places::Places;
 use protocol::settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey};
 use protocol::system::DeviceKind;
 use serde::Serialize;
@@ -82,9 +83,9 @@ pub(crate) fn settings(
     // Check the arguments before looking for a machine.
     let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
-        SettingsSubcommand::List => list(&mut places.connect(kind, Need::Look)?, kind, screen),
+        SettingsSubcommand::List => list(&mut places.connect(kind, Purpose::Look)?, kind, screen),
         SettingsSubcommand::Get { key } => {
-            let mut machine = places.connect(owner(key.0, of)?, Need::Look)?;
+            let mut machine = places.connect(owner(key.0, of)?, Purpose::Look)?;
             let value = machine.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
@@ -92,7 +93,7 @@ pub(crate) fn settings(
         SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
             let kind = owner(key, of)?;
-            let mut machine = places.connect(kind, Need::Own("settings set"))?;
+            let mut machine = places.connect(kind, Purpose::Own("settings set"))?;
             let before = Basis::of(&mut machine, kind)?;
             let set = machine.call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
@@ -102,7 +103,7 @@ pub(crate) fn settings(
         SettingsSubcommand::Export { file, force } => export(file, *force, kind, places, screen),
         SettingsSubcommand::Import { file } => {
             let wanted = import::read(file, kind)?;
-            let mut machine = places.connect(kind, Need::Own("settings import"))?;
+            let mut machine = places.connect(kind, Purpose::Own("settings import"))?;
             let before = Basis::of(&mut machine, kind)?;
             let changed = import::import(&mut machine, kind, file, wanted)?;
             for change in &changed {
@@ -113,14 +114,14 @@ pub(crate) fn settings(
             Ok(json!({ "changed": changed.len() }))
         }
         SettingsSubcommand::Name { name: None } => {
-            let name = places.connect(kind, Need::Look)?.call(GetName)?.name;
+            let name = places.connect(kind, Purpose::Look)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
         SettingsSubcommand::Name { name: Some(name) } => {
             let name = checked_name(name).map_err(|why| Failure::input(why, NAME_HELP))?;
             let name = places
-                .connect(kind, Need::Own("settings name"))?
+                .connect(kind, Purpose::Own("settings name"))?
                 .call(Name { name })?;
             screen.say(&name.name);
             Ok(json!({ "name": name.name.as_str() }))
@@ -140,7 +141,7 @@ pub(crate) fn settings(
                     .to_owned(),
                 ));
             }
-            let mut machine = places.connect(kind, Need::Own("settings reset"))?;
+            let mut machine = places.connect(kind, Purpose::Own("settings reset"))?;
             let before = Basis::of(&mut machine, kind)?;
             machine.call(FactoryReset)?;
             screen.say("all settings and the name are at their defaults");
@@ -207,7 +208,7 @@ fn export(
     if !force && file.exists() {
         return Err(exists());
     }
-    let exported = exported(&mut places.connect(kind, Need::Look)?, kind)?;
+    let exported = exported(&mut places.connect(kind, Purpose::Look)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
     let written = match (force, file.exists()) {
         // A terminal or a device is written to, not replaced.

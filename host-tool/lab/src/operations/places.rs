@@ -101,8 +101,6 @@ fn delivery(failure: &Failure) -> Delivery {
     }
 }
 
-pub use crate::operations::connector::Purpose as Need;
-
 /// The beginning of a command line: a stop since then is newer than its orders, however long the search for the machine
 /// takes.
 pub struct Beginning {
