@@ -15,25 +15,46 @@ pub struct Planned {
     pub velocity: Vec<(f64, f64)>,
 }
 
+fn seconds(ticks: u64) -> f64 {
+    ticks as f64 * 1e-8
+}
+
+/// The strokes of a run in their order: when each begins, s after the run's start, and whether it goes home.
+fn strokes<'a>(
+    run: &Run,
+    achieved: &'a Achieved,
+) -> impl Iterator<Item = (f64, &'a Stroke, bool)> + use<'a> {
+    let (forward, back) = (&achieved.forward, &achieved.back);
+    let delay_s = f64::from(run.start_delay_us) * 1e-6;
+    let far_s = seconds(forward.duration_ticks) + f64::from(run.far_dwell_us) * 1e-6;
+    let cycle_s = far_s + seconds(back.duration_ticks) + f64::from(run.home_dwell_us) * 1e-6;
+    let last_s = seconds(achieved.total_ticks) - seconds(back.duration_ticks);
+    let cycles = run.cycles;
+    (0..cycles).flat_map(move |cycle| {
+        let start_s = delay_s + f64::from(cycle) * cycle_s;
+        // The last dwell absorbs the remainder from the division of the total.
+        let home_s = match cycle + 1 == cycles {
+            true => last_s,
+            false => start_s + far_s,
+        };
+        [(start_s, forward, false), (home_s, back, true)]
+    })
+}
+
 /// The exact continuous profile of a run, sampled finely enough to draw. Time 0 is the run's start.
 #[must_use]
 pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
-    let seconds = |ticks: u64| ticks as f64 * 1e-8;
-    let (far, home) = (
-        f64::from(run.far_dwell_us) * 1e-6,
-        f64::from(run.home_dwell_us) * 1e-6,
-    );
     let mut planned = Planned::default();
-    let mut start = f64::from(run.start_delay_us) * 1e-6;
-    for cycle in 0..run.cycles {
-        stroke(&mut planned, screw, &achieved.forward, start, false);
-        start += seconds(achieved.forward.duration_ticks) + far;
-        if cycle + 1 == run.cycles {
-            // The last dwell absorbs the remainder from the division of the total.
-            start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
+    for (start_s, stroke, home) in strokes(run, achieved) {
+        let (t, r) = (seconds(stroke.duration_ticks), seconds(stroke.ramp_ticks));
+        let part = |index: u32| r * f64::from(index) / f64::from(RAMP_POINTS);
+        let up = (0..=RAMP_POINTS).map(part);
+        let down = (0..=RAMP_POINTS).rev().map(|index| t - part(index));
+        for time_s in up.chain(down) {
+            let (position, speed) = course(screw, stroke, home, time_s);
+            planned.position.push((start_s + time_s, position));
+            planned.velocity.push((start_s + time_s, speed));
         }
-        stroke(&mut planned, screw, &achieved.back, start, true);
-        start += seconds(achieved.back.duration_ticks) + home;
     }
     planned
 }
@@ -41,75 +62,30 @@ pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
 /// The exact position of a plan at `time_s` after the run's start, mm.
 #[must_use]
 pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -> f64 {
-    let seconds = |ticks: u64| ticks as f64 * 1e-8;
-    let (far, home) = (
-        f64::from(run.far_dwell_us) * 1e-6,
-        f64::from(run.home_dwell_us) * 1e-6,
-    );
-    let mut start = f64::from(run.start_delay_us) * 1e-6;
-    for cycle in 0..run.cycles {
-        if time_s < start + seconds(achieved.forward.duration_ticks) + far {
-            return way(screw, &achieved.forward, time_s - start);
-        }
-        start += seconds(achieved.forward.duration_ticks) + far;
-        if cycle + 1 == run.cycles {
-            start = seconds(achieved.total_ticks) - seconds(achieved.back.duration_ticks);
-        }
-        if time_s < start + seconds(achieved.back.duration_ticks) + home {
-            let length = screw.mm(f64::from(achieved.back.steps));
-            return length - way(screw, &achieved.back, time_s - start);
-        }
-        start += seconds(achieved.back.duration_ticks) + home;
-    }
-    0.0
+    let begun = strokes(run, achieved).take_while(|(start_s, ..)| *start_s <= time_s);
+    begun.last().map_or(0.0, |(start_s, stroke, home)| {
+        course(screw, stroke, home, time_s - start_s).0
+    })
 }
 
-/// Distance since the beginning of a stroke, mm; constant before and after it.
-fn way(screw: &Screw, stroke: &Stroke, time_s: f64) -> f64 {
-    let (t, r) = (
-        stroke.duration_ticks as f64 * 1e-8,
-        stroke.ramp_ticks as f64 * 1e-8,
-    );
+/// Position, mm, and velocity, mm/s, at a time since the beginning of a stroke; at rest after it.
+fn course(screw: &Screw, stroke: &Stroke, home: bool, time_s: f64) -> (f64, f64) {
+    let (t, r) = (seconds(stroke.duration_ticks), seconds(stroke.ramp_ticks));
     let length = screw.mm(f64::from(stroke.steps));
     let speed = length / (t - r);
-    match time_s {
-        time if time <= 0.0 => 0.0,
-        time if time >= t => length,
-        time if time < r => speed / r * time * time / 2.0,
-        time if time <= t - r => speed * (time - r / 2.0),
-        time => length - speed / r * (t - time) * (t - time) / 2.0,
-    }
-}
-
-fn stroke(planned: &mut Planned, screw: &Screw, stroke: &Stroke, start: f64, back: bool) {
-    let steps = f64::from(stroke.steps);
-    let (t, r) = (
-        stroke.duration_ticks as f64 * 1e-8,
-        stroke.ramp_ticks as f64 * 1e-8,
-    );
-    let length = screw.mm(steps);
-    let (speed, acceleration) = (length / (t - r), length / (t - r) / r);
-    let mut point = |time: f64, way: f64, speed: f64| {
-        let (position, velocity) = if back {
-            (length - way, -speed)
-        } else {
-            (way, speed)
-        };
-        planned.position.push((start + time, position));
-        planned.velocity.push((start + time, velocity));
+    let ramp = |time: f64| (speed / r * time * time / 2.0, speed * time / r);
+    let (way, speed) = match time_s {
+        time if time >= t => (length, 0.0),
+        time if time < r => ramp(time),
+        time if time <= t - r => (speed * (time - r / 2.0), speed),
+        time => {
+            let (left, speed) = ramp(t - time);
+            (length - left, speed)
+        }
     };
-    for index in 0..=RAMP_POINTS {
-        let time = r * f64::from(index) / f64::from(RAMP_POINTS);
-        point(time, acceleration * time * time / 2.0, acceleration * time);
-    }
-    point(t - r, length - speed * r / 2.0, speed);
-    for index in (0..RAMP_POINTS).rev() {
-        let left = r * f64::from(index) / f64::from(RAMP_POINTS);
-        point(
-            t - left,
-            length - acceleration * left * left / 2.0,
-            acceleration * left,
-        );
+    match home {
+        true => (length - way, -speed),
+        false => (way, speed),
     }
 }
 
@@ -127,11 +103,8 @@ mod tests {
         let plan = solve(&PAPER_RUN, &Axis::REFERENCE, &REFERENCE_LIMITS).expect("feasible");
         let summary = summary(&PAPER_RUN, &Axis::REFERENCE, &plan);
         let planned = planned(&summary.screw, &PAPER_RUN, &summary.achieved);
-        let highest = planned
-            .position
-            .iter()
-            .map(|point| point.1)
-            .fold(0.0, f64::max);
+        let most = |points: &[(f64, f64)]| points.iter().map(|point| point.1).fold(0.0, f64::max);
+        let highest = most(&planned.position);
         assert!((highest - 130.0).abs() < 1e-9, "{highest}");
         let (time, position) = planned.position.last().copied().expect("points");
         assert!(
@@ -142,11 +115,7 @@ mod tests {
             planned.position.is_sorted_by(|a, b| a.0 <= b.0),
             "time never steps back"
         );
-        let fastest = planned
-            .velocity
-            .iter()
-            .map(|point| point.1)
-            .fold(0.0, f64::max);
+        let fastest = most(&planned.velocity);
         let peak = f64::from(summary.achieved.forward.peak_um_s) / 1e3;
         assert!((fastest - peak).abs() < 1e-3, "{fastest} {peak}");
     }
@@ -166,18 +135,10 @@ mod tests {
             let at = position_at(&summary.screw, &run, &summary.achieved, *time);
             assert!((at - position).abs() < 1e-6, "{time}: {at} {position}");
         }
-        for (pair, at) in curve
-            .windows(2)
-            .filter(|pair| pair[1].0 - pair[0].0 > 0.1)
-            .map(|pair| {
-                let middle = (pair[0].0 + pair[1].0) / 2.0;
-                (
-                    pair,
-                    position_at(&summary.screw, &run, &summary.achieved, middle),
-                )
-            })
-        {
-            let straight = (pair[0].1 + pair[1].1) / 2.0;
+        for pair in curve.windows(2).filter(|pair| pair[1].0 - pair[0].0 > 0.1) {
+            let middle = f64::midpoint(pair[0].0, pair[1].0);
+            let at = position_at(&summary.screw, &run, &summary.achieved, middle);
+            let straight = f64::midpoint(pair[0].1, pair[1].1);
             assert!((at - straight).abs() < 1e-6, "{pair:?}: {at}");
         }
         for time in [-1.0, 0.2, 41.0] {
