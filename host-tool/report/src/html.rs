@@ -149,11 +149,9 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
             all.sidecars.push(path.clone());
             continue;
         }
-        let entries = fs::read_dir(path).map_err(|io| RecordError::read(path, io))?;
-        let mut files = vec![];
-        for entry in entries {
-            files.push(entry.map_err(|io| RecordError::read(path, io))?.path());
-        }
+        let read = || fs::read_dir(path)?.map(|entry| Ok(entry?.path())).collect();
+        let files: std::io::Result<Vec<_>> = read();
+        let mut files = files.map_err(|io| RecordError::read(path, io))?;
         files.sort();
         let (mut trials, mut left) = (vec![], vec![]);
         for file in files {

@@ -195,10 +195,8 @@ fn drawn(design: &Design<f64>, asked_mm: Option<f64>) -> f64 {
 
 /// Alpha and beta to the transverse axis, degrees.
 fn angles_deg(design: &Design<f64>) -> (f64, f64) {
-    (
-        design.tan_alpha().atan().to_degrees(),
-        design.tan_beta().atan().to_degrees(),
-    )
+    let deg = |tan: f64| tan.atan().to_degrees();
+    (deg(design.tan_alpha()), deg(design.tan_beta()))
 }
 
 /// Whole millimetres, or tenths of a large h; plus the indentation of the drawings and h itself.
@@ -257,13 +255,9 @@ fn best(
     a_mm: f64,
 ) -> Result<Best, OutOfRange> {
     let BestAlpha { alpha_deg, reason } = best_alpha(beta_deg, least_deg..=beta_deg.next_down())?;
-    let with = Design::with_slopes(
-        design.width_mm(),
-        design.core_mm(),
-        alpha_deg.to_radians().tan(),
-        design.tan_beta(),
-        design.crescents(),
-    )?;
+    let (width, core, m) = (design.width_mm(), design.core_mm(), design.crescents());
+    let alpha = alpha_deg.to_radians().tan();
+    let with = Design::with_slopes(width, core, alpha, design.tan_beta(), m)?;
     Ok(Best {
         alpha_deg,
         shortening_mm: with.shortening_mm(a_mm)?,
@@ -304,14 +298,8 @@ pub fn maps(design: &Design<f64>, indentation_mm: Option<f64>) -> Result<Maps, O
     let a_mm = drawn(design, indentation_mm);
     let (alpha_deg, beta_deg) = angles_deg(design);
     let shortening = |alpha: f64, beta: f64| {
-        Design::new(
-            design.width_mm(),
-            design.core_mm(),
-            alpha,
-            beta,
-            design.crescents(),
-        )?
-        .shortening_mm(a_mm)
+        let (width, core, m) = (design.width_mm(), design.core_mm(), design.crescents());
+        Design::new(width, core, alpha, beta, m)?.shortening_mm(a_mm)
     };
     let around = |centre: f64, high: f64| {
         NEIGHBOURS_DEG

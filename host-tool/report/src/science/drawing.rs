@@ -5,6 +5,7 @@ use std::fmt::{Display, Write};
 use locomotion::body::Chain;
 use locomotion::kinematics::Design;
 use locomotion::range::OutOfRange;
+use serde::Serialize;
 
 use crate::figures::escaped::escaped;
 
@@ -50,17 +51,12 @@ impl Drawing {
     /// The whole file, with a title and a line on the origin of its values.
     #[must_use]
     pub fn finish(self, title: &str, origin: &str) -> String {
-        let Self {
-            width_mm: w,
-            height_mm: h,
-            body,
-        } = self;
+        let (w, h, body) = (self.width_mm, self.height_mm, self.body);
+        let (title, origin) = (escaped(title), escaped(origin));
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{w}mm\" height=\"{h}mm\" viewBox=\"0 0 {w} {h}\">\n\
-             <title>{}</title>\n<desc>Origin: {}</desc>\n<style>{STYLE}</style>\n\
-             <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n",
-            escaped(title),
-            escaped(origin)
+             <title>{title}</title>\n<desc>Origin: {origin}</desc>\n<style>{STYLE}</style>\n\
+             <rect width=\"{w}\" height=\"{h}\" fill=\"#fff\"/>\n{body}</svg>\n"
         )
     }
 
@@ -71,12 +67,10 @@ impl Drawing {
     }
 
     /// Begins a group with its own `origin`; [`Drawing::close`] ends it.
-    pub fn open(&mut self, class: &str, origin: Point) {
-        let (x, y) = origin;
+    pub fn open(&mut self, class: &str, (x, y): Point) {
+        let (x, y) = (Mm(x), Mm(y));
         self.put(format_args!(
-            "<g class=\"{class}\" transform=\"translate({} {})\">",
-            Mm(x),
-            Mm(y)
+            "<g class=\"{class}\" transform=\"translate({x} {y})\">"
         ));
     }
 
@@ -87,12 +81,9 @@ impl Drawing {
 
     /// A straight line.
     pub fn line(&mut self, class: &str, (x1, y1): Point, (x2, y2): Point) {
+        let [x1, y1, x2, y2] = [x1, y1, x2, y2].map(Mm);
         self.put(format_args!(
-            "<line class=\"{class}\" x1=\"{}\" y1=\"{}\" x2=\"{}\" y2=\"{}\"/>",
-            Mm(x1),
-            Mm(y1),
-            Mm(x2),
-            Mm(y2)
+            "<line class=\"{class}\" x1=\"{x1}\" y1=\"{y1}\" x2=\"{x2}\" y2=\"{y2}\"/>"
         ));
     }
 
@@ -114,57 +105,48 @@ impl Drawing {
 
     /// Text; `anchor` is `start`, `middle` or `end`.
     pub fn text(&mut self, anchor: &str, (x, y): Point, text: &str) {
+        let (x, y, text) = (Mm(x), Mm(y), escaped(text));
         self.put(format_args!(
-            "<text text-anchor=\"{anchor}\" x=\"{}\" y=\"{}\">{}</text>",
-            Mm(x),
-            Mm(y),
-            escaped(text)
+            "<text text-anchor=\"{anchor}\" x=\"{x}\" y=\"{y}\">{text}</text>"
         ));
     }
 
     /// An arc about `centre`; angles count from straight down towards the right.
     fn arc(&mut self, centre: Point, radius: f64, from_deg: f64, to_deg: f64) {
         let at = |deg: f64| {
-            let angle = deg.to_radians();
-            (
-                centre.0 + radius * angle.sin(),
-                centre.1 + radius * angle.cos(),
-            )
+            let (sin, cos) = deg.to_radians().sin_cos();
+            (Mm(centre.0 + radius * sin), Mm(centre.1 + radius * cos))
         };
-        let ((x1, y1), (x2, y2)) = (at(from_deg), at(to_deg));
+        let ((x1, y1), (x2, y2), r) = (at(from_deg), at(to_deg), Mm(radius));
         self.put(format_args!(
-            "<path class=\"dimension\" d=\"M{} {}A{r} {r} 0 0 0 {} {}\"/>",
-            Mm(x1),
-            Mm(y1),
-            Mm(x2),
-            Mm(y2),
-            r = Mm(radius),
+            "<path class=\"dimension\" d=\"M{x1} {y1}A{r} {r} 0 0 0 {x2} {y2}\"/>"
         ));
+    }
+
+    /// A dimension's line from one end to the other; `turned` swaps its coordinates.
+    fn dimension(&mut self, across: f64, ends: (f64, f64), turned: bool) {
+        let at = |along: f64, across: f64| match turned {
+            true => (across, along),
+            false => (along, across),
+        };
+        self.line("dimension", at(ends.0, across), at(ends.1, across));
+        for (along, inward) in [(ends.0, ARROW_MM), (ends.1, -ARROW_MM)] {
+            let end = (at(along, across - 1.0), at(along, across + 1.0));
+            self.line("dimension", end.0, end.1);
+            let feet = [across - 0.3, across + 0.3].map(|across| at(along + inward, across));
+            self.polygon("arrow", &[at(along, across), feet[0], feet[1]]);
+        }
     }
 
     /// A horizontal dimension with its text at height `y`, from `x1` to `x2`.
     fn across(&mut self, y: f64, (x1, x2): (f64, f64), text: &str) {
-        self.line("dimension", (x1, y), (x2, y));
-        for (x, inward) in [(x1, ARROW_MM), (x2, -ARROW_MM)] {
-            self.line("dimension", (x, y - 1.0), (x, y + 1.0));
-            self.polygon(
-                "arrow",
-                &[(x, y), (x + inward, y - 0.3), (x + inward, y + 0.3)],
-            );
-        }
+        self.dimension(y, (x1, x2), false);
         self.text("middle", ((x1 + x2) / 2.0, y - 1.2), text);
     }
 
     /// A vertical dimension with its text at `x`, from `y1` to `y2`. The text is on its left where `x` is negative.
     fn upright(&mut self, x: f64, (y1, y2): (f64, f64), text: &str) {
-        self.line("dimension", (x, y1), (x, y2));
-        for (y, inward) in [(y1, ARROW_MM), (y2, -ARROW_MM)] {
-            self.line("dimension", (x - 1.0, y), (x + 1.0, y));
-            self.polygon(
-                "arrow",
-                &[(x, y), (x - 0.3, y + inward), (x + 0.3, y + inward)],
-            );
-        }
+        self.dimension(x, (y1, y2), true);
         let (anchor, aside) = if x < 0.0 {
             ("end", -1.4)
         } else {
@@ -219,7 +201,7 @@ impl Display for Points<'_> {
 }
 
 /// A crescent at its position: a triangle on either side of the core, with its tip towards the tail.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Crescent {
     /// Foot of the short side, mm along the axis, + to the head.
     pub tail_root_mm: f64,
@@ -228,6 +210,7 @@ pub struct Crescent {
     /// Position of the tip along the axis, mm.
     pub tip_mm: f64,
     /// Distance of the tip from the axis, mm.
+    #[serde(skip)]
     pub reach_mm: f64,
     /// Its indentation, mm.
     pub indentation_mm: f64,
@@ -331,49 +314,27 @@ fn unsqueezed(
     drawing.text("middle", (length / 2.0, -half - 4.0), "(a) not squeezed");
     walls(drawing, length, half);
     drawing.body(&free);
-    drawing.upright(
-        head + 4.0,
-        (-half, half),
-        &format!("W = {:.2}", design.width_mm()),
-    );
+    let width = format!("W = {:.2}", design.width_mm());
+    drawing.upright(head + 4.0, (-half, half), &width);
     let root = design.core_mm() / 2.0;
     drawing.upright(-5.0, (-root, root), &format!("c = {:.2}", design.core_mm()));
-    drawing.across(
-        half + 5.0,
-        (tail, head),
-        &format!(
-            "m ϕ = {} x {:.3} = {:.2}",
-            m,
-            design.spacing_mm(),
-            head - tail
-        ),
-    );
+    let (phi, core) = (design.spacing_mm(), head - tail);
+    let spacings = format!("m ϕ = {m} x {phi:.3} = {core:.2}");
+    drawing.across(half + 5.0, (tail, head), &spacings);
     drawing.across(half + 10.5, (0.0, length), &format!("L = {length:.2}"));
     // The angles at the tip of the foremost crescent, from the transverse axis.
     let crescent = free.crescents[m - 1];
     let tip = (crescent.tip_mm, -half);
-    let (alpha, beta) = (
-        design.tan_alpha().atan().to_degrees(),
-        design.tan_beta().atan().to_degrees(),
-    );
+    let [alpha, beta] = [design.tan_alpha(), design.tan_beta()].map(|tan| tan.atan().to_degrees());
     drawing.line("ghost", tip, (tip.0, -root));
     let radius = design.half_gap_mm() / 10.0;
     drawing.arc(tip, 4.0 * radius, 0.0, alpha);
     drawing.arc(tip, 6.0 * radius, 0.0, beta);
-    drawing.text(
-        "middle",
-        (length / 2.0, half + 15.5),
-        &format!("α = {alpha:.2}°, β = {beta:.2}° to the transverse axis"),
-    );
-    drawing.text(
-        "middle",
-        (length / 2.0, half + 19.5),
-        &format!(
-            "l1 = {:.3}, l2 = {:.3}",
-            design.long_side_mm(),
-            design.short_side_mm()
-        ),
-    );
+    let angles = format!("α = {alpha:.2}°, β = {beta:.2}° to the transverse axis");
+    drawing.text("middle", (length / 2.0, half + 15.5), &angles);
+    let (l1, l2) = (design.long_side_mm(), design.short_side_mm());
+    let sides = format!("l1 = {l1:.3}, l2 = {l2:.3}");
+    drawing.text("middle", (length / 2.0, half + 19.5), &sides);
     Ok((tail, head))
 }
 
@@ -390,11 +351,9 @@ fn squeezed(
     let d = design.shortening_mm(a_mm)?;
     let squeezed = Body::new(design, tail + d, &vec![a_mm; m])?;
     let reach = half - a_mm;
-    drawing.text(
-        "middle",
-        (length / 2.0, -half - 4.0),
-        &format!("(b) squeezed by a = {a_mm:.2}"),
-    );
+    let middle = length / 2.0;
+    let title = format!("(b) squeezed by a = {a_mm:.2}");
+    drawing.text("middle", (middle, -half - 4.0), &title);
     for side in [-1.0, 1.0] {
         drawing.line("ghost", (-3.0, side * half), (length + 3.0, side * half));
     }
@@ -402,22 +361,13 @@ fn squeezed(
     drawing.body(&squeezed);
     drawing.line("ghost", (tail, -half), (tail, half));
     drawing.upright(head + 4.0, (-half, -reach), &format!("a = {a_mm:.2}"));
-    drawing.across(
-        half + 5.0,
-        (tail, tail + d),
-        &format!("d = m d0 = {} x {:.3} = {d:.2}", m, d / m as f64),
-    );
+    let total = format!("d = m d0 = {m} x {:.3} = {d:.2}", d / m as f64);
+    drawing.across(half + 5.0, (tail, tail + d), &total);
     let back = squeezed.crescents[0].tip_mm;
-    drawing.across(
-        half + 10.5,
-        (back, length),
-        &format!("L(a) = {:.2}", length - back),
-    );
-    drawing.text(
-        "middle",
-        (length / 2.0, half + 15.5),
-        &format!("ψ = {psi:.3}, core m ψ = {:.2}", m as f64 * psi),
-    );
+    let overall = format!("L(a) = {:.2}", length - back);
+    drawing.across(half + 10.5, (back, length), &overall);
+    let spacing = format!("ψ = {psi:.3}, core m ψ = {:.2}", m as f64 * psi);
+    drawing.text("middle", (middle, half + 15.5), &spacing);
     Ok(())
 }
 

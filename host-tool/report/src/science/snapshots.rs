@@ -6,7 +6,7 @@ use locomotion::range::OutOfRange;
 use locomotion::{roller, tube};
 use serde::Serialize;
 
-use crate::science::drawing::{Body, Drawing, Point};
+use crate::science::drawing::{Body, Crescent, Drawing, Point};
 
 /// Pressures of the tube's columns, Pa.
 const PRESSURES_PA: [f64; 3] = [3000.0, 5000.0, 7000.0];
@@ -59,14 +59,9 @@ pub struct SnapshotRow {
     pub moment: String,
     /// Number of the crescent, 1 at the tail.
     pub crescent: usize,
-    /// Foot of its short side, mm from the intestine's left mark.
-    pub tail_root_mm: f64,
-    /// Foot of its long side, mm.
-    pub head_root_mm: f64,
-    /// Its tip, mm.
-    pub tip_mm: f64,
-    /// Its indentation, mm.
-    pub indentation_mm: f64,
+    /// Its place.
+    #[serde(flatten)]
+    pub place: Crescent,
 }
 
 /// The tube at three pressures.
@@ -168,16 +163,13 @@ impl Strip {
     pub fn rows(&self) -> Vec<SnapshotRow> {
         let mut rows = vec![];
         for snapshot in self.columns.iter().flatten() {
-            for (index, crescent) in snapshot.body.crescents.iter().enumerate() {
+            for (crescent, place) in (1..).zip(&snapshot.body.crescents) {
                 rows.push(SnapshotRow {
                     model: self.model,
                     case: snapshot.case.clone(),
                     moment: snapshot.moment.clone(),
-                    crescent: index + 1,
-                    tail_root_mm: crescent.tail_root_mm,
-                    head_root_mm: crescent.head_root_mm,
-                    tip_mm: crescent.tip_mm,
-                    indentation_mm: crescent.indentation_mm,
+                    crescent,
+                    place: *place,
                 });
             }
         }

@@ -1,8 +1,9 @@
 //! Rows as CSV: a header with units in the names, numbers with enough digits to restore the same bits.
 
 use locomotion::model::Model;
+use locomotion::parameter::Parameter;
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// The rows as the bytes of a CSV file.
 ///
@@ -41,35 +42,18 @@ fn written<T: Serialize>(rows: &[T], origin: Option<&str>) -> Result<Vec<u8>, cs
         .map_err(|error| error.into_error().into())
 }
 
-/// One parameter of the model and the origin of its value.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ParameterRow {
-    /// Section and name, as in a model file.
-    pub name: &'static str,
-    /// Value in `unit`.
-    pub value: f64,
-    /// The word that set it, if a word did; the value then follows from other parameters.
-    pub word: Option<&'static str>,
-    /// Unit; empty for a pure number.
-    pub unit: &'static str,
-    /// `paper`, `derived`, `cal`, `assumed` or `given`.
-    pub label: String,
-    /// Section or sentence of the paper, or the reason for the choice.
-    pub source: &'static str,
-}
-
-/// All parameters of a model.
+/// All parameters of a model with their units and sources: the rows of `parameters.csv`.
 #[must_use]
-pub fn parameters(model: &Model) -> Vec<ParameterRow> {
-    model
-        .parameters()
-        .map(|parameter| ParameterRow {
-            name: parameter.name,
-            value: parameter.value,
-            word: parameter.word,
-            unit: parameter.unit,
-            label: parameter.label.to_string(),
-            source: parameter.source,
+pub fn parameters(model: &Model) -> Vec<Value> {
+    let row = |parameter: Parameter| {
+        json!({
+            "name": parameter.name,
+            "value": parameter.value,
+            "word": parameter.word,
+            "unit": parameter.unit,
+            "label": parameter.label.to_string(),
+            "source": parameter.source,
         })
-        .collect()
+    };
+    model.parameters().map(row).collect()
 }
