@@ -38,16 +38,13 @@ pub enum ReportError {
         help("it needs a folder that can be written, with free space; then again")
     )]
     Unwritten {
-        /// The file.
         path: PathBuf,
-        /// The reason.
         why: String,
     },
     /// A figure could not be drawn.
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
-    /// There are no trials.
     #[error("no trial in {path}{}", besides(.left_out), path = path.display())]
     #[diagnostic(
         code(retrograde::no_trials),
@@ -66,7 +63,6 @@ pub enum ReportError {
         help("name another file: `--out FILE.html`")
     )]
     OwnRecord {
-        /// The file.
         path: PathBuf,
     },
     /// A file of this name already exists.
@@ -76,7 +72,6 @@ pub enum ReportError {
         help("`--force` replaces it, `--out` names another")
     )]
     Exists {
-        /// The file.
         path: PathBuf,
     },
 }
@@ -91,10 +86,8 @@ fn besides(left_out: &[LeftOut]) -> String {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, serde::Serialize)]
 #[error("{} is left out: {why}", path.display())]
 pub struct LeftOut {
-    /// The file.
     #[serde(serialize_with = "client::wording::path")]
     pub path: PathBuf,
-    /// Why it is left out.
     pub why: String,
     /// Whether it is part of the record of a trial, not a file of another kind.
     pub is_record: bool,
@@ -121,17 +114,14 @@ pub enum Existing {
 /// A trial whose record contradicts itself.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Damaged {
-    /// Its sidecar.
     #[serde(serialize_with = "client::wording::path")]
     pub sidecar: PathBuf,
-    /// Its defects.
     pub defects: Vec<String>,
 }
 
 /// A report before it is written to disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
-    /// The page.
     pub html: String,
     /// Trials on it with contradictory records.
     pub damaged: Vec<Damaged>,

@@ -29,7 +29,6 @@ pub enum Source {
 
 impl Source {
     /// The origin in words, for the figure.
-    #[must_use]
     pub const fn text(self) -> &'static str {
         match self {
             Self::Records(origin) => origin.meaning(),
@@ -49,7 +48,6 @@ impl Source {
 /// Title of a figure and origin of its values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Heading {
-    /// Its title.
     pub title: String,
     /// Where its values come from.
     pub source: Source,

@@ -9,9 +9,7 @@ const RAMP_POINTS: u32 = 24;
 /// Position and velocity of a plan over time: (s, mm) and (s, mm/s).
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Planned {
-    /// (s, mm).
     pub position: Vec<(f64, f64)>,
-    /// (s, mm/s).
     pub velocity: Vec<(f64, f64)>,
 }
 
@@ -42,7 +40,6 @@ fn strokes<'a>(
 }
 
 /// The exact continuous profile of a run, sampled finely enough to draw. Time 0 is the run's start.
-#[must_use]
 pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
     let mut planned = Planned::default();
     for (start_s, stroke, home) in strokes(run, achieved) {
@@ -60,7 +57,6 @@ pub fn planned(screw: &Screw, run: &Run, achieved: &Achieved) -> Planned {
 }
 
 /// The exact position of a plan at `time_s` after the run's start, mm.
-#[must_use]
 pub fn position_at(screw: &Screw, run: &Run, achieved: &Achieved, time_s: f64) -> f64 {
     let begun = strokes(run, achieved).take_while(|(start_s, ..)| *start_s <= time_s);
     begun.last().map_or(0.0, |(start_s, stroke, home)| {

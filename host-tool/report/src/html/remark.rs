@@ -7,8 +7,6 @@ use std::path::PathBuf;
 pub struct Remark {
     /// Sidecar of the trial it belongs to; none for a remark on the whole report.
     pub sidecar: Option<PathBuf>,
-    /// Heading.
     pub title: String,
-    /// Names and values.
     pub rows: Vec<(String, String)>,
 }

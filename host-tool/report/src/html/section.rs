@@ -18,7 +18,6 @@ use crate::html::remark::Remark;
 
 /// The section of a trial and the defects of its record.
 pub(crate) struct Section {
-    /// Its defects.
     pub(crate) defects: Defects,
     pub(crate) body: Markup,
 }
@@ -249,7 +248,6 @@ fn actuation_section(
 const AFTER_INRUSH: &str = "largest current after the inrush, by the capsule";
 
 /// An actuation's record as names and values with units.
-#[must_use]
 pub fn actuation_rows(
     kind: ActuationKind,
     record: &ActuationRecord,

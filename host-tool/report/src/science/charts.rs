@@ -84,9 +84,6 @@ fn ends(rows: &[TubeRow], x: impl Fn(&TubeRow) -> f64) -> [Curve; 2] {
 
 /// Like Fig. 4(a): displacement over time at each friction, and at the end over friction. The paper's sentence is
 /// drawn as a line, because it has no values for single frictions.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn friction(
     model: ModelName,
     runs: &[TubeRun],
@@ -109,9 +106,6 @@ pub fn friction(
 }
 
 /// Like Fig. 4(b): displacement over time at each pressure, and at the end over pressure.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn pressure(
     model: ModelName,
     runs: &[TubeRun],
@@ -137,9 +131,6 @@ fn about(rows: &[TubeRow]) -> Curve {
 }
 
 /// Like Fig. 7: the rig's displacement over indentation, the tube's over pressure, each for two frictions.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn comparison(
     model: ModelName,
     rig: &[RollerRow],
@@ -180,9 +171,6 @@ pub fn comparison(
 }
 
 /// The fold test: displacement of both bodies over the carriage's travel.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn fold(model: ModelName, test: &FoldTest) -> Result<String, FigureError> {
     let unfolded = |row: &FoldRow| (row.travel_mm, row.unfolded_mm);
     let folded = |row: &FoldRow| (row.travel_mm, row.folded_mm);
@@ -196,9 +184,6 @@ pub fn fold(model: ModelName, test: &FoldTest) -> Result<String, FigureError> {
 }
 
 /// A sweep: displacement over pressure or indentation, a curve for each combination of the axes.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn sweep<R>(
     model: ModelName,
     in_tube: bool,
@@ -223,9 +208,6 @@ pub fn sweep<R>(
 }
 
 /// Shortening over each angle, with a dot for the design.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn maps(maps: &Maps) -> Result<String, FigureError> {
     let y_label = format!("d at a = {:.2} mm / mm", maps.indentation_mm);
     let over = |x_label, members: &Curves, own_deg| {

@@ -30,7 +30,6 @@ pub struct Squeezed {
     pub shortening_mm: f64,
     /// L(a), mm, the last wing included.
     pub length_mm: f64,
-    /// W - 2a, mm.
     pub width_mm: f64,
     /// d d0/d a, mm per mm.
     pub slope_by_indentation: f64,
@@ -43,11 +42,9 @@ pub struct Squeezed {
 /// One requirement of section II.A beside the design.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RuleRow {
-    /// Name of the quantity.
     pub quantity: &'static str,
     /// The paper's target, which it calls approximate.
     pub target: f64,
-    /// The design's value.
     pub value: f64,
     /// Unit of both; empty for a pure number.
     pub unit: &'static str,
@@ -71,18 +68,15 @@ pub struct Equation6 {
 /// The best alpha of the admissible range.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Best {
-    /// The best alpha, degrees.
     pub alpha_deg: f64,
     /// d with this alpha at the indentation of the drawings, mm.
     pub shortening_mm: f64,
-    /// Reason in words.
     pub reason: &'static str,
 }
 
 /// All numbers of a design.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
-    /// Overall width W, mm.
     pub width_mm: f64,
     /// Width c of the core, mm.
     pub core_mm: f64,
@@ -94,7 +88,6 @@ pub struct Report {
     pub alpha_deg: f64,
     /// Long side to the transverse axis, degrees.
     pub beta_deg: f64,
-    /// m: number of crescents.
     pub crescents: u8,
     /// Eq. (1): l1, mm.
     pub long_side_mm: f64,
@@ -118,7 +111,6 @@ pub struct Report {
     pub indentation_mm: f64,
     /// The design at indentations from 0 to h.
     pub squeezed: Vec<Squeezed>,
-    /// The paper's requirements.
     pub rules: Vec<RuleRow>,
     /// None if this beta leaves no alpha that is known to work.
     pub best_alpha: Option<Best>,
@@ -271,13 +263,9 @@ pub type Curves = Vec<(String, Vec<(f64, f64)>)>;
 /// Shortening over both angles at one indentation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Maps {
-    /// The indentation, mm.
     pub indentation_mm: f64,
-    /// The design's alpha, degrees.
     pub alpha_deg: f64,
-    /// The design's beta, degrees.
     pub beta_deg: f64,
-    /// The design's d, mm.
     pub shortening_mm: f64,
     /// Over alpha, for several beta.
     pub over_alpha: Curves,

@@ -39,7 +39,6 @@ pub struct Drawing {
 
 impl Drawing {
     /// An empty sheet of this size.
-    #[must_use]
     pub fn new(width_mm: f64, height_mm: f64) -> Self {
         Self {
             width_mm,
@@ -49,7 +48,6 @@ impl Drawing {
     }
 
     /// The whole file, with a title and a line on the origin of its values.
-    #[must_use]
     pub fn finish(self, title: &str, origin: &str) -> String {
         let (w, h, body) = (self.width_mm, self.height_mm, self.body);
         let (title, origin) = (escaped(title), escaped(origin));
@@ -262,7 +260,6 @@ impl Body {
     }
 
     /// Tail and head of the core, mm.
-    #[must_use]
     pub fn core_ends_mm(&self) -> (f64, f64) {
         let end = |crescent: Option<&Crescent>, of: fn(&Crescent) -> f64| crescent.map_or(0.0, of);
         (

@@ -22,10 +22,8 @@ pub enum ModelError {
     /// The parameter cannot take this value.
     #[error("{key}: {why}")]
     Unsuitable {
-        /// The parameter.
-        key: &'static str,
-        /// The reason.
-        why: Unsuitable,
+            key: &'static str,
+            why: Unsuitable,
     },
     /// Two keys set the same parameter.
     #[error("{0} and {1} set the same: give one of them")]
@@ -33,7 +31,6 @@ pub enum ModelError {
 }
 
 /// The names of the bodies as a list for people.
-#[must_use]
 pub fn names() -> String {
     Model::ALL.map(|model| model.name).join(", ")
 }
@@ -66,9 +63,7 @@ fn near(key: &str) -> String {
 /// A value as it was written.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Given {
-    /// A number.
     Number(f64),
-    /// A word.
     Word(String),
 }
 
@@ -87,7 +82,6 @@ pub type Choice = (&'static Setting, Given);
 pub struct ModelFile {
     /// The body that it starts from.
     pub body: Option<String>,
-    /// Its values.
     pub choices: Vec<Choice>,
 }
 
@@ -160,7 +154,6 @@ pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
 }
 
 /// Writes a model; [`read`] restores it bit for bit.
-#[must_use]
 pub fn write(model: &Model) -> String {
     let mut text = format!(
         "# Origin: {}\n# `retrograde simulate --model` reads this file. What is left out is that of the body.\n\
@@ -194,7 +187,6 @@ pub fn write(model: &Model) -> String {
 }
 
 /// Origin of a model's values, in full.
-#[must_use]
 pub fn origin(model: &Model) -> String {
     let changes: Vec<_> = model
         .changes()
@@ -226,13 +218,11 @@ fn changes(model: &Model, unchanged: &str) -> String {
 }
 
 /// Origin of a model's values, in a few letters for each row of a table.
-#[must_use]
 pub fn short_origin(model: &Model) -> String {
     format!("model {}{}", model.name, changes(model, ""))
 }
 
 /// Name of the model in a figure.
-#[must_use]
 pub fn name(model: &Model) -> ModelName {
     let changes = changes(model, ", a fit to words");
     ModelName {

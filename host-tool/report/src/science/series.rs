@@ -61,33 +61,28 @@ impl Workers {
 /// Parameters of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
-    /// Friction coefficient.
     pub friction: f64,
     /// Peristaltic pressure at its peak in the tube, Pa; indentation a_n of the rollers on the rig, mm.
     pub load: f64,
 }
 
 /// Every friction with every load; the load varies fastest.
-#[must_use]
 pub fn cases(frictions: &[f64], loads: &[f64]) -> Vec<Case> {
     let with = |&friction: &f64| loads.iter().map(move |&load| Case { friction, load });
     frictions.iter().flat_map(with).collect()
 }
 
 /// The paper's friction series: 0.08, 0.085 ... 0.20 at 7000 Pa.
-#[must_use]
 pub fn friction_cases() -> Vec<Case> {
     cases(&frictions().collect::<Vec<_>>(), &[FRICTION_SERIES_PA])
 }
 
 /// The paper's pressure series: 3000, 3400 ... 7000 Pa at one friction.
-#[must_use]
 pub fn pressure_cases(friction: f64) -> Vec<Case> {
     cases(&[friction], &pressures_pa().collect::<Vec<_>>())
 }
 
 /// The paper's roller series: a_1 to a_5 with and without lubrication.
-#[must_use]
 pub fn lubrication_cases() -> Vec<Case> {
     cases(&LUBRICATION.map(|(_, friction)| friction), &INDENTATIONS_MM)
 }
@@ -95,7 +90,6 @@ pub fn lubrication_cases() -> Vec<Case> {
 /// A moment of a run in the tube: mean over the placements.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TubeMoment {
-    /// Friction coefficient.
     pub friction: f64,
     /// Peristaltic pressure at its peak, Pa.
     pub pressure_pa: f64,
@@ -119,7 +113,6 @@ pub struct TubeRun {
 /// The end of a run in the tube.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TubeRow {
-    /// Friction coefficient.
     pub friction: f64,
     /// Peristaltic pressure at its peak, Pa.
     pub pressure_pa: f64,
@@ -180,7 +173,6 @@ pub fn tube_run(mut params: tube::Params, case: &Case) -> Result<TubeRun, OutOfR
 pub const PAPER_ON_FRICTION_MM: f64 = 14.0;
 
 /// The ends of these runs of the pressure series, with the paper's numbers (II.C): from about 1 mm to about 15 mm.
-#[must_use]
 pub fn beside_the_paper(runs: &[TubeRun]) -> Vec<TubeRow> {
     let row = |run: &TubeRun| TubeRow {
         paper_about_mm: match run.end.pressure_pa {
@@ -198,7 +190,6 @@ pub fn beside_the_paper(runs: &[TubeRun]) -> Vec<TubeRow> {
 pub struct RollerRow {
     /// `with` or `without` for the frictions of the paper's two series; else empty.
     pub lubrication: &'static str,
-    /// Friction coefficient.
     pub friction: f64,
     /// Indentation of the rollers, the paper's a_n, mm.
     pub indentation_mm: f64,
@@ -231,9 +222,7 @@ pub fn roller_run(mut params: roller::Params, case: &Case) -> Result<RollerRow, 
 /// A parameter of the model that a sweep varies.
 #[derive(Clone, Debug)]
 pub struct Axis {
-    /// The parameter.
     pub setting: &'static Setting,
-    /// Its values.
     pub values: Vec<f64>,
 }
 
@@ -273,7 +262,6 @@ pub fn variants(model: &Model, axes: &[Axis]) -> Result<Vec<Variant>, ModelError
 /// A run of a sweep.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SweepRow<R> {
-    /// The values of the axes.
     #[serde(flatten)]
     pub axes: Map<String, serde_json::Value>,
     /// Pressure, Pa, or indentation, mm.
@@ -282,7 +270,6 @@ pub struct SweepRow<R> {
     /// Displacement, mm.
     #[serde(skip)]
     pub mm: f64,
-    /// The run.
     #[serde(flatten)]
     pub run: R,
 }

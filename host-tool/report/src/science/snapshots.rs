@@ -29,7 +29,6 @@ pub struct Snapshot {
     pub moment: String,
     /// Positions along the wall and its indentation there, mm.
     pub wall_mm: Vec<Point>,
-    /// The body.
     pub body: Body,
     /// Position of the rollers, mm, if there are any.
     pub roller_mm: Option<f64>,
@@ -59,7 +58,6 @@ pub struct SnapshotRow {
     pub moment: String,
     /// Number of the crescent, 1 at the tail.
     pub crescent: usize,
-    /// Its place.
     #[serde(flatten)]
     pub place: Crescent,
 }
@@ -159,7 +157,6 @@ fn wall(length_mm: f64, at: impl Fn(f64) -> f64) -> Vec<Point> {
 
 impl Strip {
     /// Every crescent of every picture.
-    #[must_use]
     pub fn rows(&self) -> Vec<SnapshotRow> {
         let mut rows = vec![];
         for snapshot in self.columns.iter().flatten() {
@@ -177,7 +174,6 @@ impl Strip {
     }
 
     /// Draws the strip to scale; `origin` names the model.
-    #[must_use]
     pub fn svg(&self, origin: &str) -> String {
         const GAP: f64 = 8.0;
         const LEFT: f64 = 30.0;

@@ -43,7 +43,6 @@ fn written<T: Serialize>(rows: &[T], origin: Option<&str>) -> Result<Vec<u8>, cs
 }
 
 /// All parameters of a model with their units and sources: the rows of `parameters.csv`.
-#[must_use]
 pub fn parameters(model: &Model) -> Vec<Value> {
     let row = |parameter: Parameter| {
         json!({
