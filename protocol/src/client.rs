@@ -90,8 +90,8 @@ impl Pending {
     }
 }
 
-/// The host's end of a session.
-#[derive(Debug)]
+/// The host's end of a session. By default it has none, and numbers its frames from 0.
+#[derive(Debug, Default)]
 pub struct Client {
     deframer: Deframer,
     session: u8,
@@ -101,28 +101,13 @@ pub struct Client {
     next_telemetry: Option<u16>,
 }
 
-impl Default for Client {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Client {
-    /// A client without a session, which numbers its frames from 0.
-    pub const fn new() -> Self {
-        Self::numbering_from(0)
-    }
-
     /// A client without a session. Pass a `seq` that the previous connection has not just used. Otherwise a late
     /// reply to that connection could confirm a stop that the device never received.
-    pub const fn numbering_from(seq: u16) -> Self {
+    pub fn numbering_from(seq: u16) -> Self {
         Self {
-            deframer: Deframer::new(),
-            session: 0,
             next_seq: seq,
-            pending: None,
-            urgent: None,
-            next_telemetry: None,
+            ..Self::default()
         }
     }
 

@@ -365,25 +365,3 @@ impl fmt::Display for WireError {
 
 impl core::error::Error for Refusal {}
 impl core::error::Error for WireError {}
-
-#[cfg(test)]
-mod tests {
-    extern crate std;
-    use super::*;
-    use std::string::ToString;
-
-    #[test]
-    fn no_text_shows_a_number_that_stands_for_none() {
-        let refusal = |min_accel_um_s2| Refusal::TooFast {
-            requested_us: 1,
-            min_us: 2,
-            min_accel_um_s2,
-        };
-        assert!(
-            !refusal(u64::MAX)
-                .to_string()
-                .contains("18446744073709551615")
-        );
-        assert!(refusal(520_000).to_string().contains("520000 um/s2"));
-    }
-}

@@ -53,23 +53,3 @@ impl EventRing {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::system::ResetCause;
-
-    #[test]
-    fn old_events_give_way_and_the_answer_says_so() {
-        let mut ring = EventRing::new();
-        for time_us in 0..RING as u64 + 5 {
-            ring.record(time_us, What::Booted(ResetCause::Pin));
-        }
-        let events = ring.since(0);
-        assert_eq!((events.oldest, events.next), (5, RING as u32 + 5));
-        let indices: heapless::Vec<u32, 8> =
-            events.events.iter().map(|event| event.index).collect();
-        assert_eq!(indices, [5, 6, 7]);
-        assert!(ring.since(RING as u32 + 5).events.is_empty());
-    }
-}

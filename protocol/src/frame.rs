@@ -142,34 +142,23 @@ impl Deframer {
             self.overrun |= self.block.push(byte).is_err();
             return None;
         }
-        let complete = !self.overrun && !self.block.is_empty();
-        if self.overrun {
-            self.rejected = self.rejected.saturating_add(1);
-        }
-        self.overrun = false;
-        if !complete {
-            self.block.clear();
+        let is_whole = !core::mem::take(&mut self.overrun);
+        if self.block.is_empty() {
             return None;
         }
-        let report = cobs::decode(&self.block, &mut self.decoded);
-        self.block.clear();
-        let header = match report {
-            Ok(report) => {
-                let len = report.frame_size();
-                check(&self.decoded[..len]).map(|header| (header, len))
-            }
-            Err(_) => None,
+        let length = match cobs::decode(&self.block, &mut self.decoded) {
+            Ok(report) if is_whole => report.frame_size(),
+            _ => 0,
         };
-        match header {
-            Some((header, len)) => Some(Frame {
-                header,
-                body: &self.decoded[HEAD..len - CRC],
-            }),
-            None => {
-                self.rejected = self.rejected.saturating_add(1);
-                None
-            }
-        }
+        self.block.clear();
+        let Some(header) = check(&self.decoded[..length]) else {
+            self.rejected = self.rejected.saturating_add(1);
+            return None;
+        };
+        Some(Frame {
+            header,
+            body: &self.decoded[HEAD..length - CRC],
+        })
     }
 }
 

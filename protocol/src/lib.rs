@@ -29,13 +29,8 @@
 //! sent again (same session, same `seq`, same body) is answered from a cache and never executed twice.
 //! [`system::Urgent`] (stop, emergency stop) needs a good CRC and nothing else.
 //!
-//! Session numbers repeat after 255 greetings: a frame that is delayed for that long becomes valid again. Numbers in
-//! a body are postcard's varints. A receiver accepts superfluous zero bytes in a varint, although no sender makes
-//! them; the cache treats such a frame as another request.
-//!
-//! While the machine moves, the device counts how long the host that began the motion has been silent. Every request
-//! of that session counts as a sign of life, a repeated one too. These do not count: a newer session, a stop, a body
-//! that is no request, and frames that only devices send (an echo on a shorted line).
+//! docs/protocol.md has the rules of retries, signs of life and stops. Numbers in a body are postcard's varints; a
+//! superfluous zero byte in one makes another request of it for the cache.
 //!
 //! # Compatibility
 //!

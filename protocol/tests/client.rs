@@ -54,7 +54,7 @@ fn greet(client: &mut Client, now_us: u64) {
 }
 
 fn connected() -> Client {
-    let mut client = Client::new();
+    let mut client = Client::default();
     client.hello(1).expect("nothing is pending");
     greet(&mut client, 0);
     client
@@ -89,7 +89,7 @@ fn told(client: &mut Client) -> bool {
 
 #[test]
 fn without_a_session_nothing_is_asked_for_and_nothing_is_taken() {
-    let mut client = Client::new();
+    let mut client = Client::default();
     let deaf = |client: &mut Client| {
         assert!(!client.is_open());
         assert_eq!((missed(client, 5), told(client)), (None, false));
@@ -111,7 +111,7 @@ fn without_a_session_nothing_is_asked_for_and_nothing_is_taken() {
 
 #[test]
 fn requests_carry_the_session_and_each_its_own_number() {
-    let mut client = Client::new();
+    let mut client = Client::default();
     client.hello(1).unwrap();
     let hello = header(&sent(&mut client, 0));
     assert_eq!((hello.kind, hello.session), (Kind::Request, 0));

@@ -62,7 +62,7 @@ struct Pair {
 impl Pair {
     fn new() -> Self {
         let mut pair = Self {
-            client: Client::new(),
+            client: Client::default(),
             device: Device::new(),
             session: 0,
             nonce: 0,
@@ -288,7 +288,7 @@ proptest! {
     #[test]
     fn any_bytes_are_survived(bytes in proptest::collection::vec(any::<u8>(), 0..2_000)) {
         let mut device = Device::new();
-        let mut client = Client::new();
+        let mut client = Client::default();
         for byte in bytes {
             device.receive(byte);
             client.receive(byte);
@@ -301,7 +301,7 @@ proptest! {
     fn any_body_is_survived(body in proptest::collection::vec(any::<u8>(), 0..150), kind in 0..5_usize, session in any::<u8>()) {
         let sent = frame(KINDS[kind], session, 3, &Raw(body));
         let mut device = Device::new();
-        let mut client = Client::new();
+        let mut client = Client::default();
         for byte in &sent {
             device.receive(*byte);
             client.receive(*byte);

@@ -24,7 +24,7 @@ struct Line {
 impl Line {
     fn new(seed: u64, flip_one_in: u64, late_one_in: u64) -> Self {
         Self {
-            client: Client::new(),
+            client: Client::default(),
             device: Device::new(),
             noise: Noise(seed | 1),
             now_us: 0,

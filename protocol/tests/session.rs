@@ -3,6 +3,7 @@
 use protocol::{
     VERSION,
     error::{Refusal, WireError},
+    events::{EventRing, RING},
     frame::{Deframer, Encoded, Header, Kind, encode},
     session::{CACHED_REPLIES, Decision, Session, Ticket},
     settings::Name,
@@ -306,4 +307,17 @@ fn a_device_ignores_what_devices_send() {
         let decision = receive(&mut device, kind, session, 1, &event);
         assert_eq!(decision, Decision::Ignore, "{kind:?}");
     }
+}
+
+#[test]
+fn old_events_give_way_and_the_answer_says_so() {
+    let mut ring = EventRing::new();
+    for time_us in 0..RING as u64 + 5 {
+        ring.record(time_us, What::LinkLost);
+    }
+    let events = ring.since(0);
+    assert_eq!((events.oldest, events.next), (5, RING as u32 + 5));
+    let indices: Vec<_> = events.events.iter().map(|event| event.index).collect();
+    assert_eq!(indices, [5, 6, 7]);
+    assert!(ring.since(RING as u32 + 5).events.is_empty());
 }

@@ -2,6 +2,7 @@
 
 use protocol::{
     capsule::CapsuleFault,
+    error::Refusal,
     rig::{HomingPhase, RigFault, Switch},
     settings::{SettingKey, SettingRule},
     system::DeviceKind,
@@ -127,4 +128,15 @@ fn settings_and_rules_stay() {
         let _ = writeln!(table, "{rule:?} of {owner}: {text}");
     }
     insta::assert_snapshot!("settings", table);
+}
+
+#[test]
+fn no_text_shows_a_number_that_stands_for_none() {
+    let text = Refusal::TooFast {
+        requested_us: 1,
+        min_us: 2,
+        min_accel_um_s2: u64::MAX,
+    }
+    .to_string();
+    assert!(!text.contains("18446744073709551615"), "{text}");
 }

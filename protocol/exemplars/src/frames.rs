@@ -7,18 +7,6 @@ use protocol::{
 use serde::Serialize;
 use std::fmt::Debug;
 
-fn frame<T: Serialize>(kind: Kind, body: &T) -> Encoded {
-    encode(
-        Header {
-            kind,
-            session: 0x5a,
-            seq: 0x1234,
-        },
-        body,
-    )
-    .expect("every message fits")
-}
-
 /// Name of a value without its fields: `Rig(Homed { .. })` becomes `Rig.Homed`.
 pub fn name(value: &impl Debug) -> String {
     let text = format!("{value:?}");
@@ -41,38 +29,33 @@ pub fn name(value: &impl Debug) -> String {
     name
 }
 
+/// Frames of these messages, each with the name that `named` gives.
+fn frames<T: Serialize>(
+    kind: Kind,
+    messages: impl IntoIterator<Item = T>,
+    named: impl Fn(&T) -> String,
+) -> impl Iterator<Item = (String, Encoded)> {
+    let header = Header {
+        kind,
+        session: 0x5a,
+        seq: 0x1234,
+    };
+    messages.into_iter().map(move |message| {
+        let kind = format!("{kind:?}").to_lowercase();
+        let frame = encode(header, &message).expect("every message fits");
+        (format!("{kind} {}", named(&message)), frame)
+    })
+}
+
 /// Every exemplar with its name, as frames of session 0x5a with the number 0x1234.
 pub fn all() -> Vec<(String, Encoded)> {
-    let mut frames = Vec::new();
-    for message in super::requests() {
-        frames.push((
-            format!("request {}", name(&message)),
-            frame(Kind::Request, &message),
-        ));
-    }
-    for message in super::replies() {
-        frames.push((
-            format!("reply {}", name(&message)),
-            frame(Kind::Reply, &message),
-        ));
-    }
-    for message in [Urgent::Stop, Urgent::EStop] {
-        frames.push((
-            format!("urgent {}", name(&message)),
-            frame(Kind::Urgent, &message),
-        ));
-    }
-    for message in super::telemetry() {
-        frames.push((
-            format!("telemetry {}", name(&message)),
-            frame(Kind::Telemetry, &message),
-        ));
-    }
-    for message in super::events() {
-        frames.push((
-            format!("event {}", name(&message.what)),
-            frame(Kind::Event, &message),
-        ));
-    }
-    frames
+    let urgent = [Urgent::Stop, Urgent::EStop];
+    frames(Kind::Request, super::requests(), name)
+        .chain(frames(Kind::Reply, super::replies(), name))
+        .chain(frames(Kind::Urgent, urgent, name))
+        .chain(frames(Kind::Telemetry, super::telemetry(), name))
+        .chain(frames(Kind::Event, super::events(), |event| {
+            name(&event.what)
+        }))
+        .collect()
 }

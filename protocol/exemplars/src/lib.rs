@@ -101,79 +101,66 @@ const INPUTS: RigInputs = RigInputs {
 /// Events of every kind.
 #[must_use]
 pub fn events() -> std::vec::Vec<Event> {
-    let event = |what| Event {
-        index: 301,
-        time_us: 12_345_678,
-        what,
-    };
-    vec![
-        event(What::Booted(ResetCause::Watchdog)),
-        event(What::Acknowledged),
-        event(What::LinkLost),
-        event(What::Rig(RigEvent::Homed {
+    let rig = [
+        RigEvent::Homed {
             repeat_steps: -1,
             shift_steps: 2,
-        })),
-        event(What::Rig(RigEvent::RunStarted { run: 3 })),
-        event(What::Rig(RigEvent::StrokeDone {
+        },
+        RigEvent::RunStarted { run: 3 },
+        RigEvent::StrokeDone {
             stroke: 9,
             residual_steps: -2,
-        })),
-        event(What::Rig(RigEvent::RunEnded {
+        },
+        RigEvent::RunEnded {
             run: 3,
             outcome: RunOutcome::Complete,
-        })),
-        event(What::Rig(RigEvent::Stopped {
+        },
+        RigEvent::Stopped {
             position_steps: 52_000,
-        })),
-        event(What::Rig(RigEvent::Faulted(RigFault::LostSteps {
-            residual_steps: 64,
-        }))),
-        event(What::Rig(RigEvent::Held {
+        },
+        RigEvent::Faulted(RigFault::LostSteps { residual_steps: 64 }),
+        RigEvent::Held {
             position_steps: 40_000,
-        })),
-        event(What::Rig(RigEvent::Resumed)),
-        event(What::Rig(RigEvent::Moved {
+        },
+        RigEvent::Resumed,
+        RigEvent::Moved {
             position_steps: 52_000,
-        })),
-        event(What::Rig(RigEvent::SettingChanged(
-            SettingKey::SwitchFilterUs,
-        ))),
-        event(What::Rig(RigEvent::SettingsReset)),
-        event(What::Rig(RigEvent::SettingsUnusable)),
-        event(What::Rig(RigEvent::ButtonIgnored)),
-        event(What::Rig(RigEvent::Faulted(RigFault::HomingTimeout(
-            HomingPhase::Seek,
-        )))),
-        event(What::Capsule(CapsuleEvent::Started {
+        },
+        RigEvent::SettingChanged(SettingKey::SwitchFilterUs),
+        RigEvent::SettingsReset,
+        RigEvent::SettingsUnusable,
+        RigEvent::ButtonIgnored,
+        RigEvent::Faulted(RigFault::HomingTimeout(HomingPhase::Seek)),
+    ];
+    let capsule = [
+        CapsuleEvent::Started {
             actuation: 4,
             kind: ActuationKind::Unfold,
-        })),
-        event(What::Capsule(CapsuleEvent::Ended {
+        },
+        CapsuleEvent::Ended {
             actuation: 4,
             outcome: ActuationOutcome::Stopped,
-        })),
-        event(What::Capsule(CapsuleEvent::Faulted(CapsuleFault::Jam {
-            thread_um: 12_000,
-        }))),
-        event(What::Capsule(CapsuleEvent::Started {
-            actuation: 5,
-            kind: ActuationKind::CheckFolded,
-        })),
-        event(What::Capsule(CapsuleEvent::Faulted(
-            CapsuleFault::NotUnfolded { wound_um: 9_000 },
-        ))),
-        event(What::Capsule(CapsuleEvent::Faulted(
-            CapsuleFault::SenseOrEncoder,
-        ))),
-        event(What::Capsule(CapsuleEvent::NotKept)),
-        event(What::Capsule(CapsuleEvent::Drifted { by_um: -180 })),
-        event(What::Capsule(CapsuleEvent::SettingChanged(
-            SettingKey::EndForceMa,
-        ))),
-        event(What::Capsule(CapsuleEvent::SettingsReset)),
-        event(What::Capsule(CapsuleEvent::SettingsUnusable)),
-    ]
+        },
+        CapsuleEvent::Faulted(CapsuleFault::Jam { thread_um: 12_000 }),
+        CapsuleEvent::NotKept,
+        CapsuleEvent::Drifted { by_um: -180 },
+        CapsuleEvent::SettingChanged(SettingKey::EndForceMa),
+        CapsuleEvent::SettingsReset,
+        CapsuleEvent::SettingsUnusable,
+    ];
+    let both = [
+        What::Booted(ResetCause::Watchdog),
+        What::Acknowledged,
+        What::LinkLost,
+    ];
+    (both.into_iter().chain(rig.map(What::Rig)))
+        .chain(capsule.map(What::Capsule))
+        .map(|what| Event {
+            index: 301,
+            time_us: 12_345_678,
+            what,
+        })
+        .collect()
 }
 
 const STROKE: Stroke = Stroke {
@@ -332,6 +319,10 @@ fn run_accepted() -> RunAccepted {
 /// Responses of every kind.
 #[must_use]
 pub fn responses() -> std::vec::Vec<Response> {
+    let accepted = |actuation, timeout_ms| ActuationAccepted {
+        actuation,
+        timeout_ms,
+    };
     vec![
         Response::Hello(IDENTITY),
         Response::KeepAlive(Done),
@@ -354,18 +345,9 @@ pub fn responses() -> std::vec::Vec<Response> {
         Response::Run(run_accepted()),
         Response::GetRunRecord(RUN_RECORD),
         Response::GetCapsuleStatus(CAPSULE_STATUS),
-        Response::Reference(ActuationAccepted {
-            actuation: 2,
-            timeout_ms: 20_000,
-        }),
-        Response::Fold(ActuationAccepted {
-            actuation: 3,
-            timeout_ms: 5_000,
-        }),
-        Response::Unfold(ActuationAccepted {
-            actuation: 4,
-            timeout_ms: 5_000,
-        }),
+        Response::Reference(accepted(2, 20_000)),
+        Response::Fold(accepted(3, 5_000)),
+        Response::Unfold(accepted(4, 5_000)),
         Response::GetActuationRecord(ACTUATION_RECORD),
         Response::Hold(Done),
         Response::Resume(Done),
@@ -387,24 +369,15 @@ pub fn responses() -> std::vec::Vec<Response> {
             supply_low: true,
             option_bytes: 0x00ff_aaed,
         }),
-        Response::Calibrate(ActuationAccepted {
-            actuation: 5,
-            timeout_ms: 16_000,
-        }),
-        Response::CheckFolded(ActuationAccepted {
-            actuation: 6,
-            timeout_ms: 16_000,
-        }),
+        Response::Calibrate(accepted(5, 16_000)),
+        Response::CheckFolded(accepted(6, 16_000)),
         Response::GetTrace(Trace {
             actuation: 3,
             total: 1_790,
             points: (0..MAX_TRACE_POINTS).map(|_| TRACE_POINT).collect(),
         }),
         Response::GetCapsuleTotals(CAPSULE_TOTALS),
-        Response::FoldTo(ActuationAccepted {
-            actuation: 7,
-            timeout_ms: 8_000,
-        }),
+        Response::FoldTo(accepted(7, 8_000)),
         Response::GetRigHardware(RIG_HARDWARE),
     ]
 }
@@ -466,8 +439,6 @@ pub fn replies() -> std::vec::Vec<Reply> {
         Refusal::FarLimitOpen,
         Refusal::SupplyLow,
         Refusal::NameNotPrintable,
-        Refusal::CapsuleFaulted(CapsuleFault::SenseLost),
-        Refusal::CapsuleBusy(CapsuleState::Checking),
         Refusal::NotCalibrated,
     ];
     let wire = [
