@@ -38,6 +38,13 @@ impl Answer {
         serde_json::from_str(&self.body).unwrap_or_else(|why| panic!("{why}: {}", self.body))
     }
 
+    /// The same, if it has this status.
+    #[track_caller]
+    fn with(self, status: u16) -> Self {
+        assert_eq!(self.status, status, "{}", self.body);
+        self
+    }
+
     fn message(&self) -> String {
         let json = self.json();
         let message = json["error"]["message"].as_str();
@@ -220,26 +227,17 @@ fn a_cross_site_page_a_rebound_name_and_a_missing_token_move_nothing() {
         let key = server.key();
         let headers = [headers, &[("Idempotency-Key", &*key)]].concat();
         let answer = server.ask(method, &format!("/api/v1/{path}"), &headers, "{}");
-        assert_eq!(answer.status, status, "{path} {headers:?}: {}", answer.body);
-        assert!(
-            answer.message().contains("nothing was done"),
-            "{}",
-            answer.body
-        );
-        assert!(
-            !answer.head.contains("access-control-allow"),
-            "{}",
-            answer.head
-        );
-        let asks_for_token = answer.head.contains("www-authenticate: bearer");
-        assert_eq!(asks_for_token, status == 401, "{}", answer.head);
+        let (why, head) = (answer.message(), answer.with(status).head);
+        assert!(why.contains("nothing was done"), "{why}");
+        assert!(!head.contains("access-control-allow"), "{head}");
+        let asks_for_token = head.contains("www-authenticate: bearer");
+        assert_eq!(asks_for_token, status == 401, "{head}");
     }
-    assert_eq!(server.ask("GET", "/", &[rebound], "").status, 403);
+    server.ask("GET", "/", &[rebound], "").with(403);
     assert_eq!((moved(&bench), bench.urgent()), (0, vec![]));
     // A stop from this computer needs neither a token nor a sensible body.
     for body in ["", "{}", "no JSON", "{\"machine\":\"rig\"}"] {
-        let answer = server.ask("POST", "/api/v1/stop", &[], body);
-        assert_eq!(answer.status, 200, "{}", answer.body);
+        server.ask("POST", "/api/v1/stop", &[], body).with(200);
     }
     assert!(bench.urgent().contains(&Urgent::Stop));
 }
@@ -249,11 +247,10 @@ fn a_cross_site_page_a_rebound_name_and_a_missing_token_move_nothing() {
 fn a_stop_passes_a_crowd_that_takes_up_every_place() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let server = Server::start(&bench);
-    let begun = server.post("rig/run", &short_run());
-    assert_eq!(begun.status, 202, "{}", begun.body);
+    let begun = server.post("rig/run", &short_run()).with(202);
     let crowd: Vec<_> = (0..300)
         .map(|number| match number % 2 {
-            0 => Events::open(&server.at).from.into_inner(),
+            0 => follow(&server.at).into_inner(),
             _ => TcpStream::connect(&server.at).expect("a server"),
         })
         .collect();
@@ -264,11 +261,8 @@ fn a_stop_passes_a_crowd_that_takes_up_every_place() {
     let begin = Instant::now();
     let stopped = server.ask("POST", "/api/v1/stop", &[], "").json();
     assert_eq!(stopped["machines"][0]["outcome"], "stopped");
-    assert!(
-        begin.elapsed() < Duration::from_secs(2),
-        "{:?}",
-        begin.elapsed()
-    );
+    let took = begin.elapsed();
+    assert!(took < Duration::from_secs(2), "{took:?}");
     assert!(bench.urgent().contains(&Urgent::Stop));
     // When the crowd leaves, there is room again.
     drop(crowd);
@@ -298,10 +292,8 @@ fn the_page_is_one_file_that_loads_nothing_and_may_not_be_framed() {
     ] {
         assert!(!page.body.contains(foreign), "{foreign}");
     }
-    assert!(
-        !server.get("/").body.contains(nonce),
-        "each page has its own"
-    );
+    let other = server.get("/").body;
+    assert!(!other.contains(nonce), "each page has its own");
     // Programs of the same user find the server by its file.
     let file = bench.locks().join("serve.json");
     let found: Value = serde_json::from_slice(&std::fs::read(&file).expect("it")).expect("JSON");
@@ -336,16 +328,12 @@ fn every_route_of_the_document_is_served() {
         if answer.status == 404 {
             let why = answer.message();
             let known = ["no such action", "no such record", "no capsule"];
-            assert!(
-                known.iter().any(|known| why.contains(known)),
-                "{path}: {why}"
-            );
+            let is_known = known.iter().any(|known| why.contains(known));
+            assert!(is_known, "{path}: {why}");
         }
         let last = path.rsplit('/').next().expect("a name");
-        assert!(
-            last == "none" || manual.contains(last),
-            "not in docs/serve.md: {path}"
-        );
+        let is_there = last == "none" || manual.contains(last);
+        assert!(is_there, "not in docs/serve.md: {path}");
     }
     assert_eq!(moved(&bench), 0);
     for (path, status) in [
@@ -353,9 +341,7 @@ fn every_route_of_the_document_is_served() {
         ("/api/v1/rig/home", 405),
         ("/api/v1/actions/%FF", 400),
     ] {
-        let answer = server.get(path);
-        assert_eq!(answer.status, status, "{path}: {}", answer.body);
-        assert_eq!(answer.json()["ok"], false);
+        assert_eq!(server.get(path).with(status).json()["ok"], false);
     }
 }
 
@@ -389,8 +375,8 @@ fn a_request_that_is_repeated_is_executed_once() {
     assert_eq!(ended["state"], "complete");
     assert_eq!(ended["result"]["position_um"], 3_000);
     // The same answer comes after the end of the move.
-    let again = server.post_as(&key, "rig/move", &body);
-    assert_eq!((again.status, &again.json()["action"]), (200, &ended));
+    let again = server.post_as(&key, "rig/move", &body).with(200);
+    assert_eq!(again.json()["action"], ended);
     // A key belongs to one request, and to this server since its start.
     let other = json!({ "position_mm": 4 });
     let space = format!("{}-a b", server.instance);
@@ -406,8 +392,7 @@ fn a_request_that_is_repeated_is_executed_once() {
         } else {
             &other
         };
-        let answer = server.post_as(key, command, body);
-        assert_eq!(answer.status, status, "{key}: {}", answer.body);
+        server.post_as(key, command, body).with(status);
     }
     // An order that waited in a dead link says when it was given.
     let late = UNIX_EPOCH.elapsed().expect("after 1970").as_millis() - 6_000;
@@ -447,20 +432,17 @@ fn bad_input_is_refused_and_moves_nothing() {
         let (bearer, key) = (server.bearer(), server.key());
         let headers = [("Authorization", &*bearer), ("Idempotency-Key", &*key)];
         let answer = server.ask("POST", &format!("/api/v1/{command}"), &headers, body);
-        assert_eq!(answer.status, status, "{command} {body}: {}", answer.body);
+        let answer = answer.with(status);
         // A program in Python knows a refusal by its exit code.
-        assert_eq!(
-            answer.json()["exit_code"] == 3,
-            status == 409,
-            "{}",
-            answer.body
-        );
+        let is_refusal = answer.json()["exit_code"] == 3;
+        assert_eq!(is_refusal, status == 409, "{}", answer.body);
         assert!(answer.message().contains(text), "{}", answer.body);
     }
     let bearer = server.bearer();
     let form = [("Authorization", &*bearer), ("Content-Type", "text/plain")];
-    let answer = server.ask("POST", "/api/v1/rig/home", &form, "a=b");
-    assert_eq!(answer.status, 415, "{}", answer.body);
+    server
+        .ask("POST", "/api/v1/rig/home", &form, "a=b")
+        .with(415);
     let tried = ["Run", "Home", "Jog"].map(|name| bench.count(name));
     assert_eq!(tried, [0; 3]);
     let plan = server.post("plan", &json!({})).json();
@@ -471,15 +453,12 @@ fn bad_input_is_refused_and_moves_nothing() {
 fn a_run_is_held_resumed_recorded_and_followed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let server = Server::start(&bench);
-    let mut stream = Events::open(&server.at);
-    let begun = server.post("rig/run", &short_run());
-    assert_eq!(begun.status, 202, "{}", begun.body);
+    let mut stream = follow(&server.at);
+    let begun = server.post("rig/run", &short_run()).with(202);
     let action = begun.json()["action"].clone();
     assert_eq!(action["accepted"]["edges"], 32_000);
     // Another motion is refused with the reason.
-    let busy = server.post("rig/home", &json!({}));
-    assert_eq!(busy.status, 409);
-    let why = busy.message();
+    let why = server.post("rig/home", &json!({})).with(409).message();
     assert!(why.contains("the rig is busy: `run` is under way"), "{why}");
     let held = server.done("rig/hold", &json!({}));
     assert_eq!(held["state"], "complete");
@@ -488,7 +467,7 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     assert!(steps > 0, "{held}");
     assert_eq!(held["result"]["position_um"], (steps * 1_250 + 500) / 1_000);
     server.until("a hold", |state| rig_state(state) == "held");
-    assert_eq!(server.post("rig/hold", &json!({})).status, 409);
+    server.post("rig/hold", &json!({})).with(409);
     // Other commands of the same user work beside the server.
     let (code, out, err) = bench.retrograde(&["info", "rig"]);
     assert_eq!((code, out.contains("Held")), (Some(0), true), "{out}{err}");
@@ -514,15 +493,12 @@ fn a_run_is_held_resumed_recorded_and_followed() {
     assert_eq!(listed["records"][0]["csv"], csv);
     assert_eq!(listed["records"][0]["note"], "short");
     let record = server.get(&format!("/api/v1/records/{csv}"));
-    assert!(
-        record.body.contains("time_us,state,position_mm"),
-        "{}",
-        record.head
-    );
+    assert!(record.body.contains("time_us,state,position_mm"));
     let (rows, missed) = bench.telemetry();
     assert_eq!(missed, 0);
     // The stream has reported the same.
-    let told = stream.until([ended["id"].as_str().expect("an id"), "\"complete\""]);
+    let id = ended["id"].as_str().expect("an id");
+    let told = read_until(&mut stream, [id, "\"complete\""]);
     let data = told.iter().filter_map(|line| line.strip_prefix("data: "));
     let data = data.map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
     let samples: Vec<_> = data
@@ -530,11 +506,8 @@ fn a_run_is_held_resumed_recorded_and_followed() {
         .flatten()
         .collect();
     let in_order = samples.is_sorted_by_key(|sample| sample["time_us"].as_u64());
-    assert!(
-        samples.len() >= rows && in_order,
-        "{} of {rows}",
-        samples.len()
-    );
+    let count = samples.len();
+    assert!(count >= rows && in_order, "{count} of {rows}");
     assert!(told.iter().any(|line| line.contains("held at")));
     assert!(told.iter().all(|line| !line.starts_with("event: lost")));
 }
@@ -582,18 +555,14 @@ fn an_emergency_stop_works_in_every_state_and_is_latched_until_acknowledged() {
         ("rig/run", short_run(), false),
         ("rig/run", short_run(), true),
     ] {
-        let begun = server.post(command, &body);
-        assert_eq!(begun.status, 202, "{command}: {}", begun.body);
+        let begun = server.post(command, &body).with(202);
         if hold {
             server.complete("rig/hold");
         }
         assert_eq!(server.stop("estop"), 200);
         let ended = server.end_of(&begun.json()["action"]);
-        let state = ended["state"].as_str();
-        assert!(
-            matches!(state, Some("faulted" | "stopped")),
-            "{command}: {ended}"
-        );
+        let is_cut = ended["state"] == "faulted" || ended["state"] == "stopped";
+        assert!(is_cut, "{command}: {ended}");
         if command == "rig/run" && !hold {
             // Homing is refused until then.
             let help = ended["error"]["help"].as_str().unwrap_or_default();
@@ -612,8 +581,7 @@ fn a_jog_lives_on_renewals_alone() {
     let bench = Bench::on_tcp_as(&script, 1);
     let server = Server::start(&bench);
     let away = json!({ "direction": "away", "speed_mm_s": 10 });
-    let begun = server.post("rig/jog", &away);
-    assert_eq!(begun.status, 202, "{}", begun.body);
+    let begun = server.post("rig/jog", &away).with(202);
     let action = begun.json()["action"].clone();
     assert_eq!(action["accepted"]["renew_within_ms"], 1_500);
     let renew = |action: &Value, n: u64| {
@@ -637,10 +605,8 @@ fn a_jog_lives_on_renewals_alone() {
     assert_eq!(rig_state(&server.state()), "moving");
     // Each renewal reaches the rig at most once, and nothing else does.
     let passed_on = bench.count("Jog");
-    assert!(
-        (6..=n as usize + 1).contains(&passed_on),
-        "{passed_on} of {n}"
-    );
+    let passed = 6..=n as usize + 1;
+    assert!(passed.contains(&passed_on), "{passed_on} of {n}");
     // The rig is looked at before each: one that comes after the end of the jog would begin another.
     let executed = bench.executed();
     let jog = |name: &&str| *name == "Jog";
@@ -673,8 +639,7 @@ fn a_jog_ends_when_the_server_is_killed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut server = Server::start(&bench);
     let away = json!({ "direction": "away", "speed_mm_s": 10 });
-    let begun = server.post("rig/jog", &away);
-    assert_eq!(begun.status, 202, "{}", begun.body);
+    let begun = server.post("rig/jog", &away).with(202);
     server.process.0.kill().expect("mine");
     server.process.0.wait().expect("mine");
     // Wait for the rig's own dead-man time, 0.3 s, and the braking.
@@ -682,10 +647,7 @@ fn a_jog_ends_when_the_server_is_killed() {
     let log = bench.log.lock().expect("log");
     let on_us = log.driven_us.saturating_sub(log.heard_us);
     drop(log);
-    assert!(
-        on_us < 700_000,
-        "driven for {on_us} us after the last frame"
-    );
+    assert!(on_us < 700_000, "driven {on_us} us after the last frame");
     let (_, out, _) = bench.retrograde(&["info", "rig"]);
     assert!(out.contains("Ready"), "{out}");
 }
@@ -703,9 +665,7 @@ fn it_gives_the_line_to_a_command_that_moves_and_shows_it() {
         state["machines"]["rig"]["run"]["stroke"].is_u64()
     });
     // Only the owner may start motions. Hold, resume and stop are open to others.
-    let refused = server.post("rig/home", &json!({}));
-    assert_eq!(refused.status, 409);
-    let why = refused.message();
+    let why = server.post("rig/home", &json!({})).with(409).message();
     assert!(why.contains("belongs to process"), "{why}");
     server.complete("rig/hold");
     server.complete("rig/resume");
@@ -739,8 +699,9 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
     let partly = server.done("capsule/fold", &json!({ "thread_mm": 12.5 }));
     assert!((thread_um(&partly) - 12_500).abs() < 150, "{partly}");
     assert_eq!(partly["requested"], json!({ "thread_um": 12_500 }));
-    let refused = server.post("capsule/fold", &json!({ "indentation_mm": 1_000 }));
-    assert_eq!(refused.status, 400, "{}", refused.body);
+    let refused = server
+        .post("capsule/fold", &json!({ "indentation_mm": 1_000 }))
+        .with(400);
     assert_eq!((bench.count("Fold"), bench.count("FoldTo")), (1, 1));
     server.complete("capsule/unfold");
     let settings = server.get("/api/v1/capsule/settings").body;
@@ -751,69 +712,43 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
 }
 
 #[test]
-fn the_state_of_a_campaign_is_shown() {
+fn the_options_for_campaign_token_and_address_are_followed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let folder = bench.folder.path().join("shown");
     let folder = folder.to_str().expect("UTF-8");
     let plan = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/paper.toml");
     bench.retrograde(&["campaign", "new", plan, "--out", folder]);
-    let server = Server::start_with(&bench, &["--campaign", folder]);
+    let options = ["--campaign", folder, "--token-file", "token"];
+    let server = Server::start_with(&bench, &options);
     let state = server.until("a campaign", |state| state["campaign"]["name"] == "paper");
-    let shown = &state["campaign"];
-    assert_eq!(shown["done"], 0);
-    assert!(shown["trials"].as_u64() > Some(0), "{shown}");
-    let next = shown["next"].as_str().expect("a step");
+    let next = state["campaign"]["next"].as_str().expect("a step");
     assert!(next.starts_with("trial 1: "), "{next}");
-    assert!(shown["left_text"].is_string(), "{shown}");
-}
-
-#[test]
-fn an_address_that_is_taken_is_said_and_a_token_is_that_of_its_file() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let at = taken.local_addr().expect("bound").to_string();
-    let (code, _, err) = bench.retrograde(&["serve", "--listen", &at]);
+    let (code, _, err) = bench.retrograde(&["serve", "--listen", &server.at]);
     assert_eq!(code, Some(2), "{err}");
-    let remedy = "port 0 takes a free one";
-    assert!(
-        err.contains("cannot listen at") && err.contains(remedy),
-        "{err}"
-    );
-    let made = Server::start_with(&bench, &["--token-file", "token"]);
-    let token = made.token.clone();
-    assert_eq!(made.interrupt(), Some(0));
-    let again = Server::start_with(&bench, &["--token-file", "token"]);
-    assert_eq!(again.token, token);
+    assert!(err.contains("port 0 takes a free one"), "{err}");
+    let token = server.token.clone();
+    assert_eq!(server.interrupt(), Some(0));
+    assert_eq!(Server::start_with(&bench, &options).token, token);
 }
 
-/// A reader of the event stream.
-struct Events {
-    from: BufReader<TcpStream>,
+/// Opens the stream of events.
+fn follow(at: &str) -> BufReader<TcpStream> {
+    let mut stream = TcpStream::connect(at).expect("a server");
+    stream.set_read_timeout(Some(SOON)).expect("set");
+    let request = b"GET /api/v1/stream HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    stream.write_all(request).expect("sent");
+    BufReader::new(stream)
 }
 
-impl Events {
-    fn open(at: &str) -> Self {
-        let mut stream = TcpStream::connect(at).expect("a server");
-        stream.set_read_timeout(Some(SOON)).expect("set");
-        let request = b"GET /api/v1/stream HTTP/1.1\r\nHost: localhost\r\n\r\n";
-        stream.write_all(request).expect("sent");
-        Self {
-            from: BufReader::new(stream),
-        }
+/// Reads all lines up to one that has these words.
+fn read_until(stream: &mut BufReader<TcpStream>, words: [&str; 2]) -> Vec<String> {
+    let mut all: Vec<String> = vec![];
+    let is_last = |line: &String| words.iter().all(|word| line.contains(word));
+    while !all.last().is_some_and(is_last) {
+        let mut line = String::new();
+        let read = stream.read_line(&mut line).expect("more");
+        assert_ne!(read, 0, "the stream ended");
+        all.push(line);
     }
-
-    /// Reads all lines up to one that has these words.
-    fn until(&mut self, words: [&str; 2]) -> Vec<String> {
-        let mut all: Vec<String> = vec![];
-        while !all
-            .last()
-            .is_some_and(|line| words.iter().all(|word| line.contains(word)))
-        {
-            let mut line = String::new();
-            let read = self.from.read_line(&mut line).expect("more");
-            assert_ne!(read, 0, "the stream ended");
-            all.push(line);
-        }
-        all
-    }
+    all
 }
