@@ -81,13 +81,11 @@ pub enum Header {
     Known(u8, Vec<u8>),
 }
 
-const KNOWN: [&str; 8] = [
+const KNOWN: [&str; 6] = [
     "content-type",
     "content-length",
     "transfer-encoding",
     "sec-fetch-site",
-    "x-forwarded-for",
-    "forwarded",
     "expect",
     "host",
 ];

@@ -14,7 +14,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
-use axum::http::header::CONTENT_TYPE;
+use axum::http::header::{CONTENT_TYPE, HeaderValue};
 use client::address::Address;
 use client::link::serial::DEFAULT_BAUD;
 use client::link::{Link, LinkError, OpenError};
@@ -252,11 +252,10 @@ impl Server<'_> {
         Some(Box::pin(async move {
             let Ok(response) = router.call(request).await;
             let (head, body) = response.into_parts();
-            let headers: BTreeMap<_, _> = head
-                .headers
-                .iter()
-                .map(|(name, value)| (name.to_string(), text(value.as_bytes())))
-                .collect();
+            let text = |value: &HeaderValue| value.to_str().unwrap_or("?").to_owned();
+            let headers = head.headers.iter();
+            let headers = headers.map(|(name, value)| (name.to_string(), text(value)));
+            let headers: BTreeMap<_, _> = headers.collect();
             let is_stream = head
                 .headers
                 .get(CONTENT_TYPE)
@@ -309,8 +308,4 @@ impl Server<'_> {
         }
         worked
     }
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
 }
