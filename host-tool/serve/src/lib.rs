@@ -218,10 +218,9 @@ impl Drop for Leave<'_> {
 
 fn bind(runtime: &Runtime, at: SocketAddr) -> io::Result<TcpListener> {
     let _within = runtime.enter();
-    let socket = if at.is_ipv4() {
-        TcpSocket::new_v4()?
-    } else {
-        TcpSocket::new_v6()?
+    let socket = match at {
+        SocketAddr::V4(_) => TcpSocket::new_v4()?,
+        SocketAddr::V6(_) => TcpSocket::new_v6()?,
     };
     // On Windows this option would let another program take over the port.
     #[cfg(unix)]
@@ -279,24 +278,19 @@ fn introduction(
 fn token_of(file: &Path) -> Result<String, Failure> {
     match limited::read_text(file, limited::BY_HAND) {
         Ok(text) => {
-            let token = text.trim();
+            let (token, shown) = (text.trim(), file.display());
             if is_open_to_others(file).map_err(Failure::file(file))? {
                 return Err(Failure::input(
+                    format!("{shown}: other users can read or change this file"),
                     format!(
-                        "{}: other users can read or change this file",
-                        file.display()
-                    ),
-                    format!(
-                        "`chmod 600 {0}`; if somebody may have read it, remove {0}: a new one is made",
-                        file.display()
+                        "`chmod 600 {shown}`; if somebody may have read it, remove {shown}: a new one is made"
                     ),
                 ));
             }
             if token.len() < LEAST_TOKEN || !token.chars().all(|c| c.is_ascii_alphanumeric()) {
                 return Err(Failure::input(
                     format!(
-                        "{}: a token has at least {LEAST_TOKEN} letters and digits, and nothing else",
-                        file.display()
+                        "{shown}: a token has at least {LEAST_TOKEN} letters and digits, and nothing else"
                     ),
                     "remove the file: a new one is made",
                 ));

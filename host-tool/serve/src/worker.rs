@@ -99,14 +99,8 @@ impl Worker<'_> {
                 Ok(()) if self.is_leaving() => break,
                 Ok(()) => {
                     // Somebody else waits for the line, or this server waits for it.
-                    self.pause(
-                        if waiting.is_some() {
-                            Duration::from_millis(20)
-                        } else {
-                            AGAIN
-                        },
-                        None,
-                    );
+                    let soon = Duration::from_millis(20);
+                    self.pause(waiting.as_ref().map_or(AGAIN, |_| soon), None);
                     continue;
                 }
                 Err(Failure::Client(error)) if error.is_owner_gone() => {
