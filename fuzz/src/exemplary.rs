@@ -200,7 +200,7 @@ mod tests {
             fetched::fetch(&mut endless(), now).expect_err("no end"),
             endless().take_events().expect_err("no end"),
         ] {
-            let is_wrong = matches!(error, ClientError::WrongResponse { .. });
+            let is_wrong = matches!(error, ClientError::NotUnderstood { error: None, .. });
             assert!(is_wrong, "{error}");
         }
     }
