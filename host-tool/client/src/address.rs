@@ -20,7 +20,6 @@ pub enum Address {
 /// The reason why a text is not an address.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
-    /// The text is empty.
     #[error("empty: use `auto`, a serial port such as /dev/ttyACM0, `tcp:HOST:PORT`, or `virtual`")]
     Empty,
     /// A port that no server can have.
@@ -65,7 +64,6 @@ impl FromStr for Address {
 /// beside the reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Given {
-    /// The text, as given.
     pub text: String,
     /// The address, or the reason why it is none.
     pub address: Result<Address, AddressError>,

@@ -144,7 +144,6 @@ pub struct IdentityRecord {
     pub origin: Origin,
     /// Unique number of the microcontroller, 24 hex digits.
     pub uid: String,
-    /// Commit of the image.
     pub firmware: String,
     /// `debug` or `firmware`.
     pub profile: String,
@@ -241,27 +240,5 @@ mod tests {
         let old: IdentityRecord = serde_json::from_value(json).expect("readable");
         assert_eq!(old.origin, Origin::Unknown);
         assert!(Origin::Board < Origin::Unknown && Origin::Unknown < Origin::Virtual);
-    }
-
-    #[test]
-    fn a_machine_is_named_in_one_line() {
-        let mut machine = identity(*b"1234567890ab");
-        machine.revision = Revision {
-            commit: 0x00AB_C123,
-            dirty: true,
-        };
-        machine.boot_id = 7;
-        machine.reset_cause = ResetCause::Watchdog;
-        let version = protocol::VERSION;
-        let (major, minor) = (version.major, version.minor);
-        assert_eq!(
-            line(&machine),
-            format!(
-                "rig, UID 313233343536373839306162, firmware 00abc123-dirty (firmware), protocol {major}.{minor}, \
-                 schema 0000000000000001, start 7 (watchdog: a task hung)"
-            )
-        );
-        let simulated = identity(*b"virtual rig\0");
-        assert!(line(&simulated).starts_with("rig, virtual, UID 7669"));
     }
 }

@@ -36,13 +36,10 @@ pub enum Reason {
 #[error("cannot open {place}: {why}")]
 #[diagnostic(code(retrograde::open), help("{remedy}"))]
 pub struct OpenError {
-    /// The place, as the user named it.
     pub place: String,
     /// The reason, for programs.
     pub reason: Reason,
-    /// The reason, for people.
     pub why: String,
-    /// The remedy.
     pub remedy: String,
 }
 
@@ -52,7 +49,6 @@ pub enum LinkError {
     /// The other end is gone: cable pulled, socket closed, emulator ended.
     #[error("the link to {place} was lost: {why}")]
     Lost {
-        /// The place, as the user named it.
         place: String,
         /// The operating system's or the bench's reason.
         why: String,
@@ -60,23 +56,16 @@ pub enum LinkError {
     /// [`LinkError::Lost`] while something moved, or after an order to move was sent.
     #[error("the link to {place} was lost: {why}: it MAY BE MOVING")]
     Cut {
-        /// The place, as the user named it.
         place: String,
         /// The reason.
         why: String,
     },
     /// The process that owned the line has ended or given the line up, so its door is closed.
     #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
-    OwnerGone {
-        /// The place, as the user named it.
-        place: String,
-        /// The process.
-        owner: Box<Owner>,
-    },
+    OwnerGone { place: String, owner: Box<Owner> },
 }
 
 impl LinkError {
-    /// The remedy.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {

@@ -14,7 +14,6 @@ use crate::identity::{IdentityRecord, Origin, kind_name};
 /// The machine that results are about.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Subject {
-    /// Kind of machine.
     pub machine: DeviceKind,
     /// Unique number of its board.
     pub uid: String,
@@ -22,9 +21,7 @@ pub struct Subject {
     pub origin: Origin,
     /// Fingerprint of the rig's image, 8 hex digits; of the capsule, which has none, the commit.
     pub image: String,
-    /// Commit of the image.
     pub firmware: String,
-    /// Protocol of the image.
     pub protocol: String,
     /// All settings of a rig by name; those of a capsule are not read.
     pub settings: BTreeMap<String, u32>,
@@ -89,32 +86,4 @@ impl Subject {
 #[must_use]
 pub fn file_name(machine: DeviceKind, uid: &str) -> String {
     format!("commissioning-{}-{uid}.json", kind_name(machine))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_record_of_commissioning_is_named_by_its_board() {
-        let mut subject = Subject {
-            machine: DeviceKind::Capsule,
-            uid: "00ff".to_owned(),
-            origin: Origin::Board,
-            image: String::new(),
-            firmware: String::new(),
-            protocol: String::new(),
-            settings: BTreeMap::new(),
-        };
-        assert_eq!(subject.file_name(), "commissioning-capsule-00ff.json");
-        assert_eq!(
-            file_name(DeviceKind::Rig, "00ff"),
-            "commissioning-rig-00ff.json"
-        );
-        // A setting that the record does not have is that of a new machine.
-        let key = SettingKey::StrokeUm;
-        assert_eq!(subject.setting(key), key.range().default);
-        subject.settings.insert(key.name().to_owned(), 12_345);
-        assert_eq!(subject.setting(key), 12_345);
-    }
 }

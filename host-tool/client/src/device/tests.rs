@@ -10,36 +10,19 @@ use protocol::system::{BuildProfile, Done, Events, KeepAlive, ResetCause, Revisi
 use protocol::table::{Endpoint, Reply, Request};
 
 use super::*;
+use crate::device::waiting::tests::At;
 use crate::error::Missing;
-
-/// A line on which nothing comes.
-struct Quiet;
-
-impl Link for Quiet {
-    fn place(&self) -> String {
-        "there".to_owned()
-    }
-    fn now_us(&self) -> u64 {
-        7
-    }
-    fn send(&mut self, _: &[u8]) -> Result<(), LinkError> {
-        Ok(())
-    }
-    fn receive(&mut self, _: &mut [u8], _: u64) -> Result<usize, LinkError> {
-        Ok(0)
-    }
-}
 
 #[test]
 fn a_line_that_was_given_up_is_like_a_pulled_cable() {
-    let mut device = Device::new(Box::new(Quiet), 1);
+    let mut device = Device::new(Box::new(At(7)), 1);
     device.hang_up();
-    assert_eq!((device.place(), device.now_us()), ("there".to_owned(), 7));
+    assert_eq!((device.place(), device.now_us()), ("nowhere".to_owned(), 7));
     let sent = device.link.send(b"x").map(|()| 0);
     for result in [sent, device.link.receive(&mut [0; 8], 9)] {
         let said = result.expect_err("lost").to_string();
         assert!(
-            said.contains("there") && said.contains("given up"),
+            said.contains("nowhere") && said.contains("given up"),
             "{said}"
         );
     }

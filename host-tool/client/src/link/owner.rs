@@ -14,9 +14,7 @@ const LONGEST_COMMAND: usize = 200;
 /// The process that owns a line.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Owner {
-    /// Its process ID.
     pub pid: u32,
-    /// Its command line.
     pub command: String,
     /// Time at which it took the line.
     pub since: Timestamp,

@@ -321,23 +321,6 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn a_jog_goes_where_its_direction_says() {
-        let parse = |direction: &str| {
-            let command = JogArgs::augment_args(Command::new("jog").no_binary_name(true));
-            let matches = command.try_get_matches_from([direction])?;
-            JogArgs::from_arg_matches(&matches)
-        };
-        for (name, expected) in [("away", Direction::Away), ("home", Direction::Home)] {
-            let Ok(args) = parse(name) else {
-                panic!("`jog {name}` is a jog");
-            };
-            assert_eq!(args.direction, expected, "{name}");
-        }
-        let refused = parse("left").expect_err("no direction").to_string();
-        assert!(refused.contains("away, home"), "{refused}");
-    }
-
     /// Regression: a slack without an indentation was dropped, and the capsule folded to its end.
     #[test]
     fn a_slack_is_refused_without_its_indentation() {

@@ -337,20 +337,6 @@ mod tests {
 
     use super::*;
 
-    #[test]
-    fn a_server_is_not_told_to_end_itself() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let doorway = Doorway::new(folder.path().to_owned(), "line", "line".to_owned());
-        let own = silent(&doorway, Some(Owner::this_process()));
-        assert_eq!(own.remedy, "try again");
-        let other = Owner {
-            pid: 1,
-            ..Owner::this_process()
-        };
-        let other = silent(&doorway, Some(other));
-        assert!(other.why.contains("process 1") && other.remedy.contains("kill -9"));
-    }
-
     /// The owner of a port is the only way to its machine, and was given up as soon as it had been slow once.
     #[test]
     fn a_stop_asks_the_owner_of_a_port_again_while_it_may_wait() {

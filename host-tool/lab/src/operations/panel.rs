@@ -37,13 +37,11 @@ pub enum Contact {
 /// The last message to the user: a stop that was confirmed, an order that failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// Success.
     Done(String),
     /// Failure, or unknown outcome.
     Bad(String),
 }
 
-/// Quality of the link.
 #[derive(Clone, Debug, Default)]
 pub struct Quality {
     /// Time from a request to its answer.
@@ -75,11 +73,8 @@ impl Quality {
 /// State of one machine.
 #[derive(Clone, Debug)]
 pub struct Panel {
-    /// Kind of machine.
     pub kind: DeviceKind,
-    /// Its place.
     pub place: String,
-    /// State of its connection.
     pub contact: Contact,
     /// Status of a rig, kept up to date by its telemetry.
     pub rig: Option<RigStatus>,
@@ -92,11 +87,9 @@ pub struct Panel {
     changed: bool,
     /// Speed of the carriage, positive away from home, and the time of its measurement.
     speed: Option<(i32, Instant)>,
-    /// Quality of the link.
     pub quality: Quality,
     /// Device time in us and text of the latest events, newest last.
     pub events: VecDeque<(u64, String)>,
-    /// The latest message.
     pub notice: Option<Notice>,
 }
 

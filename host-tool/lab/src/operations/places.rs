@@ -40,7 +40,6 @@ const PRESSED: Duration = Duration::from_millis(20);
 
 /// A place and its answer.
 pub struct Found {
-    /// The place.
     pub candidate: Candidate,
     /// The machine that answered, or the reason why none did.
     pub answer: Result<Identity, Failure>,
@@ -48,7 +47,6 @@ pub struct Found {
 
 /// A machine to stop.
 pub struct Target {
-    /// Its kind, if it is known.
     pub kind: Option<DeviceKind>,
     /// Its place, unless it has to be found.
     pub address: Option<Address>,
@@ -132,13 +130,9 @@ impl Beginning {
 
 /// The addresses that the user gave, and the connector to open links to them.
 pub struct Places<'a> {
-    /// The rig's address, if one was given.
     pub rig: Option<Address>,
-    /// The capsule's address, if one was given.
     pub capsule: Option<Address>,
-    /// Speed of serial ports.
     pub baud: u32,
-    /// Opens the links.
     pub connector: &'a dyn Connector,
     /// The beginning of the command line.
     pub beginning: Beginning,
