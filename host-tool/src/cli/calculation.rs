@@ -1,97 +1,11 @@
-//! Shared by the commands that calculate: threads with a progress bar, the files in one folder, and single files that
-//! the user names.
+//! Single files that the user names for what a command calculates.
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use client::plain;
-use indicatif::ProgressBar;
 use lab::operations::failure::Failure;
-use lab::trials::progress;
-use locomotion::range::OutOfRange;
-use report::science::series::Workers;
-use report::science::table;
-use serde::Serialize;
-
-use crate::cli::screen::Screen;
-
-/// The calculation of one command.
-pub(crate) struct Calculation<'a, 'b> {
-    out: &'a Path,
-    workers: Workers,
-    pub(crate) screen: &'a mut Screen<'b>,
-    files: Vec<PathBuf>,
-}
-
-impl<'a, 'b> Calculation<'a, 'b> {
-    /// Uses this number of threads, by default one per core, and writes its files to `out`.
-    pub(crate) fn new(
-        out: &'a Path,
-        threads: Option<u16>,
-        screen: &'a mut Screen<'b>,
-    ) -> Result<Self, Failure> {
-        let workers = Workers::new(threads).map_err(|error| {
-            Failure::input(format!("no threads: {error}"), "use fewer: `--threads 1`")
-        })?;
-        Ok(Self {
-            out,
-            workers,
-            screen,
-            files: vec![],
-        })
-    }
-
-    /// Calculates all cases in parallel, with a progress bar on a terminal.
-    pub(crate) fn map<T: Sync, R: Send>(
-        &self,
-        cases: &[T],
-        work: impl Fn(&T) -> Result<R, OutOfRange> + Sync,
-    ) -> Result<Vec<R>, Failure> {
-        let bar = if self.screen.terminal {
-            ProgressBar::new(cases.len() as u64)
-        } else {
-            ProgressBar::hidden()
-        };
-        bar.set_style(progress::style(
-            "  {bar:30} {pos} of {len} runs, {eta} left",
-        ));
-        let results = self.workers.map(cases, &|| bar.inc(1), work);
-        bar.finish_and_clear();
-        Ok(results?)
-    }
-
-    /// Writes rows; the last column is the origin of their values.
-    pub(crate) fn csv(
-        &mut self,
-        name: &str,
-        rows: &[impl Serialize],
-        origin: &str,
-    ) -> Result<(), Failure> {
-        let bytes = table::csv_of(rows, origin).map_err(Failure::file(&self.out.join(name)))?;
-        self.file(name, &bytes)
-    }
-
-    /// Writes one file, in place of an earlier one, and creates the folder if necessary.
-    pub(crate) fn file(&mut self, name: &str, bytes: &[u8]) -> Result<(), Failure> {
-        let path = self.out.join(name);
-        fs::create_dir_all(self.out).map_err(Failure::file(self.out))?;
-        fs::write(&path, bytes).map_err(Failure::file(&path))?;
-        self.files.push(path);
-        Ok(())
-    }
-
-    /// Prints which files were written. Returns their paths.
-    pub(crate) fn say_files(&mut self) -> Vec<String> {
-        let files: Vec<_> = self
-            .files
-            .iter()
-            .map(|path| path.display().to_string())
-            .collect();
-        self.screen.say(&format!("files: {}", files.join(", ")));
-        files
-    }
-}
 
 /// A single file that the user names. It may be a record by mistake, so an existing one is replaced with `force` only;
 /// a terminal or a device is written to.

@@ -27,10 +27,9 @@ pub struct ReportArgs {
 }
 
 pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let existing = if args.force {
-        Existing::Replace
-    } else {
-        Existing::Keep
+    let existing = match args.force {
+        true => Existing::Replace,
+        false => Existing::Keep,
     };
     if let Some(folder) = args.trials.iter().find(|path| is_campaign(path)) {
         return report_campaign(folder, args, existing, screen);
@@ -38,14 +37,11 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     let out = args.out.clone().unwrap_or_else(|| "report.html".into());
     let found = html::find(&args.trials).map_err(Own::from)?;
     let report = html::write(&found, &[], &out, existing).map_err(Own::from)?;
-    screen.say(&format!(
-        "{} in {}",
-        match found.sidecars.len() {
-            1 => "1 trial".to_owned(),
-            n => format!("{n} trials"),
-        },
-        out.display()
-    ));
+    let trials = match found.sidecars.len() {
+        1 => "1 trial".to_owned(),
+        n => format!("{n} trials"),
+    };
+    screen.say(&format!("{trials} in {}", out.display()));
     for damaged in &report.damaged {
         screen.hint(&format!("damaged: {}", damaged.sidecar.display()));
         for defect in &damaged.defects {
@@ -81,17 +77,6 @@ fn is_campaign(path: &Path) -> bool {
     path.join(PLAN).is_file() && path.join(ORDER).is_file()
 }
 
-/// The command for the report of a campaign, with what replaces one that is there.
-fn advised(folder: &Path, args: &ReportArgs) -> String {
-    let is_there = campaign_report::present(folder) != campaign_report::Present::Nothing;
-    let force = if args.force || is_there {
-        " --force"
-    } else {
-        ""
-    };
-    format!("`retrograde report {}{force}`", word(folder))
-}
-
 fn report_campaign(
     folder: &Path,
     args: &ReportArgs,
@@ -99,12 +84,18 @@ fn report_campaign(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     if args.trials.len() > 1 || args.out.is_some() {
+        let is_there = campaign_report::present(folder) != campaign_report::Present::Nothing;
+        let force = if args.force || is_there {
+            " --force"
+        } else {
+            ""
+        };
+        let (shown, folder) = (folder.display(), word(folder));
         return Err(Failure::input(
             format!(
-                "{} is a campaign: its report is of it alone, and goes to its folder `report`",
-                folder.display()
+                "{shown} is a campaign: its report is of it alone, and goes to its folder `report`"
             ),
-            advised(folder, args),
+            format!("`retrograde report {folder}{force}`"),
         ));
     }
     let written = campaign_report::write(folder, existing).map_err(Own::from)?;

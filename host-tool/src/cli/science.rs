@@ -1,21 +1,24 @@
 //! `simulate`: the paper's series and free sweeps, without a machine.
 
+use std::fs;
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use indicatif::ProgressBar;
 use lab::operations::failure::Failure;
+use lab::trials::progress;
 use locomotion::folded::Contact;
 use locomotion::model::{Model, Setting};
 use locomotion::paper::INDENTATIONS_MM;
 use locomotion::parameter::Label;
+use locomotion::range::OutOfRange;
 use report::figures::{FigureError, ModelName};
-use report::science::series::{self, Axis, Case, SweepRow, TubeRow, TubeRun, Variant};
+use report::science::series::{self, Axis, Case, SweepRow, TubeRow, TubeRun, Variant, Workers};
 use report::science::values::Values;
 use report::science::{charts, model_file, snapshots, table};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use crate::cli::calculation::Calculation;
 use crate::cli::failure::Own;
 use crate::cli::model::{ModelArgs, key_and_value};
 use crate::cli::screen::Screen;
@@ -107,16 +110,23 @@ const FRICTION: &str = "body.friction";
 struct Session<'a, 'b> {
     args: &'a SimulateArgs,
     model: Model,
-    work: Calculation<'a, 'b>,
+    workers: Workers,
+    screen: &'a mut Screen<'b>,
+    files: Vec<String>,
     series: Map<String, Value>,
 }
 
 pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let model = args.model.model()?;
+    let workers = Workers::new(args.threads).map_err(|error| {
+        Failure::input(format!("no threads: {error}"), "use fewer: `--threads 1`")
+    })?;
     let mut session = Session {
         args,
         model,
-        work: Calculation::new(&args.out, args.threads, screen)?,
+        workers,
+        screen,
+        files: vec![],
         series: Map::new(),
     };
     match &args.what {
@@ -138,15 +148,14 @@ pub(crate) fn simulate(args: &SimulateArgs, screen: &mut Screen<'_>) -> Result<V
         Simulation::Sweep(sweep) => session.sweep(sweep)?,
     }
     session.csv("parameters.csv", &table::parameters(&model))?;
-    let text = model_file::write(&model);
-    session.work.file("model.toml", text.as_bytes())?;
-    let files = session.work.say_files();
+    session.file("model.toml", &model_file::write(&model))?;
+    session.say(&format!("files: {}", session.files.join(", ")));
     let origin = model_file::origin(&model);
-    session.work.screen.say(&origin);
+    session.say(&origin);
     Ok(json!({
         "origin": origin,
         "series": session.series,
-        "files": files,
+        "files": session.files,
     }))
 }
 
@@ -177,7 +186,7 @@ impl Session<'_, '_> {
 
     fn tube_runs(&self, cases: &[Case]) -> Result<Vec<TubeRun>, Failure> {
         let params = self.model.tube()?;
-        self.work.map(cases, |case| series::tube_run(params, case))
+        self.map(cases, |case| series::tube_run(params, case))
     }
 
     /// Prints the ends of runs in the tube, and writes their courses.
@@ -204,7 +213,7 @@ impl Session<'_, '_> {
     fn roller(&mut self) -> Result<(), Failure> {
         self.own_values(FRICTION)?;
         let rig = self.model.rig()?;
-        let rows = self.work.map(&series::lubrication_cases(), |case| {
+        let rows = self.map(&series::lubrication_cases(), |case| {
             series::roller_run(rig, case)
         })?;
         // Fig. 7 shows the simulation at both ends of the friction range beside the experiment.
@@ -274,7 +283,7 @@ impl Session<'_, '_> {
         let origin = model_file::origin(&self.model);
         for strip in &strips {
             let name = format!("snapshots-{}.svg", strip.model);
-            self.work.file(&name, strip.svg(&origin).as_bytes())?;
+            self.file(&name, &strip.svg(&origin))?;
         }
         Ok(())
     }
@@ -298,7 +307,7 @@ impl Session<'_, '_> {
         let with_loads = |variant| loads.iter().map(move |load| (variant, *load));
         let cases: Vec<(&Variant, f64)> = variants.iter().flat_map(with_loads).collect();
         if in_tube {
-            let rows = self.work.map(&cases, |((model, axes), load)| {
+            let rows = self.map(&cases, |((model, axes), load)| {
                 let params = model.tube()?;
                 let (friction, load) = (params.body.friction, *load);
                 let run = series::tube_run(params, &Case { friction, load })?.end;
@@ -306,7 +315,7 @@ impl Session<'_, '_> {
             })?;
             self.swept("tube", "sweep-tube", "pressure/Pa", &rows)
         } else {
-            let rows = self.work.map(&cases, |((model, axes), load)| {
+            let rows = self.map(&cases, |((model, axes), load)| {
                 let params = model.rig()?;
                 let (friction, load) = (params.body.friction, *load);
                 let run = series::roller_run(params, &Case { friction, load })?;
@@ -402,7 +411,7 @@ impl Session<'_, '_> {
     }
 
     fn say(&mut self, text: &str) {
-        self.work.screen.say(text);
+        self.screen.say(text);
     }
 
     /// Writes the table and the figure of a series.
@@ -417,11 +426,40 @@ impl Session<'_, '_> {
         self.series.insert(key.to_owned(), json!(rows));
         self.csv(&format!("{name}.csv"), rows)?;
         let svg = svg.map_err(Own::from)?;
-        self.work.file(&format!("{name}.svg"), svg.as_bytes())
+        self.file(&format!("{name}.svg"), &svg)
     }
 
+    /// Writes rows; the last column is the origin of their values.
     fn csv(&mut self, name: &str, rows: &[impl Serialize]) -> Result<(), Failure> {
         let origin = model_file::short_origin(&self.model);
-        self.work.csv(name, rows, &origin)
+        let bytes = table::csv_of(rows, &origin).map_err(Failure::file(&self.args.out))?;
+        self.file(name, &bytes)
+    }
+
+    /// Writes one file, in place of an earlier one, and creates the folder if necessary.
+    fn file(&mut self, name: &str, bytes: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), Failure> {
+        let path = self.args.out.join(name);
+        fs::create_dir_all(&self.args.out).map_err(Failure::file(&self.args.out))?;
+        fs::write(&path, bytes).map_err(Failure::file(&path))?;
+        self.files.push(path.display().to_string());
+        Ok(())
+    }
+
+    /// Calculates all cases in parallel, with a progress bar on a terminal.
+    fn map<T: Sync, R: Send>(
+        &self,
+        cases: &[T],
+        work: impl Fn(&T) -> Result<R, OutOfRange> + Sync,
+    ) -> Result<Vec<R>, Failure> {
+        let bar = match self.screen.terminal {
+            true => ProgressBar::new(cases.len() as u64),
+            false => ProgressBar::hidden(),
+        };
+        bar.set_style(progress::style(
+            "  {bar:30} {pos} of {len} runs, {eta} left",
+        ));
+        let results = self.workers.map(cases, &|| bar.inc(1), work);
+        bar.finish_and_clear();
+        Ok(results?)
     }
 }
