@@ -112,31 +112,21 @@ pub fn run_figures(
     samples: &[RigSample],
     start_us: u64,
 ) -> Result<[String; 2], FigureError> {
-    let heading = |what| Heading::new(format!("{name}: {what}"), Source::Records(origin));
     let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
-    let measured = |value: &dyn Fn(&RigSample) -> f64| {
-        samples
-            .iter()
-            .map(|sample| (since(start_us, sample.time_us), value(sample)))
-            .collect::<Vec<_>>()
+    let figure = |what, y_label, plan, value: &dyn Fn(&RigSample) -> f64| {
+        let at = |sample: &RigSample| (since(start_us, sample.time_us), value(sample));
+        let measured = measured_curve(origin, samples.iter().map(at).collect());
+        let heading = Heading::new(format!("{name}: {what}"), Source::Records(origin));
+        over_time(&heading, y_label, vec![plan_curve(plan), measured])
     };
+    let (position, velocity) = (planned.position, planned.velocity);
     Ok([
-        over_time(
-            &heading("position"),
-            "position / mm",
-            vec![
-                plan_curve(planned.position),
-                measured_curve(origin, measured(&|sample| number(&sample.position_mm))),
-            ],
-        )?,
-        over_time(
-            &heading("velocity"),
-            "velocity / (mm/s)",
-            vec![
-                plan_curve(planned.velocity),
-                measured_curve(origin, measured(&|sample| number(&sample.speed_mm_s))),
-            ],
-        )?,
+        figure("position", "position / mm", position, &|sample| {
+            number(&sample.position_mm)
+        })?,
+        figure("velocity", "velocity / (mm/s)", velocity, &|sample| {
+            number(&sample.speed_mm_s)
+        })?,
     ])
 }
 
@@ -147,27 +137,18 @@ pub fn actuation_figures(
     samples: &[CapsuleSample],
     start_us: u64,
 ) -> Result<[String; 2], FigureError> {
-    let heading = |what| Heading::new(format!("{name}: {what}"), Source::Records(origin));
-    let curve = |value: &dyn Fn(&CapsuleSample) -> f64| {
-        measured_curve(
-            origin,
-            samples
-                .iter()
-                .map(|sample| (since(start_us, sample.time_us), value(sample)))
-                .collect(),
-        )
+    let figure = |what, y_label, value: &dyn Fn(&CapsuleSample) -> f64| {
+        let at = |sample: &CapsuleSample| (since(start_us, sample.time_us), value(sample));
+        let measured = measured_curve(origin, samples.iter().map(at).collect());
+        let heading = Heading::new(format!("{name}: {what}"), Source::Records(origin));
+        over_time(&heading, y_label, vec![measured])
     };
+    let current = |sample: &CapsuleSample| f64::from(sample.current_ma);
     Ok([
-        over_time(
-            &heading("thread"),
-            "thread wound / mm",
-            vec![curve(&|sample| f64::from(sample.thread_um) / 1e3)],
-        )?,
-        over_time(
-            &heading("motor current"),
-            "motor current / mA",
-            vec![curve(&|sample| f64::from(sample.current_ma))],
-        )?,
+        figure("thread", "thread wound / mm", &|sample| {
+            f64::from(sample.thread_um) / 1e3
+        })?,
+        figure("motor current", "motor current / mA", &current)?,
     ])
 }
 

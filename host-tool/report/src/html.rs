@@ -37,10 +37,7 @@ pub enum ReportError {
         code(retrograde::report),
         help("it needs a folder that can be written, with free space; then again")
     )]
-    Unwritten {
-        path: PathBuf,
-        why: String,
-    },
+    Unwritten { path: PathBuf, why: String },
     /// A figure could not be drawn.
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
@@ -62,18 +59,14 @@ pub enum ReportError {
         code(retrograde::own_record),
         help("name another file: `--out FILE.html`")
     )]
-    OwnRecord {
-        path: PathBuf,
-    },
+    OwnRecord { path: PathBuf },
     /// A file of this name already exists.
     #[error("{path} is there already; nothing was written", path = path.display())]
     #[diagnostic(
         code(retrograde::exists),
         help("`--force` replaces it, `--out` names another")
     )]
-    Exists {
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
 }
 
 /// Lists the other files of a folder without trials.

@@ -165,13 +165,13 @@ fn run(
 
 /// Where the time of a run's figures begins.
 fn time_0(trial: &Trial, requested: &Run) -> String {
-    let start = match (check::run_start_us(trial), requested.start_delay_us) {
-        (None, _) => {
-            return "Time 0 is the first sample: the record does not say when the run began."
-                .to_owned();
-        }
-        (Some(_), 0) => "at once".to_owned(),
-        (Some(_), us) => format!(
+    if check::run_start_us(trial).is_none() {
+        return "Time 0 is the first sample: the record does not say when the run began."
+            .to_owned();
+    }
+    let start = match requested.start_delay_us {
+        0 => "at once".to_owned(),
+        us => format!(
             "after its start delay, at {} s",
             decimal::write(us.into(), 6)
         ),
@@ -181,11 +181,7 @@ fn time_0(trial: &Trial, requested: &Run) -> String {
 
 /// Result of the rig's timing of its own steps.
 fn intervals(executed: &Executed) -> String {
-    let Executed {
-        edges_timed,
-        counted_edges,
-        ..
-    } = executed;
+    let (edges_timed, counted_edges) = (executed.edges_timed, executed.counted_edges);
     match (edges_timed, executed.worst_interval_error_ticks) {
         (0, _) => "not timed".to_owned(),
         (_, u32::MAX) => {
@@ -252,14 +248,12 @@ pub fn actuation_rows(
     kind: ActuationKind,
     record: &ActuationRecord,
 ) -> Vec<(&'static str, String)> {
+    let milli = |value: i64| decimal::fixed(value, 3);
     let mut rows = vec![
-        (
-            "time",
-            format!("{} s", decimal::fixed(record.duration_ms.into(), 3)),
-        ),
+        ("time", format!("{} s", milli(record.duration_ms.into()))),
         (
             "thread at the end",
-            format!("{} mm", decimal::fixed(record.thread_um.into(), 3)),
+            format!("{} mm", milli(record.thread_um.into())),
         ),
         (
             "current at the end",
@@ -270,15 +264,13 @@ pub fn actuation_rows(
     if kind == ActuationKind::Fold {
         let engaged = match record.engaged_um {
             0 => "never".to_owned(),
-            um => format!("{} mm", decimal::fixed(um.into(), 3)),
+            um => format!("{} mm", milli(um.into())),
         };
         rows.push(("load first felt at", engaged));
     }
     rows.push(("energy of the motor", format!("{} mJ", record.energy_mj)));
-    rows.push((
-        "lowest battery voltage",
-        format!("{} V", decimal::fixed(record.min_battery_mv.into(), 3)),
-    ));
+    let battery = format!("{} V", milli(record.min_battery_mv.into()));
+    rows.push(("lowest battery voltage", battery));
     rows
 }
 

@@ -21,10 +21,7 @@ pub enum ModelError {
     Unknown(String),
     /// The parameter cannot take this value.
     #[error("{key}: {why}")]
-    Unsuitable {
-            key: &'static str,
-            why: Unsuitable,
-    },
+    Unsuitable { key: &'static str, why: Unsuitable },
     /// Two keys set the same parameter.
     #[error("{0} and {1} set the same: give one of them")]
     Twice(&'static str, &'static str),
