@@ -512,12 +512,10 @@ fn what_happens_to_tool_cable_and_clock_is_told_kept_and_survived() {
         assert!(!reason.is_empty(), "{what}");
         if let Some(sampled_us) = sampled_us {
             in_runs += 1;
+            // The alarm holds at that moment only.
+            assert!(!reason.contains("MAY BE MOVING"), "{reason} {what}");
             if fault != Fault::Panics {
-                let seen = "the carriage was at ";
-                assert!(
-                    what.contains(seen) && reason.contains(seen),
-                    "{reason} {what}"
-                );
+                assert!(what.contains("MAY BE MOVING"), "{what}");
             }
             // The rig was switched on with the link, so the clocks are equal.
             assert!(
