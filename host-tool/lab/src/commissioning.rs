@@ -3,10 +3,9 @@
 //! ```text
 //!   session     carries steps out and writes the record
 //!   warning     warnings before a run, from the record
-//!   steps       the steps of each machine
 //!   rig, capsule  the measurements; device: those that both share
 //!   procedure   which step is next, and whether a result still counts, from a record alone
-//!   step        what there is to show, and what its result depends on
+//!   step        what there is to show, and what its result depends on; the steps of each machine
 //!   work        helpers for all measurements: asking for a hand, finding the board again; work::rig: homing, running
 //!   record      what was found: a JSON file, one per board
 //!   hands       the person or the bench that presses, pulls and measures
@@ -27,6 +26,5 @@ pub mod record;
 pub mod rig;
 pub mod session;
 pub mod step;
-pub mod steps;
 pub mod warning;
 pub mod work;

@@ -13,7 +13,7 @@ use lab::commissioning::hands::{Bench, Hands, Nobody};
 use lab::commissioning::record::{Commissioning, StepOutcome};
 use lab::commissioning::session::{self, Broken, Ending};
 use lab::commissioning::work::{Options, Work};
-use lab::commissioning::{procedure, steps};
+use lab::commissioning::{procedure, step};
 use lab::operations::arguments::{DATA_FOLDER, MachineKind};
 use lab::operations::connector::Purpose;
 use lab::operations::failure::Failure;
@@ -80,7 +80,7 @@ pub(crate) fn commission(
         .clone()
         .unwrap_or_else(|| args.out.join(subject.file_name()));
     let mut record = Commissioning::resume(&path, &subject, places.connector.now())?;
-    let all = steps::of(kind);
+    let all = step::steps(kind);
     let open = procedure::open(all, &record, &subject);
     screen.say(&format!(
         "{} {}, image {}: {} of {} steps hold.",

@@ -199,14 +199,3 @@ fn a_jog_of_no_time_is_refused_before_a_port_is_opened() {
     }
     assert!(memory.heard().is_empty());
 }
-
-#[test]
-fn no_waves_per_minute_are_no_run() {
-    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
-    for command in ["run", "plan"] {
-        let (code, _, err) = memory.run(&[command, "--waves-per-minute", "0"]);
-        assert_eq!(code, 2, "{err}");
-        assert!(err.contains("use a number above 0"), "{err}");
-    }
-    assert!(memory.heard().is_empty());
-}

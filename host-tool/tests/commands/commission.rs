@@ -10,17 +10,13 @@ use client::Device;
 use client::identity::Origin;
 use client::link::{Link, LinkError};
 use client::subject::Subject;
-use client::visible::wrapped;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
 use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
-use lab::commissioning::image;
 use lab::commissioning::procedure::{Procedure, Standing, open, standing};
 use lab::commissioning::record::{Commissioning, Finding, StepOutcome};
 use lab::commissioning::rig::wrong_travel;
-use lab::commissioning::session::COLUMNS;
-use lab::commissioning::step::Step;
-use lab::commissioning::steps;
+use lab::commissioning::step::{self, Step};
 use lab::commissioning::work::{Options, Work};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
@@ -51,14 +47,14 @@ fn finding(outcome: StepOutcome) -> Finding {
 }
 
 fn enter(record: &mut Commissioning, name: &str, finding: Finding, subject: &Subject) {
-    let procedure = Procedure::new(steps::of(DeviceKind::Rig));
+    let procedure = Procedure::new(step::steps(DeviceKind::Rig));
     procedure.enter(record, step(name), finding, subject, NOW);
 }
 
 /// A record in which every step has passed.
 fn complete(subject: &Subject) -> Commissioning {
     let mut record = Commissioning::new(subject, NOW);
-    for step in steps::of(DeviceKind::Rig) {
+    for step in step::steps(DeviceKind::Rig) {
         enter(
             &mut record,
             step.name,
@@ -70,12 +66,12 @@ fn complete(subject: &Subject) -> Commissioning {
 }
 
 fn step(name: &str) -> &'static Step {
-    let mut all = steps::of(DeviceKind::Rig).iter();
+    let mut all = step::steps(DeviceKind::Rig).iter();
     all.find(|step| step.name == name).expect("a step")
 }
 
 fn open_names(record: &Commissioning, subject: &Subject) -> Vec<&'static str> {
-    let open = open(steps::of(subject.machine), record, subject);
+    let open = open(step::steps(subject.machine), record, subject);
     open.iter().map(|(step, _)| step.name).collect()
 }
 
@@ -154,7 +150,7 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
     );
     assert!(!record.complete);
     for _ in 0..2 {
-        let mut procedure = Procedure::new(steps::of(DeviceKind::Rig));
+        let mut procedure = Procedure::new(step::steps(DeviceKind::Rig));
         let mut next = || procedure.next(&record, &subject).map(|(_, step)| step.name);
         assert_eq!(
             [next(), next(), next()],
@@ -180,7 +176,7 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
         .iter()
         .map(|result| result.step.as_str())
         .collect();
-    let steps: Vec<_> = steps::of(DeviceKind::Rig)
+    let steps: Vec<_> = step::steps(DeviceKind::Rig)
         .iter()
         .map(|step| step.name)
         .collect();
@@ -188,20 +184,14 @@ fn what_failed_or_was_not_shown_is_due_once_in_each_session() {
 }
 
 #[test]
-fn names_of_steps_are_unique_and_their_lines_fit_the_screen() {
+fn names_of_steps_are_unique() {
     for machine in [DeviceKind::Rig, DeviceKind::Capsule] {
-        let all = steps::of(machine);
+        let all = step::steps(machine);
         for (index, step) in all.iter().enumerate() {
             assert!(all[..index].iter().all(|other| other.name != step.name));
             assert!(!step.shows.is_empty(), "{}", step.name);
         }
     }
-    let line = wrapped(&"word ".repeat(40), COLUMNS, "    ");
-    assert!(
-        line.len() > 2 && line.iter().all(|line| line.len() <= 80),
-        "{line:?}"
-    );
-    assert!(line[1].starts_with("    word"));
 }
 
 #[test]
@@ -328,8 +318,8 @@ fn without_hands_what_needs_them_is_not_shown() {
         "{out}"
     );
     let found = outcomes(&path);
-    assert_eq!(found.len(), steps::of(DeviceKind::Rig).len());
-    for step in steps::of(DeviceKind::Rig) {
+    assert_eq!(found.len(), step::steps(DeviceKind::Rig).len());
+    for step in step::steps(DeviceKind::Rig) {
         // This test's machine has no image, so no image can be compared.
         let passed = ["clock", "quiet"].contains(&step.name);
         let expected = if passed {
@@ -382,98 +372,6 @@ fn numbers_that_no_session_takes_are_refused_with_their_range() {
             assert!(memory.heard().is_empty());
         }
     }
-}
-
-/// ELF files with another chip's symbols or none. The tool must not hash gigabytes, and must not take any of them for
-/// an image.
-#[test]
-fn a_file_that_is_no_image_of_this_chip_has_no_fingerprint() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("image.elf");
-    for (start, end, allowed) in [
-        (0x0800_0000, 0x0800_0004, true),
-        (0x0800_0000, 0x0808_0000, true),
-        (0x0800_0000, 0x0808_0004, false),
-        (0x0800_0000, 0xFFFF_FFFC, false),
-        (0x0800_0000, 0x0800_0000, false),
-        (0x0800_0004, 0x0800_0000, false),
-    ] {
-        std::fs::write(&path, elf(start, end)).expect("written");
-        match image::fingerprint(&path) {
-            Ok(_) => assert!(allowed, "{start:#x} {end:#x}"),
-            Err(error) => {
-                assert!(!allowed, "{start:#x} {end:#x}: {error}");
-                assert!(
-                    error.to_string().contains("allowed are 4 to 524288 bytes"),
-                    "{error}"
-                );
-            }
-        }
-    }
-}
-
-/// An ELF file with no segments and the linker's four symbols.
-fn elf(start: u32, end: u32) -> Vec<u8> {
-    let symbols = [
-        ("__stext", start),
-        ("__sidata", end),
-        ("__sdata", 0),
-        ("__edata", 0),
-    ];
-    let mut names = vec![0];
-    let mut table = vec![0; 16];
-    for (name, value) in symbols {
-        let at = u32::try_from(names.len()).expect("short");
-        // Name, value, size; global, default, absolute.
-        table.extend(
-            [at, value, 0, 0xFFF1_0010]
-                .iter()
-                .flat_map(|word| word.to_le_bytes()),
-        );
-        names.extend(name.bytes().chain([0]));
-    }
-    let section_names = b"\0.symtab\0.strtab\0";
-    let mut file = vec![0x7F, b'E', b'L', b'F', 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0];
-    let length = |bytes: &[u8]| u32::try_from(bytes.len()).expect("short");
-    let (table_at, table_length) = (52, length(&table));
-    let names_at = table_at + table_length;
-    let section_names_at = names_at + length(&names);
-    let sections_at = section_names_at + length(section_names);
-    for half in [2_u16, 40] {
-        file.extend(half.to_le_bytes());
-    }
-    for word in [1, 0, 0, sections_at, 0] {
-        file.extend(word.to_le_bytes());
-    }
-    // Header 52 bytes; no segments; four sections of 40 bytes, their names in the last.
-    for half in [52_u16, 32, 0, 40, 4, 3] {
-        file.extend(half.to_le_bytes());
-    }
-    file.extend(&table);
-    file.extend(&names);
-    file.extend(section_names);
-    for section in [
-        [0; 10],
-        [1, 2, 0, 0, table_at, table_length, 2, 1, 4, 16],
-        [9, 3, 0, 0, names_at, length(&names), 0, 0, 1, 0],
-        [
-            9,
-            3,
-            0,
-            0,
-            section_names_at,
-            length(section_names),
-            0,
-            0,
-            1,
-            0,
-        ],
-    ] {
-        for word in section {
-            file.extend(word.to_le_bytes());
-        }
-    }
-    file
 }
 
 /// A person leaves, by key and by the end of the input. The results are kept, and the next session begins with the
@@ -617,7 +515,7 @@ fn with_timeout(machine: DeviceKind, name: &str, timeout_ms: u32) -> Result<(), 
     };
     let (mut hands, mut say) = (Quick, |_: &str| {});
     let mut work = Work::new(device, subject, options, &mut hands, &mut say, &connect);
-    let step = steps::of(machine).iter().find(|step| step.name == name);
+    let step = step::steps(machine).iter().find(|step| step.name == name);
     (step.expect("a step").check)(&mut work)
 }
 

@@ -560,33 +560,7 @@ fn the_command_line_says_what_is_wrong_before_anything_moves() {
             2,
             "the run has 3",
         ),
-        (&["--fold-at-cycle", "0"], &ready_one, 2, "use 1 to 10000"),
-        (
-            &["--fold-at-cycle", "2", "--at-mm", "10.001"],
-            &ready_one,
-            2,
-            "stroke is 10",
-        ),
-        (
-            &[
-                "--fold-at-cycle",
-                "2",
-                "--at-mm",
-                "5",
-                "--telemetry-ms",
-                "11",
-            ],
-            &ready_one,
-            2,
-            "10 ms at most",
-        ),
         (&["--at-mm", "5"], &ready_one, 2, "--fold-at-cycle"),
-        (
-            &["--fold-at-cycle", "1", "--unfold-at-cycle", "2"],
-            &ready_one,
-            2,
-            "cannot be used",
-        ),
         (&["--fold-at-cycle", "2"], &fresh, 3, "capsule reference"),
         (
             &["--unfold-at-cycle", "2"],

@@ -1,6 +1,5 @@
 //! Records on disk: read back, identical for identical runs, readable after a crash, and the paper's experiment.
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -9,13 +8,12 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::support::tool::device;
-use client::identity::{IdentityRecord, Origin};
+use client::identity::Origin;
 use client::{Device, Observer, Progress, Unobserved};
 use jiff::Timestamp;
-use lab::campaign::catalogue::{self, Wanted};
 use lab::trials::check;
 use lab::trials::experiment::{self, ExperimentError, PAPER_RUN, RunTrial};
-use lab::trials::trial::{Action, Recorder, Recording, RigSample, Screw, Status, Trial};
+use lab::trials::trial::{Action, Recording, RigSample, Status, Trial};
 use protocol::capsule::{ActuationKind, ActuationOutcome};
 use protocol::rig::{MoveTo, RigState, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Urgent};
@@ -334,15 +332,6 @@ fn a_refused_action_leaves_a_record_that_says_so() {
         assert!(trial.error.expect("why").contains(why));
     }
     let folders = [folder.path().to_owned()];
-    let count = |outcome: &str| {
-        let outcome = Some(outcome.to_owned());
-        let wanted = Wanted {
-            outcome,
-            ..Wanted::default()
-        };
-        catalogue::list(&folders, true, &wanted).entries.len()
-    };
-    assert_eq!((count("refused"), count("unknown")), (3, 0));
     // Alone, these records leave nothing to report. Beside a trial they are listed as left out, and none is lost.
     let none = html::find(&folders).expect_err("no trial").to_string();
     assert!(none.contains("nothing was done: "), "{none}");
@@ -362,44 +351,6 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     if let Ok(output) = python.arg(folder.path()).output() {
         assert_eq!(String::from_utf8_lossy(&output.stdout), "1\n", "{output:?}");
     }
-}
-
-/// A gap is told in seconds, its length and its place alike.
-#[test]
-fn what_the_telemetry_lacks_is_told_in_one_unit() {
-    let folder = tempfile::tempdir().expect("folder");
-    let mut rig = device(DeviceKind::Rig);
-    let to = MoveTo {
-        position_um: 10_000,
-        speed_um_s: 5_000,
-    };
-    let recording = recording(folder.path());
-    let moved = experiment::move_to(&mut rig, to, &recording, &mut Unobserved).expect("recorded");
-    let rows = fs::read_to_string(&moved.csv).expect("rows");
-    let rows: Vec<_> = rows.lines().collect();
-    let gaps = |kept: &[&[&str]]| {
-        fs::write(&moved.csv, kept.concat().join("\n") + "\n").expect("written");
-        check::rig(&moved.sidecar, &moved.trial).1.gaps.join("; ")
-    };
-    let (cut, short) = (gaps(&[&rows[..20], &rows[40..]]), gaps(&[&rows[..20]]));
-    assert!(cut.contains("no lost samples explain"), "{cut}");
-    assert!(short.contains("the telemetry lasts 0."), "{short}");
-    for text in [cut, short] {
-        assert!(text.contains(" s") && !text.contains(" us"), "{text}");
-    }
-}
-
-/// No outcome that an entry may have is unknown to `list --outcome`.
-#[test]
-fn each_outcome_can_be_asked_for() {
-    let all = catalogue::outcomes();
-    for status in Status::ALL {
-        assert!(all.contains(&status.name()), "{status:?}");
-        let written = serde_json::to_string(status).expect("JSON");
-        assert_eq!(written, format!("{:?}", status.name()));
-    }
-    let once: BTreeSet<_> = all.iter().collect();
-    assert_eq!(once.len(), all.len(), "{all:?}");
 }
 
 /// A ready machine with an operator who stops it under way, then presses the emergency stop once it stands and has
@@ -440,11 +391,6 @@ fn an_emergency_stop_behind_the_stop_is_in_the_record() {
         let why = trial.error.expect("a reason");
         assert!(why.contains("emergency stop"), "{why}");
     }
-    // As `serve` and a campaign list the records.
-    let folders = [folder.path().to_owned()];
-    let found = catalogue::list(&folders, false, &Wanted::default());
-    let outcomes: Vec<_> = found.entries.iter().map(|entry| &entry.outcome).collect();
-    assert_eq!(outcomes, ["faulted", "faulted"]);
 }
 
 #[test]
@@ -464,40 +410,4 @@ fn nothing_moves_if_the_record_cannot_be_written() {
     );
     assert!(matches!(error, Err(ExperimentError::Record(_))));
     assert!(!log.lock().expect("log").heard.contains(&"Run"));
-}
-
-#[test]
-fn positions_are_exact_to_the_nanometre() {
-    let screw = Screw {
-        lead_um: 4_000,
-        steps_per_rev: 3_200,
-        stroke_um: 130_000,
-    };
-    assert_eq!(screw.nm(104_000), 130_000_000);
-    assert_eq!((screw.nm(1), screw.nm(-1)), (1_250, -1_250));
-    let odd = Screw {
-        lead_um: 500,
-        steps_per_rev: 102_400,
-        ..screw
-    };
-    assert_eq!((odd.nm(1), odd.nm(-1), odd.nm(102_400)), (5, -5, 500_000));
-}
-
-#[test]
-fn a_recorder_makes_its_folder_and_says_running_at_once() {
-    let folder = tempfile::tempdir().expect("folder");
-    let recording = recording(&folder.path().join("a/b"));
-    let rig = device(DeviceKind::Rig);
-    let device = IdentityRecord::new(rig.identity().expect("known"), &rig.place());
-    let action = Action::Actuation {
-        actuation: ActuationKind::Fold,
-        accepted: None,
-        record: None,
-    };
-    let trial = Trial::new(action, device, &recording);
-    let recorder = Recorder::create(trial, &recording).expect("made");
-    assert_eq!(
-        Trial::read(recorder.sidecar()).expect("sidecar").status,
-        Status::Running
-    );
 }

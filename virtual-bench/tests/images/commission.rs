@@ -18,7 +18,7 @@ use lab::commissioning::hands::{Act, Bench as Remote, Hands, Part, Reading, Say,
 use lab::commissioning::image;
 use lab::commissioning::record::{Commissioning, StepOutcome};
 use lab::commissioning::session::{Ending, carry_out};
-use lab::commissioning::steps;
+use lab::commissioning::step;
 use lab::commissioning::work::{Options, Work};
 use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::capsule::CapsuleState;
@@ -169,7 +169,7 @@ fn begun(text: &str) -> Vec<String> {
 }
 
 fn names(kind: DeviceKind) -> Vec<String> {
-    steps::of(kind)
+    step::steps(kind)
         .iter()
         .map(|step| step.name.to_owned())
         .collect()
@@ -389,7 +389,7 @@ fn left_at_every_step_and_resumed_it_repeats_nothing() {
     let (_folder, record) = folder();
     let workshop = Workshop::new(Machine::Rig(rig_bench(short())));
     set_short(&workshop);
-    let all = steps::of(DeviceKind::Rig);
+    let all = step::steps(DeviceKind::Rig);
     let mut done: Vec<&str> = vec![];
     for step in all {
         // Interrupt in both ways if the step asks for a hand.

@@ -17,34 +17,12 @@ use std::time::Duration;
 use client::error::ClientError;
 
 use crate::commissioning::halt::Halt;
+use crate::outcomes;
 
 /// Time allowed for the bench's hands: pulling a cable takes some seconds.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-macro_rules! named {
-    ($(#[$doc:meta])* $type:ident { $($(#[$variant_doc:meta])* $variant:ident: $name:literal,)* }) => {
-        $(#[$doc])*
-        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-        pub enum $type { $($(#[$variant_doc])* $variant,)* }
-
-        impl $type {
-            /// All of them.
-            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
-
-            /// Name in the line protocol.
-            #[must_use]
-            pub const fn name(self) -> &'static str {
-                match self { $(Self::$variant => $name),* }
-            }
-
-            fn of(name: &str) -> Option<Self> {
-                Self::ALL.iter().copied().find(|one| one.name() == name)
-            }
-        }
-    };
-}
-
-named! {
+outcomes! {
     /// Parts that a hand can act on.
     Part {
         /// The home flag, actuated or let go.
@@ -70,7 +48,7 @@ named! {
     }
 }
 
-named! {
+outcomes! {
     /// Quantities that a hand can measure.
     Reading {
         /// EN (D8) against GND while the reset button is held, mV. The board starts again afterwards.
@@ -118,13 +96,15 @@ impl FromStr for Wish {
     fn from_str(line: &str) -> Result<Self, String> {
         let words: Vec<_> = line.split_whitespace().collect();
         let wish = match words[..] {
-            ["do", part, how @ ("on" | "off")] => Part::of(part).map(|part| {
-                Self::Do(Act {
-                    part,
-                    on: how == "on",
-                })
-            }),
-            ["read", what] => Reading::of(what).map(Self::Read),
+            ["do", name, how @ ("on" | "off")] => {
+                let part = Part::ALL.iter().find(|part| part.name() == name);
+                let on = how == "on";
+                part.map(|part| Self::Do(Act { part: *part, on }))
+            }
+            ["read", name] => {
+                let what = Reading::ALL.iter().find(|what| what.name() == name);
+                what.map(|what| Self::Read(*what))
+            }
             _ => None,
         };
         wish.ok_or_else(|| {
@@ -153,10 +133,7 @@ pub trait Hands {
     }
 
     /// Has an act done, and returns when it is done or when `watch` sees its effect. `shows`: an input shows the
-    /// effect.
-    ///
-    /// # Errors
-    /// [`Halt::Left`], [`Halt::NotShown`] if it is not done, or what `watch` returns.
+    /// effect. [`Halt::NotShown`] if it is not done.
     fn act(
         &mut self,
         act: Act,
@@ -166,9 +143,6 @@ pub trait Hands {
     ) -> Result<(), Halt>;
 
     /// Has a quantity measured.
-    ///
-    /// # Errors
-    /// As [`Hands::act`].
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt>;
 }
 
@@ -176,10 +150,9 @@ pub trait Hands {
 #[derive(Clone, Copy, Debug)]
 pub struct Nobody;
 
-impl Nobody {
-    fn halt() -> Halt {
-        Halt::NotShown("needs a person at the machine".to_owned())
-    }
+/// What is recorded of a step that needs hands where there are none.
+pub(crate) fn nobody() -> Halt {
+    Halt::NotShown("needs a person at the machine".to_owned())
 }
 
 impl Hands for Nobody {
@@ -188,11 +161,11 @@ impl Hands for Nobody {
     }
 
     fn act(&mut self, _: Act, _: bool, _: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
-        Err(Self::halt())
+        Err(nobody())
     }
 
     fn read(&mut self, _: Reading, _: &mut Say<'_>) -> Result<i64, Halt> {
-        Err(Self::halt())
+        Err(nobody())
     }
 }
 
@@ -204,9 +177,6 @@ pub struct Bench {
 
 impl Bench {
     /// Connects to `HOST:PORT`.
-    ///
-    /// # Errors
-    /// No bench listens there.
     pub fn connect(place: &str) -> std::io::Result<Self> {
         let stream = TcpStream::connect(place)?;
         stream.set_nodelay(true)?;

@@ -35,9 +35,6 @@ pub enum ImageError {
 }
 
 /// The `image_hash` that the image in this file reports.
-///
-/// # Errors
-/// The file is no image.
 pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
     let file = limited::read(path, limited::IMAGE)?;
     let elf = ElfFile32::<Endianness>::parse(&*file)?;
@@ -49,13 +46,8 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
     let start = symbol("__stext")?;
     let data = symbol("__edata")?.saturating_sub(symbol("__sdata")?);
     let end = symbol("__sidata")?.saturating_add(data);
-    let length = end
-        .checked_sub(start)
-        .and_then(|length| usize::try_from(length).ok())
-        .filter(|length| (4..=MOST_BYTES).contains(length))
-        .ok_or(ImageError::Extent { start, end })?;
     // Bytes outside all segments stay erased.
-    let mut flash = vec![0xFF; length];
+    let mut flash = vec![0xFF; extent(start, end)?];
     let endian = elf.endian();
     for segment in elf.elf_program_headers() {
         let begins = u64::from(segment.p_paddr(endian));
@@ -77,4 +69,33 @@ pub fn fingerprint(path: &Path) -> Result<u32, ImageError> {
         u32::from_le_bytes(bytes)
     });
     Ok(fingerprint::of(words))
+}
+
+/// Bytes of an image between these addresses. The symbols of another chip's file must not make the tool hash gigabytes.
+fn extent(start: u64, end: u64) -> Result<usize, ImageError> {
+    end.checked_sub(start)
+        .and_then(|length| usize::try_from(length).ok())
+        .filter(|length| (4..=MOST_BYTES).contains(length))
+        .ok_or(ImageError::Extent { start, end })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_fits_this_chip_is_an_image() {
+        let start = 0x0800_0000;
+        for (end, bytes) in [
+            (0x0800_0004, Some(4)),
+            (0x0808_0000, Some(MOST_BYTES)),
+            (0x0808_0004, None),
+            (0xFFFF_FFFC, None),
+            (start, None),
+            (start - 4, None),
+        ] {
+            let found = extent(start, end);
+            assert_eq!(found.ok(), bytes, "{end:#x}");
+        }
+    }
 }

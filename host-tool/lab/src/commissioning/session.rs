@@ -8,10 +8,10 @@ use client::visible::wrapped;
 use jiff::Timestamp;
 
 use crate::commissioning::halt::Halt;
+use crate::commissioning::hands::nobody;
 use crate::commissioning::procedure::Procedure;
 use crate::commissioning::record::{Commissioning, Finding, StepOutcome};
-use crate::commissioning::step::Step;
-use crate::commissioning::steps;
+use crate::commissioning::step::{self, Step};
 use crate::commissioning::work::Work;
 
 /// How a session ended.
@@ -49,24 +49,24 @@ pub fn carry_out(
     path: &Path,
     now: &dyn Fn() -> Timestamp,
 ) -> Result<Ending, Broken> {
-    let all = steps::of(work.subject.machine);
+    let all = step::steps(work.subject.machine);
     let mut procedure = Procedure::new(all);
     while let Some((number, step)) = procedure.next(record, &work.subject) {
         announce(work, number, all.len(), step);
-        let finding = match begin(work, step) {
-            Ok(()) => Finding {
-                outcome: StepOutcome::Passed,
-                reason: None,
-                measured: work.take_measured(),
-            },
-            Err(Halt::Defect(why)) => found(work, StepOutcome::Failed, why),
-            Err(Halt::NotShown(why)) => found(work, StepOutcome::NotShown, why),
+        let (outcome, reason) = match begin(work, step) {
+            Ok(()) => (StepOutcome::Passed, None),
+            Err(Halt::Defect(why)) => (StepOutcome::Failed, Some(why)),
+            Err(Halt::NotShown(why)) => (StepOutcome::NotShown, Some(why)),
             Err(Halt::Left) => return Ok(Ending::Left(Some(step.name))),
             Err(Halt::Client(error)) => return Err(Broken::Client(error)),
             Err(Halt::NoHands(why)) => return Err(Broken::NoHands(why)),
         };
+        let finding = Finding {
+            outcome,
+            reason: reason.clone(),
+            measured: work.take_measured(),
+        };
         tell(work, &finding);
-        let (outcome, reason) = (finding.outcome, finding.reason.clone());
         procedure.enter(record, step, finding, &work.subject, now());
         record.write(path).map_err(Broken::Record)?;
         if outcome == StepOutcome::Failed {
@@ -84,17 +84,9 @@ fn begin(work: &mut Work<'_>, step: &Step) -> Result<(), Halt> {
     // Also notices an operator who has left.
     work.pause(0)?;
     if step.needs_hands && !work.has_hands() {
-        return Err(Halt::NotShown("needs a person at the machine".to_owned()));
+        return Err(nobody());
     }
     (step.check)(work)
-}
-
-fn found(work: &mut Work<'_>, outcome: StepOutcome, why: String) -> Finding {
-    Finding {
-        outcome,
-        reason: Some(why),
-        measured: work.take_measured(),
-    }
 }
 
 fn announce(work: &mut Work<'_>, number: usize, count: usize, step: &Step) {

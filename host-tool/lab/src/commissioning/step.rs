@@ -1,11 +1,12 @@
-//! A step of the commissioning: what it shows and what its result depends on.
+//! A step of the commissioning: what it shows and what its result depends on. The steps of each machine.
 
 use protocol::settings::SettingKey;
+use protocol::system::DeviceKind;
 
 use crate::commissioning::halt::Halt;
 use crate::commissioning::work::Work;
+use crate::commissioning::{capsule, rig};
 
-/// A step.
 #[derive(Clone, Copy, Debug)]
 pub struct Step {
     /// Name, in records and on the screen.
@@ -22,4 +23,13 @@ pub struct Step {
     pub needs_hands: bool,
     /// Carries it out.
     pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
+}
+
+/// The steps of a machine, in their order.
+#[must_use]
+pub const fn steps(machine: DeviceKind) -> &'static [Step] {
+    match machine {
+        DeviceKind::Rig => rig::STEPS,
+        DeviceKind::Capsule => capsule::STEPS,
+    }
 }

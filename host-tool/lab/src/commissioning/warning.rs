@@ -8,7 +8,7 @@ use client::subject::Subject;
 
 use crate::commissioning::procedure::{self, Standing};
 use crate::commissioning::record::Commissioning;
-use crate::commissioning::steps;
+use crate::commissioning::step;
 
 /// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.
 ///
@@ -36,7 +36,7 @@ pub fn of_record(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>
         Some(Ok(record)) => record,
     };
     let subject = Subject::of(rig)?;
-    let open = procedure::open(steps::of(subject.machine), &record, &subject);
+    let open = procedure::open(step::steps(subject.machine), &record, &subject);
     let Some((step, standing)) = open.first() else {
         return Ok(None);
     };

@@ -106,9 +106,6 @@ impl<'a> Work<'a> {
     }
 
     /// Lets time pass.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn pause(&mut self, duration_us: u64) -> Result<(), Halt> {
         self.device.idle(duration_us, &mut Unobserved)?;
         self.unless_left()
@@ -126,9 +123,6 @@ impl<'a> Work<'a> {
     }
 
     /// Has something done that no input shows.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn hand(&mut self, part: Part, on: bool) -> Result<(), Halt> {
         let device = &mut self.device;
         let mut keep = || {
@@ -141,9 +135,6 @@ impl<'a> Work<'a> {
     }
 
     /// Has something measured.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn read(&mut self, reading: Reading) -> Result<i64, Halt> {
         let value = self.hands.read(reading, self.say)?;
         self.unless_left()?;
@@ -151,9 +142,6 @@ impl<'a> Work<'a> {
     }
 
     /// Pulls the cable, plugs it in again and finds the board.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn pull_the_cable(&mut self) -> Result<(), Halt> {
         let device = &mut self.device;
         let mut gone = || Ok(device.idle(LOOK_US, &mut Unobserved).is_err());

@@ -188,9 +188,10 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     let cycles = u16::try_from(10 + timeout_ms / 1_000).unwrap_or(u16::MAX);
     work.start_short_run(cycles)?;
     work.under_way()?;
-    let start = work.last_start()?;
+    let before = (work.boot_id(), work.status()?.time_us);
     work.pull_the_cable()?;
-    if start.is_over(&work.last_start()?) {
+    let after = (work.boot_id(), work.status()?.time_us);
+    if has_restarted(before, after) {
         return Err(Halt::Defect(
             "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/rig.md".to_owned(),
         ));
@@ -210,6 +211,12 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
             "the run did not end with the cable: {other:?}"
         ))),
     }
+}
+
+/// Whether the board has started again between two looks at its number of starts and its clock. After a power cut that
+/// number begins at 1 again; then only the time shows it.
+fn has_restarted(before: (Option<u32>, u64), after: (Option<u32>, u64)) -> bool {
+    after.0 != before.0 || after.1 < before.1
 }
 
 fn at_rest(status: &RigStatus) -> bool {
@@ -322,4 +329,20 @@ pub(super) fn run(work: &mut Work<'_>) -> Result<(), Halt> {
         )));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::has_restarted;
+
+    #[test]
+    fn a_board_that_was_switched_on_twice_has_restarted() {
+        let before = (Some(1), 90_000_000);
+        assert!(!has_restarted(before, (Some(1), 97_000_000)), "it goes on");
+        assert!(has_restarted(before, (Some(2), 97_000_000)), "reset");
+        assert!(
+            has_restarted(before, (Some(1), 2_000_000)),
+            "lost its supply"
+        );
+    }
 }

@@ -32,40 +32,9 @@ pub enum HomeEnd {
     Fault(RigFault, bool),
 }
 
-/// A start of the board, and how long ago it was.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Start {
-    boot_id: Option<u32>,
-    /// Time since this start, us.
-    time_us: u64,
-}
-
-impl Start {
-    /// Whether the board, as it is `now`, has started again since. After a power cut the number of starts begins at 1
-    /// again; then only the time shows it.
-    #[must_use]
-    pub fn is_over(&self, now: &Self) -> bool {
-        now.boot_id != self.boot_id || now.time_us < self.time_us
-    }
-}
-
 impl Work<'_> {
-    /// The board's last start.
-    ///
-    /// # Errors
-    /// [`Halt`]
-    pub fn last_start(&mut self) -> Result<Start, Halt> {
-        Ok(Start {
-            boot_id: self.boot_id(),
-            time_us: self.status()?.time_us,
-        })
-    }
-
     /// Has an act done whose effect `seen` detects. Returns the rig's status at that moment, or half a second after
     /// the act.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn ask(
         &mut self,
         part: Part,
@@ -88,9 +57,6 @@ impl Work<'_> {
 
     /// Switches the motor supply, unless it is known to be in that state. Without it the carriage can be moved by
     /// hand, so the rig must not trust its position any more.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn supply(&mut self, on: bool) -> Result<(), Halt> {
         if self.supply != Some(on) {
             self.hand(Part::Supply, on)?;
@@ -118,9 +84,6 @@ impl Work<'_> {
 
     /// Carries out a run from 0 without motor supply. Afterwards the rig does not trust its position, however the run
     /// ended.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn run_without_power(&mut self, run: Run) -> Result<(RunAccepted, RunRecord), Halt> {
         self.at_home()?;
         self.hand(Part::Supply, false)?;
@@ -145,18 +108,12 @@ impl Work<'_> {
     }
 
     /// Has the carriage moved to the middle of its travel, without motor supply.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn to_the_middle(&mut self) -> Result<(), Halt> {
         self.supply(false)?;
         self.hand(Part::Carriage, true)
     }
 
     /// The rig's status.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn status(&mut self) -> Result<RigStatus, Halt> {
         let status = self.device.rig_status()?;
         self.unless_left()?;
@@ -164,9 +121,6 @@ impl Work<'_> {
     }
 
     /// Waits for `seen`, but no longer than `limit_us`; returns the last status.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn until(
         &mut self,
         limit_us: u64,
@@ -214,9 +168,6 @@ impl Work<'_> {
     }
 
     /// Homes and watches the far limit meanwhile: a carriage that meets it goes the wrong way, and its pulses are cut.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn home(&mut self) -> Result<HomeEnd, Halt> {
         let before = self.status()?;
         self.device.take_events()?;
@@ -257,9 +208,6 @@ impl Work<'_> {
     }
 
     /// Brings the rig to 0, homed, with motor supply.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn at_home(&mut self) -> Result<(), Halt> {
         let moved_by_hand = self.supply != Some(true);
         self.clear()?;
@@ -278,9 +226,6 @@ impl Work<'_> {
     }
 
     /// Moves to a position at a cautious speed; a fault under way is a defect.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn go_to(&mut self, position_um: u32) -> Result<RigStatus, Halt> {
         let status = self.try_to_go_to(position_um)?;
         match status.fault {
@@ -290,9 +235,6 @@ impl Work<'_> {
     }
 
     /// Moves to a position at a cautious speed; a fault under way is in the status.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn try_to_go_to(&mut self, position_um: u32) -> Result<RigStatus, Halt> {
         let speed_um_s = 20_000.min(self.setting(SettingKey::MaxSpeedUmS));
         let accepted = self.device.call(MoveTo {
@@ -305,9 +247,6 @@ impl Work<'_> {
     }
 
     /// Starts a slow run over a short stroke, for things that happen within it.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn start_short_run(&mut self, cycles: u16) -> Result<RunAccepted, Halt> {
         let speed = 5_000.min(self.setting(SettingKey::MaxSpeedUmS));
         let accel = 100_000.min(self.setting(SettingKey::MaxAccelUmS2));
@@ -316,9 +255,6 @@ impl Work<'_> {
     }
 
     /// Waits until a run is well under way.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn under_way(&mut self) -> Result<(), Halt> {
         let status = self.until(5_000_000, |status| {
             status.fault.is_some() || status.position_um > 2_000
@@ -330,9 +266,6 @@ impl Work<'_> {
     }
 
     /// Starts a run.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn start(&mut self, run: Run) -> Result<RunAccepted, Halt> {
         let accepted = self.device.run(run)?;
         self.unless_left()?;
@@ -340,9 +273,6 @@ impl Work<'_> {
     }
 
     /// Waits for the end of a run.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn finish(&mut self, accepted: &RunAccepted) -> Result<RunRecord, Halt> {
         let mut tenths = Tenths {
             say: &mut *self.say,
@@ -354,9 +284,6 @@ impl Work<'_> {
     }
 
     /// Checks that a run ended with all its edges, and keeps the numbers.
-    ///
-    /// # Errors
-    /// [`Halt`]
     pub fn whole(&mut self, accepted: &RunAccepted, record: &RunRecord) -> Result<(), Halt> {
         self.note("strokes", record.strokes);
         self.note("planned_edges", accepted.edges);
@@ -443,22 +370,5 @@ impl Observer for Tenths<'_> {
                 (self.say)(&format!("  stroke {stroke} of {strokes}"));
             }
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_board_that_was_switched_on_twice_has_started_again() {
-        let start = |boot_id, time_us| Start {
-            boot_id: Some(boot_id),
-            time_us,
-        };
-        let before = start(1, 90_000_000);
-        assert!(!before.is_over(&start(1, 97_000_000)), "it goes on");
-        assert!(before.is_over(&start(2, 97_000_000)), "it was reset");
-        assert!(before.is_over(&start(1, 2_000_000)), "it lost its supply");
     }
 }
