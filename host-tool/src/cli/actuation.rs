@@ -30,22 +30,7 @@ pub(crate) fn actuate(
 ) -> Result<Value, Failure> {
     let motion = motion.into();
     let kind = motion.kind;
-    let what = match kind {
-        ActuationKind::Reference => {
-            "Reference: wind slowly to the end force, then pay out to zero."
-        }
-        ActuationKind::Calibrate => {
-            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was."
-        }
-        ActuationKind::CheckFolded => "Check: wind gently to the end force, and stay folded.",
-        ActuationKind::Fold => {
-            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded."
-        }
-        ActuationKind::Unfold => "Unfold: pay the thread out to its zero.",
-        ActuationKind::FoldTo => {
-            "Partial fold: wind or pay out to a length of thread, and stay there."
-        }
-    };
+    let (what, after) = words(kind);
     let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own(command))?;
     if matches!(
         kind,
@@ -74,12 +59,19 @@ pub(crate) fn actuate(
         }
     };
     if trial.trial.status == Status::Complete {
-        screen.say(&format!("  complete: {}", shape_after(kind)));
+        screen.say(&format!("  complete: {after}"));
     }
     for (name, value) in actuation_rows(kind, &trial.record) {
         screen.say(&format!("  {name}: {value}"));
     }
-    tell_drift(kind, &mut capsule, screen);
+    // A fold whose end has wandered may be complete, but costs the reference.
+    let state = capsule.capsule_status().map(|status| status.state);
+    if kind == ActuationKind::Fold && state.is_ok_and(|state| state == CapsuleState::WasFolded) {
+        screen.hint(
+            "it is folded, but the folded end has wandered, and the reference is gone: `retrograde capsule check` finds \
+             it again without unfolding. Should it wander again, a thread slips or stretches, or the origami has changed",
+        );
+    }
     screen.say(&format!(
         "  {}\n  {}",
         trial.csv.display(),
@@ -95,15 +87,10 @@ pub(crate) fn actuate(
         screen.say(&format!("  {}: {readings} ms", path.display()));
     }
     completed(experiment::doing(kind), &trial.trial, help)?;
-    let traced = traced
-        .transpose()?
-        .map(|(path, _)| path.display().to_string());
-    Ok(json!({
-        "trial": trial.trial,
-        "csv": trial.csv.display().to_string(),
-        "sidecar": trial.sidecar.display().to_string(),
-        "trace": traced,
-    }))
+    let traced = traced.transpose()?;
+    let mut value = trial.json();
+    value["trace"] = json!(traced.map(|(path, _)| path.display().to_string()));
+    Ok(value)
 }
 
 /// Refuses unless the capsule is folded or unfolded as `what` begins, and referenced.
@@ -145,28 +132,29 @@ fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> R
     Ok(())
 }
 
-/// The capsule after a motion that is complete.
-const fn shape_after(kind: ActuationKind) -> &'static str {
+/// What a motion does, and the capsule after it is complete.
+const fn words(kind: ActuationKind) -> (&'static str, &'static str) {
     match kind {
-        ActuationKind::Fold => "it is folded",
-        ActuationKind::CheckFolded => "it is folded, and the thread pulls",
-        ActuationKind::Reference | ActuationKind::Calibrate | ActuationKind::Unfold => {
-            "it is unfolded"
-        }
-        ActuationKind::FoldTo => "it stands at this length of thread",
-    }
-}
-
-/// Reports a fold whose end has wandered: it may be complete, but it costs the reference.
-fn tell_drift(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) {
-    let mut drifted = || {
-        let status = capsule.capsule_status();
-        status.is_ok_and(|status| status.state == CapsuleState::WasFolded)
-    };
-    if kind == ActuationKind::Fold && drifted() {
-        screen.hint(
-            "it is folded, but the folded end has wandered, and the reference is gone: `retrograde capsule check` finds \
-             it again without unfolding. Should it wander again, a thread slips or stretches, or the origami has changed",
-        );
+        ActuationKind::Reference => (
+            "Reference: wind slowly to the end force, then pay out to zero.",
+            "it is unfolded",
+        ),
+        ActuationKind::Calibrate => (
+            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was.",
+            "it is unfolded",
+        ),
+        ActuationKind::CheckFolded => (
+            "Check: wind gently to the end force, and stay folded.",
+            "it is folded, and the thread pulls",
+        ),
+        ActuationKind::Fold => (
+            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded.",
+            "it is folded",
+        ),
+        ActuationKind::Unfold => ("Unfold: pay the thread out to its zero.", "it is unfolded"),
+        ActuationKind::FoldTo => (
+            "Partial fold: wind or pay out to a length of thread, and stay there.",
+            "it stands at this length of thread",
+        ),
     }
 }

@@ -10,7 +10,7 @@ use client::error::ClientError;
 use client::identity::kind_name;
 use client::subject::Subject;
 use lab::commissioning::hands::{Bench, Hands, Nobody};
-use lab::commissioning::record::{Commissioning, StepOutcome};
+use lab::commissioning::record::Commissioning;
 use lab::commissioning::session::{self, Broken, Ending};
 use lab::commissioning::work::{Options, Work};
 use lab::commissioning::{procedure, step};
@@ -134,26 +134,23 @@ pub(crate) fn commission(
         return Ok(json!({ "record": path.display().to_string(), "commissioning": record }));
     }
     let names: Vec<_> = open.iter().map(|(step, _)| step.name).collect();
-    debug_assert!(
-        record
-            .steps
-            .iter()
-            .any(|step| step.outcome != StepOutcome::Passed)
-    );
-    Err(Own::Commission {
-        ending: Unfinished::NotShown,
-        why: format!(
+    Err(unfinished(
+        Unfinished::NotShown,
+        format!(
             "commissioning is not complete: {} of {} steps were not shown: {}",
             names.len(),
             all.len(),
             names.join(", ")
         ),
-        help: format!(
+        format!(
             "the reasons are in {}; the same command goes on where it is open",
             path.display()
         ),
-    }
-    .into())
+    ))
+}
+
+fn unfinished(ending: Unfinished, why: String, help: String) -> Failure {
+    Own::Commission { ending, why, help }.into()
 }
 
 /// Stops what moves when the operator leaves, and waits for the confirmation.
@@ -220,28 +217,20 @@ fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(),
     );
     match ended {
         Ok(Ending::Through) => Ok(()),
-        Ok(Ending::Defect(step, why)) => Err(Own::Commission {
-            ending: Unfinished::Defect,
-            why: format!("{step}: {why}"),
-            help: format!("mend it; {help}"),
+        Ok(Ending::Defect(step, why)) => Err(unfinished(
+            Unfinished::Defect,
+            format!("{step}: {why}"),
+            format!("mend it; {help}"),
+        )),
+        Ok(Ending::Left(step)) => {
+            let why = match step {
+                Some(step) => format!("left at the step {step}, which has no result"),
+                None => "left between two steps".to_owned(),
+            };
+            Err(unfinished(Unfinished::Left, why, help))
         }
-        .into()),
-        Ok(Ending::Left(step)) => Err(Own::Commission {
-            ending: Unfinished::Left,
-            why: step.map_or_else(
-                || "left between two steps".to_owned(),
-                |step| format!("left at the step {step}, which has no result"),
-            ),
-            help,
-        }
-        .into()),
         Err(Broken::Client(error)) => Err(error.into()),
         Err(Broken::Record(error)) => Err(error.into()),
-        Err(Broken::NoHands(why)) => Err(Own::Commission {
-            ending: Unfinished::Left,
-            why,
-            help,
-        }
-        .into()),
+        Err(Broken::NoHands(why)) => Err(unfinished(Unfinished::Left, why, help)),
     }
 }

@@ -1,6 +1,6 @@
 //! `capsule cycle`: folds and unfolds N times, each motion recorded, each cycle a row of a CSV file.
 
-use std::fs::{self, File};
+use std::fs::File;
 
 use clap::Args;
 use client::identity::Origin;
@@ -78,7 +78,6 @@ pub(crate) fn cycle(
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     require(CapsuleState::Unfolded, "a cycle", &mut capsule)?;
     let folder = &args.record.out;
-    fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
     let now = places.connector.now();
     let (path, file) = create_new(folder, &format!("cycle-{}", now.strftime("%Y%m%dT%H%M%SZ")))?;
     let mut rows = csv::Writer::from_writer(file);

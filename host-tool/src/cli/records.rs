@@ -65,8 +65,7 @@ pub(crate) fn records(
 }
 
 fn text(fetched: &Fetched) -> String {
-    let status = json!(fetched.status);
-    let status = status.as_str().unwrap_or_default();
+    let status = fetched.status.name();
     match &fetched.record {
         Kept::Run { number, executed } => format!(
             "run {number}: {status}, {} strokes, {} steps at the pin of {} commanded, {} s",

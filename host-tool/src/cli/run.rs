@@ -98,17 +98,12 @@ pub(crate) fn run(
         actuation: &of_actuation,
     };
     let devices = (&mut rig, &mut capsule);
+    let both = (shaping, cue);
     let Coordinated {
         run,
         actuation,
         coordination,
-    } = coordination::run(
-        devices,
-        request,
-        (shaping, cue),
-        &recordings,
-        &mut screen.live(),
-    )?;
+    } = coordination::run(devices, request, both, &recordings, &mut screen.live())?;
     drop(single);
     let ran = ended(&request, &run, screen);
     if let Some(text) = latency_text(shaping, &coordination) {
@@ -137,9 +132,7 @@ pub(crate) fn run(
         &actuation.trial,
         format!("the data is in {}", actuation.sidecar.display()),
     )?;
-    if let Some(object) = value.as_object_mut() {
-        object.insert("actuation".to_owned(), json!(actuation.trial));
-    }
+    value["actuation"] = json!(actuation.trial);
     Ok(value)
 }
 
@@ -165,11 +158,7 @@ fn ended(request: &Run, trial: &RunTrial, screen: &mut Screen<'_>) -> Result<Val
         trial.sidecar.display()
     );
     completed("the run", &trial.trial, help)?;
-    Ok(json!({
-        "trial": trial.trial,
-        "csv": trial.csv.display().to_string(),
-        "sidecar": trial.sidecar.display().to_string(),
-    }))
+    Ok(trial.json())
 }
 
 /// Latency of the start by both clocks, as text.

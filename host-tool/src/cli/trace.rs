@@ -36,7 +36,6 @@ pub(crate) fn trace(
         screen.say("The capsule has not moved since its start: there is no recording.");
         return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
     }
-    fs::create_dir_all(&args.out).map_err(|io| RecordError::write(&args.out, io))?;
     let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let (csv, file) = create_new(&args.out, &format!("trace-{}-{stamp}", recorded.actuation))?;
     force::write(file, &recorded.points, no_load_ma, capsule.origin())

@@ -188,14 +188,3 @@ fn what_somebody_else_stopped_is_no_success() {
     assert_eq!(code, 130, "{err}");
     assert!(err.contains("the run was stopped"), "{err}");
 }
-
-#[test]
-fn a_jog_of_no_time_is_refused_before_a_port_is_opened() {
-    let memory = Memory::with(vec![ready(DeviceKind::Rig)]);
-    for time in ["0", "0.000"] {
-        let (code, _, err) = memory.run(&["--rig", "0", "jog", "away", "--for-s", time]);
-        assert_eq!(code, 2, "{err}");
-        assert!(err.contains("use a number above 0"), "{err}");
-    }
-    assert!(memory.heard().is_empty());
-}

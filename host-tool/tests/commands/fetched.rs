@@ -95,19 +95,6 @@ fn a_run_whose_host_died_is_fetched() {
 }
 
 #[test]
-fn what_goes_on_is_not_fetched() {
-    let place = tempfile::tempdir().expect("a folder");
-    let script = Script {
-        running: Some((RUN, 500_000)),
-        ..Script::new(DeviceKind::Rig)
-    };
-    let (code, _, err, _) = fetch(script, place.path());
-    assert_eq!(code, 3, "{err}");
-    assert!(err.contains("still at it"), "{err}");
-    assert_eq!(fs::read_dir(place.path()).expect("a folder").count(), 0);
-}
-
-#[test]
 fn a_run_of_the_button_is_fetched() {
     let script = Script {
         // A second after the homing, and more: a press before that was meant to stop it.
@@ -136,23 +123,22 @@ fn a_run_of_the_button_is_fetched() {
 }
 
 #[test]
-fn two_fetches_make_two_files() {
+fn nothing_is_fetched_of_what_goes_on_or_was_never_done_and_each_fetch_makes_a_file() {
     let place = tempfile::tempdir().expect("a folder");
-    for count in 1..=2 {
-        let (code, _, err, _) = fetch(ready(DeviceKind::Capsule), place.path());
-        assert_eq!(code, 0, "{err}");
-        let files = fs::read_dir(place.path()).expect("a folder");
-        assert_eq!(files.count(), count);
-    }
-}
-
-#[test]
-fn a_machine_that_has_done_nothing_has_nothing() {
-    let place = tempfile::tempdir().expect("a folder");
-    for kind in [DeviceKind::Rig, DeviceKind::Capsule] {
-        let (code, said, err, _) = fetch(Script::new(kind), place.path());
-        assert_eq!(code, 0, "{err}");
-        assert!(said.contains("nothing to fetch"), "{said}");
-        assert_eq!(fs::read_dir(place.path()).expect("a folder").count(), 0);
+    let running = Script {
+        running: Some((RUN, 500_000)),
+        ..Script::new(DeviceKind::Rig)
+    };
+    for (script, wanted, says, files) in [
+        (running, 3, "still at it", 0),
+        (Script::new(DeviceKind::Rig), 0, "nothing to fetch", 0),
+        (Script::new(DeviceKind::Capsule), 0, "nothing to fetch", 0),
+        (ready(DeviceKind::Capsule), 0, "actuation", 1),
+        (ready(DeviceKind::Capsule), 0, "actuation", 2),
+    ] {
+        let (code, said, err, _) = fetch(script, place.path());
+        assert_eq!(code, wanted, "{err}");
+        assert!((said + &err).contains(says), "{says}");
+        assert_eq!(fs::read_dir(place.path()).expect("a folder").count(), files);
     }
 }

@@ -5,10 +5,8 @@ use client::wording;
 use protocol::error::Refusal;
 use protocol::rig::RigFault;
 
-/// Why a measurement was broken off.
 #[derive(Debug)]
 pub enum Halt {
-    /// The operator left.
     Left,
     /// The effect could not be shown, for this reason.
     NotShown(String),
@@ -40,7 +38,6 @@ pub(super) fn refused(refusal: &Refusal) -> String {
 }
 
 /// Explains a fault of a new machine.
-#[must_use]
 pub fn fault_text(fault: RigFault) -> String {
     match fault {
         RigFault::ReadBack { commanded, counted } => format!(
@@ -56,7 +53,6 @@ pub fn fault_text(fault: RigFault) -> String {
 }
 
 /// Explains the end of homing of a new rig.
-#[must_use]
 pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
     if met_far_limit {
         return "the motor is reversed: homing took the carriage to the left, to the far limit. Motor supply off, turn one motor coil around".to_owned();
@@ -65,16 +61,5 @@ pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
         RigFault::EStopLoop => "the E-stop loop opened while homing. If the carriage stands at its left end, the motor is reversed: turn one motor coil around; at its right end, the home flag is not ahead of the end-of-travel switch".to_owned(),
         RigFault::FlagNotFound(_) => format!("{fault}; motor supply, driver current, coupling"),
         fault => fault_text(fault),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_refusal_speaks_in_the_units_of_the_options() {
-        let text = refused(&Refusal::NotAtHome { position_um: 1_500 });
-        assert!(text.contains("the carriage stands at 1.5 mm"), "{text}");
     }
 }

@@ -37,7 +37,6 @@ outcomes! {
         FarEnd: "far-end",
         /// The read-back jumper D2-A0, plugged or pulled.
         Jumper: "jumper",
-        /// The motor supply.
         Supply: "motor-supply",
         /// The cable to the host, plugged or pulled.
         Cable: "cable",
@@ -60,10 +59,8 @@ outcomes! {
     }
 }
 
-/// An act for the hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Act {
-    /// The part to act on.
     pub part: Part,
     /// True: actuated, pressed, plugged, switched on.
     pub on: bool,
@@ -72,9 +69,7 @@ pub struct Act {
 /// A line to the bench's hands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wish {
-    /// Do this.
     Do(Act),
-    /// Measure this.
     Read(Reading),
 }
 
@@ -125,9 +120,7 @@ pub type Say<'a> = dyn FnMut(&str) + 'a;
 /// Checks the machine for the effect of an act, and keeps its link alive. True when the effect is there.
 pub type Watch<'a> = dyn FnMut() -> Result<bool, ClientError> + 'a;
 
-/// Hands at the machine.
 pub trait Hands {
-    /// Whether any hands are there.
     fn present(&self) -> bool {
         true
     }
@@ -142,7 +135,6 @@ pub trait Hands {
         watch: &mut Watch<'_>,
     ) -> Result<(), Halt>;
 
-    /// Has a quantity measured.
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt>;
 }
 
@@ -176,7 +168,6 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Connects to `HOST:PORT`.
     pub fn connect(place: &str) -> std::io::Result<Self> {
         let stream = TcpStream::connect(place)?;
         stream.set_nodelay(true)?;

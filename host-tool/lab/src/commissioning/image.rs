@@ -13,25 +13,16 @@ const MOST_BYTES: usize = 512 * 1024;
 /// Why a file has no fingerprint.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
-    /// It cannot be read.
     #[error("{0}")]
     Read(#[from] std::io::Error),
-    /// It is not an ELF file of this chip.
     #[error("{0}")]
     Elf(#[from] object::Error),
-    /// The linker's names for the ends of the image are missing.
     #[error("it is not an image of this firmware: no symbol {0}")]
     NoSymbol(&'static str),
-    /// The linker's names for the ends of the image do not describe an image.
     #[error(
         "it is not an image of this chip: its code goes from {start:#010x} to {end:#010x}, allowed are 4 to {MOST_BYTES} bytes"
     )]
-    Extent {
-        /// Address of its first byte.
-        start: u64,
-        /// Address behind its last byte.
-        end: u64,
-    },
+    Extent { start: u64, end: u64 },
 }
 
 /// The `image_hash` that the image in this file reports.

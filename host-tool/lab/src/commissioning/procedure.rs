@@ -13,16 +13,13 @@ use crate::commissioning::step::Step;
 pub enum Standing {
     /// It passed, with this image and these settings.
     Holds,
-    /// It has not passed yet.
     NotPassed,
-    /// It passed with another image.
     OtherImage,
     /// It passed with another value of this setting.
     OtherSetting(&'static str),
 }
 
 /// Whether the result of `step` in `record` counts for `subject`.
-#[must_use]
 pub fn standing(step: &Step, record: &Commissioning, subject: &Subject) -> Standing {
     let Some(result) = record.result(step.name) else {
         return Standing::NotPassed;
@@ -49,8 +46,6 @@ pub struct Procedure {
 }
 
 impl Procedure {
-    /// A new session.
-    #[must_use]
     pub fn new(steps: &'static [Step]) -> Self {
         Self {
             steps,
@@ -113,7 +108,6 @@ impl Procedure {
 }
 
 /// The steps that do not hold, with the reason.
-#[must_use]
 pub fn open(
     steps: &'static [Step],
     record: &Commissioning,

@@ -18,7 +18,6 @@ use serde_json::{Map, Value};
 /// Version of the format; incremented when a field changes its meaning.
 pub const FORMAT: u32 = 1;
 
-/// Verdict of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StepOutcome {
@@ -30,32 +29,26 @@ pub enum StepOutcome {
     NotShown,
 }
 
-/// Result of one step.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepResult {
-    /// Name of the step.
     pub step: String,
     /// Text: what a pass proves.
     pub shows: String,
-    /// The verdict.
     #[serde(rename = "result")]
     pub outcome: StepOutcome,
     /// The defect, or why nothing was shown; none with a pass.
     pub reason: Option<String>,
     /// The numbers that were measured, with the unit in their names.
     pub measured: Map<String, Value>,
-    /// Date and time of the result.
     pub date_utc: Timestamp,
     /// The image that was tested; none if the result does not depend on the image.
     pub image: Option<String>,
-    /// The settings that it depends on.
     pub settings: BTreeMap<String, u32>,
 }
 
 /// A commissioning, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Commissioning {
-    /// [`FORMAT`].
     pub format: u32,
     /// `rig` or `capsule`.
     pub machine: String,
@@ -68,36 +61,27 @@ pub struct Commissioning {
     pub tool: String,
     /// The image at the last session, as in [`Subject::image`].
     pub image: String,
-    /// Its commit.
     pub firmware: String,
-    /// Its protocol.
     pub protocol: String,
     /// All settings at the last session.
     pub settings: BTreeMap<String, u32>,
-    /// First session.
     pub begun_utc: Timestamp,
-    /// Last result.
     pub changed_utc: Timestamp,
     /// All steps have passed with this image and these settings.
     pub complete: bool,
-    /// Results, in the order of the steps.
     pub steps: Vec<StepResult>,
 }
 
-/// Finding of a session about a step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Finding {
-    /// The verdict.
     pub outcome: StepOutcome,
     /// The defect, or why nothing was shown.
     pub reason: Option<String>,
-    /// Measured numbers.
     pub measured: Map<String, Value>,
 }
 
 impl Commissioning {
     /// A board of which nothing is known yet.
-    #[must_use]
     pub fn new(subject: &Subject, now: Timestamp) -> Self {
         Self {
             format: FORMAT,
@@ -117,9 +101,6 @@ impl Commissioning {
     }
 
     /// Reads a record; none if there is no such file.
-    ///
-    /// # Errors
-    /// The file cannot be read or is not a record of this format.
     pub fn read(path: &Path) -> Result<Option<Self>, RecordError> {
         let error = |why: String| RecordError {
             path: path.to_owned(),
@@ -142,10 +123,6 @@ impl Commissioning {
         Ok(Some(record))
     }
 
-    /// Reads the record of `subject`, or begins one.
-    ///
-    /// # Errors
-    /// As [`Commissioning::read`]; the record is that of another board.
     pub fn resume(path: &Path, subject: &Subject, now: Timestamp) -> Result<Self, RecordError> {
         let Some(record) = Self::read(path)? else {
             return Ok(Self::new(subject, now));
@@ -166,16 +143,11 @@ impl Commissioning {
         Ok(record)
     }
 
-    /// The result of a step.
-    #[must_use]
     pub fn result(&self, step: &str) -> Option<&StepResult> {
         self.steps.iter().find(|result| result.step == step)
     }
 
     /// Replaces the file by renaming: a reader finds the old record or the new one, never a part of it.
-    ///
-    /// # Errors
-    /// The file cannot be written.
     pub fn write(&self, path: &Path) -> Result<(), RecordError> {
         let folder = path.parent().filter(|folder| *folder != Path::new(""));
         folder

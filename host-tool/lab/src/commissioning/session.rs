@@ -14,7 +14,6 @@ use crate::commissioning::record::{Commissioning, Finding, StepOutcome};
 use crate::commissioning::step::{self, Step};
 use crate::commissioning::work::Work;
 
-/// How a session ended.
 #[derive(Debug)]
 pub enum Ending {
     /// All steps were gone through.
@@ -25,14 +24,10 @@ pub enum Ending {
     Left(Option<&'static str>),
 }
 
-/// Why a session was broken off.
 #[derive(Debug)]
 pub enum Broken {
-    /// The machine failed, or the link to it.
     Client(ClientError),
-    /// The record could not be written.
     Record(RecordError),
-    /// The connection to the bench's hands was lost.
     NoHands(String),
 }
 
@@ -40,9 +35,6 @@ pub enum Broken {
 pub const COLUMNS: usize = 78;
 
 /// Carries out the steps whose results do not hold. A failed step ends the session: later steps may rely on it.
-///
-/// # Errors
-/// [`Broken`]; the results so far are in the file.
 pub fn carry_out(
     work: &mut Work<'_>,
     record: &mut Commissioning,

@@ -21,12 +21,10 @@ pub struct Step {
     pub settings: &'static [SettingKey],
     /// It cannot be shown without somebody at the machine.
     pub needs_hands: bool,
-    /// Carries it out.
     pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
 }
 
 /// The steps of a machine, in their order.
-#[must_use]
 pub const fn steps(machine: DeviceKind) -> &'static [Step] {
     match machine {
         DeviceKind::Rig => rig::STEPS,

@@ -11,9 +11,6 @@ use crate::commissioning::record::Commissioning;
 use crate::commissioning::step;
 
 /// Why a rig should not be trusted with a run yet; none if its record in one of `folders` is complete and still counts.
-///
-/// # Errors
-/// As [`Subject::of`].
 pub fn of_record(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>, ClientError> {
     let Some(identity) = rig.identity().copied() else {
         return Ok(None);

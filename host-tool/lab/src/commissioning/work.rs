@@ -17,7 +17,6 @@ pub(crate) const LOOK_US: u64 = 50_000;
 /// Longest search for a board after a reset or after its cable was plugged in, us.
 const RETURN_US: u64 = 30_000_000;
 
-/// Options of the measurements.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Cycles of the read-back test, of two strokes each.
@@ -26,32 +25,25 @@ pub struct Options {
     pub cycles: u16,
     /// How long the clocks are compared, us.
     pub clock_us: u64,
-    /// The image that should be on the board.
     pub image: Option<PathBuf>,
 }
 
 /// Opens the machine again after it was reset or unplugged; the text says why not.
 pub type Reopen<'a> = dyn Fn() -> Result<Device, String> + 'a;
 
-/// A session with a machine.
 pub struct Work<'a> {
-    /// The machine.
     pub device: Device,
-    /// Identity of the device.
     pub subject: Subject,
-    /// The user's options.
     pub options: Options,
     hands: &'a mut dyn Hands,
     say: &'a mut dyn FnMut(&str),
     reopen: &'a Reopen<'a>,
     /// The motor supply, as far as it is known.
     supply: Option<bool>,
-    /// Measurements of the present step so far.
     pub(crate) measured: Map<String, Value>,
 }
 
 impl<'a> Work<'a> {
-    /// A new session.
     pub fn new(
         device: Device,
         subject: Subject,
@@ -72,13 +64,10 @@ impl<'a> Work<'a> {
         }
     }
 
-    /// Whether somebody is at the machine.
-    #[must_use]
     pub fn has_hands(&self) -> bool {
         self.hands.present()
     }
 
-    /// Prints a line.
     pub fn say(&mut self, text: &str) {
         (self.say)(text);
     }
@@ -93,28 +82,21 @@ impl<'a> Work<'a> {
         std::mem::take(&mut self.measured)
     }
 
-    /// Value of a setting.
-    #[must_use]
     pub fn setting(&self, key: SettingKey) -> u32 {
         self.subject.setting(key)
     }
 
     /// Number of the board's starts since its supply came: a new one tells that it was reset.
-    #[must_use]
     pub fn boot_id(&self) -> Option<u32> {
         self.device.identity().map(|identity| identity.boot_id)
     }
 
-    /// Lets time pass.
     pub fn pause(&mut self, duration_us: u64) -> Result<(), Halt> {
         self.device.idle(duration_us, &mut Unobserved)?;
         self.unless_left()
     }
 
     /// Ends a measurement whose operator has left.
-    ///
-    /// # Errors
-    /// [`Halt::Left`]
     pub fn unless_left(&self) -> Result<(), Halt> {
         match self.device.interrupted() {
             Some(_) => Err(Halt::Left),
@@ -134,7 +116,6 @@ impl<'a> Work<'a> {
         self.unless_left()
     }
 
-    /// Has something measured.
     pub fn read(&mut self, reading: Reading) -> Result<i64, Halt> {
         let value = self.hands.read(reading, self.say)?;
         self.unless_left()?;
@@ -156,10 +137,6 @@ impl<'a> Work<'a> {
         self.find_again()
     }
 
-    /// Opens the machine again.
-    ///
-    /// # Errors
-    /// [`Halt::Defect`] if it does not come back.
     pub fn find_again(&mut self) -> Result<(), Halt> {
         // Close it first: a port is opened exclusively.
         self.device.hang_up();

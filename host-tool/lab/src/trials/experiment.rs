@@ -15,6 +15,7 @@ use protocol::error::Refusal;
 use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunOutcome, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
+use serde_json::{Value, json};
 
 use crate::trials::trial::{
     Action, Ending, Moved, RecordError, Recorder, Recording, Screw, Status, Trial,
@@ -108,6 +109,17 @@ pub struct RecordedTrial<R> {
     pub csv: PathBuf,
     /// Path of the sidecar.
     pub sidecar: PathBuf,
+}
+
+impl<R> RecordedTrial<R> {
+    /// The sidecar's contents and the paths of both files, for programs.
+    pub fn json(&self) -> Value {
+        json!({
+            "trial": self.trial,
+            "csv": self.csv.display().to_string(),
+            "sidecar": self.sidecar.display().to_string(),
+        })
+    }
 }
 
 /// A recorded run.

@@ -496,7 +496,6 @@ impl Recorder {
     /// They cannot be created.
     pub fn create(mut trial: Trial, recording: &Recording) -> Result<Self, RecordError> {
         let folder = &recording.folder;
-        fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
         let stamp = recording.now.strftime("%Y%m%dT%H%M%SZ");
         let name = format!("{}-{stamp}", recording.stem);
         let (csv_path, file) = create_new(folder, &name)?;
@@ -732,11 +731,9 @@ impl Observer for Recorder {
     }
 }
 
-/// Creates a CSV file under a name that no CSV or sidecar uses yet.
-///
-/// # Errors
-/// It cannot be created.
+/// Creates a CSV file under a name that no CSV or sidecar uses yet, and its folder if that is missing.
 pub fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordError> {
+    fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
     for number in 1..=9_999 {
         let suffix = if number == 1 {
             String::new()

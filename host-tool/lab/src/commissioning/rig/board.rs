@@ -1,7 +1,5 @@
 //! Checks of the board itself, and of EN during a reset.
 
-use std::path::Path;
-
 use client::decimal;
 use protocol::rig::{GetRigHardware, RigFault};
 use protocol::system::{BrownOut, Clock, GetChip};
@@ -32,7 +30,9 @@ pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {
             "there is no image file to compare with: `--image ELF`".to_owned(),
         ));
     };
-    let built = fingerprint(&file)?;
+    let built = image::fingerprint(&file)
+        .map(|hash| format!("{hash:08x}"))
+        .map_err(|why| Halt::NotShown(format!("{}: {why}", file.display())))?;
     work.note("image_file", built.clone());
     if built != on_board {
         return Err(Halt::Defect(format!(
@@ -41,13 +41,6 @@ pub(super) fn image_is_the_one(work: &mut Work<'_>) -> Result<(), Halt> {
         )));
     }
     Ok(())
-}
-
-fn fingerprint(file: &Path) -> Result<String, Halt> {
-    match image::fingerprint(file) {
-        Ok(hash) => Ok(format!("{hash:08x}")),
-        Err(why) => Err(Halt::NotShown(format!("{}: {why}", file.display()))),
-    }
 }
 
 pub(super) fn clock(work: &mut Work<'_>) -> Result<(), Halt> {

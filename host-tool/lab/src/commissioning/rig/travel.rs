@@ -72,7 +72,6 @@ pub(super) fn travel(work: &mut Work<'_>) -> Result<(), Halt> {
 
 /// Diagnosis of screw and driver from a measured travel, with the settings lead, full steps and microsteps. None if
 /// the travel is within 1.5 % of the commanded one, which is more than a caliper's error.
-#[must_use]
 pub fn wrong_travel(
     commanded_um: i64,
     measured_um: i64,

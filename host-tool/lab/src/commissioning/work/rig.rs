@@ -66,7 +66,6 @@ impl Work<'_> {
     }
 
     /// Whether the motor supply was switched off and not on again.
-    #[must_use]
     pub fn supply_is_off(&self) -> bool {
         self.supply == Some(false)
     }
@@ -107,13 +106,11 @@ impl Work<'_> {
         forgotten.map(|()| ran)
     }
 
-    /// Has the carriage moved to the middle of its travel, without motor supply.
     pub fn to_the_middle(&mut self) -> Result<(), Halt> {
         self.supply(false)?;
         self.hand(Part::Carriage, true)
     }
 
-    /// The rig's status.
     pub fn status(&mut self) -> Result<RigStatus, Halt> {
         let status = self.device.rig_status()?;
         self.unless_left()?;
@@ -137,9 +134,6 @@ impl Work<'_> {
     }
 
     /// Acknowledges what is latched.
-    ///
-    /// # Errors
-    /// [`Halt::Defect`] if its cause is still there.
     pub fn clear(&mut self) -> Result<(), Halt> {
         let status = self.status()?;
         if status.fault.is_none() && !status.needs_acknowledge {
@@ -265,14 +259,12 @@ impl Work<'_> {
         }
     }
 
-    /// Starts a run.
     pub fn start(&mut self, run: Run) -> Result<RunAccepted, Halt> {
         let accepted = self.device.run(run)?;
         self.unless_left()?;
         Ok(accepted)
     }
 
-    /// Waits for the end of a run.
     pub fn finish(&mut self, accepted: &RunAccepted) -> Result<RunRecord, Halt> {
         let mut tenths = Tenths {
             say: &mut *self.say,
@@ -312,7 +304,6 @@ impl Work<'_> {
 }
 
 /// A run by speed, equal in both directions, which stops when the host falls silent.
-#[must_use]
 pub fn by_speed(cycles: u16, stroke_um: u32, speed_um_s: u32, accel_um_s2: u32) -> Run {
     Run {
         cycles,

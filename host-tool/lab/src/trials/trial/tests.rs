@@ -34,9 +34,9 @@ fn a_name_is_new_if_neither_file_has_it() {
     assert_eq!(created(), "run-2.csv");
     fs::write(folder.path().join("run-3.json"), "{}").expect("written");
     assert_eq!(created(), "run-4.csv");
-    // A folder that is not there is told at once, not after all names.
-    let lost = create_new(&folder.path().join("none"), "run").expect_err("no folder");
-    assert!(lost.path.ends_with("none/run.csv"), "{lost}");
+    // A file where the folder should be is told at once, not after all names.
+    let lost = create_new(&folder.path().join("run.csv"), "run").expect_err("no folder");
+    assert!(lost.path.ends_with("run.csv"), "{lost}");
 }
 
 /// A virtual machine that says nothing of itself.
