@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use client::error::ClientError;
 use rigless::emulator::{self, Driver, Host, Settled, Start, Stop};
 use rigless::image::Image;
 use rigless::mcu::Operate;
@@ -26,8 +27,12 @@ use crate::pace::{Pace, Slow, Turn};
 use crate::serial::Serial;
 
 /// Why the bench could not be set up, or stopped working.
-#[derive(Debug, thiserror::Error)]
+#[derive(Debug, thiserror::Error, miette::Diagnostic)]
 pub enum BenchError {
+    /// A machine refused or did not answer a request of the bench.
+    #[error(transparent)]
+    #[diagnostic(transparent)]
+    Client(#[from] ClientError),
     /// An image is missing.
     #[error(
         "no firmware image at {path}: run `cargo xtask images`, or name the folder in RETROGRADE_IMAGES ({why})"

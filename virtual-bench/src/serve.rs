@@ -11,15 +11,93 @@ use std::thread;
 use std::time::Duration;
 
 use crate::bench::{Bench, BenchError, Ear, Outside};
+use crate::boards::{capsule, rig};
 use crate::emulator::Wiring;
-use crate::hands::{BenchHands, Plug, converse};
+use crate::hands::{BenchHands, Machine, Plug, converse};
 use crate::pace::Slow;
+use crate::plants::capsule::Parameters;
+use crate::plants::rig::RigOptions;
+use crate::warm;
 
 /// How long a client may leave its line full before it is disconnected: the machine must not wait for it.
 const PATIENCE: Duration = Duration::from_millis(1);
 
 /// Time for which the machine boots before it is paced, us: time spent on translating its code must not count as lost.
 const BOOT_US: u64 = 500_000;
+
+/// Machines to serve, each with its port. Without any, both: the rig on 7001, the capsule on 7002.
+#[derive(Clone, Debug, clap::Args)]
+pub struct Options {
+    /// Port of the rig; 0 for a free one.
+    #[arg(long, value_name = "PORT")]
+    rig: Option<u16>,
+    /// Port of the capsule; 0 for a free one.
+    #[arg(long, value_name = "PORT")]
+    capsule: Option<u16>,
+    /// Also serve hands at each machine, for `retrograde commission --yes --hands`: on this port at the rig, on
+    /// the next one at the capsule; 0 for free ones.
+    #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(..=65_534))]
+    hands: Option<u16>,
+}
+
+/// Serves machines until they end.
+///
+/// # Errors
+/// A port is taken, an image is missing, or a machine ended.
+pub fn run(options: &Options) -> Result<(), BenchError> {
+    let (rig, capsule) = match (options.rig, options.capsule) {
+        (None, None) => (Some(7001), Some(7002)),
+        chosen => chosen,
+    };
+    let warming = [
+        rig.map(|_| thread::spawn(warm::rig)),
+        capsule.map(|_| thread::spawn(warm::capsule)),
+    ];
+    all_ended(warming.into_iter().flatten())?;
+    let mut serving = Vec::new();
+    if let Some(port) = rig {
+        let bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
+        let machine = Machine::Rig(bench.clone());
+        serving.push(begin(bench, machine, "rig", port, options.hands)?);
+    }
+    if let Some(port) = capsule {
+        let bench = capsule::start(Parameters::nominal())?;
+        let machine = Machine::Capsule(bench.clone());
+        let hands = options.hands.map(|port| port + u16::from(port > 0));
+        serving.push(begin(bench, machine, "capsule", port, hands)?);
+    }
+    all_ended(serving.into_iter())
+}
+
+type Running = thread::JoinHandle<Result<(), BenchError>>;
+
+fn all_ended(mut threads: impl Iterator<Item = Running>) -> Result<(), BenchError> {
+    threads.try_for_each(|thread| {
+        let panicked = |_| BenchError::Ended("a machine's thread failed".into());
+        thread.join().map_err(panicked)?
+    })
+}
+
+/// Serves one machine, and the hands at it if they have a port.
+fn begin<W: Wiring>(
+    bench: Bench<W>,
+    machine: Machine,
+    name: &'static str,
+    port: u16,
+    hands: Option<u16>,
+) -> Result<Running, BenchError> {
+    let plug = Plug::default();
+    if let Some(port) = hands {
+        let server = Server::listen(port)?;
+        let port = server.port();
+        eprintln!("hands at the {name}: --yes --hands 127.0.0.1:{port}");
+        let hands = BenchHands::new(machine, plug.clone()).served();
+        thread::spawn(move || server.serve_hands(&hands));
+    }
+    let server = Server::listen(port)?;
+    eprintln!("{name}: --{name} tcp:127.0.0.1:{}", server.port());
+    Ok(thread::spawn(move || server.serve(&bench, name, &plug)))
+}
 
 /// A machine, or the hands at one, behind a port of the loopback interface.
 pub struct Server {

@@ -10,11 +10,11 @@ use protocol::rig::{GetRigHardware, GetRigHealth, Hold, Jog, MoveTo, Resume, Run
 use protocol::settings::{Setting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
 
+use crate::bench::BenchError;
 use crate::boards;
 use crate::link::VirtualLink;
 use crate::plants::capsule::Parameters;
 use crate::plants::rig::RigOptions;
-use crate::unmeasured::FigureError;
 
 /// 10 mm there and back.
 const SHORT: Run = Run {
@@ -31,7 +31,7 @@ const SHORT: Run = Run {
 ///
 /// # Errors
 /// As those of the machine that is served after it.
-pub fn rig() -> Result<(), FigureError> {
+pub fn rig() -> Result<(), BenchError> {
     let bench = boards::rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
     let link = Box::new(VirtualLink::new(&bench, "warming up"));
     let mut device = Device::connect(link, DeviceKind::Rig, 1)?;
@@ -72,7 +72,7 @@ pub fn rig() -> Result<(), FigureError> {
 ///
 /// # Errors
 /// As those of the machine that is served after it.
-pub fn capsule() -> Result<(), FigureError> {
+pub fn capsule() -> Result<(), BenchError> {
     let bench = boards::capsule::start(Parameters::nominal())?;
     let link = Box::new(VirtualLink::new(&bench, "warming up"));
     let mut device = Device::connect(link, DeviceKind::Capsule, 1)?;
