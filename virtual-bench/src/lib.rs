@@ -28,7 +28,6 @@ pub mod killed;
 pub mod link;
 pub mod log;
 mod pace;
-pub mod peers;
 pub mod pins;
 pub mod plants;
 pub mod population;
