@@ -17,7 +17,6 @@ pub mod bus;
 pub mod connector;
 #[cfg(unix)]
 mod crowd;
-pub mod cycles;
 pub mod demo;
 pub mod emulator;
 pub mod faults;
