@@ -12,7 +12,6 @@ pub mod bench;
 pub mod boards;
 #[cfg(unix)]
 mod browser;
-pub mod budget;
 pub mod bus;
 pub mod connector;
 #[cfg(unix)]
@@ -40,7 +39,6 @@ mod server;
 #[cfg(unix)]
 pub mod sidedoor;
 pub mod torture;
-pub mod unmeasured;
 pub mod verdicts;
 pub mod warm;
 #[cfg(unix)]
