@@ -10,36 +10,22 @@
 
 pub mod bench;
 pub mod boards;
-#[cfg(unix)]
-mod browser;
 pub mod bus;
 pub mod connector;
-#[cfg(unix)]
-mod crowd;
 pub mod demo;
 pub mod emulator;
 pub mod faults;
 pub mod figures;
 pub mod hands;
-#[cfg(unix)]
-pub mod killed;
 pub mod link;
 pub mod log;
 mod pace;
 pub mod pins;
 pub mod plants;
 pub mod population;
-#[cfg(unix)]
-pub mod processes;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;
-#[cfg(unix)]
-mod server;
-#[cfg(unix)]
-pub mod sidedoor;
 pub mod torture;
 pub mod verdicts;
 pub mod warm;
-#[cfg(unix)]
-pub mod webpage;

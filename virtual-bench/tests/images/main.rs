@@ -24,6 +24,7 @@ mod settings;
 mod silicon;
 mod speed;
 mod stepwise;
+mod stop_in_real_time;
 mod torture;
 mod watchdog;
 mod wires;
