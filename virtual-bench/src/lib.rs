@@ -26,6 +26,5 @@ pub mod population;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;
-pub mod torture;
 pub mod verdicts;
 pub mod warm;

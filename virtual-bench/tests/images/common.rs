@@ -8,7 +8,7 @@ use protocol::{
     rig::{LinkLossPolicy, RigFault, Run, RunAccepted, RunOutcome, RunRecord, RunTiming},
     settings::{Setting, SettingKey},
     system::DeviceKind,
-    table::{Request, Telemetry},
+    table::{Endpoint, Request, Response, Telemetry},
 };
 use virtual_bench::{
     bench::{Bench, BenchOptions},
@@ -48,6 +48,21 @@ pub fn trials<N>(slice: N, all: N) -> N {
 /// Whether to make this trial of a campaign: each if RETROGRADE_CAMPAIGN is set, else every nth.
 pub fn is_made(trial: usize, nth: usize) -> bool {
     trial.is_multiple_of(trials(nth, 1))
+}
+
+/// A request of any row of the table.
+pub struct Any(pub Request);
+
+impl Endpoint for Any {
+    type Response = Response;
+
+    fn into_request(self) -> Request {
+        self.0
+    }
+
+    fn from_response(response: Response) -> Option<Response> {
+        Some(response)
+    }
 }
 
 pub struct RigRun {
