@@ -331,34 +331,6 @@ fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
     rig.check_clean(0);
 }
 
-#[test]
-fn a_bouncing_flag_is_homed_on_and_a_dead_one_is_not() {
-    let options = RigOptions {
-        carriage: 2_000,
-        ..RigOptions::default()
-    };
-    let mut rig = rig_with(options);
-    let bounce = Bounce {
-        times: 3,
-        apart_ns: 4_000,
-    };
-    rig.look(move |rig| rig.act(Action::Bounce(Switch::Home, Some(bounce)), 0));
-    rig.home();
-    rig.look(|rig| rig.act(Action::Stick(Switch::Home, Some(false)), 0));
-    let accepted = rig.device.home().expect("homing is accepted");
-    let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
-    let fault = rig.device.rig_status().expect("a status").fault;
-    assert!(
-        ended.is_err() && matches!(fault, Some(RigFault::FlagNotFound(_))),
-        "{ended:?} {fault:?}"
-    );
-    rig.bench
-        .bus()
-        .expect("the bench runs")
-        .check(0)
-        .expect("nothing odd was touched");
-}
-
 /// With noise instead of settings the rig starts with the defaults. A sector is erased by the first change at the
 /// latest, and the core stands still meanwhile; if nothing looks like a log, the reset to the defaults erases it.
 #[test]
@@ -413,20 +385,4 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
     }
     // In all other cases the change is accepted directly.
     assert_eq!(resets, [1]);
-}
-
-#[test]
-fn a_wrong_kind_of_machine_is_not_driven() {
-    let rig = rig_with(RigOptions::default());
-    let link = Box::new(virtual_bench::link::VirtualLink::new(
-        &rig.bench,
-        "virtual rig",
-    ));
-    let wanted = DeviceKind::Capsule;
-    let refused = Device::connect(link, wanted, 7).err();
-    assert!(
-        matches!(refused, Some(ClientError::WrongMachine { .. })),
-        "{refused:?}"
-    );
-    assert_eq!(rig.edge_count(), 0);
 }

@@ -1,20 +1,12 @@
 //! The rig's limit switches: a real opening stops the rig, a disturbance does not.
 
 use client::Unobserved;
-use client::error::ClientError;
 
-use crate::common::{
-    Dice, LIMIT_NS, exact, execute, faulted, home_quickly, paper, quick, quickly_homed, rig_with,
-    trials,
-};
-use protocol::{
-    error::Refusal,
-    rig::{Direction, GetRigHealth, HomingPhase, Jog, MoveTo, RigFault, RigState, RunOutcome},
-    settings::{Setting, SettingKey},
-};
+use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quick, quickly_homed, trials};
+use protocol::rig::{GetRigHealth, RigFault, RunOutcome};
 use virtual_bench::{
     faults::When,
-    plants::rig::{Action, RigOptions, Switch},
+    plants::rig::{Action, Switch},
     verdicts::Verdict,
 };
 
@@ -60,72 +52,6 @@ fn a_far_limit_that_opens_on_the_way_home_ends_the_run_at_the_turn() {
     rig.check_clean(0);
 }
 
-/// A step of the second pass of a quick homing from 8,000 steps: that pass begins 1 mm before the flag, after the 7,200
-/// steps of the first one, its brake, and the way back.
-const IN_THE_LOCATING_PASS: u64 = 10_200;
-
-/// A pulse that outlasts the filter, in either pass; over when the carriage stands, or later.
-#[test]
-fn a_false_flag_is_no_reference() {
-    for (pass, edge, for_ns) in [
-        (HomingPhase::Seek, 4_000, 60_000),
-        (HomingPhase::Locate, IN_THE_LOCATING_PASS, 60_000),
-        (HomingPhase::Locate, IN_THE_LOCATING_PASS, 40_000_000),
-    ] {
-        let mut rig = rig_with(RigOptions {
-            carriage: 8_000,
-            ..RigOptions::default()
-        });
-        home_quickly(&mut rig);
-        rig.look(move |rig| {
-            rig.plan(When::Edge(edge), Action::Disturb(Switch::Home, for_ns));
-        });
-        let accepted = rig.device.home().expect("accepted");
-        let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
-        let status = rig.device.rig_status().expect("it answers");
-        let fault = Some(RigFault::FlagNotFound(pass));
-        assert_eq!(status.fault, fault, "{ended:?}");
-        assert!(!status.homed);
-        rig.check_clean(0);
-    }
-}
-
-/// A switch that closes late stays open over a stroke of 2 mm, which is 1 mm beyond its edge. A longer one has to meet it.
-#[test]
-fn a_stroke_that_turns_before_the_flag_closes_loses_no_steps() {
-    let mut rig = quickly_homed();
-    rig.act(Action::Stick(Switch::Home, Some(true)));
-    let (_, record) = execute(&mut rig, quick(1, 2_000, 10_000, 500_000));
-    assert_eq!(record.outcome, RunOutcome::Complete);
-    let lost = RigFault::LostSteps {
-        residual_steps: -800,
-    };
-    faulted(&mut rig, quick(1, 2_100, 10_000, 500_000), lost, "2.1 mm");
-    rig.check_clean(0);
-}
-
-/// The step times of the seek do not fit the exact arithmetic of so fine an axis.
-#[test]
-fn a_homing_that_is_too_slow_is_refused_before_it_moves() {
-    let mut rig = crate::common::rig();
-    for (key, value) in [
-        (SettingKey::SeekUmS, 100),
-        (SettingKey::LocateUmS, 100),
-        (SettingKey::LeadUm, 500),
-        (SettingKey::FullSteps, 400),
-        (SettingKey::Microsteps, 256),
-    ] {
-        rig.device.call(Setting { key, value }).expect("accepted");
-    }
-    match rig.device.home() {
-        Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, Refusal::TooSlow),
-        other => panic!("{other:?}"),
-    }
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!((status.state, status.fault), (RigState::Unhomed, None));
-    assert_eq!(rig.edge_count(), 0);
-}
-
 /// Noise has masked the line, and then the limit really opens.
 #[test]
 fn a_masked_far_limit_ends_the_pulses_within_2_ms() {
@@ -164,69 +90,6 @@ fn a_masked_far_limit_ends_the_pulses_within_2_ms() {
         "it was never masked: {longest_ns}"
     );
     assert!(longest_ns < 2_000_000, "{longest_ns} ns");
-}
-
-/// A noisy flag is found on the way and is closed again when the carriage stands. From there a homing goes away from home.
-#[test]
-fn a_homing_does_not_go_toward_a_far_limit_that_opened_in_it() {
-    for (pass, edge) in [("seek", 4_000), ("locate", IN_THE_LOCATING_PASS)] {
-        let mut rig = rig_with(RigOptions {
-            carriage: 8_000,
-            ..RigOptions::default()
-        });
-        home_quickly(&mut rig);
-        rig.look(move |rig| {
-            rig.plan(When::Edge(edge), Action::Disturb(Switch::Home, 60_000));
-            rig.plan(When::Edge(edge), Action::Stick(Switch::Far, Some(true)));
-        });
-        let accepted = rig.device.home().expect("accepted");
-        let ended = rig.device.wait_homing(&accepted, &mut Unobserved);
-        let fault = rig.device.rig_status().expect("it answers").fault;
-        assert_eq!(fault, Some(RigFault::FarLimit), "{pass}: {ended:?}");
-        let away = rig
-            .edges(edge as usize)
-            .iter()
-            .filter(|edge| edge.away)
-            .count();
-        assert_eq!(away, 0, "{pass}: it went away from home");
-        rig.check_clean(0);
-    }
-}
-
-/// With an open far limit the only way is home. That is a refusal and no fault: nothing has happened.
-#[test]
-fn nothing_moves_toward_an_open_far_limit() {
-    let mut rig = quickly_homed();
-    let to = |position_um| MoveTo {
-        position_um,
-        speed_um_s: 10_000,
-    };
-    rig.device.call(to(5_000)).expect("accepted");
-    rig.idle(1_500_000);
-    let edges = rig.edge_count();
-    rig.act(Action::Stick(Switch::Far, Some(true)));
-    rig.idle(100_000);
-    let jog = Jog {
-        sense: Direction::Away,
-        speed_um_s: 10_000,
-    };
-    for refused in [
-        rig.device.call(to(6_000)).map(drop),
-        rig.device.call(jog).map(drop),
-    ] {
-        match refused {
-            Err(ClientError::Refused { refusal, .. }) => {
-                assert_eq!(refusal, Refusal::FarLimitOpen);
-            }
-            other => panic!("{other:?}\n{}", rig.log()),
-        }
-    }
-    assert_eq!(rig.edge_count(), edges, "it moved");
-    assert_eq!(rig.device.rig_status().expect("a status").fault, None);
-    rig.device.call(to(4_000)).expect("away from it");
-    rig.idle(1_500_000);
-    assert_eq!(rig.edge_count(), edges + 800);
-    rig.check_clean(0);
 }
 
 /// Disturbances of 19 us on both switches, a thousand per second each, for the paper's whole run. Their phase to the
@@ -273,22 +136,4 @@ fn a_far_limit_that_is_pressed_by_hand_is_no_false_pulse() {
     let after = rig.device.call(GetRigHealth).expect("it answers").far_limit;
     assert_eq!((after.count, after.masked), (before.count, before.masked));
     rig.check_clean(0);
-}
-
-#[test]
-fn both_switches_open_is_an_unplugged_cable() {
-    let mut rig = crate::common::rig();
-    let now_ns = rig.bench.now_ns();
-    rig.look(move |rig| {
-        rig.act(Action::Stick(Switch::Far, Some(true)), now_ns);
-        rig.act(Action::Stick(Switch::Home, Some(true)), now_ns);
-    });
-    rig.idle(10_000);
-    match rig.device.home() {
-        Err(ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::BothSwitchesOpen);
-        }
-        other => panic!("{other:?}"),
-    }
-    assert_eq!(rig.edge_count(), 0);
 }

@@ -62,42 +62,6 @@ fn err<W: Wiring + 'static>(
     }
 }
 
-/// The host repeats an unanswered renewal for 0.8 s, and the dead man has ended the jog after 0.3 s of these.
-#[test]
-fn a_late_renewal_does_not_start_a_jog_again() {
-    let mut rig = quickly_homed();
-    let jog = Jog {
-        sense: Direction::Away,
-        speed_um_s: 10_000,
-    };
-    rig.device.call(jog).expect("accepted");
-    rig.device.fall_silent(700_000).expect("the bench runs");
-    let edges = rig.edge_count();
-    match rig.device.call(jog) {
-        Err(ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::RigBusy(RigState::Stopping));
-        }
-        other => panic!("{other:?}"),
-    }
-    rig.idle(600_000);
-    assert_eq!(rig.edge_count(), edges);
-    rig.device.call(jog).expect("another jog");
-    rig.idle(100_000);
-    assert!(rig.edge_count() > edges);
-}
-
-#[test]
-fn a_run_that_is_held_shows_its_time() {
-    let mut rig = quickly_homed();
-    rig.device.run(paper(1)).expect("accepted");
-    rig.idle(500_000);
-    rig.device.call(Hold).expect("accepted");
-    rig.idle(1_000_000);
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!(status.state, RigState::Held);
-    assert!(status.elapsed_us >= 1_500_000, "{}", status.elapsed_us);
-}
-
 /// Changes one byte in a thousand and drops half of those, in both directions, for a whole run with telemetry.
 #[test]
 fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
