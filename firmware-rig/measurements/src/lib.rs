@@ -1,11 +1,9 @@
-//! Measurements that only a board can make: each with its expected range, and the verdict on a value.
+//! Measurements that only a board can make, each with its expected range.
 //!
-//! The image `firmware-board` prints a line for each measurement, `cargo xtask board` reads the lines and prints the
-//! verdicts. The items are those of docs/silicon.md.
+//! The image `firmware-board` prints a line for each measurement, `cargo xtask board` reads and judges the lines. The
+//! items are those of docs/silicon.md.
 #![no_std]
 #![forbid(unsafe_code)]
-
-use core::fmt;
 
 /// Begins each line with a value; the measurement's name and the value follow.
 pub const MARK: &str = "measured";
@@ -30,13 +28,15 @@ pub enum Expected {
     Any(Base),
 }
 
-/// Where a measurement was made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Place {
-    /// On a board.
-    Board,
-    /// On the virtual bench.
-    Bench,
+impl Expected {
+    /// Whether a value agrees.
+    #[must_use]
+    pub const fn holds(self, value: u32) -> bool {
+        match self {
+            Expected::Within(first, last) => first <= value && value <= last,
+            Expected::Any(_) => true,
+        }
+    }
 }
 
 /// Wires that a measurement needs besides the USB cable.
@@ -65,33 +65,6 @@ impl Wires {
     }
 }
 
-/// The judgement of a measurement.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// The value is as expected.
-    AsExpected,
-    /// Nothing was expected; the value is a finding.
-    Noted,
-    /// The value is not as expected.
-    Unexpected,
-    /// There is no value.
-    NotMeasured,
-    /// The bench assumes what would be measured.
-    NotShownHere,
-}
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(match self {
-            Verdict::AsExpected => "as expected",
-            Verdict::Noted => "noted",
-            Verdict::Unexpected => "NOT AS EXPECTED",
-            Verdict::NotMeasured => "not measured",
-            Verdict::NotShownHere => "not shown here",
-        })
-    }
-}
-
 /// Reads a line of the image: the measurement and its value.
 #[must_use]
 pub fn parse(line: &str) -> Option<(Measurement, u32)> {
@@ -102,7 +75,7 @@ pub fn parse(line: &str) -> Option<(Measurement, u32)> {
 }
 
 macro_rules! measurements {
-    ($($name:ident $item:literal $unit:literal $expected:expr, $wires:ident, $bench:expr, $what:literal;)*) => {
+    ($($name:ident $item:literal $unit:literal $expected:expr, $wires:ident, $what:literal;)*) => {
         /// A measurement, in the order of the image.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -149,92 +122,62 @@ macro_rules! measurements {
             pub const fn wires(self) -> Wires {
                 match self { $(Self::$name => Wires::$wires,)* }
             }
-
-            /// The bench computes the value instead of assuming it.
-            #[must_use]
-            pub const fn bench_shows(self) -> bool {
-                match self { $(Self::$name => $bench,)* }
-            }
         }
     };
 }
 
-/// See [`Measurement::bench_shows`].
-const SHOWN: bool = true;
-/// See [`Measurement::bench_shows`].
-const ASSUMED: bool = false;
-
 use Base::{Decimal, Hexadecimal};
 use Expected::{Any, Within};
 
-// Name, item, unit, expected, wires, on the bench, what. The cycles expected are at most twice the bench's 121, 242 and
+// Name, item, unit, expected, wires, what. The cycles expected are at most twice the bench's 121, 242 and
 // 195, which rest on 65 instructions in 100 cycles; at 249.7 kHz a step has 400.
 measurements! {
-    UniqueNumber0 "-" "" Any(Hexadecimal), None, ASSUMED, "the chip's unique number, bits 31 to 0";
-    UniqueNumber1 "-" "" Any(Hexadecimal), None, ASSUMED, "the unique number, bits 63 to 32";
-    UniqueNumber2 "-" "" Any(Hexadecimal), None, ASSUMED, "the unique number, bits 95 to 64";
-    ChipRevision "Sources" "" Any(Hexadecimal), None, ASSUMED, "DBGMCU_IDCODE: revision and device";
-    EnableAtReset "7" "" Within(1, 1), EnablePullUp, ASSUMED, "D8 before the firmware drives it";
-    ExternalClockStart "2" "us" Within(0, 300_000), None, ASSUMED, "from HSEON to HSERDY";
-    OptionBytes "10" "" Any(Hexadecimal), None, ASSUMED, "FLASH_OPTCR";
-    BrownOutBits "10" "" Any(Decimal), None, ASSUMED, "BOR_LEV of FLASH_OPTCR: 3 is off, 0 the highest level";
-    WatchdogBySoftware "10" "" Within(1, 1), None, ASSUMED, "WDG_SW of FLASH_OPTCR";
-    TimerTicks "Beyond the errata" "ticks" Within(999_900, 1_000_100), None, ASSUMED, "TIM5 in 1,000,000 cycles of the core (DWT)";
-    WatchdogClock "14" "Hz" Within(17_000, 47_000), None, ASSUMED, "LSI against the core's clock, by TIM5_CH4";
-    BlockedCount "TIM1" "ticks" Within(0, 0), None, ASSUMED, "TIM1_CNT 1 ms after ARR became 0 while it counted";
-    BlockedUpdates "TIM1" "" Within(0, 0), None, ASSUMED, "update events in 1 ms at ARR = 0";
-    MoeReads "1" "reads" Within(1, 16), Loop, ASSUMED, "reads of TIM1_BDTR until MOE shows";
-    MoeCycles "1" "cycles" Any(Decimal), Loop, ASSUMED, "cycles of the core until MOE shows, by DWT";
-    BurstFirst "5" "ticks" Within(0, 200), Loop, ASSUMED, "latest sight of a burst's first word after the update";
-    BurstLast "5" "ticks" Within(0, 200), Loop, ASSUMED, "latest sight of a burst's last word";
-    RepeatEdges "TIM1" "edges" Within(287, 287), Jumpers, ASSUMED, "slots of 1, 2, 4, 8, 16 and 256 equal steps (RCR by burst)";
-    RepeatExact "16" "intervals" Within(1, 286), Jumpers, ASSUMED, "the same slots: intervals that are exact";
-    RepeatWrong "TIM1" "intervals" Within(0, 0), Jumpers, ASSUMED, "the same slots: intervals off by 2 ticks or more";
-    StepAtEnd "TIM1" "" Within(0, 0), Loop, ASSUMED, "STEP after the last pulse";
-    CruiseMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: edges missing or too many, of 5,000 steps";
-    CruiseExact "16" "intervals" Within(1, 4_999), Jumpers, SHOWN, "28.5 kHz: intervals that are exact";
-    CruiseOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "28.5 kHz: intervals off by 1 tick";
-    CruiseOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: intervals off by 2 ticks";
-    CruiseWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: intervals off by more";
-    CruiseLost "16" "" Within(0, 0), Jumpers, SHOWN, "28.5 kHz: looks at which a capture was lost";
-    CruiseCycles "12" "cycles" Within(1, 250), Jumpers, ASSUMED, "28.5 kHz: cycles of motion's code per step, by DWT";
-    RampMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: edges missing or too many, of 10,000 steps";
-    RampExact "16" "intervals" Within(1, 9_999), Jumpers, SHOWN, "ramps to 125 kHz: intervals that are exact";
-    RampOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "ramps to 125 kHz: intervals off by 1 tick";
-    RampOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: intervals off by 2 ticks";
-    RampWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: intervals off by more";
-    RampLost "16" "" Within(0, 0), Jumpers, SHOWN, "ramps to 125 kHz: looks at which a capture was lost";
-    RampCycles "12" "cycles" Within(1, 500), Jumpers, ASSUMED, "ramps to 125 kHz: cycles of motion's code per step, by DWT";
-    FastMissing "13" "edges" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: edges missing or too many, of 20,000 steps";
-    FastExact "16" "intervals" Within(1, 19_999), Jumpers, SHOWN, "249.7 kHz: intervals that are exact";
-    FastOff1 "16" "intervals" Any(Decimal), Jumpers, ASSUMED, "249.7 kHz: intervals off by 1 tick";
-    FastOff2 "16" "intervals" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: intervals off by 2 ticks";
-    FastWrong "16" "intervals" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: intervals off by more";
-    FastLost "16" "" Within(0, 0), Jumpers, SHOWN, "249.7 kHz: looks at which a capture was lost";
-    FastCycles "12" "cycles" Within(1, 390), Jumpers, ASSUMED, "249.7 kHz: cycles of motion's code per step, by DWT";
-    TimerResets "20" "" Within(0, 0), None, SHOWN, "resets of TIM1 at the end of these paths";
-    DmaErrors "16" "" Within(0, 0), None, ASSUMED, "errors of DMA in these paths";
-    EraseTime "4, 14" "us" Within(100_000, 500_000), None, ASSUMED, "the longer of two erases of a settings sector, 16 KiB";
-    WordTime "4" "us" Within(1, 100), None, ASSUMED, "a word written to flash, mean of 64";
-    CutBursts "5" "" Any(Decimal), None, ASSUMED, "bursts that a taken request cut in two, of 200 tries";
-    CutBurstShift "5" "registers" Any(Decimal), None, ASSUMED, "how far the burst after one that was cut is shifted, at most";
-}
-
-impl Measurement {
-    /// The verdict on a value, or on its absence.
-    #[must_use]
-    pub const fn judge(self, value: Option<u32>, place: Place) -> Verdict {
-        match (value, self.expected(), place) {
-            (_, _, Place::Bench) if !self.bench_shows() => Verdict::NotShownHere,
-            (None, _, _) => Verdict::NotMeasured,
-            (Some(_), Any(_), _) => Verdict::Noted,
-            (Some(value), Within(first, last), _) => {
-                if first <= value && value <= last {
-                    Verdict::AsExpected
-                } else {
-                    Verdict::Unexpected
-                }
-            }
-        }
-    }
+    UniqueNumber0 "-" "" Any(Hexadecimal), None, "the chip's unique number, bits 31 to 0";
+    UniqueNumber1 "-" "" Any(Hexadecimal), None, "the unique number, bits 63 to 32";
+    UniqueNumber2 "-" "" Any(Hexadecimal), None, "the unique number, bits 95 to 64";
+    ChipRevision "Sources" "" Any(Hexadecimal), None, "DBGMCU_IDCODE: revision and device";
+    EnableAtReset "7" "" Within(1, 1), EnablePullUp, "D8 before the firmware drives it";
+    ExternalClockStart "2" "us" Within(0, 300_000), None, "from HSEON to HSERDY";
+    OptionBytes "10" "" Any(Hexadecimal), None, "FLASH_OPTCR";
+    BrownOutBits "10" "" Any(Decimal), None, "BOR_LEV of FLASH_OPTCR: 3 is off, 0 the highest level";
+    WatchdogBySoftware "10" "" Within(1, 1), None, "WDG_SW of FLASH_OPTCR";
+    TimerTicks "Beyond the errata" "ticks" Within(999_900, 1_000_100), None, "TIM5 in 1,000,000 cycles of the core (DWT)";
+    WatchdogClock "14" "Hz" Within(17_000, 47_000), None, "LSI against the core's clock, by TIM5_CH4";
+    BlockedCount "TIM1" "ticks" Within(0, 0), None, "TIM1_CNT 1 ms after ARR became 0 while it counted";
+    BlockedUpdates "TIM1" "" Within(0, 0), None, "update events in 1 ms at ARR = 0";
+    MoeReads "1" "reads" Within(1, 16), Loop, "reads of TIM1_BDTR until MOE shows";
+    MoeCycles "1" "cycles" Any(Decimal), Loop, "cycles of the core until MOE shows, by DWT";
+    BurstFirst "5" "ticks" Within(0, 200), Loop, "latest sight of a burst's first word after the update";
+    BurstLast "5" "ticks" Within(0, 200), Loop, "latest sight of a burst's last word";
+    RepeatEdges "TIM1" "edges" Within(287, 287), Jumpers, "slots of 1, 2, 4, 8, 16 and 256 equal steps (RCR by burst)";
+    RepeatExact "16" "intervals" Within(1, 286), Jumpers, "the same slots: intervals that are exact";
+    RepeatWrong "TIM1" "intervals" Within(0, 0), Jumpers, "the same slots: intervals off by 2 ticks or more";
+    StepAtEnd "TIM1" "" Within(0, 0), Loop, "STEP after the last pulse";
+    CruiseMissing "13" "edges" Within(0, 0), Jumpers, "28.5 kHz: edges missing or too many, of 5,000 steps";
+    CruiseExact "16" "intervals" Within(1, 4_999), Jumpers, "28.5 kHz: intervals that are exact";
+    CruiseOff1 "16" "intervals" Any(Decimal), Jumpers, "28.5 kHz: intervals off by 1 tick";
+    CruiseOff2 "16" "intervals" Within(0, 0), Jumpers, "28.5 kHz: intervals off by 2 ticks";
+    CruiseWrong "16" "intervals" Within(0, 0), Jumpers, "28.5 kHz: intervals off by more";
+    CruiseLost "16" "" Within(0, 0), Jumpers, "28.5 kHz: looks at which a capture was lost";
+    CruiseCycles "12" "cycles" Within(1, 250), Jumpers, "28.5 kHz: cycles of motion's code per step, by DWT";
+    RampMissing "13" "edges" Within(0, 0), Jumpers, "ramps to 125 kHz: edges missing or too many, of 10,000 steps";
+    RampExact "16" "intervals" Within(1, 9_999), Jumpers, "ramps to 125 kHz: intervals that are exact";
+    RampOff1 "16" "intervals" Any(Decimal), Jumpers, "ramps to 125 kHz: intervals off by 1 tick";
+    RampOff2 "16" "intervals" Within(0, 0), Jumpers, "ramps to 125 kHz: intervals off by 2 ticks";
+    RampWrong "16" "intervals" Within(0, 0), Jumpers, "ramps to 125 kHz: intervals off by more";
+    RampLost "16" "" Within(0, 0), Jumpers, "ramps to 125 kHz: looks at which a capture was lost";
+    RampCycles "12" "cycles" Within(1, 500), Jumpers, "ramps to 125 kHz: cycles of motion's code per step, by DWT";
+    FastMissing "13" "edges" Within(0, 0), Jumpers, "249.7 kHz: edges missing or too many, of 20,000 steps";
+    FastExact "16" "intervals" Within(1, 19_999), Jumpers, "249.7 kHz: intervals that are exact";
+    FastOff1 "16" "intervals" Any(Decimal), Jumpers, "249.7 kHz: intervals off by 1 tick";
+    FastOff2 "16" "intervals" Within(0, 0), Jumpers, "249.7 kHz: intervals off by 2 ticks";
+    FastWrong "16" "intervals" Within(0, 0), Jumpers, "249.7 kHz: intervals off by more";
+    FastLost "16" "" Within(0, 0), Jumpers, "249.7 kHz: looks at which a capture was lost";
+    FastCycles "12" "cycles" Within(1, 390), Jumpers, "249.7 kHz: cycles of motion's code per step, by DWT";
+    TimerResets "20" "" Within(0, 0), None, "resets of TIM1 at the end of these paths";
+    DmaErrors "16" "" Within(0, 0), None, "errors of DMA in these paths";
+    EraseTime "4, 14" "us" Within(100_000, 500_000), None, "the longer of two erases of a settings sector, 16 KiB";
+    WordTime "4" "us" Within(1, 100), None, "a word written to flash, mean of 64";
+    CutBursts "5" "" Any(Decimal), None, "bursts that a taken request cut in two, of 200 tries";
+    CutBurstShift "5" "registers" Any(Decimal), None, "how far the burst after one that was cut is shifted, at most";
 }
