@@ -1,7 +1,7 @@
 //! Tries the capsule's image on the seeded capsules of `capsule-plant`, one after the other on the same board.
 
 use capsule_plant::cases::{Course, Kind, Motion};
-use capsule_plant::verdict::{self, Verdict, name};
+use capsule_plant::verdict::{Verdict, name};
 use client::error::ClientError;
 use client::{Device, Unobserved};
 use protocol::capsule::{
@@ -15,38 +15,12 @@ use crate::boards::capsule::{self, CapsuleBoard};
 use crate::link::VirtualLink;
 use crate::plants::capsule::{Capsule, Parameters};
 
-/// Default number of cases of each kind.
-pub const CASES: u64 = 20;
 /// Time from the request to the motor's first drive: the frame, the answer, a control period, ms.
 const START_MS: f64 = 5.0;
 /// Time from a reset to the first use of the link, us.
 const START_US: u64 = 20_000;
 /// Rest before a capsule is checked, so that the motor has run down and the bridge sleeps.
 const REST_US: u64 = 300_000;
-
-/// Why a case could not be tried, or a failure of the image that no verdict covers.
-#[derive(Debug, thiserror::Error, miette::Diagnostic)]
-pub enum CaseError {
-    /// The bench.
-    #[error(transparent)]
-    #[diagnostic(code(bench::failed))]
-    Bench(#[from] BenchError),
-    /// The device or the link to it.
-    #[error(transparent)]
-    #[diagnostic(transparent)]
-    Client(#[from] ClientError),
-    /// The image did something that no capsule may do.
-    #[error("{kind:?}, seed {seed}: {what}")]
-    #[diagnostic(code(bench::capsule))]
-    Wrong {
-        /// The defect.
-        kind: Kind,
-        /// The capsule.
-        seed: u64,
-        /// The image's mistake.
-        what: String,
-    },
-}
 
 /// A board on which capsules are tried one after the other.
 pub struct Workbench {
@@ -60,7 +34,7 @@ impl Workbench {
     ///
     /// # Errors
     /// The image is missing or does not answer.
-    pub fn new() -> Result<Self, CaseError> {
+    pub fn new() -> Result<Self, BenchError> {
         let bench = capsule::start(Parameters::nominal())?;
         let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
         let device = Device::connect(link, DeviceKind::Capsule, 1)?;
@@ -76,7 +50,7 @@ impl Workbench {
     /// # Errors
     /// The bench fails, or the image does what is wrong for every capsule: drives at rest, forgets a fault, moves with
     /// one, writes flash while the motor turns, accesses what the chip does not have.
-    pub fn try_case(&mut self, kind: Kind, seed: u64) -> Result<Verdict, CaseError> {
+    pub fn try_case(&mut self, kind: Kind, seed: u64) -> Result<Verdict, BenchError> {
         let parameters = kind.parameters(seed);
         self.bench.visit(move |visit| {
             visit.board().capsule.exchange(parameters);
@@ -102,7 +76,7 @@ impl Workbench {
         let mut verdict = self.follow(&kind.course(seed, end_mm), end_mm)?;
         match self.check(kind, &mut verdict)? {
             Ok(()) => Ok(verdict),
-            Err(what) => Err(CaseError::Wrong { kind, seed, what }),
+            Err(what) => Err(BenchError::Wrong(format!("{kind:?}, seed {seed}: {what}"))),
         }
     }
 
@@ -116,7 +90,7 @@ impl Workbench {
     fn wait(
         &mut self,
         accepted: Result<ActuationAccepted, ClientError>,
-    ) -> Result<Moved, CaseError> {
+    ) -> Result<Moved, BenchError> {
         let accepted = match accepted {
             Ok(accepted) => accepted,
             Err(ClientError::Refused { refusal, .. }) => return Ok(Moved::Refused(refusal)),
@@ -127,23 +101,23 @@ impl Workbench {
         Ok(Moved::Ended(record))
     }
 
-    fn calibrate(&mut self) -> Result<Moved, CaseError> {
+    fn calibrate(&mut self) -> Result<Moved, BenchError> {
         let accepted = self.device.call(Calibrate);
         self.wait(accepted)
     }
 
-    fn fold(&mut self) -> Result<Moved, CaseError> {
+    fn fold(&mut self) -> Result<Moved, BenchError> {
         let accepted = self.device.fold();
         self.wait(accepted)
     }
 
-    fn unfold(&mut self) -> Result<Moved, CaseError> {
+    fn unfold(&mut self) -> Result<Moved, BenchError> {
         let accepted = self.device.unfold();
         self.wait(accepted)
     }
 
     /// Thread at the calibrated end, mm.
-    fn folded_mm(&mut self) -> Result<f64, CaseError> {
+    fn folded_mm(&mut self) -> Result<f64, BenchError> {
         let totals = self.device.call(GetCapsuleTotals)?;
         let folded_um = totals
             .calibration
@@ -151,7 +125,7 @@ impl Workbench {
         Ok(f64::from(folded_um) / 1e3)
     }
 
-    fn follow(&mut self, course: &Course, end_mm: f64) -> Result<Verdict, CaseError> {
+    fn follow(&mut self, course: &Course, end_mm: f64) -> Result<Verdict, BenchError> {
         if course.folds_first {
             self.fold()?;
         }
@@ -210,7 +184,7 @@ impl Workbench {
         &mut self,
         kind: Kind,
         verdict: &mut Verdict,
-    ) -> Result<Result<(), String>, CaseError> {
+    ) -> Result<Result<(), String>, BenchError> {
         let (awake, moving, before_mm) =
             self.look(|capsule| (capsule.is_awake(), capsule.is_moving(), capsule.wound_mm()))?;
         self.device.idle(REST_US, &mut Unobserved)?;
@@ -266,34 +240,4 @@ impl Moved {
             },
         }
     }
-}
-
-/// Tries `cases` of each kind, or of those in `only`, twice as many healthy ones, and writes the table of
-/// `docs/capsule-figures.md`, line by line.
-///
-/// # Errors
-/// As [`Workbench::try_case`].
-pub fn run(cases: u64, only: &[Kind], line: &mut impl FnMut(String)) -> Result<(), CaseError> {
-    let of_seed = |seed| -> Result<Vec<(Kind, Verdict)>, CaseError> {
-        let mut workbench = Workbench::new()?;
-        let kinds = Kind::wanted(only).filter(|kind| seed < cases || *kind == Kind::Healthy);
-        kinds
-            .map(|kind| Ok((kind, workbench.try_case(kind, seed)?)))
-            .collect()
-    };
-    let seeds: Result<Vec<_>, _> = verdict::all(2 * cases, of_seed).into_iter().collect();
-    let found: Vec<_> = seeds?.into_iter().flatten().collect();
-    line(verdict::HEAD.to_owned());
-    for kind in Kind::wanted(only) {
-        let verdicts: Vec<_> = found
-            .iter()
-            .filter(|(tried, _)| *tried == kind)
-            .map(|(_, verdict)| verdict.clone())
-            .collect();
-        line(verdict::row(kind, &verdicts));
-        for (seed, name) in verdict::wrong(kind, &verdicts) {
-            line(format!("  {kind:?}, seed {seed}: {name}"));
-        }
-    }
-    Ok(())
 }
