@@ -1,32 +1,17 @@
-//! The rig: step driver, screw, carriage, switches, and the intestine under the rollers.
+//! The rig: step driver, screw, carriage and switches.
 //!
 //! The carriage is counted in steps from position 0 = right end, positive to the left. It follows every step that the
 //! driver accepts. At the ends of travel and with injected faults it loses steps, which the chip cannot see.
-
-use locomotion::roller::{self, Params};
 
 use super::contact::{Bounce, Contact};
 use super::wire::{self, Wire};
 use crate::faults::{Faults, When};
 use crate::pins::{EdgeLog, StepEdge};
 
-/// Timing requirements of a step driver.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DriverTiming {
-    /// Shortest high and low of STEP, ns.
-    pub pulse_ns: u64,
-    /// DIR steady before and after a rising STEP, ns.
-    pub dir_ns: u64,
-}
-
-impl DriverTiming {
-    /// DRV8825, the slowest of the supported drivers: 1.9 us and 650 ns (its data sheet, timing requirements).
-    pub const DRV8825: Self = Self {
-        pulse_ns: 1_900,
-        dir_ns: 650,
-    };
-}
-
+/// Timing requirements of a DRV8825, the slowest of the supported drivers (its data sheet): shortest high and low of
+/// STEP, and how long DIR is steady before and after a rising STEP, ns.
+const PULSE_NS: u64 = 1_900;
+const DIR_NS: u64 = 650;
 /// Steps closer together than this count as one movement, ns.
 const MOVING_NS: u64 = 10_000_000;
 /// Longest time from the opening of the E-stop loop to the last pulse, ns: the chip's break input ends the pulses.
@@ -48,10 +33,6 @@ pub struct RigOptions {
     pub limit: i64,
     /// The mechanical ends of travel, steps.
     pub stops: (i64, i64),
-    /// The driver.
-    pub driver: DriverTiming,
-    /// Indentation of the intestine by the rollers (the paper's a_n), mm.
-    pub indentation_mm: f64,
     /// One coil of the motor is reversed: it turns against DIR.
     pub reversed: bool,
     /// Home flag and far limit are plugged into each other's inputs.
@@ -77,8 +58,6 @@ impl RigOptions {
         flag: 800,
         limit: 131 * 800,
         stops: (-3 * 800, 133 * 800),
-        driver: DriverTiming::DRV8825,
-        indentation_mm: 3.0,
         reversed: false,
         swapped_switches: false,
         capture_jumper: false,
@@ -219,14 +198,13 @@ pub struct Rig {
     /// When the last change of STEP reaches the capture input.
     captured_ns: Option<u64>,
     faults: Faults<Action>,
-    tissue: Option<roller::UnfoldedBody>,
 }
 
 impl Rig {
-    /// A rig with a body in its intestine.
+    /// A rig at rest.
     #[must_use]
     pub fn new(options: RigOptions) -> Self {
-        let mut rig = Self {
+        Self {
             options,
             carriage: options.carriage,
             away: false,
@@ -255,26 +233,7 @@ impl Rig {
             capture: Wire::new(options.capture_jumper),
             captured_ns: None,
             faults: Faults::default(),
-            tissue: None,
-        };
-        rig.lay_body(options.indentation_mm);
-        rig
-    }
-
-    /// Lays a new, unfolded body at the left end of an intestine that the rollers indent by `indentation_mm`. Returns
-    /// whether such an indentation is possible.
-    pub fn lay_body(&mut self, indentation_mm: f64) -> bool {
-        self.tissue = roller::UnfoldedBody::new(Params::PAPER, indentation_mm).ok();
-        self.feed();
-        self.tissue.is_some()
-    }
-
-    /// Displacement of the body since it was laid, mm, positive towards its head.
-    #[must_use]
-    pub fn displacement_mm(&self) -> Option<f64> {
-        self.tissue
-            .as_ref()
-            .map(roller::UnfoldedBody::displacement_mm)
+        }
     }
 
     /// Position of the carriage, steps from the right end.
@@ -552,10 +511,7 @@ impl Rig {
         }
         self.away = away;
         self.turned_ns = Some(at_ns);
-        if self
-            .rose_ns
-            .is_some_and(|rose| at_ns - rose < self.options.driver.dir_ns)
-        {
+        if self.rose_ns.is_some_and(|rose| at_ns - rose < DIR_NS) {
             self.violations.dir_hold += 1;
         }
     }
@@ -577,9 +533,7 @@ impl Rig {
 
     fn fall(&mut self, at_ns: u64) {
         self.fell_ns = Some(at_ns);
-        let short = self
-            .rose_ns
-            .is_some_and(|rose| at_ns - rose < self.options.driver.pulse_ns);
+        let short = self.rose_ns.is_some_and(|rose| at_ns - rose < PULSE_NS);
         if short && !self.armed {
             self.cut_pulses += 1;
         } else if short {
@@ -588,10 +542,9 @@ impl Rig {
     }
 
     fn rise(&mut self, at_ns: u64) {
-        let DriverTiming { pulse_ns, dir_ns } = self.options.driver;
         let since = |event: Option<u64>| event.map_or(u64::MAX, |event| at_ns - event);
-        self.violations.short_low += u64::from(since(self.fell_ns) < pulse_ns);
-        self.violations.dir_setup += u64::from(since(self.turned_ns) < dir_ns);
+        self.violations.short_low += u64::from(since(self.fell_ns) < PULSE_NS);
+        self.violations.dir_setup += u64::from(since(self.turned_ns) < DIR_NS);
         let moving = since(self.rose_ns) < MOVING_NS;
         self.violations.flash_moving += u64::from(std::mem::take(&mut self.flash_began) && moving);
         self.rose_ns = Some(at_ns);
@@ -622,23 +575,9 @@ impl Rig {
         } else {
             self.carriage = next;
             self.extremes = (self.extremes.0.min(next), self.extremes.1.max(next));
-            self.feed();
             return;
         }
         self.lost += 1;
-    }
-
-    /// Passes the carriage's position to the tissue, at every tenth of a millimetre.
-    fn feed(&mut self) {
-        let tenth = (self.options.steps_per_mm / 10).max(1);
-        if self.carriage % tenth != 0 {
-            return;
-        }
-        let at_mm = self.carriage as f64 / self.options.steps_per_mm as f64;
-        if let Some(tissue) = &mut self.tissue {
-            // The stops keep the carriage inside the model's range.
-            let _ = tissue.carriage_to(at_mm);
-        }
     }
 
     /// The sync output rose.
@@ -768,25 +707,5 @@ mod tests {
         rig.set_armed(false);
         rig.step(false, 100_010);
         assert_eq!((rig.cut_pulses(), rig.violations().short_high), (1, 1));
-    }
-
-    #[test]
-    fn the_body_moves_as_the_model_says() {
-        let mut rig = Rig::new(RigOptions {
-            carriage: 0,
-            indentation_mm: 5.05,
-            ..RigOptions::default()
-        });
-        rig.set_enabled(true);
-        let mut at_ns = 0;
-        for _ in 0..5 {
-            for away in [true, false] {
-                rig.turn(away, at_ns);
-                pulses(&mut rig, at_ns + 5_000, 104_000);
-                at_ns += 104_001 * 10_000;
-            }
-        }
-        let expected = roller::run(Params::PAPER, 5.05).expect("the paper's run");
-        assert_eq!(rig.displacement_mm(), Some(expected));
     }
 }
