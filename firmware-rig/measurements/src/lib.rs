@@ -33,8 +33,8 @@ impl Expected {
     #[must_use]
     pub const fn holds(self, value: u32) -> bool {
         match self {
-            Expected::Within(first, last) => first <= value && value <= last,
-            Expected::Any(_) => true,
+            Self::Within(first, last) => first <= value && value <= last,
+            Self::Any(_) => true,
         }
     }
 }

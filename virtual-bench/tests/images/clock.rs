@@ -1,7 +1,7 @@
 //! The 8 MHz clock from the ST-LINK comes late, never, or stops: a rig on an external supply meets this at every
 //! power-on.
 
-use crate::common::{LIMIT_NS, RigRun, exact, execute, paper, quickly_homed, start};
+use crate::common::{LIMIT_NS, RigRun, exact, execute, paper, start};
 use client::{Device, error::ClientError};
 use protocol::{
     error::Refusal,
@@ -126,29 +126,4 @@ fn a_rig_without_its_clock_says_so_and_looks_for_it() {
     );
     rig.home();
     rig.check_clean(1);
-}
-
-/// A clock stops during a run and comes back later. The rig then reports the cause, and nothing moves until it is
-/// acknowledged.
-#[test]
-fn a_clock_that_comes_back_later_is_still_told_as_stopped() {
-    let mut rig = quickly_homed();
-    rig.device.run(paper(1)).expect("accepted");
-    rig.idle(500_000);
-    rig.bench
-        .visit(|visit| visit.fail_hse(Some(2 * S_NS)))
-        .expect("the bench runs");
-    rig.bench.advance_us(1_000_000).expect("the bench runs");
-    let edges = rig.edge_count();
-    rig.device.hello(5).expect("it answers");
-    let fault = |rig: &mut RigRun| rig.device.rig_status().expect("a status").fault;
-    assert_eq!(fault(&mut rig), Some(RigFault::ClockMissing));
-    rig.bench.advance_us(2_000_000).expect("the bench runs");
-    rig.device.hello(6).expect("it answers");
-    let log = rig.log();
-    assert_eq!(fault(&mut rig), Some(RigFault::ClockFailed), "{log}");
-    assert_eq!(rig.edge_count(), edges, "it moved by itself");
-    rig.device.acknowledge().expect("the clock is back");
-    rig.home();
-    rig.check_clean_after(2, 1);
 }

@@ -3,31 +3,25 @@
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use capsule_plant::Shunt;
 use client::Device;
 use client::address::Address;
 use client::link::{Link, OpenError};
-use client::subject::Subject;
 use host_tool::cli;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
 use lab::commissioning::hands::{Act, Bench as Remote, Hands, Part, Reading};
 use lab::commissioning::image;
 use lab::commissioning::record::{Commissioning, StepOutcome};
-use lab::commissioning::session::{Ending, carry_out};
 use lab::commissioning::steps;
-use lab::commissioning::work::{Options, Work};
 use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::capsule::CapsuleState;
 use protocol::rig::GetRigHealth;
-use protocol::system::{DeviceKind, Urgent};
+use protocol::system::DeviceKind;
 use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::RigBoard;
 use virtual_bench::boards::{capsule, rig};
-use virtual_bench::faults::When;
 use virtual_bench::hands::{BenchHands, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
@@ -259,75 +253,6 @@ fn a_shunt_below_the_bridge_is_named() {
     assert!(flat.contains("in series with the motor"), "{text}");
 }
 
-/// One session in which Ctrl-C comes as step `leave` begins. Returns how it ended and the steps that were begun.
-fn session(workshop: &Workshop, record: &Path, leave: &str) -> (Ending, Vec<String>) {
-    let leaves = Arc::new(AtomicBool::new(false));
-    let stop = Arc::clone(&leaves);
-    let connect = || {
-        let mut device = Device::new(workshop.link(), 1);
-        let stop = Arc::clone(&stop);
-        device.set_interrupt(Arc::new(move || {
-            stop.load(Ordering::Relaxed).then_some(Urgent::Stop)
-        }));
-        let hello = device.hello(workshop.session());
-        hello.map(|_| device).map_err(|error| error.to_string())
-    };
-    let mut device = connect().expect("the rig answers");
-    let subject = Subject::of(&mut device).expect("the rig answers");
-    let options = Options {
-        read_back_cycles: 50,
-        cycles: 1,
-        clock_us: 200_000,
-        image: Some(rig::image()),
-    };
-    let mut hands = workshop.lend();
-    let mut text = String::new();
-    let mut say = |line: &str| {
-        text.push_str(line);
-        text.push('\n');
-        leaves.fetch_or(line.contains(&format!("] {leave}:")), Ordering::Relaxed);
-    };
-    let now = Timestamp::UNIX_EPOCH;
-    let mut known = Commissioning::resume(record, &subject, now).expect("a record");
-    let mut work = Work::new(device, subject, options, &mut hands, &mut say, &connect);
-    let ended = carry_out(&mut work, &mut known, record, &|| now);
-    drop(work);
-    let ended = ended.unwrap_or_else(|broken| panic!("{broken:?}\n{text}"));
-    (ended, begun(&text))
-}
-
-#[test]
-fn left_at_every_step_and_resumed_it_repeats_nothing() {
-    let (_folder, record) = folder();
-    let workshop = Workshop::new(Machine::Rig(rig_bench(short())));
-    set_short(&workshop);
-    let all = names(DeviceKind::Rig);
-    let is_done = |name: &String| {
-        let found = Commissioning::read(&record).ok().flatten();
-        found.is_some_and(|found| {
-            let result = found.result(name);
-            result.is_some_and(|one| one.outcome == StepOutcome::Passed)
-        })
-    };
-    for (nth, name) in all.iter().enumerate() {
-        let due: Vec<_> = all[..=nth]
-            .iter()
-            .filter(|name| !is_done(name))
-            .cloned()
-            .collect();
-        let (ended, begun) = session(&workshop, &record, name);
-        assert!(
-            matches!(ended, Ending::Left(Some(left)) if left == name),
-            "{name}: {ended:?}"
-        );
-        assert_eq!(begun, due, "{name}");
-    }
-    let due: Vec<_> = all.iter().filter(|name| !is_done(name)).cloned().collect();
-    let (ended, begun) = session(&workshop, &record, "nothing");
-    assert!(matches!(ended, Ending::Through), "{ended:?}");
-    assert_eq!(begun, due);
-}
-
 /// A short rig: 30 mm of stroke, the far limit at 31 mm, the carriage anywhere.
 fn short() -> RigOptions {
     RigOptions {
@@ -445,33 +370,6 @@ fn a_shield_at_5_v_is_told_from_a_fault() {
     let enable = found.result("enable").expect("a result");
     assert_eq!(enable.outcome, StepOutcome::Passed);
     assert_eq!(enable.measured["shield_logic"], "5 V");
-}
-
-/// 10 ns of jitter are accepted, a lost capture is named.
-#[test]
-fn jitter_is_accepted_and_a_lost_capture_is_named() {
-    let options = RigOptions {
-        capture_jumper: true,
-        ..short()
-    };
-    let bench = rig_bench(options);
-    act(&bench, Action::Capture(Fault::Jitter(10)));
-    let (_folder, record) = folder();
-    let workshop = Workshop::new(Machine::Rig(bench));
-    set_short(&workshop);
-    let (code, text) = commission(&workshop, "rig", &record, &[]);
-    assert_eq!(code, 0, "{text}");
-    // Repeat the fault, so that one falls into the step wherever it begins. No other step looks at captures.
-    let bench = rig_bench(options);
-    bench
-        .visit(|visit| {
-            let rig = &mut visit.board().rig;
-            for edge in (50_000..700_000).step_by(20_000) {
-                rig.plan(When::Edge(edge), Action::Capture(Fault::Lose));
-            }
-        })
-        .expect("the bench runs");
-    is_named(bench, &[], "edge-timing", "a capture was lost");
 }
 
 #[test]

@@ -2,9 +2,7 @@
 
 use client::Unobserved;
 
-use crate::common::{
-    LIMIT_NS, RigRun, execute, home_quickly, paper, quick, rig_as_quick_as, rig_with,
-};
+use crate::common::{LIMIT_NS, RigRun, execute, home_quickly, paper, quick, rig_with};
 use crate::speed::{quick_rig_on, quick_run};
 use protocol::{
     rig::{
@@ -68,26 +66,6 @@ fn every_step_of_a_run_is_timed_and_right() {
     rig.check_clean(0);
 }
 
-/// 192,000 steps on ramps of 2 m/s2.
-fn steep(speed_um_s: u32) -> Run {
-    Run {
-        far_dwell_us: 1_000,
-        ..quick(1, 60_000, speed_um_s, 2_000_000)
-    }
-}
-
-/// With telemetry at 200 Hz.
-#[test]
-fn every_step_up_to_125_khz_is_timed() {
-    let mut rig = quick_rig_on(
-        RigOptions::WITH_BOTH_JUMPERS,
-        BenchOptions::new(board::image()),
-    );
-    let (_, record) = execute(&mut rig, steep(78_125));
-    assert_eq!(found(&record), (192_000, 0), "{record:?}");
-    rig.check_clean(0);
-}
-
 /// Up to the highest step rate that the settings allow, on steep ramps too.
 #[test]
 fn every_step_at_the_highest_rate_is_timed() {
@@ -104,17 +82,6 @@ fn every_step_at_the_highest_rate_is_timed() {
     assert_eq!(record.outcome, RunOutcome::Complete, "{record:?}");
     assert_eq!(found(&record), (192_000, 0), "{record:?}");
     rig.check_clean(0);
-}
-
-/// A barely fast enough processor gives the same result.
-#[test]
-fn a_slow_processor_times_every_step() {
-    let mut rig = rig_as_quick_as(RigOptions::WITH_BOTH_JUMPERS, 30_000_000);
-    home_quickly(&mut rig);
-    rig.home();
-    rig.device.set_telemetry(5).expect("telemetry");
-    let (_, record) = execute(&mut rig, paper(1));
-    assert_eq!(found(&record), (208_000, 0), "{record:?}");
 }
 
 #[test]
@@ -157,12 +124,7 @@ fn a_run_that_is_cut_is_timed_up_to_the_cut() {
     }
 }
 
-/// A run in which `fault` hits the pulse of its 5,000th step on the wire; the steps themselves stay right.
-fn with(fault: Fault) -> RunRecord {
-    with_at(5_000, fault)
-}
-
-/// The same at step `number`.
+/// A run in which `fault` hits the pulse of step `number` on the wire; the steps themselves stay right.
 fn with_at(number: u64, fault: Fault) -> RunRecord {
     let mut rig = timed_rig();
     let at = rig.edge_count() as u64 + number;
@@ -179,8 +141,18 @@ fn with_at(number: u64, fault: Fault) -> RunRecord {
 const INTERVAL: u32 = 3_125;
 
 #[test]
-fn a_step_that_is_moved_by_two_ticks_is_found() {
-    assert_eq!(found(&with(Fault::Delay(20))), (16_000, 2));
+fn a_step_that_is_not_where_it_was_planned_is_found() {
+    assert_eq!(found(&with_at(5_000, Fault::Delay(20))), (16_000, 2));
+    let (timed, worst) = found(&with_at(5_000, Fault::Skip));
+    // From there on each interval is compared with its predecessor, and those at the turn differ most.
+    assert!(timed == 15_999 && worst >= INTERVAL, "{timed} {worst}");
+    // No interval ends at the last step, so the rig looks for it when all steps have left.
+    assert_eq!(found(&with_at(16_000, Fault::Skip)), (15_999, u32::MAX));
+    // The jumper falls off at the rising edge of step 4,999.
+    assert_eq!(found(&with_at(5_000, Fault::Whole(false))), (4_998, 0));
+    assert_eq!(found(&with_a_spike(300)), (16_001, u32::MAX));
+    // The input's filter removes it.
+    assert_eq!(found(&with_a_spike(60)), (16_000, 0));
 }
 
 fn hardware(rig: &mut RigRun) -> RigHardware {
@@ -244,20 +216,6 @@ fn a_lost_capture_is_told_as_one() {
     rig.check_clean(0);
 }
 
-#[test]
-fn a_step_that_is_left_out_is_found() {
-    let (timed, worst) = found(&with(Fault::Skip));
-    assert_eq!(timed, 15_999);
-    // From there on each interval is compared with its predecessor, and those at the turn differ most.
-    assert!(worst >= INTERVAL, "{worst}");
-}
-
-/// No interval ends there, so the rig looks for it when all steps have left.
-#[test]
-fn a_last_step_that_is_left_out_is_found() {
-    assert_eq!(found(&with_at(16_000, Fault::Skip)), (15_999, u32::MAX));
-}
-
 /// A run with a spike of this width on the wire, midway between two pulses at cruise.
 fn with_a_spike(width_ns: u64) -> RunRecord {
     let mut rig = timed_rig();
@@ -281,31 +239,10 @@ fn with_a_spike(width_ns: u64) -> RunRecord {
 }
 
 #[test]
-fn a_step_that_is_added_is_found() {
-    let record = with_a_spike(300);
-    assert_eq!(found(&record), (16_001, u32::MAX), "{record:?}");
-}
-
-/// The input's filter removes it.
-#[test]
-fn a_spike_of_less_than_80_ns_is_no_step() {
-    let record = with_a_spike(60);
-    assert_eq!(found(&record), (16_000, 0), "{record:?}");
-}
-
-#[test]
 fn without_the_jumper_the_record_says_not_timed() {
     let mut rig = rig_with(RigOptions::REFERENCE);
     home_quickly(&mut rig);
     rig.home();
     let (_, record) = execute(&mut rig, short());
     assert_eq!(found(&record), (0, 0), "{record:?}");
-}
-
-#[test]
-fn a_jumper_that_falls_off_leaves_the_rest_untimed() {
-    let record = with(Fault::Whole(false));
-    let (timed, worst) = found(&record);
-    // The jumper falls off at the rising edge of step 4,999.
-    assert_eq!((timed, worst), (4_998, 0), "{record:?}");
 }

@@ -1,21 +1,15 @@
 //! The E-stop at many instants of short runs: afterwards the read-back must match the carriage.
 
 use client::Unobserved;
-use client::error::ClientError;
 use jiff::Timestamp;
 use lab::trials::trial::{Recording, Status};
 use lab::trials::{check, experiment};
 
-use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
-use protocol::error::Refusal;
+use crate::common::{Dice, faulted, home_quickly, quick, quickly_homed, rig};
 use protocol::rig::{RigFault, RigState, RunOutcome};
-use protocol::system::Urgent;
 use virtual_bench::{
     faults::When,
-    plants::{
-        contact::TO_PIN_NS,
-        rig::{Action, Switch},
-    },
+    plants::{contact::TO_PIN_NS, rig::Action},
 };
 
 const SEED: u64 = 0x5EED_E570;
@@ -146,66 +140,4 @@ fn an_estop_outlives_a_reset() {
     rig.device.acknowledge().expect("the cause is gone");
     rig.home();
     rig.check_clean(1);
-}
-
-/// The other fault keeps its name until the reset, and the emergency stop outlives it: by a frame, or by the loop, which
-/// is closed again by then.
-#[test]
-fn an_estop_in_another_fault_outlives_a_reset() {
-    for by_frame in [true, false] {
-        let what = format!("by frame: {by_frame}");
-        let mut rig = quickly_homed();
-        let number = rig.edge_count() as u64 + 3_000;
-        rig.look(move |rig| rig.plan(When::Edge(number), Action::Stick(Switch::Far, Some(true))));
-        faulted(&mut rig, paper(1), RigFault::FarLimit, &what);
-        rig.act(Action::Stick(Switch::Far, None));
-        let fault = if by_frame {
-            rig.device.urgent(Urgent::EStop).expect(&what);
-            RigFault::EStopFrame
-        } else {
-            rig.act(Action::EStop(true));
-            rig.bench.advance_us(100_000).expect(&what);
-            rig.act(Action::EStop(false));
-            rig.bench.advance_us(100_000).expect(&what);
-            RigFault::EStopLoop
-        };
-        let latched = rig.device.rig_status().expect(&what).fault;
-        assert_eq!(latched, Some(RigFault::FarLimit), "{what}");
-        rig.bench.reset().expect(&what);
-        rig.bench.advance_us(500_000).expect(&what);
-        rig.device.hello(2).expect(&what);
-        let status = rig.device.rig_status().expect(&what);
-        assert_eq!(
-            (status.state, status.fault),
-            (RigState::Faulted, Some(fault)),
-            "{what}"
-        );
-        assert!(rig.device.home().is_err(), "it has to be acknowledged");
-        rig.device.acknowledge().expect(&what);
-        rig.home();
-        rig.check_clean(1);
-    }
-}
-
-/// An open loop is the next fault, whatever the latched one is.
-#[test]
-fn nothing_is_acknowledged_while_the_loop_is_open() {
-    let mut rig = quickly_homed();
-    rig.device.urgent(Urgent::EStop).expect("it stops");
-    rig.act(Action::Stick(Switch::EStop, Some(true)));
-    rig.idle(20_000);
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!(status.fault, Some(RigFault::EStopFrame));
-    match rig.device.acknowledge() {
-        Err(ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::CauseStillPresent);
-        }
-        other => panic!("{other:?}"),
-    }
-    rig.act(Action::Stick(Switch::EStop, None));
-    rig.idle(20_000);
-    rig.device.acknowledge().expect("the loop is closed");
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!((status.state, status.fault), (RigState::Unhomed, None));
-    rig.check_clean_after(0, 0);
 }

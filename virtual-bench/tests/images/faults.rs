@@ -23,8 +23,7 @@ use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::{self as board, RigBoard};
 use virtual_bench::faults::When;
 use virtual_bench::hands::Plug;
-use virtual_bench::plants::contact::Bounce;
-use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
+use virtual_bench::plants::rig::{Action, Rig, RigOptions};
 use virtual_bench::plants::wire::Fault;
 use virtual_bench::serve::Server;
 
@@ -210,28 +209,6 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
     assert_eq!((homed.shift_steps, rig.carriage()), (residual, 0), "{what}");
 }
 
-/// The flag opens while the rig brakes for a stop: the count is wrong all the same.
-#[test]
-fn steps_that_were_lost_before_a_stop_are_found() {
-    let mut rig = rig_with(RigOptions::default());
-    home_quickly(&mut rig);
-    rig.home();
-    let before = rig.edge_count();
-    let lost_at = before as u64 + 1_000;
-    rig.look(move |rig| rig.plan(When::Edge(lost_at), Action::LoseSteps(64)));
-    let run = quick(1, 4_000, 20_000, 500_000);
-    rig.device.run(run).expect("the run is accepted");
-    // Step 1,000 of 3,200 on the way home. It brakes over 160 steps, begins within 150, and meets the flag at 864.
-    while rig.edge_count() < before + 3_200 + 2_200 {
-        rig.idle(500);
-    }
-    rig.device.urgent(Urgent::Stop).expect("it is heard");
-    rig.idle(100_000);
-    let status = rig.device.rig_status().expect("a status");
-    let fault = RigFault::LostSteps { residual_steps: 64 };
-    assert_eq!((status.fault, status.homed), (Some(fault), false));
-}
-
 /// Cuts the jumper at rest or at an edge, on the way out and on the way back. The carriage must stop long before the
 /// stroke ends, and the fault must name both counts.
 #[test]
@@ -267,37 +244,6 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
         );
         rig.check_clean(0);
     }
-}
-
-/// Regression: noise on the read-back at rest moved the counter, and every motion after it went as much too far, up to
-/// the far end and beyond.
-#[test]
-fn a_count_that_noise_has_moved_at_rest_is_a_fault_before_anything_moves() {
-    let mut rig = homed();
-    let first = rig.edge_count();
-    for _ in 0..9 {
-        rig.act(Action::ReadBack(Fault::Spike(1_000)));
-        rig.bench.advance_us(100).expect("the bench runs");
-    }
-    let to = MoveTo {
-        position_um: 0,
-        speed_um_s: 10_000,
-    };
-    let (commanded, counted) = (0, -9);
-    let fault = RigFault::ReadBack { commanded, counted };
-    match rig.device.call(to) {
-        Err(ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::RigFaulted(fault));
-        }
-        other => panic!("{other:?}"),
-    }
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!((status.fault, status.homed), (Some(fault), false));
-    rig.bench.advance_us(100_000).expect("the bench runs");
-    assert_eq!(rig.edge_count(), first);
-    rig.device.call(Acknowledge).expect("acknowledged");
-    rig.home();
-    rig.check_clean(0);
 }
 
 /// At the paper's cruise speed 20 ms may pass before braking starts: the prepared steps, one round of the task, and the

@@ -4,13 +4,12 @@ use client::Unobserved;
 use client::error::ClientError;
 
 use crate::common::{
-    Dice, LIMIT_NS, Recorder, exact, execute, faulted, home_quickly, homed, paper, quick,
-    quickly_homed, rig, rig_with, trials,
+    Dice, LIMIT_NS, Recorder, exact, execute, faulted, home_quickly, homed, paper, quickly_homed,
+    rig, rig_with, trials,
 };
 use protocol::{
     error::{Field, Refusal},
-    rig::{LinkLossPolicy, MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
-    settings::{Setting, SettingKey},
+    rig::{LinkLossPolicy, RigFault, RigState, Run, RunOutcome, RunTiming},
     system::Urgent,
     table::Telemetry,
 };
@@ -154,41 +153,6 @@ fn dwells_delay_and_separate_speeds_are_exact() {
         .unwrap_or_else(|why| panic!("{why}\n{}", rig.log()));
     assert_eq!(verdict.duration_ns / 10 + 10_000_000, accepted.total_ticks);
     rig.check_clean(0);
-}
-
-#[test]
-fn after_the_estop_no_edge_follows() {
-    let trials = trials(10, 20);
-    let mut dice = Dice(0x5EED_0001);
-    let mut rig = quickly_homed();
-    for trial in 0..trials {
-        let number = rig.edge_count() as u64 + dice.roll(1..208_000);
-        rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
-        let what = format!("trial {trial}");
-        faulted(&mut rig, paper(1), RigFault::EStopLoop, &what);
-        rig.idle(50_000);
-        assert_eq!(
-            rig.edge_count() as u64,
-            number,
-            "trial {trial}: edges after the E-stop\n{}",
-            rig.log()
-        );
-        rig.position_is_right_but_not_trusted(&what);
-        // The E-stop latches. It cannot be acknowledged while pressed, and its release moves nothing.
-        refused(rig.device.acknowledge(), Refusal::CauseStillPresent);
-        rig.act(Action::EStop(false));
-        rig.idle(50_000);
-        refused(rig.device.home(), Refusal::RigFaulted(RigFault::EStopLoop));
-        rig.device.acknowledge().expect("the cause is gone");
-        refused(rig.device.run(paper(1)), Refusal::NotHomed);
-        assert_eq!(
-            rig.edge_count() as u64,
-            number,
-            "trial {trial}: released and moving"
-        );
-        rig.home();
-    }
-    rig.check_clean_after(0, trials);
 }
 
 /// The fault's event is still on its way when the run's end is known. The next homing must not take that event as its

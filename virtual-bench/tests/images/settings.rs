@@ -4,10 +4,8 @@ use client::error::ClientError;
 
 use crate::common::{RigRun, is_made, rig};
 use protocol::{
-    error::Refusal,
-    rig::{RigEvent, RigState},
-    settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey, SettingRule},
-    system::{DeviceKind, What},
+    settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey},
+    system::DeviceKind,
     table::{Endpoint, Request},
 };
 use virtual_bench::emulator::CutAt;
@@ -81,56 +79,6 @@ fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
     }
     assert!(rig.device.call(GetName).expect("a name").name.is_empty());
     rig.check_clean_after(1, 0);
-}
-
-#[test]
-fn what_cannot_be_is_refused_and_nothing_is_written() {
-    let mut rig = rig();
-    let refused = |rig: &mut RigRun, key, value, expected| match set(rig, key, value) {
-        Err(ClientError::Refused { refusal, .. }) => assert_eq!(refusal, expected),
-        other => panic!("{other:?}"),
-    };
-    for key in SettingKey::of(DeviceKind::Rig) {
-        let range = key.range();
-        for value in [range.min.checked_sub(1), range.max.checked_add(1)] {
-            let Some(requested) = value else { continue };
-            let expected = Refusal::SettingRange { key, requested };
-            refused(&mut rig, key, requested, expected);
-        }
-    }
-    let (key, rule) = (SettingKey::Microsteps, SettingRule::Microsteps);
-    refused(&mut rig, key, 24, Refusal::SettingRule { key, rule });
-    let (key, rule) = (SettingKey::Microsteps, SettingRule::HomingWithinStepRate);
-    refused(&mut rig, key, 256, Refusal::SettingRule { key, rule });
-    rig.home();
-    let before = operations(&rig);
-    rig.device.run(crate::common::paper(1)).expect("accepted");
-    refused(
-        &mut rig,
-        SettingKey::SeekUmS,
-        10_000,
-        Refusal::RigBusy(RigState::Running),
-    );
-    assert_eq!((before, operations(&rig)), (0, 0), "nothing was written");
-}
-
-/// New microsteps mean new positions: the rig must be homed again, and then moves in the new ones.
-#[test]
-fn a_change_of_the_axis_takes_the_position_away() {
-    let mut rig = crate::common::homed();
-    set(&mut rig, SettingKey::LinkTimeoutMs, 2_000).expect("accepted");
-    assert!(rig.device.rig_status().expect("a status").homed);
-    set(&mut rig, SettingKey::StrokeUm, 100_000).expect("accepted");
-    let status = rig.device.rig_status().expect("a status");
-    assert_eq!((status.homed, status.state), (false, RigState::Unhomed));
-    rig.home();
-    match rig.device.run(crate::common::paper(1)) {
-        Err(ClientError::Refused {
-            refusal: Refusal::OutOfRange { max: 100_000, .. },
-            ..
-        }) => {}
-        other => panic!("{other:?}"),
-    }
 }
 
 /// Changes a setting and cuts the supply before, within and after each of its stores.
@@ -327,16 +275,4 @@ fn a_sector_that_only_looks_blank_is_erased_before_it_is_used() {
     rig.device.call(long_name(number)).expect("accepted");
     power_cycle(&mut rig);
     assert_eq!(name(&mut rig), long_name(number));
-}
-
-#[test]
-fn a_change_is_an_event() {
-    let mut rig = rig();
-    set(&mut rig, SettingKey::DeadManMs, 200).expect("accepted");
-    let events = rig.device.take_events().expect("events");
-    let changed = What::Rig(RigEvent::SettingChanged(SettingKey::DeadManMs));
-    assert!(
-        events.iter().any(|event| event.what == changed),
-        "{events:?}"
-    );
 }

@@ -53,20 +53,6 @@ fn state(rig: &mut RigRun) -> RigState {
     rig.device.rig_status().expect("a status").state
 }
 
-/// Item 1: MOE reads back some clocks after it is set. A start that reads it at once would take the E-stop loop for
-/// open.
-#[test]
-fn a_start_waits_until_moe_reads_back() {
-    let mut rig = homed();
-    let first = rig.edge_count();
-    execute(&mut rig, paper(1));
-    Verdict::of(&exact(1), &rig.edges(first))
-        .check(LIMIT_NS)
-        .unwrap_or_else(|why| panic!("{why}"));
-    assert_eq!(state(&mut rig), RigState::Ready);
-    rig.check_clean(0);
-}
-
 /// Checks that a loop fault is latched and that nothing moves until it is acknowledged.
 fn loop_is_latched(rig: &mut RigRun, what: &str) {
     rig.idle(20_000);

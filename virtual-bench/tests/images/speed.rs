@@ -2,7 +2,7 @@
 
 use client::Unobserved;
 
-use crate::common::{LIMIT_NS, RigRun, homed, is_made, paper, quick, start, trials};
+use crate::common::{LIMIT_NS, RigRun, is_made, paper, quick, start, trials};
 use protocol::{
     rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
     settings::{Setting, SettingKey},
@@ -10,7 +10,6 @@ use protocol::{
 use virtual_bench::{
     bench::BenchOptions,
     boards::rig as board,
-    emulator::Beats,
     plants::rig::RigOptions,
     verdicts::{self, Stroke, Verdict},
 };

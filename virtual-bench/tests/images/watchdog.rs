@@ -329,20 +329,3 @@ fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     }
     rig.check_clean(2);
 }
-
-/// The substitute code affects only the client that it is made for.
-#[test]
-fn a_client_that_does_not_exist_changes_nothing() {
-    let mut rig = homed();
-    let sabotage =
-        Sabotage::new(&image(), 8, Misbehaviour::Hang).expect("an image with its symbols");
-    rig.bench
-        .visit(move |visit| sabotage.apply(visit))
-        .expect("the bench runs");
-    let first = rig.edge_count();
-    crate::common::execute(&mut rig, paper(1));
-    virtual_bench::verdicts::Verdict::of(&crate::common::exact(1), &rig.edges(first))
-        .check(crate::common::LIMIT_NS)
-        .unwrap_or_else(|why| panic!("{why}"));
-    rig.check_clean(0);
-}
