@@ -7,15 +7,12 @@ use std::iter::from_fn;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::thread;
 
-use crate::common::{Dice, LIMIT_NS, home_quickly, quick, rig_as_quick_as, trials};
+use crate::common::{Dice, home_quickly, quick, rig_as_quick_as, trials};
 use protocol::{
     rig::{GetRigHealth, Run, RunOutcome, Stroke},
     settings::{Setting, SettingKey},
 };
-use virtual_bench::{
-    plants::rig::RigOptions,
-    verdicts::{self, Verdict},
-};
+use virtual_bench::{plants::rig::RigOptions, verdicts};
 
 const CLAIMED: u64 = 65_000_000;
 const SEED: u64 = 0xACCE_97ED;
@@ -78,9 +75,7 @@ impl Trial {
             far_dwell_ticks: u64::from(self.run.far_dwell_us) * 100,
             home_dwell_ticks: 0,
         };
-        Verdict::of(&exact, &rig.edges(first))
-            .check(LIMIT_NS)
-            .unwrap_or_else(|why| panic!("{why}\n{what}"));
+        rig.is_exact(&exact, first);
         let timed = if self.capture {
             record.commanded_edges
         } else {

@@ -1,7 +1,7 @@
 //! The 8 MHz clock from the ST-LINK comes late, never, or stops: a rig on an external supply meets this at every
 //! power-on.
 
-use crate::common::{LIMIT_NS, RigRun, exact, execute, paper, start};
+use crate::common::{RigRun, exact, execute, paper, start};
 use client::{Device, error::ClientError};
 use protocol::{
     error::Refusal,
@@ -13,7 +13,6 @@ use virtual_bench::{
     boards::rig::{RigBoard, image},
     link::VirtualLink,
     plants::rig::{Action, Rig, RigOptions},
-    verdicts::Verdict,
 };
 
 const S_NS: u64 = 1_000_000_000;
@@ -66,7 +65,7 @@ fn a_rig_whose_clock_comes_late_homes() {
         let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
         let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
         let mut rig = RigRun { bench, device };
-        let status = rig.device.rig_status().expect("a status");
+        let status = rig.status();
         assert_eq!(
             (status.state, status.fault, rig.carriage()),
             (RigState::Ready, None, 0),
@@ -79,9 +78,7 @@ fn a_rig_whose_clock_comes_late_homes() {
         assert_eq!(cause, ResetCause::PowerOn, "{what}");
         let first = rig.edge_count();
         execute(&mut rig, paper(1));
-        Verdict::of(&exact(1), &rig.edges(first))
-            .check(LIMIT_NS)
-            .unwrap_or_else(|why| panic!("{what}: {why}"));
+        rig.is_exact(&exact(1), first);
         // It restarts once, when the clock comes.
         rig.check_clean(usize::from(after_ms > 300));
     }
@@ -93,7 +90,7 @@ fn a_rig_without_its_clock_says_so_and_looks_for_it() {
     let mut rig = start(RigOptions::default(), options(Some(30 * S_NS)));
     let fault = RigFault::ClockMissing;
     for _ in 0..4 {
-        let status = rig.device.rig_status().expect("a status");
+        let status = rig.status();
         assert_eq!(
             (status.state, status.fault),
             (RigState::Faulted, Some(fault))
@@ -110,9 +107,9 @@ fn a_rig_without_its_clock_says_so_and_looks_for_it() {
         rig.idle(7_000_000);
     }
     rig.check_clean(0);
-    rig.bench.advance_us(5_000_000).expect("the bench runs");
+    rig.pass(5_000_000);
     rig.device.hello(2).expect("it answers again");
-    let status = rig.device.rig_status().expect("a status");
+    let status = rig.status();
     assert_eq!(
         (status.state, status.fault),
         (RigState::Unhomed, None),

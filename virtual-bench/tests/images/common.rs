@@ -5,13 +5,15 @@ use client::link::Link;
 use client::{Device, Observer, Unobserved};
 use protocol::{
     frame::{Header, Kind, encode},
-    rig::{LinkLossPolicy, RigFault, Run, RunAccepted, RunOutcome, RunRecord, RunTiming},
+    rig::{
+        LinkLossPolicy, RigFault, RigStatus, Run, RunAccepted, RunOutcome, RunRecord, RunTiming,
+    },
     settings::{Setting, SettingKey},
     system::DeviceKind,
     table::{Endpoint, Request, Response, Telemetry},
 };
 use virtual_bench::{
-    bench::{Bench, BenchOptions},
+    bench::{Bench, BenchOptions, Visit},
     boards::{
         capsule::CapsuleBoard,
         rig::{self, RigBoard},
@@ -130,10 +132,36 @@ impl RigRun {
         self.look(|rig| rig.carriage())
     }
 
+    pub fn visit<T: Send + 'static>(
+        &self,
+        visit: impl FnOnce(&mut Visit<'_, RigBoard>) -> T + Send + 'static,
+    ) -> T {
+        self.bench.visit(visit).expect("the bench runs")
+    }
+
     pub fn look<T: Send + 'static>(&self, look: impl FnOnce(&mut Rig) -> T + Send + 'static) -> T {
-        self.bench
-            .visit(|visit| look(&mut visit.board().rig))
-            .expect("the bench runs")
+        self.visit(|visit| look(&mut visit.board().rig))
+    }
+
+    pub fn status(&mut self) -> RigStatus {
+        self.device.rig_status().expect("a status")
+    }
+
+    /// Waits for the end of a run.
+    pub fn ended(&mut self, accepted: &RunAccepted) -> RunRecord {
+        let record = self.device.wait_run(accepted, &mut Unobserved);
+        record.unwrap_or_else(|error| panic!("{error}\n{}", self.log()))
+    }
+
+    /// Checks that the edges since number `first` are those of `run`, each in its place.
+    pub fn is_exact(&self, run: &verdicts::Run, first: usize) {
+        let verdict = verdicts::Verdict::of(run, &self.edges(first)).check(LIMIT_NS);
+        verdict.unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
+    }
+
+    /// Lets time pass without a host.
+    pub fn pass(&self, us: u64) {
+        self.bench.advance_us(us).expect("the bench runs");
     }
 
     /// Applies `action` to the machine at once.
@@ -255,17 +283,14 @@ impl Observer for Recorder {
 /// Starts a run and waits for its end. Returns the acceptance and the record.
 pub fn execute(rig: &mut RigRun, run: Run) -> (RunAccepted, RunRecord) {
     let accepted = rig.device.run(run).expect("the run is accepted");
-    let record = rig.device.wait_run(&accepted, &mut Unobserved);
-    (
-        accepted,
-        record.unwrap_or_else(|error| panic!("{error}\n{}", rig.log())),
-    )
+    let record = rig.ended(&accepted);
+    (accepted, record)
 }
 
 /// Executes a run that ends with this fault.
 pub fn faulted(rig: &mut RigRun, run: Run, fault: RigFault, what: &str) -> RunRecord {
     let accepted = rig.device.run(run).expect(what);
-    let record = rig.device.wait_run(&accepted, &mut Unobserved).expect(what);
+    let record = rig.ended(&accepted);
     let outcome = RunOutcome::Faulted(fault);
     assert_eq!(record.outcome, outcome, "{what}\n{}", rig.log());
     record

@@ -1,8 +1,6 @@
 //! The rig times its own steps through the second jumper, and finds each step that is not where it was planned.
 
-use client::Unobserved;
-
-use crate::common::{LIMIT_NS, RigRun, execute, home_quickly, paper, quick, rig_with};
+use crate::common::{RigRun, execute, home_quickly, paper, quick, rig_with};
 use crate::speed::{quick_rig_on, quick_run};
 use protocol::{
     rig::{
@@ -19,7 +17,6 @@ use virtual_bench::{
         rig::{Action, RigOptions},
         wire::Fault,
     },
-    verdicts::Verdict,
 };
 
 /// A rig with the jumper, at position 0.
@@ -76,9 +73,7 @@ fn every_step_at_the_highest_rate_is_timed() {
     let first = rig.edge_count();
     let (request, exact) = quick_run();
     let (_, record) = execute(&mut rig, request);
-    Verdict::of(&exact, &rig.edges(first))
-        .check(LIMIT_NS)
-        .unwrap_or_else(|why| panic!("{why}\n{record:?}"));
+    rig.is_exact(&exact, first);
     assert_eq!(record.outcome, RunOutcome::Complete, "{record:?}");
     assert_eq!(found(&record), (192_000, 0), "{record:?}");
     rig.check_clean(0);
@@ -92,12 +87,11 @@ fn a_held_run_is_timed_as_a_whole() {
         rig.idle(700_000);
         rig.device.call(Hold).expect("held");
         rig.idle(700_000);
-        let state = rig.device.rig_status().expect("a status").state;
+        let state = rig.status().state;
         assert_eq!(state, RigState::Held);
         rig.device.call(Resume).expect("resumed");
     }
-    let record = rig.device.wait_run(&accepted, &mut Unobserved);
-    let record = record.expect("a record");
+    let record = rig.ended(&accepted);
     assert_eq!((record.outcome, record.holds), (RunOutcome::Complete, 2));
     assert_eq!(found(&record), (208_000, 0), "{record:?}");
 }
@@ -108,10 +102,9 @@ fn a_run_that_is_cut_is_timed_up_to_the_cut() {
     let mut rig = timed_rig();
     for after_us in [200_000, 401_234, 577_777] {
         let accepted = rig.device.run(short()).expect("accepted");
-        rig.bench.advance_us(after_us).expect("the bench runs");
+        rig.pass(after_us);
         rig.device.urgent(Urgent::EStop).expect("sent");
-        let record = rig.device.wait_run(&accepted, &mut Unobserved);
-        let record = record.expect("a record");
+        let record = rig.ended(&accepted);
         let fault = RunOutcome::Faulted(RigFault::EStopFrame);
         assert_eq!(record.outcome, fault, "{record:?}");
         let (timed, worst) = found(&record);
@@ -220,7 +213,7 @@ fn a_lost_capture_is_told_as_one() {
 fn with_a_spike(width_ns: u64) -> RunRecord {
     let mut rig = timed_rig();
     let accepted = rig.device.run(short()).expect("accepted");
-    rig.bench.advance_us(150_000).expect("the bench runs");
+    rig.pass(150_000);
     let pulses = rig.edges(rig.edge_count() - 2);
     let at_ns: Vec<u64> = pulses.iter().map(|edge| edge.at_ns).collect();
     let (before_ns, last_ns) = (at_ns[0], at_ns[1]);
@@ -231,8 +224,7 @@ fn with_a_spike(width_ns: u64) -> RunRecord {
         let spike = Action::Capture(Fault::Spike(width_ns));
         rig.plan(When::At(between), spike);
     });
-    let record = rig.device.wait_run(&accepted, &mut Unobserved);
-    let record = record.expect("a record");
+    let record = rig.ended(&accepted);
     assert_eq!(record.outcome, RunOutcome::Complete);
     assert_eq!(record.counted_edges, 16_000);
     record

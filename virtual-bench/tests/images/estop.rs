@@ -108,7 +108,7 @@ fn the_recording_of_a_run_that_is_cut_is_whole() {
         let most = samples.iter().map(|sample| sample.commanded_steps).max();
         ahead += u32::from(most > Some(run.record.max_steps));
         rig.act(Action::EStop(false));
-        rig.bench.advance_us(30_000).expect("the bench runs");
+        rig.pass(30_000);
         rig.device.acknowledge().expect("the cause is gone");
         rig.home();
     }
@@ -128,9 +128,9 @@ fn an_estop_outlives_a_reset() {
     assert_eq!(record.outcome, RunOutcome::Faulted(fault));
     rig.act(Action::EStop(false));
     rig.bench.reset().expect("the bench runs");
-    rig.bench.advance_us(500_000).expect("the bench runs");
+    rig.pass(500_000);
     rig.device.hello(2).expect("it answers again");
-    let status = rig.device.rig_status().expect("a status");
+    let status = rig.status();
     assert_eq!(
         (status.state, status.fault),
         (RigState::Faulted, Some(fault))

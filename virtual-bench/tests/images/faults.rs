@@ -14,9 +14,9 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
+    rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
     settings::{FactoryReset, GetSetting, Setting, SettingKey},
-    system::{Acknowledge, DeviceKind, ResetCause, Urgent},
+    system::{DeviceKind, ResetCause},
     table::Telemetry,
 };
 use virtual_bench::bench::{Bench, BenchOptions};
@@ -44,21 +44,19 @@ fn short(cycles: u16) -> Run {
 fn restarted(cause: ResetCause, resets: usize, interrupt: impl FnOnce(&crate::common::RigRun)) {
     let mut rig = homed();
     rig.device.run(short(1)).expect("the run is accepted");
-    rig.device
-        .idle(500_000, &mut Unobserved)
-        .expect("the link stays");
+    rig.idle(500_000);
     assert!(rig.carriage() > 1_000, "it is on its way");
     // A reset releases DIR at once, so wait until no pulse is in progress.
     while rig.bench.now_ns() < rig.last_edge_ns() + 5_000 {
-        rig.bench.advance_us(1).expect("the bench runs");
+        rig.pass(1);
     }
     interrupt(&rig);
     let edges = rig.edge_count();
-    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.pass(300_000);
     assert_eq!(rig.edge_count(), edges, "it moved by itself\n{}", rig.log());
     let identity = rig.device.hello(2).expect("it answers again");
     assert_eq!(identity.reset_cause, cause);
-    let status = rig.device.rig_status().expect("a status");
+    let status = rig.status();
     assert_eq!((status.state, status.homed), (RigState::Unhomed, false));
     rig.home();
     rig.check_clean(resets);
@@ -227,7 +225,7 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
             ),
         });
         let (_, record) = execute(&mut rig, short(2));
-        let status = rig.device.rig_status().expect("a status");
+        let status = rig.status();
         let fault = RigFault::ReadBack {
             commanded: rig.carriage() as i32,
             counted,
@@ -322,7 +320,7 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
             "{instructions} instructions in {ns} ns"
         );
         rig.bench.power_cycle(1_000_000).expect("the bench runs");
-        rig.bench.advance_us(300_000).expect("the bench runs");
+        rig.pass(300_000);
         rig.device.hello(9).expect("it answers again");
         let kept = rig.device.call(GetSetting { key }).expect("it answers");
         assert_eq!(kept.value, value, "seed {seed}");

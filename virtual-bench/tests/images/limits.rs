@@ -1,13 +1,10 @@
 //! The rig's limit switches: a real opening stops the rig, a disturbance does not.
 
-use client::Unobserved;
-
-use crate::common::{Dice, LIMIT_NS, exact, faulted, paper, quick, quickly_homed, trials};
+use crate::common::{Dice, exact, faulted, paper, quick, quickly_homed, trials};
 use protocol::rig::{GetRigHealth, RigFault, RunOutcome};
 use virtual_bench::{
     faults::When,
     plants::rig::{Action, Switch},
-    verdicts::Verdict,
 };
 
 /// 50 us from the contact, plus the step in progress (at most 35 us at the paper's speed).
@@ -112,14 +109,9 @@ fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
         }
     });
     let accepted = rig.device.run(paper(cycles)).expect("the run is accepted");
-    let record = rig
-        .device
-        .wait_run(&accepted, &mut Unobserved)
-        .expect("the run ends");
+    let record = rig.ended(&accepted);
     assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
-    Verdict::of(&exact(cycles), &rig.edges(first))
-        .check(LIMIT_NS)
-        .unwrap_or_else(|why| panic!("{why}"));
+    rig.is_exact(&exact(cycles), first);
     assert_eq!(u64::from(record.glitches), 2 * each);
     rig.check_clean(0);
 }

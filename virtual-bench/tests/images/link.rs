@@ -5,10 +5,7 @@ use client::link::Link;
 use client::{Device, Unobserved};
 
 use crate::capsule::CapsuleRun;
-use crate::common::{
-    Any, Dice, LIMIT_NS, Recorder, RigRun, exact, home_quickly, paper, quick, quickly_homed, rig,
-    trials,
-};
+use crate::common::{Any, Dice, Recorder, exact, home_quickly, paper, quick, quickly_homed, rig};
 use protocol::{
     frame::{Header, Kind, encode},
     rig::{Direction, GetRigHealth, Home, Jog, LinkLossPolicy, RigState, Run, RunOutcome},
@@ -16,9 +13,7 @@ use protocol::{
     system::{Acknowledge, DeviceKind, KeepAlive, Urgent},
     table::Request,
 };
-use virtual_bench::{
-    bench::Bench, emulator::Wiring, link::VirtualLink, serial::ByteFault, verdicts::Verdict,
-};
+use virtual_bench::{bench::Bench, emulator::Wiring, link::VirtualLink, serial::ByteFault};
 
 /// An error stops the port's DMA, which then begins anew at the start of its ring: what the last round left there must
 /// not be read again. An emergency stop needs no session, and would latch a second time.
@@ -79,19 +74,17 @@ fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
             }
         }
     }
-    rig.bench
-        .visit(move |visit| {
-            let mut serial = visit.serial();
-            let (taken, sent) = serial.counts();
-            for (to_machine, number, fault) in faults {
-                if to_machine {
-                    serial.corrupt_to_machine(taken + number, fault);
-                } else {
-                    serial.corrupt_from_machine(sent + number, fault);
-                }
+    rig.visit(move |visit| {
+        let mut serial = visit.serial();
+        let (taken, sent) = serial.counts();
+        for (to_machine, number, fault) in faults {
+            if to_machine {
+                serial.corrupt_to_machine(taken + number, fault);
+            } else {
+                serial.corrupt_from_machine(sent + number, fault);
             }
-        })
-        .expect("the bench runs");
+        }
+    });
     let first = rig.edge_count();
     let mut recorder = Recorder::default();
     let accepted = rig.device.run(paper(2)).expect("the run is accepted");
@@ -104,9 +97,7 @@ fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
         (1, 1, RunOutcome::Complete),
         "seed {seed:#x}"
     );
-    Verdict::of(&exact(2), &rig.edges(first))
-        .check(LIMIT_NS)
-        .unwrap_or_else(|why| panic!("seed {seed:#x}: {why}"));
+    rig.is_exact(&exact(2), first);
     assert!(rig.device.rejected_frames() > 5, "the faults were not met");
     assert!(
         recorder.samples.len() > 600,
@@ -144,14 +135,14 @@ fn silence_ends_a_motion_and_reconnecting_moves_nothing() {
         }
         rig.device.call(Any(request.clone())).expect("accepted");
         let silent = rig.edge_count();
-        rig.bench.advance_us(4_500_000).expect("the bench runs");
+        rig.pass(4_500_000);
         let edges = rig.edge_count();
         assert!(edges > silent, "{request:?}: it did not move");
         let link = Box::new(VirtualLink::new(&rig.bench, "virtual rig"));
         rig.device = Device::connect(link, DeviceKind::Rig, 77).expect("it answers");
         rig.idle(500_000);
         assert_eq!(rig.edge_count(), edges, "{request:?}: it moved");
-        let status = rig.device.rig_status().expect("a status");
+        let status = rig.status();
         let expected = if homes {
             RigState::Unhomed
         } else {
@@ -221,9 +212,7 @@ fn what_is_no_host_does_not_keep_a_run_going() {
         };
         rig.device.run(run).expect("accepted");
         let echo = matches!(heard, Heard::Echo);
-        rig.bench
-            .visit(move |visit| visit.serial().echo = echo)
-            .expect("the bench runs");
+        rig.visit(move |visit| visit.serial().echo = echo);
         let mut line = VirtualLink::new(&rig.bench, "somebody else");
         // The time-out is 1 s.
         for seq in 0..15 {
@@ -239,13 +228,11 @@ fn what_is_no_host_does_not_keep_a_run_going() {
                 };
                 line.send(&frame.expect("fits")).expect("sent");
             }
-            rig.bench.advance_us(100_000).expect("the bench runs");
+            rig.pass(100_000);
         }
         let edges = rig.edge_count();
-        rig.bench
-            .visit(|visit| visit.serial().echo = false)
-            .expect("the bench runs");
-        rig.bench.advance_us(200_000).expect("the bench runs");
+        rig.visit(|visit| visit.serial().echo = false);
+        rig.pass(200_000);
         assert_eq!(
             rig.edge_count(),
             edges,

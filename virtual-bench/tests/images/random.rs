@@ -19,7 +19,6 @@ use virtual_bench::serial::ByteFault;
 
 use crate::common::{Any, Dice, RigRun, home_quickly, quick, start, trials};
 
-const HAPPENINGS: u32 = 40;
 const MS: u64 = 1_000_000;
 /// Time in which a machine that was disturbed need not answer, ns: a request that writes is sent for 3 s.
 const EXCUSED_NS: u64 = 3_500 * MS;
@@ -84,7 +83,7 @@ impl Judge {
         }
         let opened_ns = rig.look(|rig| rig.loop_opened_ns());
         if std::mem::replace(&mut self.opened_ns, opened_ns) < opened_ns {
-            self.latch();
+            (self.latched, self.allowed) = (true, 0);
         }
         let (low, high) = rig.look(|rig| (rig.extremes(), rig.forget_extremes()).0);
         self.carriage = rig.look(|rig| rig.carriage());
@@ -95,10 +94,6 @@ impl Judge {
             self.allowed = 0;
         }
         Ok(())
-    }
-
-    fn latch(&mut self) {
-        (self.latched, self.allowed) = (true, 0);
     }
 
     /// Steps that a request explains if it is carried out; `None` if it is no order to move.
@@ -154,7 +149,7 @@ impl Judge {
             _ => {}
         }
         if self.latched {
-            self.latch();
+            self.allowed = 0;
         }
         Ok(())
     }
@@ -164,7 +159,6 @@ struct Scenario {
     rig: RigRun,
     dice: Dice,
     judge: Judge,
-    /// A session is open.
     is_open: bool,
     nonce: u32,
     excused_ns: u64,
@@ -177,16 +171,14 @@ impl Scenario {
         let _ = writeln!(self.story, "{:>8} ms  {what}", self.rig.bench.now_ns() / MS);
     }
 
-    fn excuse(&mut self) {
-        self.excused_ns = self.rig.bench.now_ns() + EXCUSED_NS;
-    }
-
     /// A request was not answered.
     fn unanswered(&mut self, error: &ClientError, asked_ns: u64) -> Result<(), String> {
         self.tell(&format!("  {error}"));
         self.is_open = false;
-        let why = || format!("it does not answer: {error}");
-        (asked_ns < self.excused_ns).then_some(()).ok_or_else(why)
+        match asked_ns < self.excused_ns {
+            true => Ok(()),
+            false => Err(format!("it does not answer: {error}")),
+        }
     }
 
     /// Returns whether the request was carried out.
@@ -218,7 +210,7 @@ impl Scenario {
         for _ in 0..ms.div_ceil(100) {
             let now_ns = self.rig.bench.now_ns();
             if !self.is_open {
-                self.rig.bench.advance_us(100_000).expect("the bench runs");
+                self.rig.pass(100_000);
             } else if let Err(error) = self.rig.device.idle(100_000, &mut Unobserved) {
                 self.unanswered(&error, now_ns)?;
             }
@@ -236,7 +228,7 @@ impl Scenario {
         self.judge.look(&self.rig)?;
         match urgent {
             Urgent::Stop => self.judge.stopped_ns = Some(self.judge.now_ns + BRAKING_NS),
-            Urgent::EStop => self.judge.latch(),
+            Urgent::EStop => (self.judge.latched, self.judge.allowed) = (true, 0),
         }
         Ok(())
     }
@@ -254,7 +246,7 @@ impl Scenario {
         }
         self.tell(["a reset", "a cut of the supply"][usize::from(by_supply)]);
         (self.judge.allowed, self.is_open) = (0, false);
-        self.excuse();
+        self.excused_ns = self.rig.bench.now_ns() + EXCUSED_NS;
         self.wait(300)
     }
 
@@ -263,19 +255,18 @@ impl Scenario {
         let timeout_ns = u64::from(SettingKey::LinkTimeoutMs.range().default) * MS;
         self.judge.silent_ns = Some(self.rig.bench.now_ns() + timeout_ns + SILENCE_NS);
         self.is_open = false;
-        let ms = self.dice.roll(100..3_000);
-        self.wait(ms)?;
+        self.wait(2_500)?;
         self.judge.silent_ns = None;
-        self.excuse();
+        self.excused_ns = self.rig.bench.now_ns() + EXCUSED_NS;
         Ok(())
     }
 
     /// Most of the lost bytes are of the next answers, so that the client repeats its request.
     fn lose_bytes(&mut self) {
         self.tell("bytes are lost");
-        self.excuse();
+        self.excused_ns = self.rig.bench.now_ns() + EXCUSED_NS;
         let bytes = [0; 5].map(|_| self.dice.roll(0..60));
-        let lost = self.rig.bench.visit(move |visit| {
+        self.rig.visit(move |visit| {
             let mut serial = visit.serial();
             let (taken, sent) = serial.counts();
             for ahead in bytes {
@@ -283,7 +274,6 @@ impl Scenario {
                 serial.corrupt_to_machine(taken + 9 * ahead, ByteFault::Lost);
             }
         });
-        lost.expect("the bench runs");
     }
 
     fn order(&mut self) -> Request {
@@ -291,8 +281,8 @@ impl Scenario {
         let speed_um_s = dice.roll(2_000..45_000) as u32;
         match dice.roll(0..10) {
             0..5 => {
-                let (cycles, stroke_um) = (dice.roll(1..4) as u16, dice.roll(500..20_000) as u32);
-                Request::Run(quick(cycles, stroke_um, speed_um_s, 1_000_000))
+                let stroke_um = dice.roll(500..20_000) as u32;
+                Request::Run(quick(2, stroke_um, speed_um_s, 1_000_000))
             }
             5 | 6 => Request::Hold(Hold),
             7 => Request::Resume(Resume),
@@ -317,16 +307,16 @@ impl Scenario {
             _ => (Action::Disturb(switch, dice.roll(100..19_000)), noise(None)),
         };
         let edge = self.judge.edges as u64 + dice.roll(1..6_000);
-        let end_ns = self.rig.bench.now_ns() + dice.roll(1..900) * MS;
+        let end = Action::Later(dice.roll(1..900) * MS, Box::new(end));
         self.tell(&format!("{fault:?} at edge {edge}"));
         self.rig.look(move |rig| {
             rig.plan(When::Edge(edge), fault);
-            rig.plan(When::At(end_ns), end);
+            rig.plan(When::Edge(edge), end);
         });
     }
 
     fn happen(&mut self) -> Result<(), String> {
-        for number in 0..HAPPENINGS {
+        for number in 0..40 {
             if number % 4 == 0 {
                 self.ask(&Request::Acknowledge(Acknowledge))?;
                 self.ask(&Request::Home(Home))?;
@@ -359,10 +349,8 @@ impl Scenario {
     /// With everything in order it answers, and works.
     fn examine(&mut self) -> Result<(), String> {
         self.tell("everything in order");
-        let bench = &self.rig.bench;
-        let whole = bench.visit(|visit| visit.serial().forget_faults());
-        whole.expect("the bench runs");
-        // By then the mishaps at an instant have ended.
+        self.rig.visit(|visit| visit.serial().forget_faults());
+        // By then the mishaps that have begun are over.
         self.wait(EXCUSED_NS / MS)?;
         self.rig.look(|rig| rig.forget_faults());
         self.stop(Urgent::Stop)?;

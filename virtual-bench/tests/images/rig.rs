@@ -1,6 +1,5 @@
 //! Tests of the rig's image at its pins.
 
-use client::Unobserved;
 use client::error::ClientError;
 
 use crate::common::{
@@ -205,13 +204,10 @@ fn a_stop_decelerates_and_keeps_the_position() {
         rig.idle(dice.roll(0..7_900_000));
         let sent_ns = rig.bench.now_ns();
         rig.device.urgent(Urgent::Stop).expect("an answer");
-        let record = rig
-            .device
-            .wait_run(&accepted, &mut Unobserved)
-            .expect("a stop is no fault");
+        let record = rig.ended(&accepted);
         assert_eq!(record.outcome, RunOutcome::Stopped, "trial {trial}");
         rig.idle(300_000);
-        let status = rig.device.rig_status().expect("a status");
+        let status = rig.status();
         assert_eq!(
             (status.state, status.homed),
             (RigState::Ready, true),

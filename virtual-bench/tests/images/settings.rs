@@ -24,7 +24,7 @@ fn set(rig: &mut RigRun, key: SettingKey, value: u32) -> Result<Setting, ClientE
 fn begin(rig: &RigRun, request: Request) {
     rig.send(&request, 0);
     for _ in 0..20 {
-        rig.bench.advance_us(50_000).expect("the bench runs");
+        rig.pass(50_000);
         let cut = rig.bench.visit(|visit| visit.flash_is_cut());
         if cut.expect("the bench runs") {
             return;
@@ -35,14 +35,12 @@ fn begin(rig: &RigRun, request: Request) {
 
 fn power_cycle(rig: &mut RigRun) {
     rig.bench.power_cycle(1_000_000).expect("the bench runs");
-    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.pass(300_000);
     rig.device.hello(9).expect("it answers again");
 }
 
 fn operations(rig: &RigRun) -> u64 {
-    rig.bench
-        .visit(|visit| visit.flash_operations())
-        .expect("the bench runs")
+    rig.visit(|visit| visit.flash_operations())
 }
 
 #[test]
@@ -59,7 +57,7 @@ fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
     };
     assert_eq!(rig.device.call(name.clone()).expect("accepted"), name);
     rig.bench.reset().expect("the bench runs");
-    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.pass(300_000);
     rig.device.hello(2).expect("it answers again");
     assert_eq!(get(&mut rig, SettingKey::SeekUmS), 12_000);
     power_cycle(&mut rig);
@@ -111,12 +109,10 @@ fn cut_within_a_change(
     (old, new): (&mut u32, &mut u32),
 ) {
     let wanted = *value + 1;
-    rig.bench
-        .visit(move |visit| {
-            let done = visit.flash_operations();
-            visit.cut_flash(at, done + number);
-        })
-        .expect("the bench runs");
+    rig.visit(move |visit| {
+        let done = visit.flash_operations();
+        visit.cut_flash(at, done + number);
+    });
     let change = Setting { key, value: wanted };
     begin(rig, change.into_request());
     power_cycle(rig);
@@ -150,11 +146,9 @@ fn a_cut_within_a_reset_leaves_all_values_or_none() {
             set(&mut rig, key, value).expect("accepted");
         }
         let done = operations(&rig);
-        rig.bench
-            .visit(move |visit| visit.cut_flash(at, done + number))
-            .expect("the bench runs");
+        rig.visit(move |visit| visit.cut_flash(at, done + number));
         rig.send(&FactoryReset.into_request(), 0);
-        rig.bench.advance_us(300_000).expect("the bench runs");
+        rig.pass(300_000);
         let cut = rig.bench.visit(|visit| visit.flash_is_cut());
         if !cut.expect("the bench runs") {
             break;
@@ -185,9 +179,7 @@ fn name(rig: &mut RigRun) -> Name {
 }
 
 fn flash(rig: &RigRun) -> Vec<u8> {
-    rig.bench
-        .visit(|visit| visit.flash())
-        .expect("the bench runs")
+    rig.visit(|visit| visit.flash())
 }
 
 /// Settings set once at the start, before everything else.
@@ -238,9 +230,7 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
             continue;
         }
         let mut rig = crate::common::rig_from_flash(flash.clone());
-        rig.bench
-            .visit(move |visit| visit.cut_flash(at, operation))
-            .expect("the bench runs");
+        rig.visit(move |visit| visit.cut_flash(at, operation));
         begin(&rig, new.clone().into_request());
         power_cycle(&mut rig);
         let found = name(&mut rig);

@@ -50,7 +50,7 @@ const DBGMCU_APB2_FZ: u32 = 0xE004_200C;
 const IWDG_STOPS: u32 = 1 << 12;
 
 fn state(rig: &mut RigRun) -> RigState {
-    rig.device.rig_status().expect("a status").state
+    rig.status().state
 }
 
 /// Checks that a loop fault is latched and that nothing moves until it is acknowledged.
@@ -104,7 +104,7 @@ fn every_opening_of_the_loop_is_latched() {
     rig.idle(20_000);
     rig.act(Action::Disturb(Switch::EStop, 200_000));
     rig.idle(20_000);
-    let status = rig.device.rig_status().expect("a status");
+    let status = rig.status();
     assert_eq!(status.fault, Some(RigFault::EStopFrame));
     rig.device.acknowledge().expect("the loop is closed");
     rig.home();
@@ -127,10 +127,7 @@ fn a_press_before_the_first_step_lets_nothing_start() {
         rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 1_000_000)));
         let what = format!("trial {trial}");
         if let Ok(accepted) = rig.device.run(run) {
-            let record = rig
-                .device
-                .wait_run(&accepted, &mut Unobserved)
-                .expect(&what);
+            let record = rig.ended(&accepted);
             let fault = RunOutcome::Faulted(RigFault::EStopLoop);
             assert_eq!(record.outcome, fault, "{what}");
         }
@@ -150,7 +147,7 @@ fn an_opening_just_before_the_start_arms_nothing() {
     let mut rig = quickly_homed();
     // Whether TIM1 is armed, and whether it is so although an opening is latched.
     let look = |rig: &RigRun| {
-        rig.bench.advance_us(LOOK_US).expect("the bench runs");
+        rig.pass(LOOK_US);
         let armed = register(&rig.bench, TIM1_BDTR) >> 15 & 1 == 1;
         (armed, armed && register(&rig.bench, TIM1_SR) >> 7 & 1 == 1)
     };
@@ -160,7 +157,7 @@ fn an_opening_just_before_the_start_arms_nothing() {
     rig.send(&run, 0);
     while !look(&rig).0 {}
     let armed_ns = rig.bench.now_ns() - sent_ns;
-    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    rig.pass(1_000_000);
     let mut behind_the_look = 0;
     for trial in 0..30 {
         rig.device.hello(101 + trial).expect("it answers");
@@ -169,7 +166,7 @@ fn an_opening_just_before_the_start_arms_nothing() {
         rig.look(move |rig| rig.plan(When::At(at_ns), Action::Disturb(Switch::EStop, 2_000)));
         rig.send(&run, trial as u16);
         let quiet_us = armed_ns / 1_000 - AROUND_US;
-        rig.bench.advance_us(quiet_us).expect("the bench runs");
+        rig.pass(quiet_us);
         let seen: Vec<_> = (0..2 * AROUND_US / LOOK_US).map(|_| look(&rig)).collect();
         // The pair of registers may be seen in the microsecond between arming and the second look.
         let open = seen.iter().filter(|(_, open)| *open).count();
@@ -198,7 +195,7 @@ fn a_far_limit_that_opens_just_before_the_start_ends_the_run_at_once() {
     let edges = rig.edge_count();
     let sent_ns = rig.bench.now_ns();
     rig.send(&run, 0);
-    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    rig.pass(1_000_000);
     let first = rig.edges(edges).iter().next().map(|edge| edge.at_ns);
     let started_ns = first.expect("a step") - sent_ns;
     for trial in 0..40 {
@@ -209,7 +206,7 @@ fn a_far_limit_that_opens_just_before_the_start_ends_the_run_at_once() {
         let stick = Action::Stick(Switch::Far, Some(true));
         rig.look(move |rig| rig.plan(When::At(at_ns), stick));
         rig.send(&run, trial as u16);
-        rig.bench.advance_us(300_000).expect("the bench runs");
+        rig.pass(300_000);
         let log = rig.edges(edges);
         let late = log
             .iter()
@@ -218,9 +215,9 @@ fn a_far_limit_that_opens_just_before_the_start_ends_the_run_at_once() {
         let before_us = u64::from(trial) * 100;
         assert_eq!(late, 0, "{before_us} us before the first step");
         rig.act(Action::Stick(Switch::Far, None));
-        rig.bench.advance_us(50_000).expect("the bench runs");
+        rig.pass(50_000);
         rig.device.hello(201 + trial).expect("it answers");
-        if rig.device.rig_status().expect("a status").fault.is_some() {
+        if rig.status().fault.is_some() {
             rig.device.acknowledge().expect("the limit is closed");
             rig.home();
         }
@@ -291,10 +288,10 @@ fn a_stroke_is_done_with_its_last_step() {
         let edges = rig.edge_count();
         let accepted = rig.device.run(dwelling).expect("accepted");
         while rig.edge_count() - edges < 4_000 {
-            rig.bench.advance_us(500).expect("the bench runs");
+            rig.pass(500);
         }
-        rig.bench.advance_us(4_000).expect("the bench runs");
-        let status = rig.device.rig_status().expect("a status");
+        rig.pass(4_000);
+        let status = rig.status();
         assert_eq!(
             (status.state, status.stroke),
             (RigState::Running, 1),
@@ -306,10 +303,7 @@ fn a_stroke_is_done_with_its_last_step() {
         if let Some(urgent) = end {
             rig.device.urgent(urgent).expect("it stops");
         }
-        let record = rig
-            .device
-            .wait_run(&accepted, &mut Unobserved)
-            .expect("a record");
+        let record = rig.ended(&accepted);
         let strokes = if end.is_some() { 1 } else { 2 };
         assert_eq!(record.strokes, strokes, "{end:?}: {record:?}");
         assert_eq!(rig.edge_count() - edges, strokes as usize * 4_000);
@@ -337,16 +331,13 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
         // While the noise lasts, a status request takes at most 100 ms.
         for _ in 0..4 {
             let asked_us = rig.device.now_us();
-            rig.device.rig_status().expect("a status");
+            rig.status();
             let took_us = rig.device.now_us() - asked_us;
             assert!(took_us < 100_000, "{switch:?}: {took_us} us");
             rig.idle(20_000);
         }
         rig.act(Action::Noise(switch, None));
-        let record = rig
-            .device
-            .wait_run(&accepted, &mut Unobserved)
-            .expect("a record");
+        let record = rig.ended(&accepted);
         let named = match record.outcome {
             RunOutcome::Complete => true,
             RunOutcome::Faulted(RigFault::SwitchNoise(_)) => true,
@@ -357,10 +348,7 @@ fn noise_of_1_mhz_on_a_switch_starves_nothing() {
         let verdict = Verdict::of(&exact(1), &rig.edges(edges));
         assert!(verdict.worst.0 <= LIMIT_NS, "{switch:?}: {verdict}");
         assert_eq!(verdict.wrong_direction, 0, "{switch:?}");
-        assert_eq!(
-            i64::from(rig.device.rig_status().expect("a status").position_steps),
-            rig.carriage()
-        );
+        assert_eq!(i64::from(rig.status().position_steps), rig.carriage());
         let health = rig.device.call(GetRigHealth).expect("it answers");
         let masked = [health.home_flag.masked, health.far_limit.masked];
         assert!(
@@ -433,7 +421,7 @@ fn a_timer_that_is_reset_is_counted() {
         // A step every 417 us, and bursts of 400 us: longer than a stop waits, which is some 300 us.
         let run = quick(1, 4_000, 3_000, 500_000);
         let accepted = rig.device.run(run).expect("accepted");
-        rig.bench.advance_us(100_000).expect("the bench runs");
+        rig.pass(100_000);
         let slow = Beats {
             first_ns: 500,
             apart_ns: 100_000,
@@ -583,7 +571,7 @@ fn nothing_is_stored_while_the_supply_is_low() {
         .call(Setting { key, value: 12_000 })
         .expect("accepted");
     rig.bench.power_cycle(1_000_000).expect("the bench runs");
-    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.pass(300_000);
     rig.device.hello(2).expect("it answers again");
     assert_eq!(kept(&mut rig).value, 12_000);
     rig.check_clean(0);
@@ -598,14 +586,14 @@ fn nothing_is_stored_behind_an_erase_in_which_the_supply_falls() {
     let operations = || rig.bench.visit(|visit| visit.flash_operations());
     let is_erasing = || register(&rig.bench, FLASH_SR) >> 16 & 1 == 1;
     let begins = |_| {
-        rig.bench.advance_us(20_000).expect("the bench runs");
+        rig.pass(20_000);
         is_erasing()
     };
     assert!((0..20).any(begins), "no sector is erased");
     let begun = operations().expect("the bench runs");
     let supply = |mv| rig.bench.visit(move |visit| visit.set_supply_mv(mv));
     supply(2_760).expect("the bench runs");
-    rig.bench.advance_us(1_000_000).expect("the bench runs");
+    rig.pass(1_000_000);
     assert!(!is_erasing());
     assert_eq!(
         operations().expect("the bench runs"),
@@ -673,10 +661,7 @@ fn a_rig_without_its_clock_says_so() {
         "it answers within a second"
     );
     let fault = RigFault::ClockMissing;
-    assert_eq!(
-        rig.device.rig_status().expect("a status").fault,
-        Some(fault)
-    );
+    assert_eq!(rig.status().fault, Some(fault));
     let chip = rig.device.call(GetChip).expect("it answers");
     assert_eq!(chip.clock, Clock::Internal);
     match rig.device.home() {
@@ -708,10 +693,8 @@ fn a_clock_that_stops_ends_the_run_and_is_named() {
         rig.device.run(paper(1)).expect("accepted");
         rig.idle(500_000);
         let edges = rig.edge_count();
-        rig.bench
-            .visit(move |visit| visit.fail_hse(comes_back.then_some(0)))
-            .expect("the bench runs");
-        rig.bench.advance_us(1_000_000).expect("the bench runs");
+        rig.visit(move |visit| visit.fail_hse(comes_back.then_some(0)));
+        rig.pass(1_000_000);
         assert!(
             rig.edge_count() <= edges + 1,
             "{} steps more",
@@ -719,7 +702,7 @@ fn a_clock_that_stops_ends_the_run_and_is_named() {
         );
         assert!(!rig.look(|rig| rig.is_enabled()), "the driver is off");
         rig.device.hello(5).expect("it answers");
-        let fault = rig.device.rig_status().expect("a status").fault;
+        let fault = rig.status().fault;
         let expected = if comes_back {
             RigFault::ClockFailed
         } else {
@@ -770,7 +753,7 @@ fn erase_and_check_the_clock(
     let mut rig = start(RigOptions::default(), options);
     rig.idle(before_us);
     let offset = |rig: &mut RigRun| {
-        let time_us = rig.device.rig_status().expect("a status").time_us;
+        let time_us = rig.status().time_us;
         time_us as i64 - (rig.bench.now_ns() / 1_000) as i64
     };
     let before = offset(&mut rig);
@@ -851,10 +834,8 @@ fn a_spike_on_the_read_back_is_not_counted() {
     let (_, record) = execute(&mut rig, paper(1));
     assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
     assert_eq!(record.counted_edges, record.commanded_edges);
-    Verdict::of(&exact(1), &rig.edges(first))
-        .check(LIMIT_NS)
-        .unwrap_or_else(|why| panic!("{why}"));
-    rig.bench.advance_us(1_500_000).expect("the bench runs");
+    rig.is_exact(&exact(1), first);
+    rig.pass(1_500_000);
     assert_eq!(state(&mut rig), RigState::Ready, "{}", rig.log());
     // The output pins run at low speed. PA13 belongs to the debugger, so leave it out.
     let outputs = [
@@ -880,7 +861,7 @@ fn the_driver_is_off_before_the_clock_is_waited_for() {
     };
     assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
     rig.bench.reset().expect("the bench runs");
-    rig.bench.advance_us(300_000).expect("the bench runs");
+    rig.pass(300_000);
     assert_eq!(was_safe(&rig).expect("the bench runs"), Some(true));
     rig.check_clean(1);
 }

@@ -2,7 +2,7 @@
 
 use client::Unobserved;
 
-use crate::common::{LIMIT_NS, RigRun, is_made, paper, quick, start, trials};
+use crate::common::{RigRun, is_made, paper, quick, start, trials};
 use protocol::{
     rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
     settings::{Setting, SettingKey},
@@ -67,15 +67,13 @@ fn the_highest_step_rate_is_sustained() {
     let mut rig = quick_rig(65_000_000);
     let first = rig.edge_count();
     let (request, exact) = quick_run();
-    let (accepted, record) = crate::common::execute(&mut rig, request);
+    let (accepted, _) = crate::common::execute(&mut rig, request);
     assert!(
         accepted.forward.peak_um_s > 156_150,
         "{} um/s",
         accepted.forward.peak_um_s
     );
-    Verdict::of(&exact, &rig.edges(first))
-        .check(LIMIT_NS)
-        .unwrap_or_else(|why| panic!("{why}\n{record:?}\n{}", rig.log()));
+    rig.is_exact(&exact, first);
     let health = rig.device.call(GetRigHealth).expect("it answers");
     assert_eq!(health.underruns, 0, "{health:?}");
     rig.check_clean(0);
@@ -94,7 +92,7 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
         let (request, exact) = quick_run();
         let accepted = rig.device.run(request).expect("accepted");
         let ended = rig.device.wait_run(&accepted, &mut Unobserved);
-        rig.bench.advance_us(300_000).expect("the bench runs");
+        rig.pass(300_000);
         let edges = rig.edges(first);
         let verdict = Verdict::of(&exact, &edges);
         let what = format!("{million} M/s: {ended:?}\n{verdict}\n{}", rig.log());
@@ -138,14 +136,9 @@ fn a_processor_that_is_held_up_at_the_end_of_a_stroke_leaves_no_run_without_an_e
         let begun_ns = rig.bench.now_ns();
         let accepted = rig.device.run(short).expect("accepted");
         let passed_us = (rig.bench.now_ns() - begun_ns) / 1_000;
-        rig.bench
-            .advance_us(stroke_us - before_us - passed_us)
-            .expect("the bench runs");
-        rig.bench
-            .visit(move |visit| visit.hold_up(held_up_us))
-            .expect("the bench runs");
-        let record = rig.device.wait_run(&accepted, &mut Unobserved);
-        let record = record.unwrap_or_else(|why| panic!("{what}: {why}\n{}", rig.log()));
+        rig.pass(stroke_us - before_us - passed_us);
+        rig.visit(move |visit| visit.hold_up(held_up_us));
+        let record = rig.ended(&accepted);
         match record.outcome {
             RunOutcome::Complete => {}
             RunOutcome::Faulted(RigFault::Underrun) => {
@@ -173,13 +166,10 @@ fn a_processor_that_is_held_up_at_a_short_turn_still_takes_it() {
         let before = rig.edge_count();
         let accepted = rig.device.run(short).expect("accepted");
         while rig.edge_count() < before + STEPS {
-            rig.bench.advance_us(10).expect("the bench runs");
+            rig.pass(10);
         }
-        rig.bench
-            .visit(move |visit| visit.hold_up(held_up_us))
-            .expect("the bench runs");
-        let record = rig.device.wait_run(&accepted, &mut Unobserved);
-        let record = record.unwrap_or_else(|why| panic!("{held_up_us} us: {why}\n{}", rig.log()));
+        rig.visit(move |visit| visit.hold_up(held_up_us));
+        let record = rig.ended(&accepted);
         assert_eq!(record.outcome, RunOutcome::Complete, "{held_up_us} us");
         assert_eq!(rig.edge_count(), before + 2 * STEPS);
     }

@@ -1,8 +1,11 @@
 //! An emergency stop in real time, from the press to the last edge of STEP: by a second process, and over HTTP. The rig
 //! runs at wall-clock pace behind a TCP port; everything else is the tool's own processes.
+#![cfg(unix)]
 
+use std::fs::Permissions;
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::thread;
@@ -49,7 +52,11 @@ impl Laboratory {
         let line = format!("tcp:127.0.0.1:{}", server.port());
         let served = bench.clone();
         thread::spawn(move || server.serve(&served, "rig", &Plug::default()));
-        let folder = tempfile::tempdir().expect("a folder");
+        // The tool keeps its locks in a folder that is closed to others only.
+        let folder = tempfile::Builder::new()
+            .permissions(Permissions::from_mode(0o700))
+            .tempdir()
+            .expect("a folder");
         Self {
             bench,
             line,

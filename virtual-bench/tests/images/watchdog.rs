@@ -1,6 +1,5 @@
 //! Hanging tasks and processor faults, each triggered where a task checks in with the watchdog.
 
-use client::Unobserved;
 use client::error::ClientError;
 
 use crate::common::{RigRun, homed, is_made, paper, start};
@@ -43,17 +42,13 @@ fn sabotaged(
     if moving {
         rig.device.run(paper(1)).expect("the run is accepted");
     }
-    rig.device
-        .idle(1_000_000, &mut Unobserved)
-        .expect("the link stays");
+    rig.idle(1_000_000);
     assert_eq!(rig.carriage() > 10_000, moving);
     let sabotage =
         Sabotage::new(&image(), client, misbehaviour).expect("an image with its symbols");
-    rig.bench
-        .visit(move |visit| sabotage.apply(visit))
-        .expect("the bench runs");
+    rig.visit(move |visit| sabotage.apply(visit));
     let armed_ns = rig.bench.now_ns();
-    rig.bench.advance_us(1_500_000).expect("the bench runs");
+    rig.pass(1_500_000);
     let resets = rig.bench.bus().expect("the bench runs").resets;
     assert_eq!(resets.len(), 1, "{resets:?}\n{}", rig.log());
     let reset_ns = resets[0].0;
@@ -71,7 +66,7 @@ fn sabotaged(
 
     let identity = rig.device.hello(2).expect("it answers again");
     assert_eq!(identity.reset_cause, cause);
-    let status = rig.device.rig_status().expect("a status");
+    let status = rig.status();
     assert_eq!(
         (status.state, status.fault, status.homed),
         (RigState::Faulted, Some(fault), false)
@@ -84,9 +79,7 @@ fn sabotaged(
         ),
         other => panic!("{other:?}"),
     }
-    rig.device
-        .idle(500_000, &mut Unobserved)
-        .expect("the link stays");
+    rig.idle(500_000);
     assert_eq!(rig.edge_count(), edges, "it moved by itself");
     Ended {
         rig,
@@ -150,11 +143,9 @@ fn a_slow_watchdog_ends_a_task_that_hangs_too() {
         rig.idle(1_000_000);
         let sabotage =
             Sabotage::new(&image(), 1, Misbehaviour::Hang).expect("an image with its symbols");
-        rig.bench
-            .visit(move |visit| sabotage.apply(visit))
-            .expect("the bench runs");
+        rig.visit(move |visit| sabotage.apply(visit));
         let armed_ns = rig.bench.now_ns();
-        rig.bench.advance_us(2_500_000).expect("the bench runs");
+        rig.pass(2_500_000);
         let resets = rig.bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), nth + 1, "{resets:?}\n{}", rig.log());
         let reset_ns = resets[nth].0;
@@ -313,14 +304,12 @@ fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     let mut rig = homed();
     let sabotage =
         Sabotage::new(&image(), 4, Misbehaviour::SetCatches).expect("an image with its symbols");
-    rig.bench
-        .visit(move |visit| sabotage.apply(visit))
-        .expect("the bench runs");
+    rig.visit(move |visit| sabotage.apply(visit));
     rig.idle(50_000);
     let found = |rig: &RigRun| rig.log().matches("left catch bits: 0x7f1").count();
     for expected in [1, 1] {
         rig.bench.reset().expect("the bench runs");
-        rig.bench.advance_us(500_000).expect("the bench runs");
+        rig.pass(500_000);
         rig.device
             .hello(2 + expected as u32)
             .expect("it answers again");

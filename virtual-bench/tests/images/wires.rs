@@ -35,7 +35,7 @@ fn fixed(rig: &mut RigRun) {
     rig.idle(100_000);
     rig.act(Action::Stick(Switch::EStop, None));
     rig.idle(100_000);
-    let status = rig.device.rig_status().expect("a status");
+    let status = rig.status();
     assert_eq!((status.state, status.homed), (RigState::Faulted, false));
     assert_eq!(i64::from(status.position_steps), rig.carriage());
     assert_eq!(rig.edge_count(), edges, "it moved by itself");
@@ -60,10 +60,7 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
     fixed(&mut rig);
     rig.act(cut);
     rig.idle(50_000);
-    assert_eq!(
-        rig.device.rig_status().expect("a status").fault,
-        Some(fault)
-    );
+    assert_eq!(rig.status().fault, Some(fault));
     match rig.device.acknowledge() {
         Err(ClientError::Refused { refusal, .. }) => {
             assert_eq!(refusal, Refusal::CauseStillPresent);
@@ -135,7 +132,7 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
     rig.idle(100_000);
     assert_eq!(rig.edge_count(), 0, "a touch of 5 ms is no press");
     press(&mut rig, 60_000);
-    while rig.device.rig_status().expect("a status").state != RigState::Ready {
+    while rig.status().state != RigState::Ready {
         rig.idle(10_000);
     }
     assert_eq!(rig.carriage(), 0);
