@@ -251,6 +251,7 @@ impl Scenario {
     }
 
     fn fall_silent(&mut self) -> Result<(), String> {
+        self.order()?;
         self.tell("the host falls silent");
         let timeout_ns = u64::from(SettingKey::LinkTimeoutMs.range().default) * MS;
         self.judge.silent_ns = Some(self.rig.bench.now_ns() + timeout_ns + SILENCE_NS);
@@ -262,7 +263,7 @@ impl Scenario {
     }
 
     /// Most of the lost bytes are of the next answers, so that the client repeats its request.
-    fn lose_bytes(&mut self) {
+    fn lose_bytes(&mut self) -> Result<(), String> {
         self.tell("bytes are lost");
         self.excused_ns = self.rig.bench.now_ns() + EXCUSED_NS;
         let bytes = [0; 5].map(|_| self.dice.roll(0..60));
@@ -274,12 +275,13 @@ impl Scenario {
                 serial.corrupt_to_machine(taken + 9 * ahead, ByteFault::Lost);
             }
         });
+        self.order()
     }
 
-    fn order(&mut self) -> Request {
+    fn order(&mut self) -> Result<(), String> {
         let dice = &mut self.dice;
         let speed_um_s = dice.roll(2_000..45_000) as u32;
-        match dice.roll(0..10) {
+        let request = match dice.roll(0..10) {
             0..5 => {
                 let stroke_um = dice.roll(500..20_000) as u32;
                 Request::Run(quick(2, stroke_um, speed_um_s, 1_000_000))
@@ -291,7 +293,8 @@ impl Scenario {
                 position_um: dice.roll(0..140_000) as u32,
                 speed_um_s,
             }),
-        }
+        };
+        self.ask(&request).map(drop)
     }
 
     /// A fault of the rig at one of its next edges, and its end.
@@ -323,11 +326,8 @@ impl Scenario {
                 self.wait(4_000)?;
             }
             match self.dice.roll(0..20) {
-                0..9 => {
-                    let order = self.order();
-                    self.ask(&order)?;
-                }
-                9 | 10 => self.stop(Urgent::Stop)?,
+                0..8 => self.order()?,
+                8..11 => self.stop(Urgent::Stop)?,
                 11 => {
                     self.stop(Urgent::EStop)?;
                     self.ask(&Request::Home(Home))?;
@@ -335,7 +335,7 @@ impl Scenario {
                 12 => self.restart(false)?,
                 13 => self.restart(true)?,
                 14 => self.fall_silent()?,
-                15 | 16 => self.lose_bytes(),
+                15 | 16 => self.lose_bytes()?,
                 _ => self.mishap(),
             }
             let ms = self.dice.roll(1..600);
