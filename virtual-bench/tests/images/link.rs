@@ -153,11 +153,10 @@ fn silence_ends_a_motion_and_reconnecting_moves_nothing() {
             (expected, None),
             "{request:?}"
         );
-        assert_eq!(
-            i64::from(status.position_steps),
-            rig.carriage(),
-            "{request:?}"
-        );
+        if status.homed {
+            let position = i64::from(status.position_steps);
+            assert_eq!(position, rig.carriage(), "{request:?}");
+        }
         if let Some(outcome) = outcome {
             let record = rig.device.run_record().expect("a record");
             assert_eq!(record.outcome, outcome);
