@@ -14,7 +14,7 @@ use lab::commissioning::halt::Halt;
 use lab::commissioning::hands::{Act, Bench as Remote, Hands, Part, Reading};
 use lab::commissioning::image;
 use lab::commissioning::record::{Commissioning, StepOutcome};
-use lab::commissioning::steps;
+use lab::commissioning::step;
 use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
 use protocol::capsule::CapsuleState;
 use protocol::rig::GetRigHealth;
@@ -163,7 +163,7 @@ fn begun(text: &str) -> Vec<String> {
 }
 
 fn names(kind: DeviceKind) -> Vec<String> {
-    steps::of(kind)
+    step::steps(kind)
         .iter()
         .map(|step| step.name.to_owned())
         .collect()
