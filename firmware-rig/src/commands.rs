@@ -68,7 +68,12 @@ fn respond(
         Request::GetRigStatus(_) => Response::GetRigStatus(status(machine, context)),
         Request::Home(_) => {
             command(machine, Command::Home)?;
-            Response::Home(home_accepted(machine.settings()))
+            let settings = machine.settings();
+            Response::Home(rig::HomeAccepted {
+                seek_um_s: settings.seek_um_s,
+                locate_um_s: settings.locate_um_s,
+                max_travel_um: settings.axis.stroke().0 + settings.overtravel_um,
+            })
         }
         Request::Run(requested) => {
             let plan = solve(&requested, machine)?;
@@ -115,14 +120,6 @@ fn respond(
         _ => return Err(Refusal::WrongDevice),
     };
     Ok((response, Effect::None))
-}
-
-fn home_accepted(settings: &Settings) -> rig::HomeAccepted {
-    rig::HomeAccepted {
-        seek_um_s: settings.seek_um_s,
-        locate_um_s: settings.locate_um_s,
-        max_travel_um: settings.axis.stroke().0 + settings.overtravel_um,
-    }
 }
 
 /// Where a move ends, and how fast it may go.

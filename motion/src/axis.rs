@@ -335,11 +335,6 @@ pub struct Speed {
 }
 
 impl Speed {
-    #[must_use]
-    pub const fn um_s(self) -> u32 {
-        self.um_s
-    }
-
     /// Fewest whole ticks for `steps` at this speed: ceil(steps / speed).
     pub(crate) fn least_span(self, steps: Steps) -> u128 {
         let way = u128::from(steps.0) * u128::from(TICK_HZ) * u128::from(self.ratio.um);
@@ -355,12 +350,6 @@ pub struct Acceleration {
 }
 
 impl Acceleration {
-    /// The acceleration in um/s^2.
-    #[must_use]
-    pub const fn um_s2(self) -> u32 {
-        self.um_s2
-    }
-
     /// `steps / acceleration` in ticks^2, rounded up.
     pub(crate) fn least_square(self, steps: Steps) -> u128 {
         let per = u128::from(self.um_s2) * u128::from(self.ratio.steps);

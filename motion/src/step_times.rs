@@ -138,13 +138,6 @@ impl StepTimes {
         Steps(self.last - self.emitted)
     }
 
-    /// Steps of the profile that a stop leaves out; 0 without a stop.
-    /// [`StrokeProfile::resumed`] makes a stroke of them.
-    #[must_use]
-    pub fn left_out(&self) -> Steps {
-        Steps(self.profile.steps().0 - self.last)
-    }
-
     /// The tick of the last step, 0 before the first.
     #[must_use]
     pub const fn tick(&self) -> Ticks {
@@ -161,12 +154,6 @@ impl StepTimes {
     #[must_use]
     pub const fn rest(&self) -> Ticks {
         Ticks(self.end)
-    }
-
-    /// The profile these steps belong to.
-    #[must_use]
-    pub const fn profile(&self) -> &StrokeProfile {
-        &self.profile
     }
 
     /// Whether this deceleration brings the speed of the last step to rest within one step.
@@ -589,58 +576,7 @@ impl Cruise {
 
 #[cfg(test)]
 mod tests {
-    extern crate std;
     use super::*;
-    use proptest::prelude::*;
-
-    /// A ramp within the bounds of [`Ramp`], its tick of step 1 from 2^7 on, and the last step it can reach.
-    fn ramps() -> impl Strategy<Value = (Ramp, u32)> {
-        (0_u32..25, 14_u32..56, any::<u32>(), any::<u64>()).prop_map(|(n_bits, bits, n, square)| {
-            let n = (1 << n_bits) + n % (1 << n_bits);
-            // N / n is from 2^bits to 2^(bits + 1), and N is below 2^62.
-            let bits = bits.min(60 - n_bits);
-            let c = (1 << bits) + square % (1 << bits);
-            let square = u64::from(n) * c + square % u64::from(n);
-            let last = (((1_u64 << 62) - 1) / (c + 1)).min(1 << 25) as u32;
-            (Ramp::new(n, square), last)
-        })
-    }
-
-    /// Whether the remainder agrees with its definition and is in range: then the tick is the nearest one.
-    fn is_exact(ramp: &Ramp) -> bool {
-        let (n, t) = (i128::from(ramp.steps), i128::from(ramp.tick));
-        let rest = i128::from(ramp.k) * i128::from(ramp.square) - n * (t * t - t) - (n + 3) / 4;
-        i128::from(ramp.rest) == rest && (ramp.k == 0 || (0..2 * n * t).contains(&rest))
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(2_000))]
-
-        /// From any step of any ramp: start by square root, then go up and down again.
-        #[test]
-        fn a_ramp_is_exact_from_wherever_it_starts((mut ramp, last) in ramps(), share in 0_u32..=1_000) {
-            let k = (u64::from(last) * u64::from(share) / 1_000) as u32;
-            ramp.seed(k);
-            prop_assert_eq!((ramp.k, ramp.interval), (k, UNHURRIED));
-            prop_assert!(k == 0 || is_exact(&ramp), "{ramp:?}");
-            let up = 50.min(last - k);
-            let mut ticks = std::vec![ramp.tick];
-            for step in k + 1..=k + up {
-                let before = ramp.tick;
-                prop_assert_eq!(ramp.up(), ramp.tick);
-                prop_assert_eq!((ramp.k, ramp.interval), (step, ramp.tick - before));
-                prop_assert!(is_exact(&ramp), "{ramp:?}");
-                ticks.push(ramp.tick);
-            }
-            ramp.seed(k + up);
-            for expected in ticks.into_iter().rev().skip(1) {
-                let (before, step) = (ramp.tick, ramp.k - 1);
-                prop_assert_eq!(ramp.down(), expected);
-                prop_assert_eq!((ramp.k, ramp.interval), (step, before - ramp.tick));
-                prop_assert!(step == 0 || is_exact(&ramp), "{ramp:?}");
-            }
-        }
-    }
 
     /// With n = 4 and N = m^2, step k = j^2 is at m j / 2: for odd m and j exactly between two ticks.
     #[test]
