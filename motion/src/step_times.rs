@@ -82,7 +82,6 @@ pub struct Share {
 }
 
 impl Share {
-    /// A single step.
     const ONE: Self = Self {
         steps: 1,
         ticks: 1,
@@ -91,7 +90,6 @@ impl Share {
     };
 }
 
-/// The part that was taken.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
     groups: usize,

@@ -48,7 +48,6 @@ pub mod client;
 pub mod error;
 pub mod events;
 pub mod frame;
-mod kind;
 pub mod rig;
 pub mod session;
 pub mod settings;

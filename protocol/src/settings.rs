@@ -1,6 +1,6 @@
 //! Settings of rig and capsule: key, owner, unit, range and default, in one table for device, host and manual.
 
-use crate::kind::DeviceKind;
+use crate::system::DeviceKind;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 

@@ -1,6 +1,5 @@
 //! Messages that both machines share: identity, the session's upkeep, events, urgent stops.
 
-pub use crate::kind::DeviceKind;
 use crate::{capsule, rig};
 use heapless::Vec;
 use postcard_schema::Schema;
@@ -12,6 +11,13 @@ pub struct Version {
     pub major: u8,
     /// Raised when a row is appended.
     pub minor: u8,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[serde(rename_all = "snake_case")]
+pub enum DeviceKind {
+    Rig,
+    Capsule,
 }
 
 /// Opens a session. The encoding of this message never changes.
