@@ -216,7 +216,7 @@ pub enum Subcommand {
     Move(MoveArgs),
     /// Print the state of the machines every second, until Ctrl-C. Moves nothing.
     ///
-    /// It works beside another `retrograde` that has the machines.
+    /// It works beside another `retrograde` that has the machines. With `--json` each line is an object.
     Watch(WatchArgs),
     /// Serve both machines to browsers and programs: a page, and HTTP with JSON.
     ///

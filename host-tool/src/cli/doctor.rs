@@ -7,13 +7,13 @@ use std::thread;
 use client::address::Address;
 use client::diagnosis::Sign;
 use client::error::ClientError;
-use client::identity;
+use client::identity::{self, IdentityRecord};
 use client::link::{OpenError, Reason};
 use lab::operations::arguments::Which;
 use lab::operations::connector::{Candidate, Purpose};
 use lab::operations::failure::{DONE, FAILED, FAULT, Failure, NO_DEVICE};
 use lab::operations::places::{KINDS, Places, past_owners};
-use protocol::system::DeviceKind;
+use protocol::system::{DeviceKind, Identity};
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
@@ -37,7 +37,7 @@ pub struct Finding {
     /// Remedy; none if nothing is wrong.
     remedy: Option<String>,
     /// The machine that answered.
-    found: Option<DeviceKind>,
+    found: Option<Identity>,
     exit_code: u8,
 }
 
@@ -80,7 +80,8 @@ impl Finding {
             "finding": self.code,
             "text": self.text,
             "remedy": self.remedy,
-            "machine": self.found.map(identity::kind_name),
+            "machine": self.found.map(|found| identity::kind_name(found.device)),
+            "identity": self.found.map(|found| IdentityRecord::new(&found, &self.place)),
         })
     }
 }
@@ -195,8 +196,8 @@ fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
         return vec![Finding::fine(name, "not_asked", text.to_owned())];
     }
     match past_owners(|| examine(place, places)) {
-        Ok((kind, text, trouble)) => {
-            let found = Some(kind);
+        Ok((identity, text, trouble)) => {
+            let found = Some(identity);
             vec![match trouble {
                 None => Finding {
                     found,
@@ -217,7 +218,7 @@ fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
 /// A problem that a machine reports itself: keyword, text and remedy.
 type Trouble = Option<(&'static str, String, &'static str)>;
 
-fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Trouble), Failure> {
+fn examine(place: &Place, places: &Places<'_>) -> Result<(Identity, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
     let mut device = places.open(kind, address, Purpose::Glance)?;
@@ -249,14 +250,16 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(DeviceKind, String, Tr
         )),
         None => None,
     };
-    Ok((identity.device, text, trouble))
+    Ok((identity, text, trouble))
 }
 
 /// Problems that only show across all places.
 fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Finding> {
     let found = |kind| {
         let found = findings.iter().map(|finding| finding.found);
-        found.filter(|found| *found == Some(kind)).count()
+        found
+            .filter(|found| found.is_some_and(|found| found.device == kind))
+            .count()
     };
     let mut more = vec![];
     for kind in KINDS {
