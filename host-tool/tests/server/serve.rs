@@ -639,7 +639,7 @@ fn a_jog_ends_when_the_server_is_killed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut server = Server::start(&bench);
     let away = json!({ "direction": "away", "speed_mm_s": 10 });
-    let begun = server.post("rig/jog", &away).with(202);
+    server.post("rig/jog", &away).with(202);
     server.process.0.kill().expect("mine");
     server.process.0.wait().expect("mine");
     // Wait for the rig's own dead-man time, 0.3 s, and the braking.
@@ -699,7 +699,7 @@ fn the_capsule_is_folded_once_and_says_when_it_was_so_already() {
     let partly = server.done("capsule/fold", &json!({ "thread_mm": 12.5 }));
     assert!((thread_um(&partly) - 12_500).abs() < 150, "{partly}");
     assert_eq!(partly["requested"], json!({ "thread_um": 12_500 }));
-    let refused = server
+    server
         .post("capsule/fold", &json!({ "indentation_mm": 1_000 }))
         .with(400);
     assert_eq!((bench.count("Fold"), bench.count("FoldTo")), (1, 1));
