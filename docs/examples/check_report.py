@@ -14,38 +14,16 @@ import sys
 import retrograde_data
 
 
-def student_t(degrees, confidence=0.95):
-    """The t within which Student's distribution has this probability, by integration and bisection."""
-    scale = math.exp(math.lgamma((degrees + 1) / 2) - math.lgamma(degrees / 2)) / math.sqrt(degrees * math.pi)
-
-    def within(t):
-        # Over the angle, so that long tails cost nothing: t = sqrt(v) tan(u).
-        end = math.atan(t / math.sqrt(degrees))
-        count = 2000
-        step = end / count
-        weight = lambda index: 1 if index in (0, count) else 4 if index % 2 else 2
-        area = sum(weight(index) * math.cos(index * step) ** (degrees - 1) for index in range(count + 1))
-        return 2 * scale * math.sqrt(degrees) * area * step / 3
-
-    low, high = 0.0, 20.0
-    while within(high) < confidence:
-        high *= 2
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if within(middle) < confidence else (low, middle)
-    return (low + high) / 2
-
-
 def line(points):
-    """Slope, its 95 % interval and intercept of the line through the means of the clampings, because trials of one
-    clamping share its error; R^2 and residual deviation of the trials about it."""
+    """Slope and intercept of the line through the means of the clampings, because trials of one clamping share its
+    error; R^2 and residual deviation of the trials about it."""
     by_a = {}
     for x, y in points:
         by_a.setdefault(x, []).append(y)
     if len(by_a) < 2:
         return None
     means = {x: statistics.fmean(ys) for x, ys in by_a.items()}
-    n, degrees, middle = len(points), len(means) - 2, statistics.fmean(means)
+    n, middle = len(points), statistics.fmean(means)
     squares_x = math.fsum((x - middle) ** 2 for x in means)
     # `statistics.linear_regression` needs Python 3.10.
     slope = math.fsum((x - middle) * y for x, y in means.items()) / squares_x
@@ -56,11 +34,9 @@ def line(points):
 
     mean_y = statistics.fmean(y for _, y in points)
     squares_y = math.fsum((y - mean_y) ** 2 for _, y in points)
-    half = student_t(degrees) * math.sqrt(left(means.items()) / degrees / squares_x) if degrees else None
     return {
         "n": n,
         "slope": slope,
-        "slope_half_95": half,
         "intercept_mm": intercept,
         "r_squared": 1 - left(points) / squares_y if squares_y else None,
         "residual_sd_mm": math.sqrt(left(points) / (n - 2)) if n > 2 else None,
@@ -120,15 +96,7 @@ def expected(campaign):
         whole = inside and not any(name.startswith(inside) for name in changed)
         trial = dict(trial, counts=bool(trial["standing"] == "done" and run and whole))
         facts = {"indentation_mm": trial["indentation_mm"], "displacement_mm": trial["displacement_mm"]}
-        facts.update({f"stroke/{at}": mm for at, mm in enumerate(trial["strokes_mm"], 1)})
-        if run and run.kind == "move":
-            accepted = run.sidecar["action"]["accepted"]
-            facts.update(
-                planned_steps=accepted and abs(accepted["to_steps"] - accepted["from_steps"]),
-                samples=len(run.telemetry),
-                lost_samples=sum(row["missed"] for row in run.telemetry),
-            )
-        elif run and run.sidecar["action"]["executed"]:
+        if run and run.sidecar["action"]["executed"]:
             action = run.sidecar["action"]
             done = action["executed"]
             facts.update(

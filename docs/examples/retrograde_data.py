@@ -65,7 +65,7 @@ class Trial:
 
     @property
     def kind(self):
-        """`run`, `move` (an isolated pass) or `actuation`."""
+        """`run` or `actuation`."""
         return self.sidecar["action"]["kind"]
 
     @property
@@ -119,25 +119,14 @@ class Campaign:
                 continue
             event = row["event"]
             if event == "began":
-                empty = dict(outcome=None, displacement_mm=None, source=None, given_up=None, strokes_left_out=False)
-                attempts.append(dict(row, **empty, strokes_mm=[]))
+                empty = dict(outcome=None, displacement_mm=None, source=None, given_up=None)
+                attempts.append(dict(row, **empty))
             elif event == "ended":
                 attempts[-1].update(outcome=row["outcome"], ended_text=row["text"])
             elif event == "displacement":
                 attempts[-1].update(displacement_mm=row["displacement_mm"], source=row["source"])
-            elif event == "stroke":
-                # As far as they are entered: after `campaign edit ... displacement` some may be missing.
-                attempts[-1]["strokes_mm"].append(row["displacement_mm"])
-            elif event == "strokes_left_out":
-                attempts[-1]["strokes_left_out"] = True
             elif event == "undone":
-                # Takes back the last entry: the net displacement, else that of the strokes.
-                if attempts[-1]["displacement_mm"] is not None:
-                    attempts[-1].update(displacement_mm=None, source=None)
-                elif attempts[-1]["strokes_left_out"]:
-                    attempts[-1]["strokes_left_out"] = False
-                else:
-                    attempts[-1]["strokes_mm"].pop()
+                attempts[-1].update(displacement_mm=None, source=None)
             elif event == "repeated":
                 attempts[-1]["given_up"] = row["text"] or ""
                 excluded = None
@@ -173,7 +162,6 @@ class Campaign:
             indentation_mm=last["indentation_mm"] if stands else None,
             displacement_mm=last["displacement_mm"] if stands else None,
             source=last["source"] if stands else None,
-            strokes_mm=last["strokes_mm"] if stands and not last["strokes_left_out"] else [],
             reason=skipped or excluded,
             origin=self.origin,
         )
@@ -189,9 +177,8 @@ class Campaign:
         return [] if folder is None else trials_in(folder)
 
     def run(self, trial):
-        """The run of the attempt that stands, or its pass; None without one."""
-        kind = "move" if self.trials[trial - 1]["purpose"].endswith("_pass") else "run"
-        return next((record for record in self.records(trial) if record.kind == kind), None)
+        """The run of the attempt that stands; None without one."""
+        return next((record for record in self.records(trial) if record.kind == "run"), None)
 
     def telemetry(self, trial):
         """The rows of the run's CSV file."""

@@ -18,7 +18,6 @@ mod home;
 mod info;
 mod jog;
 mod keyboard;
-mod list;
 mod man;
 mod model;
 mod move_to;
@@ -61,7 +60,6 @@ use crate::cli::campaign::CampaignSubcommand;
 use crate::cli::capsule::CapsuleSubcommand;
 use crate::cli::commission::CommissionArgs;
 use crate::cli::design::DesignArgs;
-use crate::cli::list::ListArgs;
 use crate::cli::plan::PlanArgs;
 use crate::cli::records::RecordsSubcommand;
 use crate::cli::report::ReportArgs;
@@ -98,10 +96,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
             "estop", "ack",
         ],
     ),
-    (
-        "Trials",
-        &["campaign", "list", "records", "verify", "report"],
-    ),
+    ("Trials", &["campaign", "records", "verify", "report"]),
     ("Model", &["plan", "design", "simulate"]),
     ("Set up", &["commission", "settings", "completions", "man"]),
 ];
@@ -109,8 +104,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
 /// Global options that say where machines are.
 const PLACES: [&str; 3] = ["rig", "capsule", "baud"];
 /// Subcommands that reach no machine, so that their help does not show these.
-const WITHOUT_MACHINES: [&str; 8] = [
-    "list",
+const WITHOUT_MACHINES: [&str; 7] = [
     "verify",
     "report",
     "plan",
@@ -167,8 +161,6 @@ pub enum Subcommand {
         #[command(subcommand)]
         subcommand: CampaignSubcommand,
     },
-    /// List campaigns and trials by date, specimen and outcome.
-    List(ListArgs),
     /// Save the machines' own record of their last action.
     Records {
         /// The operation on the record.
@@ -548,7 +540,6 @@ fn carry_out(
         Subcommand::Plan(args) => plan::plan(args, screen),
         Subcommand::Design(args) => design::design(args, screen),
         Subcommand::Simulate(args) => science::simulate(args, screen),
-        Subcommand::List(args) => list::list(args, screen),
         Subcommand::Report(args) => report::report(args, screen),
         Subcommand::Completions { shell } => man::completions(command(), *shell, screen),
         Subcommand::Man { subcommand } => man::man(command(), subcommand, screen),

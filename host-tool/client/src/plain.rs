@@ -3,10 +3,11 @@
 
 use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
-use std::hash::{BuildHasher, RandomState};
 use std::io::{self, Read, Write};
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
+
+use tempfile::{Builder, NamedTempFile, TempDir};
 
 use crate::limited;
 
@@ -196,151 +197,102 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// A name that no other file has: the target's with some random letters.
-#[must_use]
-pub fn part_of(name: &Path) -> OsString {
-    let random = RandomState::new().hash_one(name);
-    let mut part = name.as_os_str().to_owned();
-    part.push(format!(".{random:016x}{PART}"));
-    part
+/// Number of random letters in the name of a part.
+const RANDOM: usize = 16;
+
+/// Makes something with a name that nothing else beside `path` has: its own with some random letters. The system takes
+/// its mask from `mode`.
+fn beside<T>(
+    path: &Path,
+    mode: u32,
+    make: impl Fn(&Builder<'_, '_>, &Path) -> io::Result<T>,
+) -> io::Result<T> {
+    let mut prefix = OsString::from(path.file_name().unwrap_or_default());
+    prefix.push(".");
+    let mut builder = Builder::new();
+    builder.prefix(&prefix).suffix(PART).rand_bytes(RANDOM);
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt;
+        builder.permissions(fs::Permissions::from_mode(mode));
+    }
+    let parent = path.parent().filter(|parent| *parent != Path::new(""));
+    make(&builder, parent.unwrap_or(Path::new("."))).map_err(|io| {
+        // Without the random name, which says nothing to the user.
+        let text = io.to_string();
+        let why = text.split(" at path ").next().unwrap_or_default();
+        io::Error::new(io.kind(), why)
+    })
+}
+
+/// A new file that is about to replace `path`, and is removed if it does not. No link can lead its bytes elsewhere.
+///
+/// # Errors
+/// It cannot be created.
+pub fn part_of(path: &Path) -> io::Result<NamedTempFile> {
+    beside(path, 0o666, |builder, parent| builder.tempfile_in(parent))
+}
+
+/// As [`part_of`], for a folder.
+///
+/// # Errors
+/// It cannot be created.
+pub fn part_of_folder(path: &Path) -> io::Result<TempDir> {
+    beside(path, 0o777, |builder, parent| builder.tempdir_in(parent))
 }
 
 /// Name of the file that `part` was about to replace, if it has the form of [`part_of`].
 #[must_use]
 pub fn of_part(part: &str) -> Option<&str> {
     let (name, random) = part.strip_suffix(PART)?.rsplit_once('.')?;
-    let is_random = random.len() == 16 && random.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let is_random =
+        random.len() == RANDOM && random.bytes().all(|byte| byte.is_ascii_alphanumeric());
     (is_random && !name.is_empty()).then_some(name)
 }
 
-/// A folder that is written to. It was opened without following a link and stays the same one, whatever happens to
-/// its path meanwhile.
-#[derive(Debug)]
-pub struct Folder {
-    #[cfg(unix)]
-    folder: File,
-    path: PathBuf,
+/// The folder `name` in `parent`, created if it is missing. `parent` is where the user points, and may be reached through
+/// links.
+///
+/// # Errors
+/// `name` is a link or no folder, or it cannot be created.
+pub fn folder_below(parent: &Path, name: &str) -> io::Result<PathBuf> {
+    let path = parent.join(name);
+    match fs::create_dir(&path) {
+        Err(io) if io.kind() != io::ErrorKind::AlreadyExists => return Err(io),
+        _ => {}
+    }
+    if !is_folder(&path) {
+        let why = "it is a link or no folder, and nothing is written through it";
+        return Err(io::Error::new(io::ErrorKind::NotADirectory, why));
+    }
+    Ok(path)
 }
 
-impl Folder {
-    /// Opens the folder `name` in `parent`, and creates it if it is missing. `parent` is where the user points, and may
-    /// be reached through links.
-    ///
-    /// # Errors
-    /// `name` is a link or no folder, or it cannot be created.
-    pub fn below(parent: &Path, name: &str) -> io::Result<Self> {
-        let path = parent.join(name);
-        match fs::create_dir(&path) {
-            Err(io) if io.kind() != io::ErrorKind::AlreadyExists => return Err(io),
-            _ => {}
-        }
-        if !is_folder(&path) {
-            let why = "it is a link or no folder, and nothing is written through it";
-            return Err(io::Error::new(io::ErrorKind::NotADirectory, why));
-        }
-        #[cfg(unix)]
-        {
-            use rustix::fs::{Mode, OFlags};
-            let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-            let folder = File::from(rustix::fs::open(&path, flags, Mode::empty())?);
-            Ok(Self { folder, path })
-        }
-        #[cfg(not(unix))]
-        Ok(Self { path })
-    }
-
-    /// Path of a file in it, for messages.
-    #[must_use]
-    pub fn path(&self, name: &str) -> PathBuf {
-        self.path.join(name)
-    }
-
-    fn create_new(&self, name: &Path) -> io::Result<File> {
-        #[cfg(unix)]
-        {
-            use rustix::fs::{Mode, OFlags};
-            let flags =
-                OFlags::WRONLY | OFlags::CREATE | OFlags::EXCL | OFlags::NOFOLLOW | OFlags::CLOEXEC;
-            let mode = Mode::from_raw_mode(0o666);
-            Ok(rustix::fs::openat(&self.folder, name, flags, mode)?.into())
-        }
-        #[cfg(not(unix))]
-        File::create_new(self.path.join(name))
-    }
-
-    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
-        #[cfg(unix)]
-        {
-            rustix::fs::renameat(&self.folder, from, &self.folder, to)?;
-            self.folder.sync_all()
-        }
-        #[cfg(not(unix))]
-        fs::rename(self.path.join(from), self.path.join(to))
-    }
-
-    fn unlink(&self, name: &Path) -> io::Result<()> {
-        #[cfg(unix)]
-        return Ok(rustix::fs::unlinkat(
-            &self.folder,
-            name,
-            rustix::fs::AtFlags::empty(),
-        )?);
-        #[cfg(not(unix))]
-        fs::remove_file(self.path.join(name))
-    }
-
-    /// Replaces a file by renaming, as [`replace`].
-    ///
-    /// # Errors
-    /// It cannot be written; the old one is still there.
-    pub fn replace(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
-        let (name, part) = (Path::new(name), part_of(Path::new(name)));
-        let part = Path::new(&part);
-        let mut file = self.create_new(part)?;
-        file.write_all(bytes)
-            .and_then(|()| file.sync_all())
-            .and_then(|()| self.rename(part, name))
-            // Nothing will complete this file.
-            .inspect_err(|_| drop(self.unlink(part)))
-    }
-
-    /// As [`Folder::replace`], for a file that must not exist yet.
-    ///
-    /// # Errors
-    /// As [`Folder::replace`]; with [`io::ErrorKind::AlreadyExists`] the existing file is unchanged.
-    pub fn create(&self, name: &str, bytes: &[u8]) -> io::Result<()> {
-        drop(self.create_new(Path::new(name))?);
-        self.replace(name, bytes)
-            .inspect_err(|_| drop(self.unlink(Path::new(name))))
-    }
-
-    /// Removes a file; one that is missing is no error.
-    ///
-    /// # Errors
-    /// It cannot be removed.
-    pub fn remove(&self, name: &str) -> io::Result<()> {
-        match self.unlink(Path::new(name)) {
-            Err(io) if io.kind() != io::ErrorKind::NotFound => Err(io),
-            _ => Ok(()),
-        }
+/// Removes a file; one that is missing is no error.
+///
+/// # Errors
+/// It cannot be removed.
+pub fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(io) if io.kind() != io::ErrorKind::NotFound => Err(io),
+        _ => Ok(()),
     }
 }
 
-/// Replaces a file by renaming: a reader finds the old one or the new one, never a part of it. The new one begins as
-/// a new file of a random name beside it, so that no link can lead the bytes elsewhere; a link of the target's own name
-/// is replaced, not followed. The new name is on the disk when this returns.
+fn filled(path: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
+    let mut part = part_of(path)?;
+    part.write_all(bytes)?;
+    part.as_file().sync_all()?;
+    Ok(part)
+}
+
+/// Replaces a file by renaming: a reader finds the old one or the new one, never a part of it. A link of the target's own
+/// name is replaced, not followed. The new name is on the disk when this returns.
 ///
 /// # Errors
 /// It cannot be written; the old one is still there.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let name = path.file_name().unwrap_or_default();
-    let part = path.with_file_name(part_of(Path::new(name)));
-    let mut file = File::create_new(&part)?;
-    file.write_all(bytes)
-        .and_then(|()| file.sync_all())
-        .and_then(|()| fs::rename(&part, path))
-        // Nothing will complete this file.
-        .inspect_err(|_| drop(fs::remove_file(&part)))?;
+    filled(path, bytes)?.persist(path)?;
     sync_folder_of(path)
 }
 
@@ -349,10 +301,8 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// As [`replace`]; with [`io::ErrorKind::AlreadyExists`] the existing file is unchanged.
 pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    // The first process to create the name keeps it. Until the rename the file is empty, and no reader takes it for
-    // complete.
-    drop(File::create_new(path)?);
-    replace(path, bytes).inspect_err(|_| drop(fs::remove_file(path)))
+    filled(path, bytes)?.persist_noclobber(path)?;
+    sync_folder_of(path)
 }
 
 /// Brings the names in the folder of this path to the disk: without this a power cut may undo a rename.
@@ -478,18 +428,47 @@ mod tests {
         let elsewhere = place.path().join("elsewhere");
         fs::create_dir(&elsewhere).expect("a folder");
         symlink(&elsewhere, place.path().join("report")).expect("a link");
-        assert!(Folder::below(place.path(), "report").is_err());
-        let folder = Folder::below(place.path(), "new").expect("created");
-        folder.create("a", b"1").expect("new");
-        let again = folder.create("a", b"2").expect_err("there");
+        fs::write(place.path().join("file"), "mine").expect("written");
+        for (name, kind) in [
+            ("report", io::ErrorKind::NotADirectory),
+            ("file", io::ErrorKind::NotADirectory),
+            ("none/new", io::ErrorKind::NotFound),
+        ] {
+            let error = folder_below(place.path(), name).expect_err(name);
+            assert_eq!(error.kind(), kind, "{name}");
+        }
+        for _ in 0..2 {
+            let folder = folder_below(place.path(), "new").expect("made, or there");
+            assert!(is_folder(&folder));
+        }
+    }
+
+    #[test]
+    fn what_does_not_replace_a_file_leaves_nothing() {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("a");
+        create(&path, b"1").expect("new");
+        let again = create(&path, b"2").expect_err("there");
         assert_eq!(again.kind(), io::ErrorKind::AlreadyExists);
-        // The folder is the one that was opened, even if its path now leads elsewhere.
-        fs::rename(place.path().join("new"), place.path().join("moved")).expect("moved");
-        symlink(&elsewhere, place.path().join("new")).expect("a link");
-        folder.replace("a", b"3").expect("written");
-        folder.remove("missing").expect("no error");
-        assert_eq!(fs::read(place.path().join("moved/a")).expect("there"), b"3");
-        assert_eq!(fs::read_dir(&elsewhere).expect("there").count(), 0);
+        // A folder is no file.
+        fs::create_dir_all(place.path().join("b/c")).expect("a folder");
+        assert!(replace(&place.path().join("b"), b"2").is_err());
+        assert!(remove(&place.path().join("b")).is_err());
+        let lost = replace(&place.path().join("none/a"), b"2").expect_err("no folder");
+        assert!(!lost.to_string().contains(PART), "{lost}");
+        assert_eq!(fs::read_dir(place.path()).expect("there").count(), 2);
+        assert_eq!(fs::read(&path).expect("there"), b"1");
+        remove(&path).expect("removed");
+        remove(&path).expect("no error");
+        #[cfg(unix)]
+        {
+            use std::os::unix::fs::PermissionsExt;
+            let plain = File::create(place.path().join("plain")).expect("new");
+            replace(&path, b"3").expect("written");
+            let mode = |found: fs::Metadata| found.permissions().mode();
+            let ours = mode(fs::metadata(&path).expect("there"));
+            assert_eq!(ours, mode(plain.metadata().expect("there")));
+        }
     }
 
     /// Events in a folder, in order: `new` for a name that a rename has put there, `open` for the folder itself,
@@ -550,41 +529,11 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_cannot_be_made_says_why() {
-        let place = tempfile::tempdir().expect("a folder");
-        fs::write(place.path().join("file"), "mine").expect("written");
-        assert!(is_folder(place.path()) && !is_folder(&place.path().join("file")));
-        assert!(!is_folder(&place.path().join("none")));
-        for (name, kind) in [
-            ("file", io::ErrorKind::NotADirectory),
-            ("none/new", io::ErrorKind::NotFound),
-        ] {
-            let error = Folder::below(place.path(), name).expect_err(name);
-            assert_eq!(error.kind(), kind, "{name}");
-        }
-        assert_eq!(fs::read(place.path().join("file")).expect("there"), b"mine");
-    }
-
-    #[test]
-    fn a_file_of_a_folder_is_removed_and_nothing_else_is_left() {
-        let place = tempfile::tempdir().expect("a folder");
-        let folder = Folder::below(place.path(), "new").expect("created");
-        assert_eq!(folder.path("a"), place.path().join("new").join("a"));
-        folder.create("a", b"1").expect("new");
-        folder.remove("a").expect("removed");
-        folder.remove("a").expect("no error");
-        // A folder is no file, and one in the way leaves no part behind.
-        fs::create_dir_all(folder.path("b/c")).expect("a folder");
-        assert!(folder.remove("b").is_err());
-        assert!(folder.replace("b", b"2").is_err());
-        let left = fs::read_dir(place.path().join("new")).expect("there");
-        assert_eq!(left.count(), 1);
-    }
-
-    #[test]
     fn a_part_names_the_file_that_it_was_about_to_replace() {
-        let part = part_of(Path::new("run.csv"));
-        assert_eq!(of_part(part.to_str().expect("UTF-8")), Some("run.csv"));
+        let place = tempfile::tempdir().expect("a folder");
+        let part = part_of(&place.path().join("run.csv")).expect("made");
+        let name = part.path().file_name().expect("a name");
+        assert_eq!(of_part(name.to_str().expect("UTF-8")), Some("run.csv"));
         let random = "0123456789abcdef";
         for (name, of) in [
             (format!("a.b.{random}{PART}"), Some("a.b")),
@@ -592,7 +541,7 @@ mod tests {
             (format!(".{random}{PART}"), None),
             (format!("a.{random}0{PART}"), None),
             (format!("a.{}{PART}", &random[1..]), None),
-            (format!("a.{}g{PART}", &random[1..]), None),
+            (format!("a.{}-{PART}", &random[1..]), None),
             (format!("{random}{PART}"), None),
             (PART.to_owned(), None),
         ] {

@@ -5,21 +5,15 @@
 //! * [`ledger`]: the events, and the state that follows from them.
 //! * [`readings`]: the readings of the caliper.
 //! * [`files`], [`contents`], [`folder`]: the files, their names, reading and writing.
-//! * [`manifest`]: the hash of every file.
-//! * [`differences`], `contradictions`, [`verify`]: find every change of a folder.
+//! * [`manifest`]: the hash of every file. [`verify`]: everything that differs.
 //! * [`prompts`]: the questions, and the possible answers.
 //! * [`conduct`]: carries the trials out.
-//! * [`catalogue`]: campaigns and trials by date, specimen, outcome.
-//! * [`statistics`]: mean, deviation, and a line with its band.
-//! * [`chance`]: random numbers from a seed.
+//! * [`statistics`]: mean, deviation, and a line. [`chance`]: random numbers from a seed.
 //! * [`remaining`]: the remaining time.
 
-pub mod catalogue;
 pub mod chance;
 pub mod conduct;
 pub mod contents;
-mod contradictions;
-pub mod differences;
 pub mod files;
 pub mod folder;
 pub mod form;

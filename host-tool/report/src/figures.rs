@@ -28,9 +28,6 @@ const LETTERS: i32 = 50;
 /// Mean width of a letter.
 const LETTER_WIDTH: i32 = 22;
 
-/// Opacity of an area.
-const PALE: f64 = 0.16;
-
 /// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("a figure could not be drawn: {0}")]
@@ -45,9 +42,6 @@ pub(crate) enum Mark {
     Dots(i32),
     /// Each pair of points is a line of this width.
     Segments(u32),
-    /// The points are the outline of a pale area behind all other curves: it does not widen the axis, and ends where the
-    /// plot does.
-    Backdrop,
 }
 
 /// One curve. Without a label it has no entry in the legend.
@@ -272,8 +266,7 @@ fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
     let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
     let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
     let zero = (*y_from_zero).then_some(0.0);
-    let shown = curves.iter().filter(|curve| curve.mark != Mark::Backdrop);
-    let heights = shown.flat_map(|curve| &curve.points).map(|point| point.1);
+    let heights = all().map(|point| point.1);
     let (y_low, y_high) = span(heights.chain(zero), 0.06);
     let legend = Legend::of(curves);
     let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
@@ -303,11 +296,8 @@ fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
     for (entry, curve) in labelled.enumerate() {
         draw_entry(root, legend.place(entry), curve)?;
     }
-    // A backdrop would cover the dots of the curves before it.
-    let (behind, before): (Vec<_>, Vec<_>) =
-        (curves.iter()).partition(|curve| curve.mark == Mark::Backdrop);
-    for curve in behind.into_iter().chain(before) {
-        draw_curve(&mut chart, curve, (y_low, y_high))?;
+    for curve in curves {
+        draw_curve(&mut chart, curve)?;
     }
     Ok(())
 }
@@ -320,10 +310,6 @@ fn draw_entry(root: &Sheet<'_>, (x, y): (i32, i32), curve: &Curve) -> Drawn {
         Mark::Line(width) | Mark::Segments(width) => {
             root.draw(&line(y, colour.stroke_width(width)))?;
         }
-        Mark::Backdrop => {
-            let corners = [(x, y - 14), (x + 60, y + 14)];
-            root.draw(&Rectangle::new(corners, colour.mix(PALE).filled()))?;
-        }
         Mark::Dots(radius) => root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?,
     }
     let letters = ("sans-serif", LETTERS - 2).into_font().color(&INK);
@@ -332,15 +318,10 @@ fn draw_entry(root: &Sheet<'_>, (x, y): (i32, i32), curve: &Curve) -> Drawn {
     Ok(())
 }
 
-/// The edge of a backdrop, which shows where a pale area on a dark page ends.
-fn edge(colour: RGBColor) -> ShapeStyle {
-    colour.mix(0.6).stroke_width(2)
-}
-
 type Plot<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// A curve in the plot, which goes from one height to another.
-fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve, (low, high): (f64, f64)) -> Drawn {
+/// A curve in the plot.
+fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve) -> Drawn {
     let colour = curve.colour;
     let is_finite = |point: &&(f64, f64)| point.0.is_finite() && point.1.is_finite();
     let points: Vec<_> = curve.points.iter().filter(is_finite).copied().collect();
@@ -356,14 +337,6 @@ fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve, (low, high): (f64, f64)) -
             let segments = points.chunks_exact(2);
             let style = colour.stroke_width(width);
             plot.draw_series(segments.map(|ends| PathElement::new(ends.to_vec(), style)))?;
-        }
-        Mark::Backdrop => {
-            let within = |(x, y): &(f64, f64)| (*x, y.clamp(low, high));
-            let area: Vec<_> = points.iter().map(within).collect();
-            plot.draw_series([Polygon::new(area, colour.mix(PALE).filled())])?;
-            let inside = |ends: &&[(f64, f64)]| ends.iter().all(|(_, y)| (low..=high).contains(y));
-            let edges = points.windows(2).filter(inside);
-            plot.draw_series(edges.map(|ends| PathElement::new(ends.to_vec(), edge(colour))))?;
         }
     }
     Ok(())
@@ -455,38 +428,5 @@ mod tests {
         assert!(svg.contains("<title>a &lt; b</title>"), "{svg}");
         let said = svg.matches("virtual: simulated, not a measurement").count();
         assert_eq!(said, 2, "in the description and in the picture: {svg}");
-    }
-
-    /// A backdrop does not widen the axis, ends where the plot does, and lies behind all other curves: a band of one
-    /// series would else hide the dots of another.
-    #[test]
-    fn a_backdrop_ends_with_the_plot_and_lies_behind_the_curves() {
-        let band = vec![(0.0, -50.0), (0.0, 100.0), (2.0, 100.0), (2.0, -50.0)];
-        let dots = vec![(0.0, 1.0), (1.0, 3.0), (2.0, 2.0)];
-        let curves = vec![
-            curve("", MEASURED, Mark::Dots(7), dots),
-            curve("", MEASURED, Mark::Backdrop, band),
-        ];
-        let heading = Heading::new("a", Source::Model);
-        let svg = over_time(&heading, "y", curves).expect("drawn");
-        let texts = svg.split("<text").skip(1);
-        let texts = texts.filter_map(|text| text.split_once('>')?.1.split_once('<'));
-        let numbers = texts.filter_map(|(text, _)| text.trim().parse::<f64>().ok());
-        assert_eq!(numbers.fold(0.0, f64::max), 3.0, "{svg}");
-        let (before, area) = svg.split_once("<polygon").expect("an area");
-        assert!(
-            !before.contains("<circle") && area.contains("<circle"),
-            "{svg}"
-        );
-        let points = area
-            .split("points=\"")
-            .nth(1)
-            .and_then(|rest| rest.split('"').next());
-        let heights = points.expect("points").split(' ');
-        let heights = heights.filter_map(|point| point.split_once(',')?.1.parse::<u32>().ok());
-        let plot = heading.height()..heading.height() + SIZE.1 - 124;
-        let heights: Vec<_> = heights.collect();
-        let inside = heights.iter().all(|y| plot.contains(y));
-        assert!(heights.len() >= 4 && inside, "{heights:?}");
     }
 }

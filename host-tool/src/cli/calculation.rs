@@ -60,20 +60,13 @@ impl<'a> Named<'a> {
                 .open(self.path)
                 .and_then(filled)
         } else {
-            let name = self.path.file_name().unwrap_or_default();
-            let part = match self.force {
-                true => self.path.with_file_name(plain::part_of(Path::new(name))),
-                false => self.path.to_owned(),
-            };
-            File::create_new(&part).and_then(|file| {
-                let moved = || match self.force {
-                    true => fs::rename(&part, self.path),
-                    false => Ok(()),
+            plain::part_of(self.path).and_then(|part| {
+                filled(part.reopen()?)?;
+                match self.force {
+                    true => part.persist(self.path)?,
+                    false => part.persist_noclobber(self.path)?,
                 };
-                // Nothing will complete a part.
-                filled(file)
-                    .and_then(|()| moved())
-                    .inspect_err(|_| drop(fs::remove_file(&part)))
+                Ok(())
             })
         };
         written.map_err(|io| match io.kind() {

@@ -13,7 +13,6 @@ use lab::campaign::conduct::{Broken, Conduct, Ending, Machines};
 use lab::campaign::contents::Campaign;
 use lab::campaign::folder::Folder;
 use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, Standing, TrialState};
-use lab::campaign::order::doing;
 use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::readings::Summary;
 use lab::campaign::remaining::{remaining_s, text as time_text};
@@ -46,8 +45,6 @@ pub enum CampaignSubcommand {
     New(NewArgs),
     /// Begin a campaign from a plan, or go on with the one in a folder, also after a crash: readings, check-lists, runs,
     /// displacements.
-    // Its second name goes with the next version.
-    #[command(alias = "resume")]
     Run(CampaignRunArgs),
     /// Show how far a campaign has come. Moves nothing.
     Status(StatusArgs),
@@ -58,7 +55,7 @@ pub enum CampaignSubcommand {
 /// Arguments of `campaign new`.
 #[derive(Debug, Args)]
 pub struct NewArgs {
-    /// The plan (TOML). `examples/paper.toml` and `examples/passes.toml` explain every key.
+    /// The plan (TOML). `examples/paper.toml` explains every key.
     #[arg(value_name = "PLAN")]
     pub plan: PathBuf,
     /// The campaign's folder, which must not exist; by default one below `retrograde-campaigns`, named after the plan.
@@ -190,7 +187,7 @@ pub(crate) fn campaign(
                 ));
             }
             admit(&args.session, screen)?;
-            let folder = open(&args.what, args.session.yes, places, screen)?;
+            let folder = open(&args.what, places, screen)?;
             carry_out(folder, &args.session, places, screen)
         }
         CampaignSubcommand::Run(args) => {
@@ -297,17 +294,9 @@ fn create(
     Ok(folder)
 }
 
-/// Opens a folder for writing. Reports the leftovers of a crash, and asks about a row among them unless nobody is to be
-/// asked.
-fn open(
-    path: &Path,
-    yes: bool,
-    places: &Places<'_>,
-    screen: &mut Screen<'_>,
-) -> Result<Folder, Failure> {
-    let now = places.connector.now();
-    let mut accepts = |question: &str| yes || screen.confirms(question);
-    let (folder, told) = Folder::resume(path, now, &mut accepts).map_err(Own::from)?;
+/// Opens a folder for writing. Reports what a killed session has left.
+fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
+    let (folder, told) = Folder::resume(path, places.connector.now()).map_err(Own::from)?;
     for line in told {
         screen.say(&line);
     }
@@ -528,7 +517,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
             condition.purpose.name(),
             condition.lubrication.name(),
             condition.indentation,
-            doing(condition.purpose, condition.shape),
+            condition.shape.name(),
             values.len(),
             tally.planned,
         );
@@ -553,7 +542,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
                 next.planned.trial,
                 next.planned.indentation,
                 next.planned.lubrication.name(),
-                doing(next.planned.purpose, next.planned.shape),
+                next.planned.shape.name(),
                 time_text(seconds)
             ));
         }
@@ -627,7 +616,7 @@ fn summary(campaign: &Campaign) -> Value {
 // Edits.
 
 fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut folder = open(&args.folder, false, places, screen)?;
+    let mut folder = open(&args.folder, places, screen)?;
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::input(
             "the campaign has not begun, so there is nothing to edit",
@@ -637,6 +626,7 @@ fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result
     let row = edited(&args.edit, folder.campaign(), origin)?;
     folder
         .append(row, places.connector.now(), origin)
+        .and_then(|()| folder.seal())
         .map_err(Own::from)?;
     for line in status(folder.campaign()) {
         screen.say(&line);
@@ -670,14 +660,6 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
         } => {
             if let Some(why) = campaign.plan.displacement.refusal(*displacement_mm) {
                 return Err(Failure::input(why, "in millimetres, + headward"));
-            }
-            if let Some(why) = campaign.disagreement(*trial, *displacement_mm) {
-                return Err(Failure::input(
-                    why,
-                    format!(
-                        "`campaign edit ... undo {trial}` takes the displacement back, once more the one after the last stroke; `campaign run` asks for them again"
-                    ),
-                ));
             }
             let mut row = LedgerRow::of(LedgerEvent::Displacement, *trial, attempt(*trial));
             row.displacement_mm = Some(*displacement_mm);

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use lab::campaign::differences::Finding;
+use lab::campaign::verify::Finding;
 use lab::campaign::{CampaignError, resumption};
 use lab::operations::failure::{FAILED, FAULT, Failure, REFUSED, STOPPED, USAGE};
 use miette::Diagnostic;

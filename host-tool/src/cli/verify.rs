@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use lab::campaign::differences::Finding;
 use lab::campaign::{CampaignError, manifest, verify as verification};
 use lab::operations::failure::Failure;
 use serde_json::{Value, json};
@@ -17,35 +16,12 @@ pub struct VerifyArgs {
     /// The folder of a campaign, or of records.
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// The seal that an earlier `verify` of this folder has printed: fails if the folder has another one now.
-    #[arg(long, value_name = "SEAL", value_parser = sealed)]
-    pub seal: Option<String>,
-}
-
-/// A seal as it was printed, also in capitals. Refuse anything else: a typing error must not look like a changed
-/// folder.
-fn sealed(text: &str) -> Result<String, String> {
-    let seal = text.trim().to_ascii_lowercase();
-    match seal.len() == 64 && seal.bytes().all(|digit| digit.is_ascii_hexdigit()) {
-        true => Ok(seal),
-        false => {
-            Err("a seal has 64 hexadecimal digits: write it as `verify` printed it".to_owned())
-        }
-    }
 }
 
 pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let folder = &args.folder;
-    let mut verified = verification::verify(folder).map_err(Own::from)?;
+    let verified = verification::verify(folder).map_err(Own::from)?;
     let has_manifest = folder.join(manifest::NAME).exists();
-    let seal = has_manifest.then(|| manifest::seal(folder).ok()).flatten();
-    if args.seal.is_some() && args.seal != seal {
-        verified.findings.push(Finding {
-            path: manifest::NAME.to_owned(),
-            what: "is not the one that was sealed".to_owned(),
-            remedy: "restore the folder from a copy that was made when it was sealed".to_owned(),
-        });
-    }
     for finding in &verified.findings {
         screen.say(&format!("{finding}\n  remedy: {}", finding.remedy));
     }
@@ -66,14 +42,14 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
     }
     let whole = verified.records - verified.unended.len();
     let unended = unended(&verified.unended);
-    screen.say(&match &seal {
-        Some(seal) => format!(
-            "{}: {} files are as {} says; {whole} records are whole and in order{unended}.\nSeal, to print or to send: {seal}",
+    screen.say(&match has_manifest {
+        true => format!(
+            "{}: {} files are as {} says; {whole} records are whole and in order{unended}.",
             folder.display(),
             verified.files,
             manifest::NAME,
         ),
-        None => format!(
+        false => format!(
             "{}: there is no {}, so nothing shows whether files were changed; {whole} records have all their rows in order{unended}.",
             folder.display(),
             manifest::NAME,
@@ -85,7 +61,6 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         "files": verified.files,
         "records": verified.records,
         "unended": verified.unended,
-        "seal": seal,
         "findings": [],
     }))
 }

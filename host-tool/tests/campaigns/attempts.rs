@@ -6,10 +6,9 @@ use lab::campaign::contents::Campaign;
 use lab::campaign::files::TRIALS;
 use lab::campaign::folder::Folder;
 use lab::campaign::ledger::{AttemptOutcome, Standing};
-use lab::campaign::manifest;
 use serde_json::Value;
 
-use crate::campaign::{at, campaign, findings};
+use crate::campaign::{at, campaign, findings, relist};
 use crate::campaign_run::{converse, machines, path, place, whole};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 
@@ -116,12 +115,6 @@ fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
     );
 }
 
-/// Lists the files of a folder as they are now.
-fn forge(folder: &std::path::Path) {
-    let forged = manifest::of_folder(folder).expect("read");
-    fs::write(folder.join(manifest::NAME), forged.text()).expect("written");
-}
-
 /// Regression: the record of a run on a full disk is complete by the machine's account and lacks telemetry. It counted
 /// if the tool was killed before it had written the end of the attempt.
 #[test]
@@ -136,7 +129,7 @@ fn a_record_that_is_not_whole_completes_no_attempt() {
     let error = "the telemetry was not recorded whole: no space";
     record["error"] = error.into();
     fs::write(&sidecar, record.to_string()).expect("written");
-    forge(&path);
+    relist(&path);
     let name = sidecar.file_name().expect("a name").to_string_lossy();
     let says =
         format!("trials/003-1: {TRIALS} says that it was completed, and {name} says that {error}");
@@ -146,8 +139,8 @@ fn a_record_that_is_not_whole_completes_no_attempt() {
     let began = ledger.find(",began,3,1,").expect("a row");
     let end = ledger[began..].find('\n').expect("a whole row") + began + 1;
     fs::write(path.join(TRIALS), &ledger[..end]).expect("written");
-    forge(&path);
-    let (folder, told) = Folder::resume(&path, at(99), &mut |_| true).expect("a crash");
+    relist(&path);
+    let (folder, told) = Folder::resume(&path, at(99)).expect("a crash");
     assert_eq!(told, ["003-1: the tool ended within it: lost"]);
     let trial = folder.campaign().state.trial(3).expect("there");
     assert_eq!(trial.attempts[0].outcome, Some(AttemptOutcome::Lost));

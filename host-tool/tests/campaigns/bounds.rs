@@ -4,29 +4,20 @@ use std::fs;
 use std::path::Path;
 
 use client::identity::Origin;
-use jiff::civil::date;
-use jiff::{SignedDuration, Timestamp};
-use lab::campaign::catalogue::{Wanted, list};
+use jiff::SignedDuration;
 use lab::campaign::contents::Campaign;
-use lab::campaign::files::TRIALS;
-use lab::campaign::folder::Folder;
-use lab::campaign::form::Form;
-use lab::campaign::ledger::{AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source};
+use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source};
 use lab::campaign::manifest::{self, Manifest, contents};
-use lab::campaign::order::{Planned, order};
-use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
-use lab::campaign::prompts::clearing;
+use lab::campaign::plan::CampaignPlan;
 use lab::campaign::readings::{Kind, Quantity, Readings, questions, refusal};
 use lab::campaign::remaining::remaining_s;
 use lab::campaign::verify::verify;
 use simulated_machines::machine::VIRTUAL_UID;
 
 use crate::campaign::{
-    SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading,
+    SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading, relist,
 };
-use crate::campaign_run::{
-    WIDTH, clamped, converse, machines, path, place, plan_of_passes, small_plan,
-};
+use crate::campaign_run::{WIDTH, clamped, converse, machines, path, place, small_plan};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 
 /// The reason why a plan with this text in place of another one is refused; none if it is not.
@@ -34,51 +25,6 @@ fn refused(from: &str, to: &str) -> Option<String> {
     assert_eq!(SMALL.matches(from).count(), 1, "{from}");
     let parsed = CampaignPlan::parse(&SMALL.replace(from, to), Path::new("plan.toml"));
     parsed.err().map(|error| error.why)
-}
-
-/// Writes the manifest anew, as somebody does who forges a folder.
-fn seal(folder: &Path) {
-    let forged = manifest::of_folder(folder).expect("read").text();
-    fs::write(folder.join(manifest::NAME), forged).expect("written");
-}
-
-// The catalogue.
-
-/// A search by day leaves it out, any other search lists it.
-#[test]
-fn a_campaign_that_has_not_begun_is_of_no_day() {
-    let place = tempfile::tempdir().expect("a folder");
-    let new = place.path().join("new");
-    drop(Folder::create(&new, SMALL, Path::new("small.toml")).expect("made"));
-    let folders = [place.path().to_owned()];
-    let count = |since, until| {
-        let wanted = Wanted {
-            since,
-            until,
-            ..Wanted::default()
-        };
-        list(&folders, false, &wanted).entries.len()
-    };
-    let day = Some(date(2026, 1, 21));
-    assert_eq!(count(None, None), 1);
-    assert_eq!(
-        [count(day, None), count(None, day), count(day, day)],
-        [0; 3]
-    );
-}
-
-#[test]
-fn campaigns_are_found_three_folders_deep_and_no_deeper() {
-    for (levels, found) in [(1, 1), (3, 1), (4, 0), (5, 0)] {
-        let place = tempfile::tempdir().expect("a folder");
-        let within = (1..levels).fold(place.path().to_owned(), |path, _| path.join("in"));
-        fs::create_dir_all(&within).expect("made");
-        let path = within.join("small");
-        drop(Folder::create(&path, SMALL, Path::new("small.toml")).expect("made"));
-        let all = list(&[place.path().to_owned()], false, &Wanted::default());
-        assert_eq!(all.entries.len(), found, "{levels}: {all:?}");
-        assert_eq!(all.unreadable, [""; 0]);
-    }
 }
 
 // Plans.
@@ -89,72 +35,7 @@ fn a_length_that_is_no_number_is_told_with_an_example() {
     assert!(why.contains("a number, for example 130 or 12.5"), "{why}");
 }
 
-/// The rollers of 38 mm neither touch the body before the pass nor after it.
-#[test]
-fn a_body_may_lie_exactly_where_the_rollers_no_longer_reach() {
-    let passes = plan_of_passes();
-    let refused = |tail: &str, body: &str| {
-        let text = passes
-            .replacen("tail_mm = 40", &format!("tail_mm = {tail}"), 1)
-            .replacen("body_mm = 41.2", &format!("body_mm = {body}"), 1);
-        let parsed = CampaignPlan::parse(&text, Path::new("plan.toml"));
-        parsed.err().map(|error| error.why)
-    };
-    let why = refused("0", "41.2").expect("under the rollers");
-    let reach = why.split("rollers reach ").nth(1).expect("the reach");
-    let reach = mm(reach.split(' ').next().expect("a number"));
-    let below = Millimetres::from_um(reach.um - 1);
-    assert_eq!(refused(&reach.to_string(), "41.2"), None);
-    assert!(refused(&below.to_string(), "41.2").is_some());
-    // From the other end, of the stroke of 130 mm.
-    let most = Millimetres::from_um(130_000 - reach.um - 41_200);
-    let above = Millimetres::from_um(most.um + 1);
-    assert_eq!(refused(&most.to_string(), "41.2"), None);
-    assert!(refused(&above.to_string(), "41.2").is_some());
-}
-
-/// A person enters the displacement after each stroke of 50 cycles, and no more.
-#[test]
-fn strokes_are_asked_for_in_runs_of_up_to_50_cycles() {
-    let text = SMALL.replace("duration_s = 1\n", "duration_s = 200\n");
-    for (cycles, fits) in [(50, true), (51, false)] {
-        let text = text.replace("cycles = 1\n", &format!("cycles = {cycles}\n"));
-        let text = format!("{text}[displacement]\nper_stroke = true\n");
-        let parsed = CampaignPlan::parse(&text, Path::new("plan.toml"));
-        assert_eq!(parsed.is_ok(), fits, "{cycles}: {parsed:?}");
-    }
-}
-
 // Questions.
-
-#[test]
-fn the_rollers_go_to_the_end_at_which_the_trial_begins() {
-    for (purpose, says) in [
-        (
-            Purpose::Series,
-            "Trial 7, unfolded: the rollers go home before",
-        ),
-        (
-            Purpose::AntegradePass,
-            "Trial 7, antegrade pass: the rollers go home before",
-        ),
-        (
-            Purpose::ReturningPass,
-            "Trial 7, returning pass: the rollers go to the far end before",
-        ),
-    ] {
-        let lines = clearing(&Planned {
-            trial: 7,
-            block: 1,
-            purpose,
-            lubrication: Lubrication::Dry,
-            indentation: "a1".to_owned(),
-            shape: Form::Unfolded,
-            repeat: 1,
-        });
-        assert!(lines[1].starts_with(says), "{lines:?}");
-    }
-}
 
 /// There is nothing to take back yet, so the question stays.
 #[test]
@@ -192,85 +73,6 @@ fn a_number_at_the_virtual_bench_is_no_displacement() {
     let counted = campaign.state.trials[0].counted().expect("counts");
     assert_eq!(counted.source, Source::Model);
     assert_ne!(counted.value, mm("12.5"));
-}
-
-// Displacements.
-
-/// With an uncertainty of 0.1 mm the net displacement may lie 0.3 mm from that after the last stroke.
-#[test]
-fn the_net_displacement_may_differ_by_three_deviations_and_no_more() {
-    let place = tempfile::tempdir().expect("a folder");
-    let text = format!("{SMALL}[displacement]\nper_stroke = true\nuncertainty_mm = 0.1\n");
-    let path = place.path().join("strokes");
-    let folder = Folder::create(&path, &text, Path::new("small.toml")).expect("made");
-    let mut campaign = folder.campaign().clone();
-    let begun = crate::campaign::campaign(&place.path().join("begun"));
-    let mut attempt = begun.campaign().state.trials[0].attempts[0].clone();
-    attempt.strokes = vec![mm("9"), mm("4")];
-    let mut trials = campaign.state.trials.iter_mut();
-    let series = trials.find(|trial| trial.planned.purpose == Purpose::Series);
-    let series = series.expect("there");
-    series.attempts = vec![attempt];
-    let trial = series.planned.trial;
-    for (net, fits) in [
-        ("4.3", true),
-        ("3.7", true),
-        ("4.301", false),
-        ("3.699", false),
-    ] {
-        let why = campaign.disagreement(trial, mm(net));
-        assert_eq!(why.is_none(), fits, "{net}: {why:?}");
-    }
-}
-
-/// Strokes that are left out are left out once.
-#[test]
-fn strokes_are_neither_entered_nor_left_out_after_they_were_left_out() {
-    let text = format!("{SMALL}[displacement]\nper_stroke = true\n");
-    let mut state = CampaignState::new(&order(&plan(&text)));
-    let mut step = |event| {
-        let mut row = LedgerRow::of(event, 1, Some(1));
-        row.row = state.sequence.next_row();
-        row.outcome = (event == LedgerEvent::Ended).then_some(AttemptOutcome::Complete);
-        row.displacement_mm = (event == LedgerEvent::Stroke).then(|| mm("4"));
-        row.source = (event == LedgerEvent::Stroke).then_some(Source::Measured);
-        state.apply(&row).map_err(|contradiction| contradiction.why)
-    };
-    for event in [
-        LedgerEvent::Began,
-        LedgerEvent::Ended,
-        LedgerEvent::Stroke,
-        LedgerEvent::StrokesLeftOut,
-    ] {
-        assert_eq!(step(event), Ok(()), "{event:?}");
-    }
-    for event in [LedgerEvent::Stroke, LedgerEvent::StrokesLeftOut] {
-        let why = step(event).expect_err("left out");
-        assert!(why.contains("trial 1 is not measured yet"), "{why}");
-    }
-    assert_eq!(step(LedgerEvent::Undone), Ok(()));
-    assert_eq!(step(LedgerEvent::Stroke), Ok(()));
-}
-
-/// A pass takes the time of one stroke to its start and one over the body: that of a cycle.
-#[test]
-fn a_pass_takes_the_time_of_a_cycle() {
-    let place = tempfile::tempdir().expect("a folder");
-    let longer = [
-        ("cycles = 1", "cycles = 4"),
-        ("duration_s = 8", "duration_s = 32"),
-    ];
-    let passes = changed(&plan_of_passes(), &longer);
-    let path = place.path().join("passes");
-    let folder = Folder::create(&path, &passes, Path::new("passes.toml")).expect("made");
-    let trials = folder.campaign().order.iter();
-    let count = trials
-        .filter(|trial| trial.purpose.pass().is_some())
-        .count();
-    assert_eq!((count, folder.campaign().order.len()), (2, 3));
-    // A run of 32 s and two cycles of it; 60 s for each trial, and a clamping of 300 s for each of two blocks.
-    let expected = 32.0 + 2.0 * 8.0 + 3.0 * 60.0 + 2.0 * 300.0;
-    assert_eq!(remaining_s(folder.campaign()), expected);
 }
 
 /// The pause between two blocks is the clamping, and no handling.
@@ -319,59 +121,6 @@ fn every_stroke_of_a_run_has_its_pulse() {
 }
 
 // Folders.
-
-/// A clock that is set from local time to UTC steps by less than a day. A row may lie a day from its neighbours, and no
-/// second more.
-#[test]
-fn a_row_after_a_crash_may_lie_a_day_from_its_neighbours() {
-    let day = SignedDuration::from_hours(24);
-    let second = SignedDuration::from_secs(1);
-    let (before, after) = (at(0), at(1_000));
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    let rows = campaign(&path).campaign().rows.clone();
-    let sealed = fs::read_to_string(path.join(TRIALS)).expect("there");
-    let last = rows.iter().map(|row| row.time_utc).max().expect("rows");
-    assert!(before < last && last < after);
-    let resumed = |time: Timestamp| {
-        let row = format!("{},{time},note,3,,,,,,,,said,board\n", rows.len() + 1);
-        fs::write(path.join(TRIALS), format!("{sealed}{row}")).expect("written");
-        let manifest = fs::read(path.join(manifest::NAME)).expect("there");
-        let resumed = Folder::resume(&path, after, &mut |_| true);
-        let result = resumed.map(drop).map_err(|error| error.why);
-        fs::write(path.join(TRIALS), &sealed).expect("written");
-        fs::write(path.join(manifest::NAME), manifest).expect("written");
-        result
-    };
-    assert_eq!(resumed(last - day), Ok(()));
-    assert_eq!(resumed(after + day), Ok(()));
-    let why = resumed(last - day - second).expect_err("earlier");
-    assert!(
-        why.contains("a row that is not in SHA256SUMS is of"),
-        "{why}"
-    );
-    let why = resumed(after + day + second).expect_err("later");
-    assert!(why.contains("this computer's clock says"), "{why}");
-}
-
-#[test]
-fn a_file_with_another_name_is_told_with_that_name() {
-    let place = tempfile::tempdir().expect("a folder");
-    for (name, text) in [("a.txt", "one"), ("b.txt", "two")] {
-        fs::write(place.path().join(name), text).expect("written");
-    }
-    seal(place.path());
-    fs::rename(place.path().join("a.txt"), place.path().join("c.txt")).expect("renamed");
-    fs::remove_file(place.path().join("b.txt")).expect("removed");
-    assert_eq!(
-        findings(place.path()),
-        [
-            "a.txt: is missing, and c.txt has its contents: was it renamed?",
-            "b.txt: is missing",
-            "c.txt: is not in SHA256SUMS",
-        ]
-    );
-}
 
 /// A manifest that cannot be read is none that is missing.
 #[test]
@@ -461,43 +210,6 @@ fn a_changed_plan_is_told_beside_what_it_leads_to() {
     );
 }
 
-/// Every a_n needs its readings in the folder. They may be later by a clock that was set back since.
-#[test]
-fn an_indentation_of_readings_that_are_not_there_is_found() {
-    for (set, discarded, found) in [(2, false, false), (3, false, true), (2, true, true)] {
-        let place = tempfile::tempdir().expect("a folder");
-        let path = place.path().join("small");
-        let mut folder = Folder::create(&path, SMALL, Path::new("small.toml")).expect("made");
-        let name = folder.campaign().order[0].indentation.clone();
-        let mut began = LedgerRow::of(LedgerEvent::Began, 1, Some(1));
-        (began.readings_set, began.indentation_mm) = (Some(set), Some(mm("1")));
-        folder.append(began, at(0), Origin::Board).expect("written");
-        let mut ended = LedgerRow::of(LedgerEvent::Ended, 1, Some(1));
-        ended.outcome = Some(AttemptOutcome::Stopped);
-        folder
-            .append(ended, at(30), Origin::Board)
-            .expect("written");
-        for first in [
-            reading(1, None, 1, "24.4"),
-            reading(2, Some(&name), 1, "22.4"),
-        ] {
-            let mut last = accepted(&first);
-            if discarded && first.readings_set == 2 {
-                last.event = Kind::Discarded;
-            }
-            for row in [first.clone(), last] {
-                folder
-                    .append_reading(row, at(600), Origin::Board)
-                    .expect("written");
-            }
-        }
-        drop(folder);
-        let says = format!("a_n is of the readings {set}, and readings.csv has none accepted");
-        let all = findings(&path);
-        assert_eq!(all.iter().any(|one| one.contains(&says)), found, "{all:?}");
-    }
-}
-
 /// An attempt at a fold has more records than that of its run.
 #[test]
 fn the_record_of_a_run_is_found_among_others() {
@@ -567,7 +279,7 @@ fn links_and_names_that_cannot_be_listed_are_told() {
 
     let place = tempfile::tempdir().expect("a folder");
     fs::write(place.path().join("a.txt"), "one").expect("written");
-    seal(place.path());
+    relist(place.path());
     std::os::unix::fs::symlink("a.txt", place.path().join("b.txt")).expect("linked");
     let names: [&[u8]; 2] = [b"c\\d.txt", b"e\xff.txt"];
     for name in names.map(std::ffi::OsStr::from_bytes) {

@@ -16,7 +16,7 @@ use lab::campaign::form::Form;
 use lab::campaign::ledger::{
     AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, Standing,
 };
-use lab::campaign::manifest::{self, Manifest};
+use lab::campaign::manifest;
 use lab::campaign::order::order;
 use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
 use lab::campaign::prompts::{self, Answer};
@@ -94,7 +94,6 @@ fn the_papers_plan_is_a_hundred_runs_and_the_fold_test() {
         let wanted = match condition.purpose {
             Purpose::Series => 1..=10,
             Purpose::FoldTest => 1..=1,
-            pass => panic!("the paper has no {pass:?}"),
         };
         assert!(repeats.iter().copied().eq(wanted), "{condition:?}");
     }
@@ -198,83 +197,7 @@ fn a_plan_that_cannot_be_carried_out_says_why() {
     assert!(error.why.contains("nothing to do"), "{}", error.why);
 }
 
-const PASSES: &str = include_str!("../../../examples/passes.toml");
-
-#[test]
-fn the_plan_of_passes_is_as_many_each_way_and_runs_with_their_strokes() {
-    let plan = plan(PASSES);
-    let trials = order(&plan);
-    let count = |purpose| {
-        trials
-            .iter()
-            .filter(|trial| trial.purpose == purpose)
-            .count()
-    };
-    assert_eq!(count(Purpose::Series), 4);
-    assert_eq!(count(Purpose::AntegradePass), 10);
-    assert_eq!(count(Purpose::ReturningPass), 10);
-    // The rollers are clamped once for both ways.
-    assert_eq!(trials.last().expect("some").block, 4);
-    let repeats: BTreeSet<_> = trials
-        .iter()
-        .map(|trial| (trial.condition(), trial.repeat))
-        .collect();
-    assert_eq!(repeats.len(), trials.len());
-    assert_eq!(plan.strokes_of(Purpose::Series, Form::Unfolded), Some(10));
-    assert_eq!(
-        plan.strokes_of(Purpose::AntegradePass, Form::Unfolded),
-        None
-    );
-    assert_eq!(plan.strokes_of(Purpose::FoldTest, Form::Folded), None);
-    assert_eq!(plan.displacement.uncertainty_mm, Some(mm("0.2")));
-    // 130 mm in 4 s with ramps of 100 mm/s2.
-    let speed = plan.passes.expect("there").speed_um_s;
-    assert!((35_000..38_000).contains(&speed), "{speed}");
-    assert!(!plan.needs_capsule());
-}
-
-#[test]
-fn passes_that_would_not_be_isolated_are_refused() {
-    for (good, bad, says) in [
-        ("tail_mm = 40", "tail_mm = 19.9", "use 20 or more"),
-        ("tail_mm = 40", "tail_mm = 69", "leaves at most 68.8"),
-        ("stroke_mm = 130", "stroke_mm = 80", "leaves at most 18.8"),
-        (
-            "body_mm = 41.2",
-            "body_mm = 0",
-            "length of the body at rest",
-        ),
-        ("body_mm = 41.2 ", "", "missing field `body_mm`"),
-        ("repeats = 5", "repeats = 0", "passes.repeats: 0"),
-        ("per_stroke = true", "per_stroke = 1", "expected a boolean"),
-        ("cycles = 5", "cycles = 51", "at most 50 cycles"),
-        (
-            "cycles = 5",
-            "cycles = \"five\"",
-            "expected a whole number from 0 to 65535",
-        ),
-        (
-            "uncertainty_mm = 0.2",
-            "uncertainty_mm = 0",
-            "no measurement is exact",
-        ),
-        (
-            "uncertainty_mm = 0.2",
-            "uncertainty_mm = -1",
-            "no measurement is exact",
-        ),
-    ] {
-        let mut text = PASSES.replacen(good, bad, 1);
-        if bad == "cycles = 51" {
-            text = text.replace("duration_s = 40", "duration_s = 408");
-        }
-        assert_ne!(text, PASSES, "{good}");
-        let error = CampaignPlan::parse(&text, Path::new("plan.toml")).expect_err(bad);
-        assert!(error.why.contains(says), "{bad}: {}", error.why);
-    }
-}
-
-/// Folders from before passes existed must keep their order.
+/// A campaign that was begun goes on in the order that was drawn.
 #[test]
 fn the_order_of_the_papers_plan_stays() {
     let hash = hmac_sha256::Hash::hash(order_text(&order(&plan(PAPER))).as_bytes());
@@ -353,12 +276,10 @@ fn another_seed_is_another_order() {
 
 // Ledgers.
 
-const EVENTS: [LedgerEvent; 11] = [
+const EVENTS: [LedgerEvent; 9] = [
     LedgerEvent::Began,
     LedgerEvent::Ended,
     LedgerEvent::Displacement,
-    LedgerEvent::Stroke,
-    LedgerEvent::StrokesLeftOut,
     LedgerEvent::Undone,
     LedgerEvent::Repeated,
     LedgerEvent::Skipped,
@@ -459,74 +380,6 @@ proptest! {
         let removed = rows.remove(one);
         prop_assert_eq!(CampaignState::replay(&order, &rows).is_err(), removed.row != 8);
     }
-}
-
-/// Strokes come before the net displacement. Undo takes back the last entry.
-#[test]
-fn strokes_are_entered_and_taken_back_one_by_one() {
-    let order = order(&plan(SMALL));
-    let mut state = CampaignState::new(&order);
-    let mut step = |event| {
-        let mut row = LedgerRow::of(event, 1, Some(1));
-        row.row = state.sequence.next_row();
-        row.origin = Origin::Board;
-        row.outcome = Some(AttemptOutcome::Complete);
-        row.displacement_mm = Some(Millimetres::from_um(i64::from(row.row)));
-        row.source = Some(Source::Measured);
-        let possible = state.apply(&row).is_ok();
-        let attempt = state.trial(1).expect("there").attempts.last().cloned();
-        let strokes = attempt.iter().flat_map(|one| one.strokes.clone());
-        let um: Vec<i64> = strokes.map(|mm| mm.um).collect();
-        let whole = attempt.is_some_and(|one| one.all_strokes(2).is_some());
-        (
-            possible,
-            um,
-            whole,
-            state.trial(1).expect("there").standing(),
-        )
-    };
-    use Standing::{Done, UnderWay, Unmeasured};
-    assert_eq!(step(LedgerEvent::Began).3, UnderWay);
-    assert_eq!(step(LedgerEvent::Stroke), (false, vec![], false, UnderWay));
-    step(LedgerEvent::Ended);
-    assert_eq!(
-        step(LedgerEvent::Undone),
-        (false, vec![], false, Unmeasured)
-    );
-    assert_eq!(
-        step(LedgerEvent::Stroke),
-        (true, vec![3], false, Unmeasured)
-    );
-    assert_eq!(
-        step(LedgerEvent::Stroke),
-        (true, vec![3, 4], true, Unmeasured)
-    );
-    assert_eq!(
-        step(LedgerEvent::StrokesLeftOut),
-        (true, vec![3, 4], false, Unmeasured)
-    );
-    assert_eq!(
-        step(LedgerEvent::Stroke),
-        (false, vec![3, 4], false, Unmeasured)
-    );
-    assert_eq!(
-        step(LedgerEvent::Undone),
-        (true, vec![3, 4], true, Unmeasured)
-    );
-    assert_eq!(
-        step(LedgerEvent::Undone),
-        (true, vec![3], false, Unmeasured)
-    );
-    step(LedgerEvent::Stroke);
-    assert_eq!(
-        step(LedgerEvent::Displacement),
-        (true, vec![3, 8], true, Done)
-    );
-    assert_eq!(step(LedgerEvent::Stroke), (false, vec![3, 8], true, Done));
-    assert_eq!(
-        step(LedgerEvent::Undone),
-        (true, vec![3, 8], true, Unmeasured)
-    );
 }
 
 /// One row of each kind in turn, and the trial's standing after each.
@@ -761,12 +614,19 @@ pub(crate) fn campaign(path: &Path) -> Folder {
     let note = LedgerRow::of(LedgerEvent::Note, 2, None)
         .saying(Some("a \"note\", with\na comma".to_owned()));
     folder.append(note, now(), origin).expect("written");
+    folder.seal().expect("written");
     folder
 }
 
-/// Resumes; whoever is asked about a row that the manifest does not know says yes.
+/// Resumes as `campaign run` does.
 fn resume(path: &Path, now: Timestamp) -> Result<(Folder, Vec<String>), CampaignError> {
-    Folder::resume(path, now, &mut |_| true)
+    Folder::resume(path, now)
+}
+
+/// Lists the files of a folder as they are now.
+pub(crate) fn relist(folder: &Path) {
+    let new = manifest::of_folder(folder).expect("read").text();
+    fs::write(folder.join(manifest::NAME), new).expect("written");
 }
 
 pub(crate) fn findings(folder: &Path) -> Vec<String> {
@@ -884,9 +744,10 @@ fn half_a_file_of_another_program_is_not_removed() {
     drop(folder);
     for name in ["IMG_7.MOV.part", "IMG_7.MOV.0123456789abcdef.part"] {
         fs::write(path.join(name), "a film").expect("written");
-        let error = resume(&path, at(99)).err().expect("not of a crash");
-        assert!(error.why.contains("is not in SHA256SUMS"), "{error:?}");
-        assert!(path.join(name).exists());
+        let (folder, told) = resume(&path, at(99)).expect("whole");
+        assert_eq!((told, path.join(name).exists()), (vec![], true));
+        drop(folder);
+        assert_eq!(findings(&path), [format!("{name}: is not in SHA256SUMS")]);
         fs::remove_file(path.join(name)).expect("there");
     }
 }
@@ -930,7 +791,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
         );
     }
     let (folder, told) = resume(&path, at(201)).expect("a crash");
-    assert_eq!(told.len(), 3, "{told:?}");
+    assert_eq!(told.len(), 4, "{told:?}");
     let trial = folder.campaign().state.trial(4).expect("there").clone();
     assert_eq!(trial.standing(), Standing::Unmeasured);
     assert_eq!(folder.campaign().state.next(), Some(&trial));
@@ -955,22 +816,48 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
 }
 
 #[test]
-fn what_no_crash_does_is_not_resumed() {
+fn a_campaign_with_a_changed_file_is_not_resumed() {
     let place = tempfile::tempdir().expect("a folder");
     let path = place.path().join("small");
     drop(campaign(&path));
     let resumed = || resume(&path, at(0)).err().map(|error| error.why);
-    fs::write(path.join("trials/001-1/extra.txt"), "x").expect("written");
-    assert!(resumed().is_some_and(|why| why.contains("not in SHA256SUMS")));
-    fs::remove_file(path.join("trials/001-1/extra.txt")).expect("there");
+    let listed = fs::read(path.join(manifest::NAME)).expect("there");
     let trials = fs::read_to_string(path.join(TRIALS)).expect("there");
-    fs::write(path.join(TRIALS), trials.replace("4.2", "42")).expect("written");
-    assert!(resumed().is_some_and(|why| why.contains("changed")));
-    let shorter = &trials[..trials[..trials.len() - 1].rfind('\n').expect("lines") + 1];
-    fs::write(path.join(TRIALS), shorter).expect("written");
-    assert!(resumed().is_some_and(|why| why.contains("changed")));
-    fs::write(path.join(TRIALS), trials).expect("written");
+    let last = trials[..trials.len() - 1].rfind('\n').expect("lines") + 1;
+    let run = Campaign::read(&path).expect("read").run_sidecar(2, 1);
+    let telemetry = run.expect("there").with_extension("csv");
+    let rows = fs::read_to_string(&telemetry).expect("there");
+    for (file, text, why) in [
+        (
+            path.join(TRIALS),
+            Some(trials.replace("4.2", "42")),
+            "was changed",
+        ),
+        (
+            path.join(TRIALS),
+            Some(trials[..last].to_owned()),
+            "was changed",
+        ),
+        (telemetry.clone(), Some(rows.clone() + "\n"), "was changed"),
+        (telemetry.clone(), None, "is missing"),
+    ] {
+        match text {
+            Some(text) => fs::write(&file, text).expect("written"),
+            None => fs::remove_file(&file).expect("there"),
+        }
+        assert!(resumed().is_some_and(|error| error.contains(why)), "{why}");
+        // A new manifest would hide the loss.
+        assert_eq!(fs::read(path.join(manifest::NAME)).expect("there"), listed);
+        fs::write(path.join(TRIALS), &trials).expect("written");
+        fs::write(&telemetry, &rows).expect("written");
+    }
+    // What is added to an earlier attempt stays a finding.
+    fs::write(path.join("trials/001-1/extra.txt"), "x").expect("written");
     assert_eq!(resumed(), None);
+    assert_eq!(
+        findings(&path),
+        ["trials/001-1/extra.txt: is not in SHA256SUMS"]
+    );
 }
 
 // Verification.
@@ -1131,13 +1018,18 @@ fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
         let lines: Vec<_> = text.lines().collect();
         [&lines[..1], &lines[2..]].concat().join("\n") + "\n"
     };
-    let cases: [(&Path, Edit, &str); 7] = [
+    let cases: [(&Path, Edit, &str); 8] = [
         (&telemetry, without_last, "rows, 10 were recorded"),
         (&telemetry, reversed, "time does not go on"),
         (
             &sidecar,
             |text| text.replace("\"complete\"", "\"stopped\""),
             "says stopped",
+        ),
+        (
+            &sidecar,
+            |text| text.replace("\"origin\": \"board\"", "\"origin\": \"virtual\""),
+            "is of origin virtual, trials.csv of board",
         ),
         (
             &path.join(TRIALS),
@@ -1165,8 +1057,7 @@ fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
         let after = edit(&before);
         assert_ne!(after, before);
         fs::write(file, after).expect("written");
-        let forged: Manifest = manifest::of_folder(&path).expect("read");
-        fs::write(path.join(manifest::NAME), forged.text()).expect("written");
+        relist(&path);
         let found = findings(&path);
         assert!(
             found.iter().any(|found| found.contains(says)),
@@ -1187,26 +1078,11 @@ fn an_ordinary_folder_is_checked_as_far_as_it_can_be() {
         (false, 0, 1)
     );
     assert_eq!(verified.findings, vec![]);
-    let made = manifest::of_folder(&records).expect("read");
-    fs::write(records.join(manifest::NAME), made.text()).expect("written");
+    relist(&records);
     assert_eq!(verify(&records).expect("a folder").files, 2);
     assert!(verify(&place.path().join("none")).is_err());
     assert_eq!(Form::Folded.name(), "folded");
     assert_eq!(Lubrication::Dry.name(), "dry");
-}
-
-/// A new manifest without the file would hide its loss.
-#[test]
-fn a_campaign_without_one_of_its_files_is_not_resumed() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
-    let sidecar = Campaign::read(&path).expect("read").run_sidecar(2, 1);
-    let listed = fs::read(path.join(manifest::NAME)).expect("there");
-    fs::remove_file(sidecar.expect("there").with_extension("csv")).expect("removed");
-    let error = resume(&path, at(99)).err().expect("refused");
-    assert!(error.why.contains("it is missing"), "{error:?}");
-    assert_eq!(fs::read(path.join(manifest::NAME)).expect("there"), listed);
 }
 
 #[test]
@@ -1239,34 +1115,6 @@ fn a_run_that_the_plan_does_not_say_is_found() {
     folder.seal_attempt(4, 1).expect("written");
     drop(folder);
     let found = findings(&path);
-    let says = "is not of the motion that the plan says";
+    let says = "is not the run of the plan";
     assert!(found.iter().any(|one| one.contains(says)), "{found:?}");
-}
-
-#[test]
-fn a_second_run_and_an_attempt_that_was_never_begun_are_found() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
-    let sidecar = Campaign::read(&path).expect("read").run_sidecar(1, 1);
-    let sidecar = sidecar.expect("there");
-    let stem = sidecar.file_stem().expect("a name");
-    let stem = stem.to_string_lossy().into_owned();
-    for kind in ["csv", "json"] {
-        let text = fs::read_to_string(sidecar.with_extension(kind)).expect("there");
-        let text = text.replace(&format!("{stem}.csv"), &format!("{stem}-2.csv"));
-        let second = sidecar.with_file_name(format!("{stem}-2.{kind}"));
-        fs::write(second, text).expect("written");
-    }
-    fs::create_dir(path.join(ATTEMPTS).join("099-1")).expect("made");
-    fs::write(path.join(ATTEMPTS).join("099-1/x.txt"), "x").expect("written");
-    let forged = manifest::of_folder(&path).expect("read");
-    fs::write(path.join(manifest::NAME), forged.text()).expect("written");
-    let found = findings(&path);
-    for says in [
-        "trials/001-1: has the records of several runs or passes",
-        "trials/099-1: trials.csv knows no such attempt",
-    ] {
-        assert!(found.iter().any(|one| one == says), "{found:?}");
-    }
 }

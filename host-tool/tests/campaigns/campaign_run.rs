@@ -8,21 +8,16 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::plan::{ONE_CONDITION, PAPER, changed};
+use crate::support::plan::{PAPER, changed};
 use crate::support::tool::Memory;
 use client::identity::Origin;
 use host_tool::cli::run_on;
 use lab::campaign::contents::Campaign;
 use lab::campaign::form::Form;
 use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, Source, Standing};
-use lab::campaign::plan::Purpose;
 use lab::campaign::verify::verify;
 use lab::operations::connector::Connector;
-use lab::trials::check;
-use lab::trials::trial::{Action, Moved, RigSample, Trial};
 use locomotion::roller::Params;
-use protocol::rig::{MoveAccepted, MoveTo, RunOutcome};
-use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, VIRTUAL_UID, World};
 
@@ -106,8 +101,7 @@ fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
         said.contains("min left") || said.contains("minute left"),
         "{said}"
     );
-    // By its old name.
-    let (code, said, err) = run(&["resume", &out, "--yes"]);
+    let (code, said, err) = run(&["run", &out, "--yes"]);
     assert_eq!(code, 0, "{said}{err}");
     assert!(
         said.contains("6 of 6 trials are done") && said.contains("Nothing is left"),
@@ -339,243 +333,6 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
     );
     let figure = fs::read_to_string(report.join("figure8.svg")).expect("there");
     assert!(figure.contains("folding at cycle 2, n = 1"));
-}
-
-/// A plan of a run and a pass each way at one indentation, which asks for strokes.
-pub fn plan_of_passes() -> String {
-    let changes = [
-        ("repeats = 10", "repeats = 1"),
-        ("duration_s = 40", "duration_s = 8"),
-        ("telemetry_ms = 10 ", "telemetry_ms = 20 "),
-        ("count = 5", "count = 2"),
-        (
-            "[displacement]\n",
-            "[passes]\nlubrication = [\"dry\"]\nindentation = [\"a5\"]\nrepeats = 1\ntail_mm = 40\nbody_mm = 41.2\n\
-             [displacement]\nper_stroke = true\nuncertainty_mm = 0.3\n",
-        ),
-    ];
-    changed(PAPER, &[&ONE_CONDITION[..], &changes].concat())
-}
-
-/// The answers to a plan of passes until the rollers move for its first trial.
-pub const UP_TO_THE_PASSES: [(&str, &str); 6] = [
-    ("rollers OFF", ""),
-    ("Reading 1 of 2: D", "24.4"),
-    ("Reading 2 of 2: D", "24.4"),
-    ("Clamp both rollers", ""),
-    ("Reading 1 of 2: i", "14.3"),
-    ("Reading 2 of 2: i", "14.3"),
-];
-
-/// The passes with their moves. Each goes over the whole stroke in its named direction.
-fn passes(campaign: &Campaign) -> Vec<(Purpose, f64)> {
-    let trials = campaign.state.trials.iter();
-    let passes = trials.filter(|trial| trial.planned.purpose.pass().is_some());
-    passes
-        .map(|trial| {
-            let attempt = trial.attempt().expect("done");
-            let sidecar = campaign
-                .run_sidecar(trial.planned.trial, attempt.number)
-                .expect("a record");
-            let record = Trial::read(&sidecar).expect("a record");
-            let rows: Vec<RigSample> = record.samples(&sidecar).expect("telemetry");
-            assert!(rows.len() > 100, "{}", rows.len());
-            assert_eq!(check::movement(&record, &rows).all(), Vec::<String>::new());
-            contradicted(&record, &rows);
-            let Action::Move {
-                accepted: Some(accepted),
-                moved: Some(moved),
-                screw,
-                ..
-            } = record.action
-            else {
-                panic!("{:?}", record.action);
-            };
-            let far = screw.steps(130_000);
-            let ends = match trial.planned.purpose {
-                Purpose::AntegradePass => (0, far),
-                _ => (far, 0),
-            };
-            assert_eq!((accepted.from_steps, accepted.to_steps), ends);
-            assert_eq!(moved.position_steps, ends.1);
-            (
-                trial.planned.purpose,
-                trial.counted().expect("counts").value.mm(),
-            )
-        })
-        .collect()
-}
-
-/// Every change in the record of a move must be reported.
-fn contradicted(record: &Trial, rows: &[RigSample]) {
-    let with = |change: &dyn Fn(&mut Trial, &mut Vec<RigSample>)| {
-        let (mut record, mut rows) = (record.clone(), rows.to_vec());
-        change(&mut record, &mut rows);
-        check::movement(&record, &rows).all().join("; ")
-    };
-    type Parts<'a> = (&'a mut MoveTo, &'a mut MoveAccepted, &'a mut Moved);
-    fn parts(record: &mut Trial) -> Parts<'_> {
-        match &mut record.action {
-            Action::Move {
-                requested,
-                accepted: Some(accepted),
-                moved: Some(moved),
-                ..
-            } => (requested, accepted, moved),
-            other => panic!("{other:?}"),
-        }
-    }
-    for (said, says) in [
-        (
-            with(&|record, _| parts(record).2.position_steps += 1),
-            "it is called complete at",
-        ),
-        (
-            with(&|record, _| parts(record).2.outcome = RunOutcome::Stopped),
-            "the sidecar's status differ",
-        ),
-        (
-            with(&|record, _| parts(record).0.position_um += 1_000),
-            "another place than was requested",
-        ),
-        (
-            with(&|record, _| parts(record).1.stroke.steps -= 1),
-            "are not those between the two places",
-        ),
-        (
-            with(&|_, rows| rows[7].position_steps = -5),
-            "a sample is at -5 steps",
-        ),
-        (
-            with(&|record, rows| {
-                rows.truncate(20);
-                record.samples = 20;
-            }),
-            "and the move took",
-        ),
-    ] {
-        assert!(said.contains(says), "{says}: {said}");
-    }
-}
-
-/// The rollers move before the body is laid in, and start from the right end even after an interruption. Strokes that
-/// contradict the net displacement are asked for again.
-#[test]
-fn a_person_lays_the_body_in_after_the_rollers_have_moved() {
-    let place = place(&plan_of_passes());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let memory = machines(None);
-    let (code, shown) = converse(
-        &memory,
-        &["run", &plan, "--out", &out],
-        [
-            &UP_TO_THE_PASSES[..],
-            &[
-                (
-                    "Trial 1, unfolded: the rollers go home before the body is laid in",
-                    "",
-                ),
-                ("Trial 1 of 3", ""),
-                (
-                    "Trial 1 of 3: a5, dry, unfolded, repeat 1.\nDisplacement since the beginning after stroke 1 of 2 (antegrade)",
-                    "9.5",
-                ),
-                ("after stroke 2 of 2 (returning)", "200"),
-                ("the plan allows -130 to 130", "9.2"),
-                ("Displacement of the tail", "10.5"),
-                ("the two may differ by 0.9 mm", "undo"),
-                ("after stroke 2 of 2", ""),
-                ("are left out", "undo"),
-                ("after stroke 2 of 2", "9.4"),
-                ("Displacement of the tail", "9.2"),
-                ("isolated passes", ""),
-                ("Reading 1 of 2: i", "14.3"),
-                ("Reading 2 of 2: i", "14.3"),
-                ("before the body is laid in", "12"),
-                ("not for now", ""),
-                ("Trial 2 of 3", ""),
-                ("Displacement of the tail", "4.1"),
-                // The rollers already stand where the way back begins, so nothing has to move.
-                ("Trial 3 of 3", "q"),
-            ],
-        ]
-        .concat(),
-    );
-    assert_eq!(code, 130, "{shown}");
-    let between = &shown[shown.find("Trial 2 of 3").expect("there")..];
-    assert!(!between.contains("before the body is laid in"), "{between}");
-    // The rollers' position is unknown now. They are homed and go to the right end, without the body.
-    let (code, shown) = converse(
-        &memory,
-        &["run", &out],
-        vec![
-            ("before the body is laid in", ""),
-            ("no roller touches it", "undo"),
-            ("Displacement of the tail", "q"),
-        ],
-    );
-    assert_eq!(code, 130, "{shown}");
-    let (code, shown) = converse(
-        &memory,
-        &["run", &out],
-        vec![
-            ("Displacement of the tail", "4.3"),
-            ("before the body is laid in", ""),
-            ("Trial 3 of 3", ""),
-            ("Displacement of the tail", "-0.4"),
-        ],
-    );
-    assert_eq!(code, 0, "{shown}");
-    let campaign = whole(&out);
-    assert_eq!(passes(&campaign).len(), 2);
-    let run = campaign
-        .state
-        .trial(1)
-        .and_then(|trial| trial.attempt())
-        .expect("done");
-    let um: Vec<i64> = run.strokes.iter().map(|mm| mm.um).collect();
-    assert_eq!(
-        (um, run.displacement.map(|one| one.value.um)),
-        (vec![9_500, 9_400], Some(9_200))
-    );
-    // A correction must agree with the entry after the last stroke.
-    let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &out], args].concat());
-    let (code, _, err) = edit(&["displacement", "1", "12", "misread"]);
-    assert!(
-        code == 2 && err.contains("the two may differ"),
-        "{code} {err}"
-    );
-    let (code, _, err) = edit(&["displacement", "1", "9.6", "misread"]);
-    assert_eq!(code, 0, "{err}");
-}
-
-/// Neither the way to the start of a pass nor the pass itself may leave the rig's stroke.
-#[test]
-fn a_pass_beyond_the_rigs_stroke_is_refused_with_its_number() {
-    for seed in 1..=4 {
-        let plan = plan_of_passes().replace("seed = 20221", &format!("seed = {seed}"));
-        let (before, series) = plan.split_once("[series]").expect("there");
-        let (_, after) = series.split_once("\n\n").expect("a blank line");
-        let place = place(&format!("{before}{after}"));
-        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-        let mut rig = Script::new(DeviceKind::Rig);
-        rig.uid = VIRTUAL_UID;
-        rig.settings = vec![(SettingKey::StrokeUm, 100_000)];
-        let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
-        let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
-        let (code, said, err) = memory.run(&[&args, &AT[..]].concat());
-        assert_eq!(code, 3, "{said}{err}");
-        assert!(err.contains("130 mm, allowed is 0 to 100 mm"), "{err}");
-        assert!(memory.heard().contains(&"MoveTo"));
-        let campaign = whole(&out);
-        let first = &campaign.state.trials[0];
-        let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
-        match first.planned.purpose {
-            Purpose::AntegradePass => assert_eq!(outcomes, [Some(AttemptOutcome::Refused)]),
-            // The rollers do not even reach the start of the pass.
-            _ => assert_eq!(outcomes, []),
-        }
-    }
 }
 
 #[test]
@@ -1131,45 +888,6 @@ fn verify_says_what_is_wrong_and_what_to_do() {
     let (code, _, err) = memory.run(&["verify", &empty]);
     assert_eq!(code, 2, "{err}");
     assert!(err.contains("no SHA256SUMS and no record"), "{err}");
-}
-
-#[test]
-fn conditions_that_differ_from_the_ledger_are_found() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let memory = machines(Some(VIRTUAL_UID));
-    let args = [
-        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "1",
-    ];
-    let (code, said, err) = memory.run(&[&args[..], &AT].concat());
-    assert_eq!(code, 0, "{said}{err}");
-    let file = whole(&out).attempt_folder(1, 1).join("conditions.json");
-    let written = fs::read_to_string(&file).expect("there");
-    for (key, value, what) in [
-        ("campaign", serde_json::json!("other"), "the campaign"),
-        ("attempt", serde_json::json!(2), "the trial"),
-        ("origin", serde_json::json!("board"), "the origin"),
-        ("readings_set", serde_json::json!(1), "the readings"),
-        ("indentation_mm", serde_json::json!("1.9"), "a_n"),
-        (
-            "camera_file",
-            serde_json::json!("IMG_1.MOV"),
-            "the camera's file",
-        ),
-    ] {
-        let mut says: serde_json::Value = serde_json::from_str(&written).expect("JSON");
-        says[key] = value;
-        fs::write(&file, says.to_string()).expect("written");
-        let folder = Path::new(&out);
-        let forged = lab::campaign::manifest::of_folder(folder).expect("read");
-        fs::write(folder.join(lab::campaign::manifest::NAME), forged.text()).expect("written");
-        let found = verify(folder).expect("a folder").findings;
-        let wanted = format!("conditions.json and trials.csv differ in {what}");
-        assert!(
-            found.iter().any(|one| one.what == wanted),
-            "{what}: {found:?}"
-        );
-    }
 }
 
 #[test]

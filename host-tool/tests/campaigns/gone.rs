@@ -9,7 +9,7 @@ use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
 use lab::campaign::conduct::Machines;
-use lab::campaign::ledger::Standing;
+use lab::campaign::ledger::{AttemptOutcome, Standing};
 use lab::operations::connector::{Connector, Purpose};
 use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{Hold, MoveTo};
@@ -17,9 +17,7 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Script, World, estop, link};
 
-use crate::campaign_run::{
-    UP_TO_THE_PASSES, converse, path, place, plan_of_passes, small_plan, whole,
-};
+use crate::campaign_run::{WIDTH, clamped, converse, path, place, small_plan, whole};
 use crate::support::tool::{Memory, ready};
 
 /// A bench that is switched off while the first question waits, and is back after so many attempts to reach it.
@@ -244,15 +242,15 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
     );
 }
 
-/// A latched fault is told before the rollers move to the start of a trial, with what to do.
+/// A latched fault is told with what to do, and nothing moves.
 #[test]
 fn a_fault_is_told_before_the_rollers_move() {
     let mut faulted = Script::new(DeviceKind::Rig);
     faulted.world = estop(0);
-    let place = place(&plan_of_passes());
+    let place = place(&small_plan(&[]));
     let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = Memory::with(vec![faulted, Script::new(DeviceKind::Capsule)]);
-    let lines = UP_TO_THE_PASSES.to_vec();
+    let lines = [&WIDTH[..], &clamped("20.4"), &[("Trial 1 of 6", "")]].concat();
     let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
     assert_eq!(code, 3, "{shown}");
     assert!(shown.contains("the rig has a fault: "), "{shown}");
@@ -260,7 +258,13 @@ fn a_fault_is_told_before_the_rollers_move() {
     let help =
         format!("remove its cause, `retrograde ack rig`, then `retrograde campaign run {out}`");
     assert!(words.contains(&help), "{shown}");
-    assert!(!memory.heard().contains(&"Home"), "{:?}", memory.heard());
+    let heard = memory.heard();
+    assert!(
+        !heard.contains(&"Home") && !heard.contains(&"Run"),
+        "{heard:?}"
+    );
+    let outcome = whole(&out).state.trials[0].attempts[0].outcome;
+    assert_eq!(outcome, Some(AttemptOutcome::Refused));
 }
 
 /// A session that was killed has left the machines as they were.

@@ -9,13 +9,12 @@ use std::sync::{Barrier, mpsc};
 use std::thread;
 use std::time::Duration;
 
-use crate::campaign::{SMALL, at, campaign, findings};
+use crate::campaign::{SMALL, findings, relist};
 use crate::campaign_report::made;
 use crate::support::offline::{retrograde, text};
-use jiff::Timestamp;
 use lab::campaign::chance::Chance;
 use lab::campaign::contents::Campaign;
-use lab::campaign::files::{ATTEMPTS, TRIALS};
+use lab::campaign::files::ATTEMPTS;
 use lab::campaign::folder::Folder;
 use lab::campaign::manifest;
 
@@ -23,24 +22,6 @@ use lab::campaign::manifest;
 const SECRET: &str = "not-for-the-folder";
 /// Time for a command that must not hang.
 const SOON: Duration = Duration::from_secs(120);
-
-fn seal(folder: &Path) {
-    let new = manifest::of_folder(folder).expect("read").text();
-    fs::write(folder.join(manifest::NAME), new).expect("written");
-}
-
-fn edit(file: &Path, change: impl Fn(&str) -> String) {
-    let before = fs::read_to_string(file).expect("there");
-    let after = change(&before);
-    assert_ne!(after, before, "{}", file.display());
-    fs::write(file, after).expect("written");
-}
-
-/// Changes the record of the first trial's first run.
-fn edit_run(folder: &Path, change: impl Fn(&str) -> String) {
-    let campaign = Campaign::read(folder).expect("read");
-    edit(&campaign.run_sidecar(1, 1).expect("a run"), change);
-}
 
 // Creation.
 
@@ -70,210 +51,6 @@ fn three_that_make_one_campaign_at_once_make_one() {
     }
 }
 
-// Forgeries.
-
-/// Resumes at the given time, and tells what was asked.
-fn resumed(path: &Path, now: Timestamp, accepts: bool) -> (Result<(), String>, Vec<String>) {
-    let mut asked = vec![];
-    let mut answer = |question: &str| {
-        asked.push(question.to_owned());
-        accepts
-    };
-    let result = Folder::resume(path, now, &mut answer);
-    (result.map(drop).map_err(|error| error.why), asked)
-}
-
-#[test]
-fn a_row_without_a_hash_is_asked_about_and_more_are_refused() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
-    let ledger = path.join(TRIALS);
-    let sealed = fs::read_to_string(&ledger).expect("there");
-    let last = sealed.lines().last().expect("a row");
-    let number: u32 = last
-        .split(',')
-        .next()
-        .expect("a number")
-        .parse()
-        .expect("one");
-    let row = |more: u32, year: &str| {
-        let time = last.split(',').nth(1).expect("a time");
-        let row = last.replacen(&number.to_string(), &(number + more).to_string(), 1);
-        row.replace(time, &time.replace("2026", year)) + "\n"
-    };
-    let after = at(1_000);
-    for (rows, accepts, why) in [
-        (
-            row(1, "2026") + &row(2, "2026"),
-            true,
-            "2 rows are not in SHA256SUMS",
-        ),
-        (
-            row(1, "1999"),
-            true,
-            "a row that is not in SHA256SUMS is of 1999",
-        ),
-        (row(1, "2031"), true, "its last row is of 2031"),
-        (
-            row(1, "2026"),
-            false,
-            "it has a row that is not in SHA256SUMS",
-        ),
-    ] {
-        let forged = sealed.clone() + &rows;
-        fs::write(&ledger, &forged).expect("written");
-        let (result, _) = resumed(&path, after, accepts);
-        let refused = result.expect_err(why);
-        assert!(refused.contains(why), "{refused}");
-        assert_eq!(fs::read_to_string(&ledger).expect("there"), forged);
-    }
-    fs::write(&ledger, sealed.clone() + &row(1, "2026")).expect("written");
-    let (result, asked) = resumed(&path, after, true);
-    result.expect("accepted");
-    assert_eq!(asked.len(), 1);
-    assert!(asked[0].contains(row(1, "2026").trim()), "{asked:?}");
-    assert_eq!(findings(&path), Vec::<String>::new());
-    // A clock that is far behind would write rows in the wrong order.
-    let (result, _) = resumed(&path, at(-200_000), true);
-    assert!(
-        result
-            .expect_err("behind")
-            .contains("this computer's clock says")
-    );
-}
-
-/// Rows that a crash cannot have left are neither taken up by an edit nor sealed by it. A single one is shown, and
-/// nobody is at a terminal here who could say that it is theirs.
-#[test]
-fn an_edit_takes_up_no_forged_row() {
-    let (_place, folder) = made();
-    let ledger = folder.join(TRIALS);
-    let sealed = fs::read_to_string(&ledger).expect("there");
-    let list = fs::read(folder.join(manifest::NAME)).expect("there");
-    let rows = sealed.lines().count();
-    let row = |more: usize| {
-        let number = rows - 1 + more;
-        format!("{number},2026-01-21T12:55:00Z,note,1,,,,,,,,forged,board\n")
-    };
-    let (one, three) = (row(1), [1, 2, 3].map(row).concat());
-    for (rows, why) in [(&one, one.trim()), (&three, "3 rows are not in SHA256SUMS")] {
-        let forged = sealed.clone() + rows;
-        fs::write(&ledger, &forged).expect("written");
-        for edit in [
-            &["undo", "1"][..],
-            &["exclude", "1", "torn"],
-            &["skip", "14"],
-        ] {
-            let args = [&["campaign", "edit", text(&folder)], edit].concat();
-            let (code, _, err) = retrograde(&args);
-            assert_ne!(code, 0, "{edit:?}");
-            assert!(err.contains(why), "{edit:?}: {err}");
-        }
-        assert_eq!(fs::read_to_string(&ledger).expect("there"), forged);
-        assert_eq!(fs::read(folder.join(manifest::NAME)).expect("there"), list);
-        assert_ne!(findings(&folder), Vec::<String>::new());
-    }
-}
-
-/// Each forgery is sealed with a new manifest, so that only the files themselves tell.
-#[test]
-fn what_was_forged_and_sealed_is_found() {
-    type Forge = fn(&Path);
-    let run_of = |folder: &Path, trial: u32| -> PathBuf {
-        let campaign = Campaign::read(folder).expect("read");
-        campaign.run_sidecar(trial, 1).expect("a run")
-    };
-    let cases: [(&str, Forge); 5] = [
-        ("two attempts exchanged", |folder| {
-            let [one, other, aside] =
-                ["001-1", "002-1", "aside"].map(|name| folder.join(ATTEMPTS).join(name));
-            fs::rename(&one, &aside).expect("moved");
-            fs::rename(&other, &one).expect("moved");
-            fs::rename(&aside, &other).expect("moved");
-        }),
-        ("a displacement's readings", |folder| {
-            edit(&folder.join("readings.csv"), |text| {
-                text.replace("22.4", "22.8")
-            });
-        }),
-        ("a last row of the year 1999", |folder| {
-            edit(&folder.join(TRIALS), |text| {
-                let last = text.rfind("2026-").expect("a time");
-                text[..last].to_owned() + &text[last..].replacen("2026-", "1999-", 1)
-            });
-        }),
-        ("a start in 1999", |folder| {
-            edit_run(folder, |text| {
-                text.replacen("\"started_utc\": \"2026", "\"started_utc\": \"1999", 1)
-            });
-        }),
-        ("another origin", |folder| {
-            edit_run(folder, |text| {
-                text.replace("\"origin\": \"board\"", "\"origin\": \"virtual\"")
-            });
-        }),
-    ];
-    for (what, forge) in cases {
-        let (_place, folder) = made();
-        assert_eq!(findings(&folder), Vec::<String>::new());
-        forge(&folder);
-        seal(&folder);
-        assert_ne!(findings(&folder), Vec::<String>::new(), "{what}");
-    }
-    // Places in the telemetry that the counted and the commanded steps do not reach.
-    let places: [&[(usize, &str)]; 2] = [&[(2, "50"), (5, "40000")], &[(6, "40000")]];
-    for place in places {
-        let (_place, folder) = made();
-        let csv = run_of(&folder, 1).with_extension("csv");
-        edit(&csv, |text| {
-            let mut rows: Vec<Vec<&str>> =
-                text.lines().map(|line| line.split(',').collect()).collect();
-            let middle = rows.len() / 2;
-            for (column, value) in place {
-                rows[middle][*column] = value;
-            }
-            rows.iter().map(|row| row.join(",") + "\n").collect()
-        });
-        seal(&folder);
-        assert_ne!(findings(&folder), Vec::<String>::new(), "{place:?}");
-    }
-}
-
-/// Whoever has the tool can change a folder so that all its files agree. Only a seal that lies elsewhere tells.
-#[test]
-fn a_seal_tells_what_the_files_cannot() {
-    let (_place, folder) = made();
-    let verify = |more: &[&str]| retrograde(&[&["--json", "verify", text(&folder)], more].concat());
-    let sealed = || {
-        let (code, said, err) = verify(&[]);
-        assert_eq!(code, 0, "{said}{err}");
-        let said: serde_json::Value = serde_json::from_str(&said).expect("JSON");
-        said["seal"].as_str().expect("a seal").to_owned()
-    };
-    let before = sealed();
-    assert_eq!(verify(&["--seal", &before]).0, 0);
-    // Typed from paper it may be in capitals; one of which digits are missing accuses nobody.
-    let typed = format!(" {} ", before.to_uppercase());
-    assert_eq!(verify(&["--seal", &typed]).0, 0);
-    let other = format!("{}g", &before[1..]);
-    for wrong in ["", "5d0f...", &before[1..], &other] {
-        let (code, said, err) = verify(&["--seal", wrong]);
-        assert_eq!(code, 2, "{said}{err}");
-        assert!(said.contains("64 hexadecimal digits"), "{said}");
-    }
-    edit_run(&folder, |text| {
-        text.replacen("\"note\": null", "\"note\": \"it was dry\"", 1)
-    });
-    seal(&folder);
-    assert_ne!(sealed(), before);
-    let (code, said, _) = verify(&["--seal", &before]);
-    assert_eq!(code, 1, "{said}");
-    assert!(said.contains("is not the one that was sealed"), "{said}");
-    fs::remove_file(folder.join(manifest::NAME)).expect("removed");
-    assert_eq!(verify(&["--seal", &before]).0, 1);
-}
-
 // Links, pipes and devices.
 
 /// The folder of an attempt may be complete elsewhere: it is still not this campaign's.
@@ -284,20 +61,19 @@ fn an_attempt_that_is_a_link_is_not_read() {
     let elsewhere = place.path().join("elsewhere");
     fs::rename(&attempt, &elsewhere).expect("moved");
     symlink(&elsewhere, &attempt).expect("a link");
-    seal(&folder);
+    relist(&folder);
     let error = Campaign::read(&folder).expect_err("a link");
     assert!(error.path.ends_with("trials/001-1"), "{error:?}");
     for command in [
         &["verify"][..],
         &["report", "--force"],
-        &["fit"],
         &["campaign", "status"],
     ] {
         let args = [command, &[text(&folder)]].concat();
         let (code, _, err) = retrograde(&args);
         assert_ne!(code, 0, "{args:?}");
         assert!(
-            ["verify", "fit"].contains(&command[0]) || err.contains("nothing is read through it"),
+            command[0] == "verify" || err.contains("nothing is read through it"),
             "{args:?}: {err}"
         );
     }
@@ -377,7 +153,7 @@ fn telemetry_is_read_beside_its_record_only() {
         assert_ne!(forged, record);
         fs::write(&sidecar, forged).expect("written");
         for place in [text(&folder), text(attempt)] {
-            for command in ["verify", "list", "report"] {
+            for command in ["verify", "report"] {
                 let args = [command, place].map(str::to_owned);
                 let (code, said) = run(args.to_vec());
                 assert!(!said.contains(SECRET), "{elsewhere}, {command}: {said}");
@@ -531,7 +307,6 @@ fn a_hundred_hostile_folders_lead_nowhere_and_hang_nothing() {
         let at = text(&folder).to_owned();
         let mut commands = vec![
             vec!["verify".to_owned(), at.clone()],
-            vec!["list".to_owned(), at.clone()],
             vec!["campaign".to_owned(), "status".to_owned(), at.clone()],
         ];
         // Figures take longest.

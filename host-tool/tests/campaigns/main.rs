@@ -8,7 +8,6 @@ mod bounds;
 mod campaign;
 mod campaign_report;
 mod campaign_run;
-mod clock;
 mod counting;
 mod folded;
 mod gone;

@@ -1,5 +1,6 @@
 //! The manual's figures 7 and 8: those of a virtual campaign after the paper's plan, with two trials of ten of each
-//! condition and a declared scatter. `cargo xtask pictures` draws them anew.
+//! condition and a declared scatter. With RETROGRADE_PICTURES=1 this test draws
+//! them anew.
 
 use std::fs;
 use std::path::Path;
@@ -44,7 +45,7 @@ fn the_manuals_figures_are_those_of_a_virtual_campaign() {
         let kept = fs::read(&picture).unwrap_or_default();
         assert!(
             kept == drawn,
-            "{name}: `cargo xtask pictures` draws it anew"
+            "{name}: with RETROGRADE_PICTURES=1 this test draws it anew"
         );
     }
 }

@@ -262,11 +262,11 @@ fn an_empty_variable_counts_as_not_set() {
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
         (output.status.code(), err)
     };
-    for args in [&["list", "."][..], &["plan"]] {
+    for args in [&["completions", "bash"][..], &["plan"]] {
         let (code, err) = with("", args);
         assert_eq!(code, Some(0), "{err}");
     }
-    let (code, err) = with("", &["list", ".", "--rig", ""]);
+    let (code, err) = with("", &["plan", "--rig", ""]);
     assert!(code == Some(2) && err.contains("empty: use"), "{err}");
     let (code, err) = with("tcp:localhost", &["estop"]);
     assert_eq!(code, Some(8), "{err}");

@@ -5,8 +5,6 @@ mod displacement;
 pub mod modelled;
 mod reach;
 mod readings;
-mod stage;
-mod strokes;
 mod trial;
 
 use std::iter;
@@ -318,12 +316,16 @@ impl<'a> Conduct<'a> {
     /// [`Broken`].
     pub fn carry_out(&mut self, attempts: Option<u32>) -> Result<Ending, Broken> {
         let ended = self.go_on(attempts);
+        let sealed = self.folder.seal();
         self.tell_folded();
-        ended
+        let ended = ended?;
+        sealed?;
+        Ok(ended)
     }
 
     fn go_on(&mut self, mut attempts: Option<u32>) -> Result<Ending, Broken> {
         loop {
+            self.folder.seal()?;
             // A stop since the last question is older than the next one.
             if !self.gone && matches!(self.heed_stop()?, Then::Leave) {
                 return Ok(Ending::Left);
@@ -339,14 +341,11 @@ impl<'a> Conduct<'a> {
                     return Ok(Ending::Enough);
                 }
                 match self.set_up(&planned)? {
-                    Then::Go => match self.stage(&planned)? {
-                        Then::Go => match self.ask_ready(&planned, number + 1)? {
-                            Then::Go => {
-                                attempts = attempts.map(|left| left - 1);
-                                self.attempt(&planned, number + 1)?
-                            }
-                            then => then,
-                        },
+                    Then::Go => match self.ask_ready(&planned, number + 1)? {
+                        Then::Go => {
+                            attempts = attempts.map(|left| left - 1);
+                            self.attempt(&planned, number + 1)?
+                        }
                         then => then,
                     },
                     then => then,

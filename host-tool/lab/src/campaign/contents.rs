@@ -3,16 +3,19 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::trials::experiment::stem;
 use crate::trials::trial::Trial;
 use client::identity::Origin;
 use client::{limited, plain};
+use protocol::capsule::ActuationKind;
 use serde::de::DeserializeOwned;
 
 use crate::campaign::CampaignError;
-use crate::campaign::files::{ATTEMPTS, MOTIONS, ORDER, PLAN, READINGS, TRIALS, is_of};
-use crate::campaign::ledger::{Attempt, CampaignState, LedgerRow};
+use crate::campaign::files::{ATTEMPTS, ORDER, PLAN, READINGS, RUN, TRIALS, is_of};
+use crate::campaign::form::Form;
+use crate::campaign::ledger::{Attempt, AttemptOutcome, CampaignState, LedgerRow};
 use crate::campaign::order::{Planned, order};
-use crate::campaign::plan::{CampaignPlan, Millimetres};
+use crate::campaign::plan::CampaignPlan;
 use crate::campaign::readings::{ReadingRow, Readings};
 
 pub(crate) const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome,displacement_mm,source,readings_set,indentation_mm,camera_file,text,origin\n";
@@ -92,10 +95,15 @@ impl Campaign {
             .join(Attempt::folder(trial, attempt))
     }
 
-    /// The sidecar of an attempt's run or pass; none if it was not begun.
+    /// The sidecar of an attempt's run; none if it was not begun.
     #[must_use]
     pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
-        run_sidecar(&self.attempt_folder(trial, attempt))
+        let mut found = plain::files(&self.attempt_folder(trial, attempt));
+        found.retain(|path| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            is_of(&name, RUN) && name.ends_with(".json")
+        });
+        found.pop()
     }
 
     /// The readable records of an attempt, with their files' names.
@@ -106,21 +114,6 @@ impl Campaign {
             Some((name, Trial::read(&path).ok()?))
         };
         files.into_iter().filter_map(named).collect()
-    }
-
-    /// Why this net displacement contradicts the displacements measured after each stroke; none if it does not, or if
-    /// some of them are missing.
-    #[must_use]
-    pub fn disagreement(&self, trial: u32, net: Millimetres) -> Option<String> {
-        let state = self.state.trial(trial)?;
-        let count = (self.plan).strokes_of(state.planned.purpose, state.planned.shape)?;
-        let last = *state.attempt()?.all_strokes(count)?.last()?;
-        let within = self.plan.displacement.agreement();
-        ((net.um - last.um).abs() > within.um).then(|| {
-            format!(
-                "{net} mm: after the last stroke it was {last} mm, and the two may differ by {within} mm: enter it again, or `undo` takes the last stroke back"
-            )
-        })
     }
 
     /// Where the data come from, rig or simulation; none before there are any.
@@ -146,19 +139,32 @@ fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
         .map_or(Ok(()), |link| Err(refused(&link.path())))
 }
 
-/// Whether the name is that of a run's or a pass's file.
-pub(crate) fn is_motion(name: &str) -> bool {
-    MOTIONS.iter().any(|stem| is_of(name, stem))
-}
-
-/// The sidecar of the run or the pass in the folder of an attempt.
-fn run_sidecar(folder: &Path) -> Option<PathBuf> {
-    let mut found = plain::files(folder);
-    found.retain(|path| {
-        let name = path.file_name().unwrap_or_default().to_string_lossy();
-        is_motion(&name) && name.ends_with(".json")
-    });
-    found.pop()
+impl Planned {
+    /// Why these records, with their files' names, do not make an attempt complete. A record has an error beside a
+    /// complete motion if it was not recorded whole. The capsule is unfolded after a complete attempt, so an unfolding
+    /// does not count.
+    pub(crate) fn incomplete(&self, records: &[(String, Trial)]) -> Option<String> {
+        let has = |stem| records.iter().any(|(name, _)| is_of(name, stem));
+        if !has(RUN) {
+            return Some("there is no record of it".to_owned());
+        }
+        if self.shape == Form::Folding && !has(stem(ActuationKind::Fold)) {
+            return Some("there is no record of the fold in it".to_owned());
+        }
+        let unfolding = stem(ActuationKind::Unfold);
+        let counts = records.iter().filter(|(name, _)| !is_of(name, unfolding));
+        let other = |(name, record): &(String, Trial)| {
+            let says = AttemptOutcome::from(record.status);
+            match &record.error {
+                _ if says != AttemptOutcome::Complete => {
+                    Some(format!("{name} says {}", says.name()))
+                }
+                Some(error) => Some(format!("{name} says that {error}")),
+                None => None,
+            }
+        };
+        counts.filter_map(other).next()
+    }
 }
 
 /// Remedy for a file that another program has changed.

@@ -15,13 +15,13 @@ pub const LOCK: &str = ".lock";
 /// A folder for each attempt at a trial.
 pub const ATTEMPTS: &str = "trials";
 
-/// First parts of the names of a rig's records: of a run, and of a pass.
-pub const MOTIONS: [&str; 2] = ["run", "pass"];
+/// First part of the name of a run's record.
+pub const RUN: &str = "run";
 
 /// Whether a file's name is one that the record of an action gets, of either machine.
 #[must_use]
 pub fn is_record(name: &str) -> bool {
-    let mut stems = MOTIONS.into_iter().chain(ACTUATIONS.map(stem));
+    let mut stems = std::iter::once(RUN).chain(ACTUATIONS.map(stem));
     stems.any(|stem| is_of(name, stem))
 }
 

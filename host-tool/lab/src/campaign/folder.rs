@@ -1,16 +1,15 @@
 //! The folder of a campaign: created as a whole, readable by any process, written by one process at a time.
 //!
 //! `trials.csv` and `readings.csv` only grow, and each row is on the disk before anything depends on it. `SHA256SUMS`
-//! is replaced after each change. [`Folder::resume`] reports what a crash has left, and repairs it if nothing but a
-//! crash can be the cause.
+//! follows after each trial and at the end of a session. [`Folder::resume`] takes up what a killed session has left.
 
 use std::fs::{self, File};
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
 use client::limited;
-use client::plain::{self, Locked, replace};
+use client::plain::{self, Locked};
 use client::wording::word;
 use jiff::Timestamp;
 use serde::Serialize;
@@ -18,12 +17,10 @@ use serde::Serialize;
 use crate::campaign::contents::{
     Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, in_a_line, not_a_campaign, order_text,
 };
-use crate::campaign::contradictions::{CLOCK_STEP, incomplete};
-use crate::campaign::differences::{Differences, Left, read_manifest};
 use crate::campaign::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
 use crate::campaign::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow};
-use crate::campaign::manifest::{self, Manifest};
-use crate::campaign::order::{Planned, order};
+use crate::campaign::manifest::{self, Differences, Manifest};
+use crate::campaign::order::order;
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::readings::ReadingRow;
 use crate::campaign::{CampaignError, resumption};
@@ -49,15 +46,7 @@ impl Growing {
     fn open(path: PathBuf) -> Result<Self, CampaignError> {
         let failed = |io| CampaignError::write(&path, io);
         let mut file = plain::open_to_write(&path).map_err(failed)?;
-        let mut hash = hmac_sha256::Hash::new();
-        let mut piece = vec![0; 65_536];
-        loop {
-            let count = file.read(&mut piece).map_err(failed)?;
-            if count == 0 {
-                break;
-            }
-            hash.update(&piece[..count]);
-        }
+        let hash = manifest::hash_of(&mut file).map_err(failed)?;
         Ok(Self { path, file, hash })
     }
 
@@ -83,14 +72,6 @@ impl Growing {
     fn hash(&self) -> manifest::Hash {
         self.hash.finalize()
     }
-
-    /// Takes the last line back, which `hash` does not cover.
-    fn take_back(&mut self, line: &[u8], hash: hmac_sha256::Hash) {
-        let end = self.file.seek(SeekFrom::End(0)).unwrap_or(0);
-        // Best effort: otherwise `resume` shows the row and asks about it.
-        let _ = self.file.set_len(end.saturating_sub(line.len() as u64));
-        self.hash = hash;
-    }
 }
 
 /// A campaign that this process may write.
@@ -101,6 +82,8 @@ pub struct Folder {
     trials: Growing,
     readings: Growing,
     manifest: Manifest,
+    /// The manifest on the disk.
+    sealed: Manifest,
 }
 
 impl Folder {
@@ -113,39 +96,35 @@ impl Folder {
         if fs::symlink_metadata(folder).is_ok() {
             return Err(exists(folder));
         }
-        let name = folder.file_name().ok_or_else(|| {
-            CampaignError::new(folder, "it has no name", "name a new folder: `--out DIR`")
-        })?;
-        // A folder of its own: another process may be making a campaign of the same name.
-        let part = folder.with_file_name(plain::part_of(Path::new(name)));
         let made = (|| {
-            fs::create_dir(&part)?;
-            fs::create_dir(part.join(ATTEMPTS))?;
+            // A folder of its own: another process may be making a campaign of the same name.
+            let part = plain::part_of_folder(folder)?;
+            let within = |name| part.path().join(name);
+            fs::create_dir(within(ATTEMPTS))?;
             for (name, text) in [
                 (PLAN, plan_text),
                 (ORDER, &order_text(&order(&plan))),
                 (TRIALS, TRIALS_HEADER),
                 (READINGS, READINGS_HEADER),
             ] {
-                let mut file = File::create_new(part.join(name))?;
+                let mut file = File::create_new(within(name))?;
                 file.write_all(text.as_bytes())?;
                 file.sync_all()?;
             }
-            let manifest = manifest::of_folder(&part)?;
-            replace(&part.join(manifest::NAME), manifest.text().as_bytes())?;
+            let manifest = manifest::of_folder(part.path())?;
+            plain::replace(&within(manifest::NAME), manifest.text().as_bytes())?;
             // Locked before it appears, so that nobody else writes it first. Other systems do not rename a folder in
             // which a file is open.
-            let lock = cfg!(unix).then(|| plain::open_or_create(&part.join(LOCK)));
+            let lock = cfg!(unix).then(|| plain::open_or_create(&within(LOCK)));
             let lock = lock.transpose()?;
             let lock = lock.map(Locked::new).transpose()?;
             // Fails if another process was faster: its folder is not empty.
-            fs::rename(&part, folder)?;
+            fs::rename(part.path(), folder)?;
+            let _ = part.keep();
             plain::sync_folder_of(folder)?;
             Ok(lock)
         })();
         let lock = made.map_err(|io: std::io::Error| {
-            // Remove only the folder made here: its name is random.
-            let _ = fs::remove_dir_all(&part);
             if fs::symlink_metadata(folder).is_ok() {
                 return exists(folder);
             }
@@ -167,59 +146,77 @@ impl Folder {
             campaign: Campaign::read(folder)?,
             trials: Growing::open(folder.join(TRIALS))?,
             readings: Growing::open(folder.join(READINGS))?,
+            sealed: manifest.clone(),
             manifest,
         })
     }
 
-    /// Opens the folder of an existing campaign, and repairs what a crash has left. Also returns descriptions of the
-    /// repairs, for the operator. A crash leaves at most one row that the manifest does not know; `accepts` is asked
-    /// about it.
+    /// Opens the folder of an existing campaign, and takes up what a killed session has left: rows and the records of
+    /// its attempt. Also returns descriptions of that, for the operator.
     ///
     /// # Errors
-    /// Something other than a crash has changed it, another process is writing it, or the row is not accepted. Then
-    /// nothing has changed.
-    pub fn resume(
-        folder: &Path,
-        now: Timestamp,
-        accepts: &mut dyn FnMut(&str) -> bool,
-    ) -> Result<(Self, Vec<String>), CampaignError> {
+    /// A listed file is missing or was changed, or another process is writing it. Then nothing has changed.
+    pub fn resume(folder: &Path, now: Timestamp) -> Result<(Self, Vec<String>), CampaignError> {
         if !plain::is_file(&folder.join(TRIALS)) {
             return Err(not_a_campaign(folder, "there is no campaign in it"));
         }
         let lock = lock(folder)?;
         let manifest = manifest_of(folder)?;
-        let campaign = Campaign::read(folder)?;
-        let read = |io| CampaignError::new(folder, io, RESTORE);
-        let differences = Differences::between(folder, &manifest).map_err(read)?;
-        let left = differences.left_by_a_crash(&campaign)?;
-        clock_goes_on(&campaign, now)?;
-        ask_about_row(&campaign, &left, now, accepts)?;
+        // Also checks the ledger before anything is changed.
+        Campaign::read(folder)?;
+        let differences = Differences::between(folder, &manifest)
+            .map_err(|io| CampaignError::new(folder, io, RESTORE))?;
+        if let Some((path, what)) = differences.damaged.iter().next() {
+            return Err(CampaignError::new(&folder.join(path), what, RESTORE));
+        }
+        if let Some(path) = differences.strange.first() {
+            let why = "it is neither a file nor a folder";
+            return Err(CampaignError::new(&folder.join(path), why, RESTORE));
+        }
         let mut told = vec![];
-        for cut in &left.torn {
-            told.push(cut_off(&folder.join(cut))?);
-        }
-        for part in &left.parts {
-            let path = folder.join(part);
-            fs::remove_file(&path).map_err(|io| CampaignError::write(&path, io))?;
-            told.push(format!("{part}: removed; it was not yet whole"));
-        }
-        for (file, lines) in &left.grown {
-            let row = last_line(&folder.join(file))?;
-            told.push(format!(
-                "{file}: {lines} row more than {} knew, taken up: {row}",
-                manifest::NAME
-            ));
-        }
-        for attempt in &left.attempts {
-            told.push(format!(
-                "{ATTEMPTS}/{attempt}: its files were not in {} yet; taken up",
-                manifest::NAME
-            ));
+        for table in &differences.grown {
+            told.extend(cut_off(&folder.join(table))?);
+            told.push(format!("{table}: taken up as it is now"));
         }
         let mut this = Self::open(folder, lock)?;
+        this.take_up(differences.added, &mut told)?;
         this.end_lost_attempts(now, &mut told)?;
-        this.seal_all()?;
+        this.seal()?;
         Ok((this, told))
+    }
+
+    /// Takes up the files of the latest attempt, the only one that can have been under way. Files that were about to
+    /// replace others are removed; all others stay unlisted.
+    fn take_up(&mut self, added: Vec<String>, told: &mut Vec<String>) -> Result<(), CampaignError> {
+        let mut rows = self.campaign.rows.iter().rev();
+        let began = rows.find(|row| row.event == LedgerEvent::Began);
+        let latest = began.and_then(|row| row.trial.zip(row.attempt));
+        let latest = latest.map(|(trial, attempt)| Attempt::folder(trial, attempt));
+        let mut records = 0;
+        for path in added {
+            let within = latest.as_ref().and_then(|attempt| {
+                let inside = path.strip_prefix(ATTEMPTS)?.strip_prefix('/')?;
+                inside.strip_prefix(&**attempt)?.strip_prefix('/')
+            });
+            let full = self.campaign.folder.join(&path);
+            let of = plain::of_part(within.unwrap_or(&path));
+            // Only files that this tool replaces: other programs use the suffix, too.
+            if of.is_some() && (within.is_some() || of == Some(manifest::NAME)) {
+                plain::remove(&full).map_err(|io| CampaignError::write(&full, io))?;
+                told.push(format!("{path}: removed; it was not yet whole"));
+            } else if within.is_some() {
+                let hash = manifest::hash_file(&full);
+                let hash = hash.map_err(|io| CampaignError::write(&full, io))?;
+                self.manifest.0.insert(path, hash);
+                records += 1;
+            }
+        }
+        if let (Some(attempt), 1..) = (latest, records) {
+            told.push(format!(
+                "{ATTEMPTS}/{attempt}: its {records} files are taken up"
+            ));
+        }
+        Ok(())
     }
 
     /// Ends an attempt that was going on when the tool ended: as lost, unless its records say that it was completed.
@@ -231,34 +228,26 @@ impl Folder {
         let Some(origin) = self.campaign.state.sequence.origin() else {
             return Ok(());
         };
-        let open: Vec<(Planned, u32)> = self
-            .campaign
-            .state
-            .trials
-            .iter()
-            .filter_map(|trial| {
-                let last = trial.attempts.last()?;
-                last.outcome
-                    .is_none()
-                    .then(|| (trial.planned.clone(), last.number))
-            })
-            .collect();
-        for (planned, attempt) in open {
+        let open = self.campaign.state.trials.iter().filter_map(|trial| {
+            let last = trial.attempts.last()?;
+            let is_open = last.outcome.is_none();
+            is_open.then(|| (trial.planned.clone(), last.number))
+        });
+        for (planned, attempt) in open.collect::<Vec<_>>() {
             let trial = planned.trial;
             let records = self.campaign.records(trial, attempt);
-            let folder = Attempt::folder(trial, attempt);
-            let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(attempt));
-            let (outcome, text) = match incomplete(&planned, &records) {
+            let (outcome, text) = match planned.incomplete(&records) {
                 None => (
                     AttemptOutcome::Complete,
                     "the tool ended after the motion; its records say that it was completed",
                 ),
                 Some(_) => (AttemptOutcome::Lost, "the tool ended within it"),
             };
-            row.outcome = Some(outcome);
+            let folder = Attempt::folder(trial, attempt);
             told.push(format!("{folder}: {text}: {}", outcome.name()));
-            row = row.saying(Some(text.to_owned()));
-            self.append(row, now, origin)?;
+            let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(attempt));
+            row.outcome = Some(outcome);
+            self.append(row.saying(Some(text.to_owned())), now, origin)?;
         }
         Ok(())
     }
@@ -296,14 +285,7 @@ impl Folder {
                 ),
             )
         })?;
-        let (bytes, hash) = (line(&row), self.trials.hash);
-        self.trials.append(&bytes)?;
-        // Without its hash in the manifest the row would look like one that was added by hand.
-        if let Err(error) = self.seal() {
-            self.trials.take_back(&bytes, hash);
-            let _ = self.seal();
-            return Err(error);
-        }
+        self.trials.append(&line(&row))?;
         self.campaign.state = state;
         self.campaign.rows.push(row);
         Ok(())
@@ -328,13 +310,7 @@ impl Folder {
         readings
             .apply(&row)
             .map_err(|error| CampaignError::new(&self.readings.path, error, RESTORE))?;
-        let (bytes, hash) = (line(&row), self.readings.hash);
-        self.readings.append(&bytes)?;
-        if let Err(error) = self.seal() {
-            self.readings.take_back(&bytes, hash);
-            let _ = self.seal();
-            return Err(error);
-        }
+        self.readings.append(&line(&row))?;
         self.campaign.readings = readings;
         self.campaign.reading_rows.push(row);
         Ok(())
@@ -373,22 +349,22 @@ impl Folder {
         self.seal()
     }
 
-    /// Hashes all files again.
-    fn seal_all(&mut self) -> Result<(), CampaignError> {
-        self.manifest = manifest::of_folder(&self.campaign.folder)
-            .map_err(|io| CampaignError::write(&self.campaign.folder, io))?;
-        self.seal()
-    }
-
-    /// Replaces the manifest.
-    fn seal(&mut self) -> Result<(), CampaignError> {
-        for growing in [(TRIALS, &self.trials), (READINGS, &self.readings)] {
-            let (name, file) = growing;
+    /// Replaces the manifest, if anything has changed since.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub fn seal(&mut self) -> Result<(), CampaignError> {
+        for (name, file) in [(TRIALS, &self.trials), (READINGS, &self.readings)] {
             self.manifest.0.insert(name.to_owned(), file.hash());
         }
+        if self.sealed == self.manifest {
+            return Ok(());
+        }
         let path = self.campaign.folder.join(manifest::NAME);
-        replace(&path, self.manifest.text().as_bytes())
-            .map_err(|io| CampaignError::write(&path, io))
+        plain::replace(&path, self.manifest.text().as_bytes())
+            .map_err(|io| CampaignError::write(&path, io))?;
+        self.sealed.clone_from(&self.manifest);
+        Ok(())
     }
 }
 
@@ -403,82 +379,8 @@ fn exists(folder: &Path) -> CampaignError {
 
 /// The manifest, without which nothing is written.
 fn manifest_of(folder: &Path) -> Result<Manifest, CampaignError> {
-    read_manifest(folder)?
+    manifest::read(folder)?
         .ok_or_else(|| CampaignError::new(&folder.join(manifest::NAME), "it is missing", RESTORE))
-}
-
-/// Times of the rows of both tables.
-fn times(campaign: &Campaign) -> impl Iterator<Item = Timestamp> + '_ {
-    let rows = campaign.rows.iter().map(|row| row.time_utc);
-    rows.chain(campaign.reading_rows.iter().map(|row| row.time_utc))
-}
-
-/// Refuses to write rows that would lie before the present ones.
-fn clock_goes_on(campaign: &Campaign, now: Timestamp) -> Result<(), CampaignError> {
-    match times(campaign).max() {
-        Some(last) if last.duration_since(now) > CLOCK_STEP => Err(CampaignError::misuse(
-            &campaign.folder,
-            format!("its last row is of {last}, and this computer's clock says {now}"),
-            "set the clock, then again; if the clock is right, restore the folder from a copy",
-        )),
-        _ => Ok(()),
-    }
-}
-
-/// Asks about a row that the manifest does not know.
-fn ask_about_row(
-    campaign: &Campaign,
-    left: &Left,
-    now: Timestamp,
-    accepts: &mut dyn FnMut(&str) -> bool,
-) -> Result<(), CampaignError> {
-    let Some((file, _)) = left.grown.first() else {
-        return Ok(());
-    };
-    let path = campaign.folder.join(file);
-    let (time, others): (_, Vec<Timestamp>) = if file == TRIALS {
-        let rows: Vec<_> = campaign.rows.iter().map(|row| row.time_utc).collect();
-        split(rows)
-    } else {
-        let rows = campaign.reading_rows.iter().map(|row| row.time_utc);
-        split(rows.collect())
-    };
-    let before = others.into_iter().max();
-    if let Some(time) = time
-        && (before.is_some_and(|before| before.duration_since(time) > CLOCK_STEP)
-            || time.duration_since(now) > CLOCK_STEP)
-    {
-        let why = format!("a row that is not in {} is of {time}", manifest::NAME);
-        return Err(CampaignError::new(&path, why, RESTORE));
-    }
-    let row = last_line(&path)?;
-    let question = format!(
-        "{file} has one row more than {} knows, as after a crash:\n  {row}\nIs it yours?",
-        manifest::NAME
-    );
-    if accepts(&question) {
-        return Ok(());
-    }
-    let why = format!("it has a row that is not in {}: {row}", manifest::NAME);
-    let remedy = format!(
-        "{} at a terminal asks whether it is yours; if it is not, restore the file from a copy",
-        resumption(&campaign.folder)
-    );
-    Err(CampaignError::new(&path, why, remedy))
-}
-
-/// The last time, and those before it.
-fn split(mut times: Vec<Timestamp>) -> (Option<Timestamp>, Vec<Timestamp>) {
-    let last = times.pop();
-    (last, times)
-}
-
-/// The last whole line of a file.
-fn last_line(path: &Path) -> Result<String, CampaignError> {
-    let text = plain::read_text(path, limited::RECORD)
-        .map_err(|io| CampaignError::new(path, io, RESTORE))?;
-    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-    Ok(whole.rsplit('\n').next().unwrap_or_default().to_owned())
 }
 
 /// Takes the lock that lets one process write at a time. It is a file of its own, because some systems make a locked
@@ -500,21 +402,21 @@ fn lock(folder: &Path) -> Result<Locked, CampaignError> {
     }
 }
 
-/// Cuts off everything after the last complete line.
-fn cut_off(path: &Path) -> Result<String, CampaignError> {
+/// Cuts off everything after the last complete line. Tells what, if there was anything.
+fn cut_off(path: &Path) -> Result<Option<String>, CampaignError> {
     let failed = |io| CampaignError::write(path, io);
     let bytes = plain::read(path, limited::RECORD).map_err(failed)?;
-    let whole = bytes
-        .iter()
-        .rposition(|byte| *byte == b'\n')
-        .map_or(0, |end| end + 1);
+    let end = bytes.iter().rposition(|byte| *byte == b'\n');
+    let torn = bytes.len() - end.map_or(0, |end| end + 1);
+    if torn == 0 {
+        return Ok(None);
+    }
     let file = plain::open_to_write(path).map_err(failed)?;
-    file.set_len(whole as u64)
+    file.set_len((bytes.len() - torn) as u64)
         .and_then(|()| file.sync_all())
         .map_err(failed)?;
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    Ok(format!(
-        "{name}: its last line was not whole: {} bytes cut off",
-        bytes.len() - whole
-    ))
+    Ok(Some(format!(
+        "{name}: its last line was not whole: {torn} bytes cut off"
+    )))
 }

@@ -25,12 +25,7 @@ pub enum LedgerEvent {
     Ended,
     /// The displacement of the tail was entered. A later one of the same attempt corrects it.
     Displacement,
-    /// The displacement after the next stroke of the run was entered. The first one is after stroke 1; all come
-    /// before the net one.
-    Stroke,
-    /// The displacements after strokes are omitted for this attempt.
-    StrokesLeftOut,
-    /// The last entry was taken back: the displacement, or else the one after a stroke, or the omission of those.
+    /// The displacement was taken back.
     Undone,
     /// The attempt is given up, and the trial is done again.
     Repeated,
@@ -51,8 +46,6 @@ impl LedgerEvent {
             Self::Began => "begun",
             Self::Ended => "ended",
             Self::Displacement => "measured",
-            Self::Stroke => "measured after a stroke",
-            Self::StrokesLeftOut => "left without its strokes",
             Self::Undone => "taken back",
             Self::Repeated => "repeated",
             Self::Skipped => "skipped",
@@ -121,9 +114,9 @@ pub struct LedgerRow {
     pub attempt: Option<u32>,
     /// With `ended`: how it ended.
     pub outcome: Option<AttemptOutcome>,
-    /// With `displacement` and `stroke`: of the tail since the beginning, + headward.
+    /// With `displacement`: of the tail since the beginning, + headward.
     pub displacement_mm: Option<Millimetres>,
-    /// With `displacement` and `stroke`: its origin.
+    /// With `displacement`: its origin.
     pub source: Option<Source>,
     /// With `began`: the set of readings in `readings.csv` that gives the indentation.
     pub readings_set: Option<u32>,
@@ -202,10 +195,6 @@ pub struct Attempt {
     pub reason: Option<String>,
     /// The net displacement.
     pub displacement: Option<Displacement>,
-    /// Displacement of the tail since the beginning, after each stroke so far.
-    pub strokes: Vec<Millimetres>,
-    /// Whether the displacements after strokes are omitted.
-    pub strokes_left_out: bool,
     /// Number of displacements entered, including those taken back.
     pub entries: u32,
     /// Why the operator gave it up; none if the operator did not.
@@ -223,12 +212,6 @@ impl Attempt {
     #[must_use]
     pub fn stands(&self) -> bool {
         self.outcome == Some(AttemptOutcome::Complete) && self.given_up.is_none()
-    }
-
-    /// The displacements after all strokes of a run with `count` strokes; none if they are omitted or incomplete.
-    #[must_use]
-    pub fn all_strokes(&self, count: usize) -> Option<&[Millimetres]> {
-        (!self.strokes_left_out && self.strokes.len() == count).then_some(&*self.strokes)
     }
 
     /// Name of its folder.
@@ -558,8 +541,6 @@ impl TrialState {
             }
             LedgerEvent::Ended
             | LedgerEvent::Displacement
-            | LedgerEvent::Stroke
-            | LedgerEvent::StrokesLeftOut
             | LedgerEvent::Undone
             | LedgerEvent::Repeated
             | LedgerEvent::Excluded => {}
@@ -595,22 +576,7 @@ impl TrialState {
                     entered: last.entries,
                 });
             }
-            (LedgerEvent::Stroke, Standing::Unmeasured) if !last.strokes_left_out => {
-                let (Some(value), Some(_)) = (row.displacement_mm, row.source) else {
-                    return Err("a displacement without a value or a source".to_owned());
-                };
-                last.strokes.push(value);
-            }
-            (LedgerEvent::StrokesLeftOut, Standing::Unmeasured) if !last.strokes_left_out => {
-                last.strokes_left_out = true;
-            }
             (LedgerEvent::Undone, Standing::Done) => last.displacement = None,
-            (LedgerEvent::Undone, Standing::Unmeasured) if last.strokes_left_out => {
-                last.strokes_left_out = false;
-            }
-            (LedgerEvent::Undone, Standing::Unmeasured) if !last.strokes.is_empty() => {
-                last.strokes.pop();
-            }
             (LedgerEvent::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
                 last.given_up = Some(row.text.clone().unwrap_or_default());
                 self.excluded = None;
@@ -642,8 +608,6 @@ impl TrialState {
             outcome: None,
             reason: None,
             displacement: None,
-            strokes: vec![],
-            strokes_left_out: false,
             entries: 0,
             given_up: None,
             readings_set: row.readings_set,

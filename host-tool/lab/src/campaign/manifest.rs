@@ -1,5 +1,5 @@
-//! `SHA256SUMS`: the hash of every file of a folder, in the format of `sha256sum`, sorted by path. `sha256sum -c
-//! SHA256SUMS` reads it too.
+//! `SHA256SUMS`: the hash of every file of a folder, in the format of `sha256sum`, sorted by path, and what differs from
+//! it. `sha256sum -c SHA256SUMS` reads it too.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -7,9 +7,10 @@ use std::fs;
 use std::io::{self, Read};
 use std::path::Path;
 
-use client::plain;
+use client::{limited, plain};
 
-use crate::campaign::files::LOCK;
+use crate::campaign::CampaignError;
+use crate::campaign::files::{LOCK, READINGS, TRIALS};
 
 /// File name of the manifest.
 pub const NAME: &str = "SHA256SUMS";
@@ -95,21 +96,109 @@ impl Manifest {
     }
 }
 
-/// The hash of a plain file, read piece by piece.
+/// Remedy for a file that is not as it was written.
+pub(crate) const COPY: &str = "restore it from a copy";
+
+/// Reads the manifest of a folder; none if the folder has none.
 ///
 /// # Errors
-/// Those of the file; it is longer than any that this program writes, [`plain::TELEMETRY`].
-pub fn hash_file(path: &Path) -> io::Result<Hash> {
-    let mut file = plain::open_within(path, plain::TELEMETRY)?;
+/// The file is not a manifest.
+pub fn read(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
+    let path = folder.join(NAME);
+    let text = match plain::read_text(&path, limited::RECORD) {
+        Ok(text) => text,
+        Err(io) if io.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(io) => return Err(CampaignError::new(&path, io, COPY)),
+    };
+    Manifest::parse(&text)
+        .map(Some)
+        .map_err(|why| CampaignError::new(&path, why, COPY))
+}
+
+/// The hash so far of everything that a reader gives, read piece by piece.
+pub(crate) fn hash_of(mut file: impl Read) -> io::Result<hmac_sha256::Hash> {
     let mut hash = hmac_sha256::Hash::new();
     let mut piece = vec![0; 65_536];
     loop {
         let count = file.read(&mut piece)?;
         if count == 0 {
-            return Ok(hash.finalize());
+            return Ok(hash);
         }
         hash.update(&piece[..count]);
     }
+}
+
+/// The hash of a plain file.
+///
+/// # Errors
+/// Those of the file; it is longer than any that this program writes, [`plain::TELEMETRY`].
+pub fn hash_file(path: &Path) -> io::Result<Hash> {
+    let file = plain::open_within(path, plain::TELEMETRY)?;
+    Ok(hash_of(file)?.finalize())
+}
+
+/// Differences between a folder and its manifest.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Differences {
+    /// Listed files that are missing or were changed, and files that cannot be read, with what is wrong.
+    pub damaged: BTreeMap<String, String>,
+    /// Tables with more lines than when they were listed.
+    pub grown: Vec<String>,
+    /// Files that are not listed.
+    pub added: Vec<String>,
+    /// Entries that are neither a file nor a folder.
+    pub strange: Vec<String>,
+    /// Number of files compared.
+    pub compared: usize,
+}
+
+impl Differences {
+    /// Compares every file.
+    ///
+    /// # Errors
+    /// Some part of the folder cannot be read.
+    pub fn between(folder: &Path, manifest: &Manifest) -> io::Result<Self> {
+        let there = contents(folder)?;
+        let missing = |path: &String| (path.clone(), "is missing".to_owned());
+        let mut differences = Self {
+            damaged: manifest.0.keys().map(missing).collect(),
+            strange: there.strange,
+            ..Self::default()
+        };
+        for path in there.files {
+            differences.damaged.remove(&path);
+            let Some(listed) = manifest.0.get(&path) else {
+                differences.added.push(path);
+                continue;
+            };
+            differences.compared += 1;
+            let full = folder.join(&path);
+            let wrong = match hash_file(&full) {
+                Ok(hash) if hash == *listed => continue,
+                Ok(_) if has_grown(&full, &path, listed) => {
+                    differences.grown.push(path);
+                    continue;
+                }
+                Ok(_) => "was changed".to_owned(),
+                Err(io) => format!("cannot be read: {io}"),
+            };
+            differences.damaged.insert(path, wrong);
+        }
+        Ok(differences)
+    }
+}
+
+/// Whether a file is a table that has gained lines, or a part of one, since it had this hash.
+fn has_grown(full: &Path, path: &str, listed: &Hash) -> bool {
+    if ![TRIALS, READINGS].contains(&path) {
+        return false;
+    }
+    let bytes = plain::read(full, limited::RECORD).unwrap_or_default();
+    let mut hash = hmac_sha256::Hash::new();
+    bytes.split_inclusive(|byte| *byte == b'\n').any(|line| {
+        hash.update(line);
+        line.ends_with(b"\n") && hash.finalize() == *listed
+    })
 }
 
 /// Content of a folder.
@@ -173,12 +262,11 @@ pub fn of_folder(folder: &Path) -> io::Result<Manifest> {
     Ok(manifest)
 }
 
-/// The seal of a folder: the hash of its manifest, and so of every file. Kept elsewhere, it shows that even the manifest
-/// was not written again.
+/// The hash of a folder's manifest, and so of every file in it.
 ///
 /// # Errors
 /// The manifest cannot be read.
-pub fn seal(folder: &Path) -> io::Result<String> {
+pub fn hash_of_all(folder: &Path) -> io::Result<String> {
     hash_file(&folder.join(NAME)).map(|hash| hex(&hash))
 }
 

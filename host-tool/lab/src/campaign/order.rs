@@ -1,6 +1,6 @@
 //! The order of the trials. Settings that take manual work at the rig form blocks: an indentation is set once for all
 //! its trials, and dry comes before lubricated. The plan's seed shuffles the rest: the blocks of one group (series, fold
-//! test, passes) with equal lubrication, and the trials within a block.
+//! test) with equal lubrication, and the trials within a block.
 
 use std::collections::BTreeMap;
 
@@ -21,16 +21,6 @@ pub struct Condition {
     pub indentation: String,
     /// Shape of the body.
     pub shape: Form,
-}
-
-/// Text for people: the pass, or the shape of the body in a run.
-#[must_use]
-pub const fn doing(purpose: Purpose, shape: Form) -> &'static str {
-    match purpose {
-        Purpose::Series | Purpose::FoldTest => shape.name(),
-        Purpose::AntegradePass => "antegrade pass",
-        Purpose::ReturningPass => "returning pass",
-    }
 }
 
 /// A row of `order.csv`: a trial that is to be done.

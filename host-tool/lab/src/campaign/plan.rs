@@ -7,10 +7,9 @@ use std::path::Path;
 use crate::trials::cue::Cue;
 use crate::trials::plan;
 use client::{decimal, wording};
-use locomotion::roller;
-use protocol::rig::{Direction, LinkLossPolicy, Run, RunTiming};
+use protocol::rig::{LinkLossPolicy, Run, RunTiming};
 use protocol::system::SetTelemetry;
-use serde::de::{Error, Visitor};
+use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::campaign::CampaignError;
@@ -21,9 +20,6 @@ pub const FORMAT: u32 = 1;
 
 /// Most readings of one width, and most repeats of one condition.
 const MOST: u32 = 1_000;
-
-/// Most cycles of a run with a displacement after each stroke, for which a person is asked.
-const MOST_ASKED: u16 = 50;
 
 /// Largest length that can be measured here: 1 m.
 const WIDEST_UM: i64 = 1_000_000;
@@ -85,29 +81,22 @@ fn parse_thousandths(text: &str) -> Result<i64, decimal::DecimalError> {
     Ok(if negative { -count } else { count })
 }
 
-/// The same from a plan, where it may be a number or a text.
+/// The same from a plan or a table, where it may be a number or a text.
 fn thousandths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
-    struct Number;
-    impl Visitor<'_> for Number {
-        type Value = i64;
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("a number, for example 130 or 12.5")
-        }
-        fn visit_str<E: Error>(self, text: &str) -> Result<i64, E> {
-            parse_thousandths(text).map_err(E::custom)
-        }
-        fn visit_i64<E: Error>(self, value: i64) -> Result<i64, E> {
-            self.visit_str(&value.to_string())
-        }
-        fn visit_u64<E: Error>(self, value: u64) -> Result<i64, E> {
-            self.visit_str(&value.to_string())
-        }
+    #[derive(Deserialize)]
+    #[serde(untagged, expecting = "expected a number, for example 130 or 12.5")]
+    enum Number {
+        Whole(i64),
         // The shortest text of this float is what the person wrote.
-        fn visit_f64<E: Error>(self, value: f64) -> Result<i64, E> {
-            self.visit_str(&value.to_string())
-        }
+        Decimal(f64),
+        Text(String),
     }
-    deserializer.deserialize_any(Number)
+    let text = match Number::deserialize(deserializer)? {
+        Number::Whole(value) => value.to_string(),
+        Number::Decimal(value) => value.to_string(),
+        Number::Text(text) => text,
+    };
+    parse_thousandths(&text).map_err(D::Error::custom)
 }
 
 /// State of the intestine's wall.
@@ -139,10 +128,6 @@ pub enum Purpose {
     Series,
     /// Folded against unfolded: figure 8.
     FoldTest,
-    /// One stroke of the rollers over a body that they meet relaxed, from home to the far end: from head to tail.
-    AntegradePass,
-    /// The same from the far end home: from tail to head.
-    ReturningPass,
 }
 
 impl Purpose {
@@ -152,18 +137,6 @@ impl Purpose {
         match self {
             Self::Series => "series",
             Self::FoldTest => "fold_test",
-            Self::AntegradePass => "antegrade_pass",
-            Self::ReturningPass => "returning_pass",
-        }
-    }
-
-    /// Direction of the rollers, if it is a pass.
-    #[must_use]
-    pub const fn pass(self) -> Option<Direction> {
-        match self {
-            Self::Series | Self::FoldTest => None,
-            Self::AntegradePass => Some(Direction::Away),
-            Self::ReturningPass => Some(Direction::Home),
         }
     }
 }
@@ -252,48 +225,20 @@ struct FoldTable {
     fold_at_cycle: Option<u16>,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PassesTable {
-    lubrication: Vec<Lubrication>,
-    indentation: Vec<String>,
-    repeats: u32,
-    tail_mm: Millimetres,
-    body_mm: Millimetres,
-}
-
-/// Position of the body before each isolated pass.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Passes {
-    /// Distance from the rollers' axes at the far end to the tip of the tail.
-    pub tail_mm: Millimetres,
-    /// Length of the body at rest.
-    pub body_mm: Millimetres,
-    /// Speed of the rollers between their ramps: that of the fastest stroke of the run.
-    pub speed_um_s: u32,
-}
-
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DisplacementTable {
     least_mm: Option<Millimetres>,
     greatest_mm: Option<Millimetres>,
-    #[serde(default)]
-    per_stroke: bool,
-    uncertainty_mm: Option<Millimetres>,
 }
 
-/// Range and uncertainty of a displacement.
+/// Range of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Displacements {
     /// The least.
     pub least_mm: Millimetres,
     /// The greatest.
     pub greatest_mm: Millimetres,
-    /// Whether it is also asked for after each stroke of a run with the unfolded body.
-    pub per_stroke: bool,
-    /// Standard deviation of one displacement, from reading and repetition together.
-    pub uncertainty_mm: Option<Millimetres>,
 }
 
 impl Displacements {
@@ -307,13 +252,6 @@ impl Displacements {
                 self.least_mm, self.greatest_mm
             )
         })
-    }
-
-    /// Largest difference between the displacement after the last stroke and the net one: three standard deviations.
-    /// 0 without a stated uncertainty.
-    #[must_use]
-    pub fn agreement(&self) -> Millimetres {
-        Millimetres::from_um(3 * self.uncertainty_mm.unwrap_or_default().um)
     }
 }
 
@@ -341,7 +279,6 @@ struct File {
     indentation: Vec<Indentation>,
     series: Option<SeriesTable>,
     fold_test: Option<FoldTable>,
-    passes: Option<PassesTable>,
     #[serde(default)]
     displacement: DisplacementTable,
     #[serde(default, rename = "virtual")]
@@ -383,9 +320,7 @@ pub struct CampaignPlan {
     pub groups: Vec<Group>,
     /// Where the body folds, for the runs in which it does.
     pub fold_at: Option<Cue>,
-    /// Position of the body before each isolated pass; none without passes.
-    pub passes: Option<Passes>,
-    /// Range and uncertainty of a displacement.
+    /// Range of a displacement.
     pub displacement: Displacements,
     /// Scatter of the virtual bench.
     pub virtual_bench: Virtual,
@@ -401,7 +336,7 @@ impl CampaignPlan {
             CampaignError::misuse(
                 path,
                 why,
-                "correct the plan; `examples/paper.toml` and `examples/passes.toml` explain every key",
+                "correct the plan; `examples/paper.toml` explains every key",
             )
         };
         let file: File = toml::from_str(text)
@@ -423,56 +358,17 @@ impl CampaignPlan {
         check_readings(&file.readings)?;
         let indentations = check_indentations(file.indentation, &file.readings)?;
         let known: BTreeSet<&str> = indentations.iter().map(|known| &*known.name).collect();
-        let mut groups = vec![];
+        let mut groups = match &file.series {
+            Some(series) => series_groups(series)?,
+            None => vec![],
+        };
         let mut fold_at = None;
-        if let Some(series) = file.series {
-            let forms = [(Purpose::Series, Form::Unfolded)];
-            groups = many_groups(
-                "series",
-                &series.lubrication,
-                &series.indentation,
-                series.repeats,
-                &forms,
-            )?;
-        }
         if let Some(fold) = file.fold_test {
-            repeats("fold_test.repeats", fold.repeats)?;
-            let mut kinds = vec![
-                (Purpose::FoldTest, Form::Unfolded),
-                (Purpose::FoldTest, Form::Folded),
-            ];
-            if let Some(cycle) = fold.fold_at_cycle {
-                // The models of the virtual bench know the folded body beside the rollers, not under them.
-                let cue = Cue { cycle, at_um: None };
-                cue.check(&run, telemetry_ms)
-                    .map_err(|error| format!("fold_test.fold_at_cycle: {error}"))?;
-                fold_at = Some(cue);
-                kinds.push((Purpose::FoldTest, Form::Folding));
-            }
-            groups.push(Group {
-                lubrication: fold.lubrication,
-                indentations: vec![fold.indentation],
-                kinds,
-                repeats: fold.repeats,
-            });
-        }
-        let mut passes = None;
-        if let Some(table) = file.passes {
-            let kinds = [
-                (Purpose::AntegradePass, Form::Unfolded),
-                (Purpose::ReturningPass, Form::Unfolded),
-            ];
-            groups.extend(many_groups(
-                "passes",
-                &table.lubrication,
-                &table.indentation,
-                table.repeats,
-                &kinds,
-            )?);
-            passes = Some(check_passes(&table, &run)?);
+            fold_at = fold.cue(&run, telemetry_ms)?;
+            groups.push(fold.group()?);
         }
         if groups.is_empty() {
-            return Err("nothing to do: it needs [series], [fold_test] or [passes]".to_owned());
+            return Err("nothing to do: it needs [series] or [fold_test]".to_owned());
         }
         for name in groups.iter().flat_map(|group| &group.indentations) {
             if !known.contains(&**name) {
@@ -501,7 +397,6 @@ impl CampaignPlan {
             indentations,
             groups,
             fold_at,
-            passes,
             displacement,
             virtual_bench: file.virtual_bench,
         })
@@ -522,14 +417,6 @@ impl CampaignPlan {
             .iter()
             .flat_map(|group| &group.kinds)
             .any(|(purpose, _)| *purpose == Purpose::FoldTest)
-    }
-
-    /// Number of strokes after which such a trial asks for the displacement; none if it does not ask.
-    #[must_use]
-    pub fn strokes_of(&self, purpose: Purpose, form: Form) -> Option<usize> {
-        let asked =
-            self.displacement.per_stroke && purpose.pass().is_none() && form == Form::Unfolded;
-        asked.then_some(2 * usize::from(self.run.cycles))
     }
 
     /// Duration of a run, ignoring the rounding of a solved plan, s.
@@ -684,74 +571,56 @@ fn check_indentations(
     Ok(list)
 }
 
-/// Splits a table with several states of the walls and several indentations: one group for each state.
-fn many_groups(
-    table: &str,
-    lubrications: &[Lubrication],
-    indentations: &[String],
-    times: u32,
-    kinds: &[(Purpose, Form)],
-) -> Result<Vec<Group>, String> {
-    repeats(&format!("{table}.repeats"), times)?;
-    let twice = |what: &str, name: &str| format!("{table}.{what} has `{name}` twice");
-    let mut seen = BTreeSet::new();
-    for name in indentations {
-        if !seen.insert(name) {
-            return Err(twice("indentation", name));
+/// The groups of the series, one for each state of the walls.
+fn series_groups(series: &SeriesTable) -> Result<Vec<Group>, String> {
+    repeats("series.repeats", series.repeats)?;
+    let (lubrication, indentation) = (&series.lubrication, &series.indentation);
+    if indentation.is_empty() || lubrication.is_empty() {
+        return Err("series: lubrication and indentation each need at least one name".to_owned());
+    }
+    let walls: Vec<String> = (lubrication.iter())
+        .map(|wall| wall.name().to_owned())
+        .collect();
+    for (key, names) in [("lubrication", &walls), ("indentation", indentation)] {
+        let mut seen = BTreeSet::new();
+        if let Some(twice) = names.iter().find(|name| !seen.insert(*name)) {
+            return Err(format!("series.{key} has `{twice}` twice"));
         }
     }
-    if indentations.is_empty() || lubrications.is_empty() {
-        return Err(format!(
-            "{table}: lubrication and indentation each need at least one name"
-        ));
-    }
-    let mut seen = BTreeSet::new();
-    let mut groups = vec![];
-    for lubrication in lubrications {
-        if !seen.insert(*lubrication) {
-            return Err(twice("lubrication", lubrication.name()));
-        }
-        groups.push(Group {
-            lubrication: *lubrication,
-            indentations: indentations.to_vec(),
-            kinds: kinds.to_vec(),
-            repeats: times,
-        });
-    }
-    Ok(groups)
+    let group = |lubrication: &Lubrication| Group {
+        lubrication: *lubrication,
+        indentations: indentation.clone(),
+        kinds: vec![(Purpose::Series, Form::Unfolded)],
+        repeats: series.repeats,
+    };
+    Ok(lubrication.iter().map(group).collect())
 }
 
-/// Refuses passes that are not isolated: the rollers must touch the body neither before nor after a pass.
-fn check_passes(table: &PassesTable, run: &Run) -> Result<Passes, String> {
-    let PassesTable {
-        tail_mm, body_mm, ..
-    } = *table;
-    // The reach of the rollers is at most their radius, at any depth.
-    let reach = Millimetres::from_um((roller::Params::PAPER.radius_mm * 1e3) as i64);
-    let stroke = Millimetres::from_um(run.stroke_um.into());
-    if body_mm.um <= 0 {
-        return Err(format!(
-            "passes.body_mm: {body_mm}; write the length of the body at rest"
-        ));
+impl FoldTable {
+    /// Where the body folds in the runs in which it does.
+    fn cue(&self, run: &Run, telemetry_ms: u16) -> Result<Option<Cue>, String> {
+        // The models of the virtual bench know the folded body beside the rollers, not under them.
+        let cue = |cycle| Cue { cycle, at_um: None };
+        let Some(cue) = self.fold_at_cycle.map(cue) else {
+            return Ok(None);
+        };
+        cue.check(run, telemetry_ms)
+            .map_err(|error| format!("fold_test.fold_at_cycle: {error}"))?;
+        Ok(Some(cue))
     }
-    if tail_mm < reach {
-        return Err(format!(
-            "passes.tail_mm: {tail_mm}; at the far end the rollers reach {reach} mm towards the body: use {reach} or more"
-        ));
+
+    fn group(self) -> Result<Group, String> {
+        repeats("fold_test.repeats", self.repeats)?;
+        let mut forms = vec![Form::Unfolded, Form::Folded];
+        forms.extend(self.fold_at_cycle.map(|_| Form::Folding));
+        let kinds = forms.into_iter().map(|form| (Purpose::FoldTest, form));
+        Ok(Group {
+            lubrication: self.lubrication,
+            indentations: vec![self.indentation],
+            kinds: kinds.collect(),
+            repeats: self.repeats,
+        })
     }
-    let most = Millimetres::from_um(stroke.um - reach.um - body_mm.um);
-    if tail_mm > most {
-        return Err(format!(
-            "passes.tail_mm: {tail_mm}; with a body of {body_mm} mm and rollers that reach {reach} mm a stroke of {stroke} mm leaves at most {most}"
-        ));
-    }
-    let speed_um_s = plan::peak_um_s(run)
-        .ok_or("passes: the run's strokes have no speed: correct run.duration_s")?;
-    Ok(Passes {
-        tail_mm,
-        body_mm,
-        speed_um_s,
-    })
 }
 
 fn check_displacement(table: &DisplacementTable, run: &Run) -> Result<Displacements, String> {
@@ -759,27 +628,11 @@ fn check_displacement(table: &DisplacementTable, run: &Run) -> Result<Displaceme
     let displacement = Displacements {
         least_mm: table.least_mm.unwrap_or(Millimetres::from_um(-stroke_um)),
         greatest_mm: table.greatest_mm.unwrap_or(Millimetres::from_um(stroke_um)),
-        per_stroke: table.per_stroke,
-        uncertainty_mm: table.uncertainty_mm,
     };
     if displacement.least_mm >= displacement.greatest_mm {
         return Err(format!(
             "displacement: from {} to {} mm is no range",
             displacement.least_mm, displacement.greatest_mm
-        ));
-    }
-    if let Some(uncertainty) = table.uncertainty_mm
-        && !(1..=100_000).contains(&uncertainty.um)
-    {
-        return Err(format!(
-            "displacement.uncertainty_mm: {uncertainty}; no measurement is exact: use 0.001 to 100"
-        ));
-    }
-    if table.per_stroke && run.cycles > MOST_ASKED {
-        return Err(format!(
-            "displacement.per_stroke: {} values after each of the {} cycles' runs are more than a person enters; use at most {MOST_ASKED} cycles, or leave it out",
-            2 * u32::from(run.cycles),
-            run.cycles
         ));
     }
     Ok(displacement)

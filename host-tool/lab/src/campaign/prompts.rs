@@ -3,12 +3,11 @@
 
 use client::decimal::DecimalError;
 use client::error::ClientError;
-use protocol::rig::Direction;
 
 use crate::campaign::form::Form;
 use crate::campaign::ledger::Attempt;
-use crate::campaign::order::{Planned, doing};
-use crate::campaign::plan::{Lubrication, Millimetres, Passes, Purpose};
+use crate::campaign::order::Planned;
+use crate::campaign::plan::{Lubrication, Millimetres, Purpose};
 use crate::campaign::readings::Quantity;
 
 /// Why there is no answer.
@@ -53,21 +52,6 @@ pub enum Question<'a> {
         /// The check-list, one item per line.
         checks: Vec<String>,
     },
-    /// The displacement of the tail after one stroke of the run.
-    Stroke {
-        /// The trial.
-        planned: &'a Planned,
-        /// The attempt.
-        attempt: u32,
-        /// Number of trials of the campaign.
-        of: usize,
-        /// Number of the stroke, from 1.
-        number: usize,
-        /// Number of strokes.
-        count: usize,
-        /// The modelled value, on the virtual bench.
-        model: Option<Millimetres>,
-    },
     /// The displacement of the tail.
     Displacement {
         /// The trial.
@@ -107,28 +91,6 @@ impl Question<'_> {
                 lines
             }
             Self::Ready { checks, .. } => checks.clone(),
-            Self::Stroke {
-                planned,
-                attempt,
-                of,
-                number,
-                count,
-                model,
-            } => {
-                let way = match number % 2 {
-                    1 => "antegrade",
-                    _ => "returning",
-                };
-                let asked = match model {
-                    None => format!(
-                        "Displacement since the beginning after stroke {number} of {count} ({way}), mm, + headward:"
-                    ),
-                    Some(model) => format!(
-                        "Displacement after stroke {number} of {count} by the model: {model} mm (not a measurement)."
-                    ),
-                };
-                vec![heading(planned, *attempt, *of), asked]
-            }
             Self::Displacement {
                 planned,
                 attempt,
@@ -157,12 +119,6 @@ impl Question<'_> {
             }
             Self::Ready { .. } => {
                 "Enter begins; undo, skip [REASON], exclude REASON, note TEXT, camera FILE, clamp; q leaves"
-            }
-            Self::Stroke { model: None, .. } => {
-                "the number and Enter; Enter alone leaves all strokes of this trial out; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
-            }
-            Self::Stroke { model: Some(_), .. } => {
-                "Enter takes it; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
             }
             Self::Displacement { model: None, .. } => {
                 "the number and Enter; undo, repeat [REASON], skip [REASON], exclude REASON, note TEXT; q leaves"
@@ -271,7 +227,7 @@ fn heading(planned: &Planned, attempt: u32, of: usize) -> String {
         },
         planned.indentation,
         planned.lubrication.name(),
-        doing(planned.purpose, planned.shape),
+        planned.shape.name(),
         planned.repeat,
     )
 }
@@ -283,7 +239,6 @@ pub fn checks(
     attempt: u32,
     of: usize,
     camera_file: Option<&str>,
-    passes: Option<Passes>,
 ) -> Vec<String> {
     let mut lines = vec![heading(planned, attempt, of)];
     lines.push(match planned.lubrication {
@@ -300,48 +255,11 @@ pub fn checks(
             }
         });
     }
-    match (planned.purpose.pass(), passes) {
-        (Some(direction), Some(passes)) => {
-            let (stand, go) = match direction {
-                Direction::Away => ("at home", "to the far end"),
-                Direction::Home => ("at the far end", "home"),
-            };
-            lines.push(format!(
-                "  [ ] the rollers stand {stand}; they go {go} once"
-            ));
-            lines.push(format!(
-                "  [ ] the body is laid in at rest, its tail {} mm from the rollers' axes at the far end; no roller touches it",
-                passes.tail_mm
-            ));
-            lines.push("  [ ] no hand is in the way of the carriage".to_owned());
-        }
-        _ => {
-            lines.push("  [ ] the tail is at its mark, the way of the carriage is free".to_owned())
-        }
-    }
+    lines.push("  [ ] the tail is at its mark, the way of the carriage is free".to_owned());
     if let Some(file) = camera_file {
         lines.push(format!("  [ ] the camera records, as {file}"));
     }
     lines
-}
-
-/// Check-list before the rollers move to the start of a trial.
-#[must_use]
-pub fn clearing(planned: &Planned) -> Vec<String> {
-    let to = match planned.purpose.pass() {
-        Some(Direction::Home) => "to the far end",
-        _ => "home",
-    };
-    vec![
-        String::new(),
-        format!(
-            "Trial {}, {}: the rollers go {to} before the body is laid in.",
-            planned.trial,
-            doing(planned.purpose, planned.shape)
-        ),
-        "  [ ] the body is taken out: the rollers would run over it".to_owned(),
-        "  [ ] no hand is in the way of the carriage".to_owned(),
-    ]
 }
 
 /// Proposed name of the camera's file.

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::campaign::ledger::{Contradiction, Sequence};
 use crate::campaign::plan::{CampaignPlan, Millimetres};
+use crate::campaign::statistics::Spread;
 
 /// Quantities measured with the caliper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -97,19 +98,13 @@ impl Summary {
     #[must_use]
     pub fn of(values: &[Millimetres]) -> Option<Self> {
         let (least, greatest) = (*values.iter().min()?, *values.iter().max()?);
-        let count = values.len();
-        // The sum is exact, because it is in whole micrometres.
-        let sum: i64 = values.iter().map(|value| value.um).sum();
-        let mean_mm = sum as f64 / count as f64 / 1_000.0;
-        let squares: f64 = values
-            .iter()
-            .map(|value| (value.mm() - mean_mm).powi(2))
-            .sum();
-        let sd_mm = (count > 1).then(|| (squares / (count - 1) as f64).sqrt());
+        // Exact, because it is in whole micrometres.
+        let values: Vec<f64> = values.iter().map(|value| value.um as f64).collect();
+        let spread = Spread::of(&values)?;
         Some(Self {
-            count,
-            mean_mm,
-            sd_mm,
+            count: spread.n,
+            mean_mm: spread.mean / 1e3,
+            sd_mm: spread.sd.map(|sd_um| sd_um / 1e3),
             least,
             greatest,
         })

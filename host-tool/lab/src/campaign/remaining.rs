@@ -23,11 +23,7 @@ pub fn remaining_s(campaign: &Campaign) -> f64 {
     for trial in &campaign.state.trials {
         if matches!(trial.standing(), Standing::Open | Standing::UnderWay) {
             trials += 1.0;
-            moving_s += match trial.planned.purpose.pass() {
-                None => campaign.plan.run_s(),
-                // One stroke to its start, one over the body.
-                Some(_) => campaign.plan.run_s() / f64::from(campaign.plan.run.cycles.max(1)),
-            };
+            moving_s += campaign.plan.run_s();
             blocks.push(trial.planned.block);
         }
     }

@@ -14,16 +14,15 @@ use client::identity::Origin;
 use client::plain;
 use lab::campaign::CampaignError;
 use lab::campaign::manifest;
-use lab::campaign::order::doing;
 use lab::campaign::plan::Purpose;
 use lab::campaign::readings::Quantity;
 use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
 use serde::Serialize;
 
-use crate::html::campaign_figures::{Captioned, carriage, figure7, figure8, passes, run_over_plan};
+use crate::html::campaign_figures::{Captioned, figure7, figure8, run_over_plan};
 use crate::html::evaluation::{
-    ConditionRow, Evaluation, NOT_DONE, Part, TrialRow, evaluate, motion_of,
+    ConditionRow, Evaluation, NOT_DONE, Part, TrialRow, evaluate, run_of,
 };
 use crate::html::section::{reasons, status};
 use crate::html::{Existing, ReportError, not_written, page, unwritten};
@@ -102,7 +101,8 @@ pub fn present(folder: &Path) -> Present {
     if !html.contains(&format!("data-is=\"{COUNTED}\"")) {
         return Present::Foreign;
     }
-    let is_current = manifest::seal(folder).is_ok_and(|seal| html.contains(&hash_of_list(&seal)));
+    let is_current =
+        manifest::hash_of_all(folder).is_ok_and(|hash| html.contains(&hash_of_list(&hash)));
     if is_current {
         Present::Current
     } else {
@@ -111,8 +111,8 @@ pub fn present(folder: &Path) -> Present {
 }
 
 /// Line of a page that identifies the state of the folder that the page shows.
-fn hash_of_list(seal: &str) -> String {
-    format!("{}: SHA-256 {seal}", manifest::NAME)
+fn hash_of_list(hash: &str) -> String {
+    format!("{}: SHA-256 {hash}", manifest::NAME)
 }
 
 /// The number of trials that count, for `check_report.py`. Every page has it.
@@ -139,31 +139,26 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
     let figures = Figures {
         figure7: Drawings::of(figure7(&evaluation))?,
         figure8: Drawings::of(figure8(&evaluation))?,
-        passes: Drawings::of(passes(&evaluation))?,
     };
     let html = html(&evaluation, &figures)?;
     let failed = |name: &str| {
         let path = into.join(name);
         move |io: io::Error| not_written(&path, &io)
     };
-    let target = plain::Folder::below(folder, manifest::NOT_COVERED).map_err(failed(""))?;
+    plain::folder_below(folder, manifest::NOT_COVERED).map_err(failed(""))?;
     let mut files = vec![];
     let mut keep = |name: &str, bytes: &[u8]| {
         // Figures and tables belong to their page, so they are replaced with it.
-        target.replace(name, bytes).map_err(failed(name))?;
+        plain::replace(&into.join(name), bytes).map_err(failed(name))?;
         files.push(into.join(name));
         Ok::<_, ReportError>(())
     };
-    for (name, drawings) in [
-        ("figure7", &figures.figure7),
-        ("figure8", &figures.figure8),
-        ("passes", &figures.passes),
-    ] {
+    for (name, drawings) in [("figure7", &figures.figure7), ("figure8", &figures.figure8)] {
         let svg = format!("{name}.svg");
         match drawings {
             Some(drawings) => keep(&svg, drawings.svg.as_bytes())?,
             // An earlier report drew this figure from trials that no longer count.
-            None => target.remove(&svg).map_err(failed(&svg))?,
+            None => plain::remove(&into.join(&svg)).map_err(failed(&svg))?,
         }
     }
     let lines: Vec<_> = evaluation.lines.iter().map(|(row, _)| row).collect();
@@ -178,8 +173,8 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         keep(name, &bytes)?;
     }
     match existing {
-        Existing::Replace => target.replace(PAGE, html.as_bytes()),
-        Existing::Keep => target.create(PAGE, html.as_bytes()),
+        Existing::Replace => plain::replace(&page_path, html.as_bytes()),
+        Existing::Keep => plain::create(&page_path, html.as_bytes()),
     }
     .map_err(failed(PAGE))?;
     files.push(page_path.clone());
@@ -227,7 +222,6 @@ impl Drawings {
 struct Figures {
     figure7: Option<Drawings>,
     figure8: Option<Drawings>,
-    passes: Option<Drawings>,
 }
 
 fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportError> {
@@ -247,19 +241,14 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
         section {
             h2 { "Displacement over indentation" }
             (drawn(figures.figure7.as_ref(), "No trial of the series counts yet: no figure."))
-            (conditions(evaluation, &[Purpose::Series], None))
+            (conditions(evaluation, Purpose::Series))
             (lines(evaluation))
         }
         section {
             h2 { "Folded against unfolded" }
             (drawn(figures.figure8.as_ref(), "No trial of the fold test counts yet: no figure."))
-            (conditions(evaluation, &[Purpose::FoldTest], Some("shape")))
+            (conditions(evaluation, Purpose::FoldTest))
         }
-        @if plan.passes.is_some() { section {
-            h2 { "Isolated passes" }
-            (drawn(figures.passes.as_ref(), "No isolated pass counts yet: no figure."))
-            (conditions(evaluation, &[Purpose::AntegradePass, Purpose::ReturningPass], Some("pass")))
-        } }
         section { h2 { "Left out" } (left_out(evaluation)) }
         section { h2 { "Conditions" } (setting(evaluation)) }
         section { h2 { "Ledger, glitches, energy" } (totals(evaluation)) }
@@ -346,24 +335,25 @@ fn condition_key(row: &ConditionRow) -> String {
     )
 }
 
-/// Table of the conditions for these purposes; `kind` heads the column that distinguishes the purposes.
-fn conditions(evaluation: &Evaluation, purposes: &[Purpose], kind: Option<&str>) -> Markup {
+/// Table of a purpose's conditions.
+fn conditions(evaluation: &Evaluation, purpose: Purpose) -> Markup {
+    let has_shapes = purpose == Purpose::FoldTest;
     let rows = || {
         let rows = evaluation.conditions.iter();
-        rows.filter(|row| purposes.contains(&row.purpose))
+        rows.filter(|row| row.purpose == purpose)
     };
     html! {
         @if rows().next().is_none() { p { "The plan has none." } }
         @else { div.wide { table {
             thead { tr {
-                th { "walls" } th { "place" } @if let Some(kind) = kind { th { (kind) } }
+                th { "walls" } th { "place" } @if has_shapes { th { "shape" } }
                 th.n { "a / mm" } th.n { "n" } th.n { "mean / mm" } th.n { "SD / mm" }
             } }
             tbody { @for row in rows() {
                 @let key = condition_key(row);
                 tr {
                     td { (row.lubrication.name()) } td { (row.indentation) }
-                    @if kind.is_some() { td { (doing(row.purpose, row.shape)) } }
+                    @if has_shapes { td { (row.shape.name()) } }
                     (number(&format!("{key}/indentation_mm"), row.indentation_mm))
                     td.n { (cell(&format!("{key}/n"), row.n)) " of " (cell(&format!("{key}/planned"), row.planned)) }
                     (number(&format!("{key}/mean_mm"), row.mean_mm))
@@ -377,14 +367,13 @@ fn conditions(evaluation: &Evaluation, purposes: &[Purpose], kind: Option<&str>)
 fn lines(evaluation: &Evaluation) -> Markup {
     html! {
         @if !evaluation.lines.is_empty() { div.wide { table {
-            thead { tr { th { "line" } th.n { "n" } th.n { "slope" } th.n { "± (95 %)" } th.n { "at a = 0 / mm" } th.n { "R²" } th.n { "SD / mm" } } }
+            thead { tr { th { "line" } th.n { "n" } th.n { "slope" } th.n { "at a = 0 / mm" } th.n { "R²" } th.n { "SD / mm" } } }
             tbody { @for (row, _) in &evaluation.lines {
                 @let key = format!("lines/{}", row.lubrication.name());
                 tr {
                     td { (row.lubrication.name()) }
                     (number(&format!("{key}/n"), Some(row.n)))
                     (number(&format!("{key}/slope"), Some(row.slope)))
-                    (number(&format!("{key}/slope_half_95"), row.slope_half_95))
                     (number(&format!("{key}/intercept_mm"), Some(row.intercept_mm)))
                     (number(&format!("{key}/r_squared"), row.r_squared))
                     (number(&format!("{key}/residual_sd_mm"), row.residual_sd_mm))
@@ -454,7 +443,7 @@ fn condition_text(row: &TrialRow) -> String {
         "{}, {}, {}, repeat {}",
         row.lubrication.name(),
         row.indentation,
-        doing(row.purpose, row.shape),
+        row.shape.name(),
         row.repeat
     )
 }
@@ -530,14 +519,14 @@ fn all_trials(evaluation: &Evaluation) -> Markup {
     html! {
         div.wide { table {
             thead { tr {
-                th.n { "trial" } th { "walls" } th { "place" } th { "shape or pass" } th.n { "a / mm" } th.n { "displacement / mm" } th.n { "steps" }
+                th.n { "trial" } th { "walls" } th { "place" } th { "shape" } th.n { "a / mm" } th.n { "displacement / mm" } th.n { "steps" }
                 th.n { "residual / steps" } th.n { "from plan / mm" } th { "" }
             } }
             tbody { @for row in &evaluation.trials {
                 @let key = format!("trials/{}", row.trial);
                 tr {
                     td.n { @if row.samples.is_some() { a href={ "#trial-" (row.trial) } { (row.trial) } } @else { (row.trial) } }
-                    td { (row.lubrication.name()) } td { (row.indentation) } td { (doing(row.purpose, row.shape)) }
+                    td { (row.lubrication.name()) } td { (row.indentation) } td { (row.shape.name()) }
                     (number(&format!("{key}/indentation_mm"), row.indentation_mm))
                     (number(&format!("{key}/displacement_mm"), row.displacement_mm))
                     (number(&format!("{key}/counted_steps"), row.counted_steps))
@@ -552,18 +541,11 @@ fn all_trials(evaluation: &Evaluation) -> Markup {
 
 fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Markup, ReportError> {
     let name = format!("Trial {}: {}", row.trial, condition_text(row));
-    let is_pass = row.purpose.pass().is_some();
-    let svg = match motion_of(parts, row.purpose) {
-        Some(pass) if is_pass => carriage(&name, pass)?,
+    let svg = match run_of(parts) {
         Some(run) => run_over_plan(&name, run)?,
         None => None,
     };
-    let caption = match is_pass {
-        true => "The carriage by the read-back counter. Time 0 is the first sample.",
-        false => {
-            "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start."
-        }
-    };
+    let caption = "The carriage by the read-back counter over the plan, and the one less the other. Time 0 is the run's start.";
     let key = format!("trials/{}", row.trial);
     Ok(html! {
         // The link's target is in the folded part, so that a browser opens what it leads to.
@@ -575,10 +557,6 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
             div.facts {
             div.wide.short { table { tbody {
                 tr { th { "displacement / mm" } (number(&format!("{key}/displacement_mm"), row.displacement_mm)) }
-                @if !row.strokes_mm.0.is_empty() { tr {
-                    th { "displacement after each stroke / mm" }
-                    td.n { @for (number, mm) in (1..).zip(&row.strokes_mm.0) { (cell(&format!("{key}/stroke/{number}"), mm)) " " } }
-                } }
                 tr { th { "steps planned" } (number(&format!("{key}/planned_steps"), row.planned_steps)) }
                 tr { th { "steps commanded" } (number(&format!("{key}/commanded_steps"), row.commanded_steps)) }
                 tr { th { "steps counted at the pin" } (number(&format!("{key}/counted_steps"), row.counted_steps)) }

@@ -2,7 +2,6 @@
 //! Fig. 8), and each run against its plan.
 
 use lab::campaign::form::Form;
-use lab::campaign::order::doing;
 use lab::campaign::plan::{Lubrication, Purpose};
 use lab::trials::check;
 use lab::trials::trial::{Action, RigSample, Screw};
@@ -13,10 +12,8 @@ use crate::figures::{
     Chart, Curve, Figure, FigureError, Heading, Mark, Source, curve, figure, planned, sampled,
     thinned,
 };
-use crate::html::evaluation::{Evaluation, LINE, LINE_BAND, Part, deviations, run_of};
+use crate::html::evaluation::{Evaluation, LINE, Part, deviations, run_of};
 
-/// Points of a band's edge.
-const EDGE: u32 = 96;
 /// Number of time intervals for which a run's figure shows the extremes.
 const STRETCHES: usize = 250;
 
@@ -149,7 +146,7 @@ fn dots_and_bars(
 #[must_use]
 pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
     let mut curves = vec![];
-    let mut caption = format!("Each dot is a trial, {BARS}");
+    let mut has_line = false;
     let places = Places::of(evaluation, &[Purpose::Series]);
     for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
         let points = evaluation.points(Purpose::Series, lubrication);
@@ -165,21 +162,9 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
             .find(|(row, _)| row.lubrication == lubrication)
             .map(|(_, line)| line);
         if let Some(line) = line {
-            let at = |index: u32| ends.0 + (ends.1 - ends.0) * f64::from(index) / f64::from(EDGE);
-            let edge = |sign: f64| {
-                (0..=EDGE)
-                    .map(at)
-                    .filter_map(move |x| Some((x, line.at(x) + sign * line.half_band(x)?)))
-                    .collect::<Vec<_>>()
-            };
-            let (upper, lower) = (edge(1.0), edge(-1.0));
-            if !upper.is_empty() {
-                let round = upper.into_iter().chain(lower.into_iter().rev()).collect();
-                // Must not widen the axis: three clampings give a band many times as high as the data.
-                curves.push(curve("", colour, Mark::Backdrop, round));
-            }
             let through = vec![(ends.0, line.at(ends.0)), (ends.1, line.at(ends.1))];
             curves.push(curve("", colour, Mark::Line(3), through));
+            has_line = true;
         }
         let aside = if lubrication == Lubrication::Dry {
             -0.5
@@ -197,11 +182,9 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
     if curves.is_empty() {
         return None;
     }
-    let is_drawn = |mark: fn(&Mark) -> bool| curves.iter().any(|curve| mark(&curve.mark));
-    if is_drawn(|mark| matches!(mark, Mark::Line(_))) {
-        let band = is_drawn(|mark| *mark == Mark::Backdrop);
-        let band = if band { LINE_BAND } else { "" };
-        caption.push_str(&format!(" {LINE}{band}."));
+    let mut caption = format!("Each dot is a trial, {BARS}");
+    if has_line {
+        caption.push_str(&format!(" {LINE}."));
     }
     caption.push_str(places.caption());
     let chart = Chart {
@@ -212,50 +195,6 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
     };
     let title = "Fig. 7: displacement over indentation";
     let heading = Heading::new(title, Source::Records(evaluation.origin));
-    let figure = Figure::new(heading, vec![chart]);
-    Some(Captioned { figure, caption })
-}
-
-/// Displacement by an isolated pass over indentation, both ways; none without a trial that counts.
-#[must_use]
-pub fn passes(evaluation: &Evaluation) -> Option<Captioned> {
-    let mut curves = vec![];
-    let places = Places::of(
-        evaluation,
-        &[Purpose::AntegradePass, Purpose::ReturningPass],
-    );
-    let conditions = [
-        (Purpose::AntegradePass, Lubrication::Dry, DRY, 9, -1.5),
-        (Purpose::AntegradePass, Lubrication::Lubricated, WET, 9, 0.5),
-        (Purpose::ReturningPass, Lubrication::Dry, DRY, 5, -0.5),
-        (Purpose::ReturningPass, Lubrication::Lubricated, WET, 5, 1.5),
-    ];
-    for (purpose, lubrication, colour, size, aside) in conditions {
-        let (way, walls) = (doing(purpose, Form::Unfolded), lubrication.name());
-        let label = format!("{way}, {walls}");
-        let condition = (purpose, lubrication);
-        let look = (label.as_str(), colour, size);
-        curves.extend(
-            dots_and_bars(evaluation, condition, look, (&places, aside))
-                .into_iter()
-                .flatten(),
-        );
-    }
-    if curves.is_empty() {
-        return None;
-    }
-    let chart = Chart {
-        x_label: "indentation a / mm",
-        y_label: "displacement / mm".to_owned(),
-        y_from_zero: true,
-        curves,
-    };
-    let heading = Heading::new("Isolated passes", Source::Records(evaluation.origin));
-    let caption = format!(
-        "Each dot is one stroke of the rollers over a body that they met at rest, {BARS} Antegrade is from head to tail, \
-         returning from tail to head.{}",
-        places.caption()
-    );
     let figure = Figure::new(heading, vec![chart]);
     Some(Captioned { figure, caption })
 }
@@ -380,34 +319,12 @@ fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
 }
 
 fn samples(run: &Part) -> Option<(Vec<RigSample>, u64, Screw)> {
-    let (Action::Run { screw, .. } | Action::Move { screw, .. }) = &run.trial.action else {
+    let Action::Run { screw, .. } = &run.trial.action else {
         return None;
     };
     let (samples, _) = check::read::<RigSample>(&run.sidecar, &run.trial);
-    let start_us = match &run.trial.action {
-        // No event marks the start of a move, but its record begins just before.
-        Action::Move { .. } => samples.first()?.time_us,
-        _ => check::run_start_us(&run.trial)?,
-    };
+    let start_us = check::run_start_us(&run.trial)?;
     (!samples.is_empty()).then_some((samples, start_us, *screw))
-}
-
-/// Position of the carriage during a pass; none without telemetry.
-///
-/// # Errors
-/// If the drawing library fails.
-pub fn carriage(name: &str, pass: &Part) -> Result<Option<String>, FigureError> {
-    let Some(points) = positions(pass) else {
-        return Ok(None);
-    };
-    let origin = pass.trial.device.origin;
-    let chart = Chart {
-        x_label: "time / s",
-        y_label: "position / mm".to_owned(),
-        y_from_zero: false,
-        curves: vec![curve(sampled(origin), MEASURED, Mark::Line(3), points)],
-    };
-    figure(&Heading::new(name, Source::Records(origin)), vec![chart]).map(Some)
 }
 
 /// A run over its plan, and the difference; none without telemetry or plan.

@@ -8,8 +8,6 @@ use client::identity::{IdentityRecord, Origin};
 use client::{limited, plain};
 use lab::campaign::CampaignError;
 use lab::campaign::contents::Campaign;
-use lab::campaign::differences::Finding;
-use lab::campaign::differences::read_manifest;
 use lab::campaign::files::ATTEMPTS;
 use lab::campaign::form::Form;
 use lab::campaign::ledger::{Attempt, AttemptOutcome, Source, Standing, TrialState};
@@ -18,7 +16,7 @@ use lab::campaign::order::Condition;
 use lab::campaign::plan::{Lubrication, Millimetres, Purpose};
 use lab::campaign::readings::{Quantity, Summary};
 use lab::campaign::statistics::{FittedLine, Spread};
-use lab::campaign::verify;
+use lab::campaign::verify::{Finding, verify};
 use lab::trials::check::{self, Defects};
 use lab::trials::trial::{Action, RigSample, Trial};
 use serde::{Serialize, Serializer};
@@ -50,17 +48,6 @@ impl<const DECIMALS: usize> std::fmt::Display for Rounded<DECIMALS> {
 impl<const DECIMALS: usize> Serialize for Rounded<DECIMALS> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(self)
-    }
-}
-
-/// Displacements after the strokes of a run, in one cell, separated by blanks; empty if there are none.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct StrokesMm(pub Vec<Millimetres>);
-
-impl Serialize for StrokesMm {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let texts: Vec<String> = self.0.iter().map(ToString::to_string).collect();
-        serializer.serialize_str(&texts.join(" "))
     }
 }
 
@@ -98,8 +85,6 @@ pub struct TrialRow {
     pub displacement_mm: Option<Millimetres>,
     /// Where the displacement comes from.
     pub source: Option<Source>,
-    /// Displacement since the beginning, after each stroke.
-    pub strokes_mm: StrokesMm,
     /// Steps of the plan.
     pub planned_steps: Option<u64>,
     /// Steps that the generator emitted.
@@ -164,8 +149,6 @@ pub struct LineRow {
     pub n: usize,
     /// Rise, mm of displacement per mm of indentation.
     pub slope: Rounded<4>,
-    /// Half the width of its 95 % interval; none for two clampings.
-    pub slope_half_95: Option<Rounded<4>>,
     /// Value at zero indentation.
     pub intercept_mm: Rounded<4>,
     /// Share of the trials' variance that the line explains.
@@ -269,10 +252,10 @@ pub struct Evaluation {
 /// # Errors
 /// It is no campaign, or one whose ledger cannot be read.
 pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
-    let findings = verify::verify(folder)?.findings;
+    let findings = verify(folder)?.findings;
     let campaign = Campaign::read(folder)?;
-    let manifest = read_manifest(folder)?.unwrap_or_default();
-    let manifest_sha256 = manifest::seal(folder).unwrap_or_default();
+    let manifest = manifest::read(folder)?.unwrap_or_default();
+    let manifest_sha256 = manifest::hash_of_all(folder).unwrap_or_default();
     let origin = campaign.origin().unwrap_or(Origin::Unknown);
     let mut evaluation = Evaluation {
         origin,
@@ -346,17 +329,6 @@ pub fn run_of(parts: &[Part]) -> Option<&Part> {
         .find(|part| matches!(part.trial.action, Action::Run { .. }))
 }
 
-/// The run, or for a pass the move, among the records of a trial.
-#[must_use]
-pub fn motion_of(parts: &[Part], purpose: Purpose) -> Option<&Part> {
-    match purpose.pass() {
-        None => run_of(parts),
-        Some(_) => parts
-            .iter()
-            .find(|part| matches!(part.trial.action, Action::Move { .. })),
-    }
-}
-
 /// Position of each sample minus that of the plan at the same time: (s, mm). None for a run that was held or not
 /// planned.
 #[must_use]
@@ -402,11 +374,7 @@ pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
 pub(crate) const LINE: &str =
     "The line is that of least squares through the means of the clampings";
 
-/// Describes the band about that line in a caption.
-pub(crate) const LINE_BAND: &str = ", the pale area of its colour its band of 95 % confidence, by the scatter of these means about it: \
-                                    all trials of a clamping share its error";
-
-/// The line of a series, through the means of its clampings: only such a line has a valid interval.
+/// The line of a series, through the means of its clampings.
 fn line(
     lubrication: Lubrication,
     points: &[(f64, f64)],
@@ -422,7 +390,6 @@ fn line(
         lubrication,
         n,
         slope: Rounded(line.slope),
-        slope_half_95: line.half_slope().map(Rounded),
         intercept_mm: Rounded(line.intercept),
         r_squared: spread.map(|sd| Rounded(1.0 - left / (sd.powi(2) * (n - 1) as f64))),
         residual_sd_mm: (n > 2).then(|| Rounded((left / (n - 2) as f64).sqrt())),
@@ -495,11 +462,8 @@ impl Evaluation {
         if let Some(defect) = contradictions.into_iter().next() {
             return Some(format!("left out, its record contradicts itself: {defect}"));
         }
-        match motion_of(parts, state.planned.purpose) {
-            None => Some(format!(
-                "left out, it has no record of a {}",
-                state.planned.purpose.pass().map_or("run", |_| "pass")
-            )),
+        match run_of(parts) {
+            None => Some("left out, it has no record of a run".to_owned()),
             Some(run) if run.trial.device.origin != self.origin => Some(format!(
                 "left out, its record is of origin {}, the ledger of origin {}",
                 run.trial.device.origin, self.origin
@@ -538,15 +502,10 @@ impl Evaluation {
             .iter()
             .filter_map(|part| match &part.trial.action {
                 Action::Actuation { record, .. } => Some(record.as_ref()?.energy_mj),
-                Action::Run { .. } | Action::Move { .. } => None,
+                _ => None,
             })
             .collect();
-        let motion = motion_of(parts, planned.purpose);
-        let pass = match motion.map(|part| &part.trial.action) {
-            Some(Action::Move { accepted, .. }) => accepted.as_ref(),
-            _ => None,
-        };
-        let telemetry = motion.map(|part| part.sidecar.with_file_name(&part.trial.telemetry));
+        let telemetry = run.map(|part| part.sidecar.with_file_name(&part.trial.telemetry));
         TrialRow {
             trial: planned.trial,
             block: planned.block,
@@ -563,16 +522,7 @@ impl Evaluation {
             indentation_mm: attempt.and_then(|attempt| attempt.indentation_mm),
             displacement_mm: displacement.map(|displacement| displacement.value),
             source: displacement.map(|displacement| displacement.source),
-            strokes_mm: StrokesMm(
-                (self.campaign.plan)
-                    .strokes_of(planned.purpose, planned.shape)
-                    .and_then(|count| attempt?.all_strokes(count))
-                    .map(<[_]>::to_vec)
-                    .unwrap_or_default(),
-            ),
-            planned_steps: achieved
-                .map(|achieved| achieved.edges)
-                .or(pass.map(|pass| pass.stroke.steps.into())),
+            planned_steps: achieved.map(|achieved| achieved.edges),
             commanded_steps: executed.map(|executed| executed.commanded_edges),
             counted_steps: executed.map(|executed| executed.counted_edges),
             worst_residual_steps: executed.map(|executed| executed.worst_residual_steps),
@@ -582,8 +532,8 @@ impl Evaluation {
             }),
             glitches: executed.map(|executed| executed.glitches),
             holds: executed.map(|executed| executed.holds),
-            samples: motion.map(|part| part.trial.samples),
-            lost_samples: motion.map(|part| part.trial.missed_samples),
+            samples: run.map(|part| part.trial.samples),
+            lost_samples: run.map(|part| part.trial.missed_samples),
             energy_mj: (!energies.is_empty()).then(|| energies.iter().sum()),
             telemetry: telemetry.as_deref().map(|file| self.within(file)),
             telemetry_sha256: telemetry.as_deref().and_then(|file| self.hash(file)),
@@ -729,26 +679,8 @@ fn attempt_row(state: &TrialState, attempt: &Attempt, origin: Origin) -> Attempt
 mod tests {
     use super::*;
 
-    /// Five clampings are off by 1 mm, ten equal trials each: the interval is that of five means, with 3 degrees of
-    /// freedom. Their residuals are 0.8 and -1.2 mm, the sum of squares 4.8, and the squares of a_n sum up to 10.
-    #[test]
-    fn trials_of_one_clamping_do_not_narrow_the_slopes_interval() {
-        let mut points = vec![];
-        for (a_mm, off_mm) in [(1.0, 1.0), (2.0, -1.0), (3.0, 1.0), (4.0, -1.0), (5.0, 1.0)] {
-            points.extend([(a_mm, 8.0 * a_mm + off_mm); 10]);
-        }
-        let (row, _) = line(Lubrication::Dry, &points, Origin::Board).expect("a line");
-        assert_eq!(row.n, 50);
-        assert!((row.slope.0 - 8.0).abs() < 1e-9, "{row:?}");
-        let half = row.slope_half_95.expect("five clampings").0;
-        assert!((half - 3.182_446 * 0.16_f64.sqrt()).abs() < 1e-6, "{half}");
-        // Two clampings leave no degrees of freedom, whatever the number of trials.
-        let (row, _) = line(Lubrication::Dry, &points[..20], Origin::Board).expect("a line");
-        assert_eq!((row.n, row.slope_half_95), (20, None));
-    }
-
-    /// The same five means as above, of 10, 10, 10, 1 and 1 trials: the interval lies about the line of the means, not
-    /// about that of the trials, which follows the clampings that were repeated most.
+    /// Five clampings of 10, 10, 10, 1 and 1 trials: the line of their means does not follow those that were repeated
+    /// most.
     #[test]
     fn a_clamping_of_many_trials_does_not_pull_the_line() {
         let clamping = |(a_mm, off_mm, n): (f64, f64, usize)| vec![(a_mm, 8.0 * a_mm + off_mm); n];

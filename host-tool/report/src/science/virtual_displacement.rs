@@ -11,12 +11,11 @@ use lab::campaign::form::Form;
 use lab::campaign::ledger::Source;
 use lab::campaign::order::Planned;
 use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres};
-use lab::trials::trial::{Action, RecordError, RigSample, Screw, Status, Trial};
+use lab::trials::trial::{Action, RecordError, RigSample, Status, Trial};
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
 use locomotion::range::OutOfRange;
 use locomotion::{folded, roller};
-use protocol::rig::Direction;
 
 use crate::science::model_file;
 use crate::science::series::LUBRICATION;
@@ -33,11 +32,6 @@ pub enum ModelError {
     /// The models do not cover these numbers.
     #[error("the model does not cover it: {0}")]
     Range(#[from] OutOfRange),
-    /// The telemetry misses a whole stroke.
-    #[error(
-        "the telemetry is too coarse to tell the strokes apart: choose a smaller run.telemetry_ms"
-    )]
-    Strokes,
     /// The record of the fold is missing.
     #[error("there is no record of a completed fold")]
     NoFold,
@@ -55,12 +49,14 @@ impl DisplacementModel for Models {
             attempt,
             indentation_mm,
             sidecar,
-            after_stroke: stroke,
         } = *wanted;
-        Ok(match stroke {
-            None => displacement(plan, planned, attempt, indentation_mm, sidecar)?,
-            Some(stroke) => after_stroke(plan, planned, attempt, indentation_mm, sidecar, stroke)?,
-        })
+        Ok(displacement(
+            plan,
+            planned,
+            attempt,
+            indentation_mm,
+            sidecar,
+        )?)
     }
 }
 
@@ -77,18 +73,8 @@ pub fn displacement(
 ) -> Result<Modelled, ModelError> {
     let run = Trial::read(sidecar)?;
     let samples: Vec<RigSample> = run.samples(sidecar)?;
-    let screw = match &run.action {
-        Action::Run { screw, .. } => screw,
-        Action::Move { screw, moved, .. } => {
-            let rest = moved.map(|moved| screw.mm(moved.position_steps.into()));
-            let mm = pass(plan, planned, indentation_mm, screw, &samples, rest)?;
-            let (friction, name) = (friction(planned.lubrication), "roller model, one pass");
-            return Ok(noted(plan, planned, attempt, 0, mm, name, friction));
-        }
-        Action::Actuation { .. } => {
-            let why = "it is not the record of a run or a pass";
-            return Err(RecordError::read(sidecar, why).into());
-        }
+    let Action::Run { screw, .. } = &run.action else {
+        return Err(RecordError::read(sidecar, "it is not the record of a run").into());
     };
     let friction = friction(planned.lubrication);
     let positions = |samples: &[RigSample]| -> Vec<f64> {
@@ -136,86 +122,14 @@ pub fn displacement(
             )
         }
     };
-    Ok(noted(plan, planned, attempt, 0, mm, name, friction))
+    Ok(noted(plan, planned, attempt, mm, name, friction))
 }
 
-/// Displacement of the unfolded body after one of the run's strokes, counted from 1; after the last one it is the net
-/// one.
-///
-/// # Errors
-/// [`ModelError`].
-pub fn after_stroke(
-    plan: &CampaignPlan,
-    planned: &Planned,
-    attempt: u32,
-    indentation_mm: f64,
-    sidecar: &Path,
-    stroke: usize,
-) -> Result<Modelled, ModelError> {
-    if Some(stroke) == plan.strokes_of(planned.purpose, planned.shape) {
-        return displacement(plan, planned, attempt, indentation_mm, sidecar);
-    }
-    let run = Trial::read(sidecar)?;
-    let samples: Vec<RigSample> = run.samples(sidecar)?;
-    let Action::Run { screw, .. } = &run.action else {
-        return Err(RecordError::read(sidecar, "it is not the record of a run").into());
-    };
-    let friction = friction(planned.lubrication);
-    let params = rollers(plan, planned.lubrication);
-    let mut body = roller::UnfoldedBody::new(params, indentation_mm)?;
-    let mut strokes = samples
-        .iter()
-        .map(|sample| sample.stroke as usize)
-        .collect::<Vec<_>>();
-    strokes.dedup();
-    // All strokes up to this one, and the next one, must be present once each.
-    if strokes.iter().take(stroke + 1).copied().ne(0..=stroke) {
-        return Err(ModelError::Strokes);
-    }
-    for sample in samples
-        .iter()
-        .take_while(|sample| (sample.stroke as usize) < stroke)
-    {
-        body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
-    }
-    let name = "roller model";
-    let (mm, draws) = (body.displacement_mm(), stroke);
-    Ok(noted(plan, planned, attempt, draws, mm, name, friction))
-}
-
-/// Simulates one stroke over a fresh body at the plan's position.
-fn pass(
-    plan: &CampaignPlan,
-    planned: &Planned,
-    indentation_mm: f64,
-    screw: &Screw,
-    samples: &[RigSample],
-    rest_mm: Option<f64>,
-) -> Result<f64, OutOfRange> {
-    let mut params = rollers(plan, planned.lubrication);
-    params.body.tail_mm = plan.passes.map_or(0.0, |passes| passes.tail_mm.mm());
-    let begins_mm = match planned.purpose.pass() {
-        Some(Direction::Home) => params.stroke_mm,
-        Some(Direction::Away) | None => 0.0,
-    };
-    let mut body = roller::UnfoldedBody::laid_in(params, indentation_mm, begins_mm)?;
-    for sample in samples {
-        body.carriage_to(screw.mm(f64::from(sample.position_steps)))?;
-    }
-    // The last sample may lie before the end: move the carriage there.
-    if let Some(rest_mm) = rest_mm {
-        body.carriage_to(rest_mm)?;
-    }
-    Ok(body.displacement_mm())
-}
-
-/// Adds the scatter that the plan declares to a displacement, and describes how it was made. `draws` distinguishes
-/// the strokes of a run.
+/// Adds the scatter that the plan declares to a displacement, and describes how it was made.
 fn noted(
     plan: &CampaignPlan,
     planned: &Planned,
     attempt: u32,
-    draws: usize,
     mut mm: f64,
     name: &str,
     friction: f64,
@@ -228,9 +142,7 @@ fn noted(
         let seed = u64::from(scatter.seed) << 32
             | u64::from(planned.trial) << 8
             | u64::from(attempt & 0xFF);
-        let mut chance = Chance::new(seed);
-        let draw = (0..=draws).map(|_| chance.normal()).last();
-        mm += scatter.scatter_mm.mm() * draw.unwrap_or_default();
+        mm += scatter.scatter_mm.mm() * Chance::new(seed).normal();
         text.push_str(&format!(
             ", scatter of {} mm added, seed {}",
             scatter.scatter_mm, scatter.seed

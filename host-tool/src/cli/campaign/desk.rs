@@ -173,9 +173,8 @@ fn by_plan(plan: &CampaignPlan, question: &Question<'_>) -> String {
         }
         Question::Reading { .. } => width.to_string(),
         Question::Odd { .. } => "yes".to_owned(),
-        Question::Prepare { .. }
-        | Question::Ready { .. }
-        | Question::Stroke { .. }
-        | Question::Displacement { .. } => String::new(),
+        Question::Prepare { .. } | Question::Ready { .. } | Question::Displacement { .. } => {
+            String::new()
+        }
     }
 }

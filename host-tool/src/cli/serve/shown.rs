@@ -2,25 +2,24 @@
 
 use std::path::{Path, PathBuf};
 
-use lab::campaign::catalogue::{self, Kind, Wanted};
 use lab::campaign::contents::Campaign;
 use lab::campaign::ledger::Standing;
-use lab::campaign::order::doing;
 use lab::campaign::remaining;
 use lab::operations::arguments::CAMPAIGNS_FOLDER;
+use lab::trials::listing::Listing;
 use serde_json::{Value, json};
 
-/// The newest incomplete campaign.
+/// The incomplete campaign with the newest row.
 pub(crate) fn newest() -> Option<PathBuf> {
-    let wanted = Wanted {
-        outcome: Some(catalogue::OPEN.to_owned()),
-        ..Wanted::default()
-    };
-    let found = catalogue::list(&[PathBuf::from(CAMPAIGNS_FOLDER)], false, &wanted);
-    let mut campaigns = found.entries.into_iter().rev();
-    campaigns
-        .find(|entry| entry.kind == Kind::Campaign)
-        .map(|entry| entry.path)
+    let folders = Listing::read(Path::new(CAMPAIGNS_FOLDER)).folders;
+    let campaigns = folders.iter().filter_map(|path| Campaign::read(path).ok());
+    let open = campaigns.filter(|campaign| campaign.state.next().is_some());
+    let last = open.max_by_key(|campaign| {
+        let rows = campaign.rows.iter().map(|row| row.time_utc);
+        rows.chain(campaign.reading_rows.iter().map(|row| row.time_utc))
+            .max()
+    });
+    Some(last?.folder)
 }
 
 /// The campaign's name, progress and next step, or the reason why it cannot be read.
@@ -42,7 +41,7 @@ pub(crate) fn json(folder: &Path) -> Value {
             next.planned.trial,
             next.planned.indentation,
             next.planned.lubrication.name(),
-            doing(next.planned.purpose, next.planned.shape)
+            next.planned.shape.name()
         )
     });
     let left = next

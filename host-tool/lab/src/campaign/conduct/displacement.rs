@@ -13,17 +13,13 @@ use crate::campaign::plan::Millimetres;
 use crate::campaign::prompts::{Answer, Question};
 
 impl Conduct<'_> {
-    /// Asks for the missing displacements of a completed attempt: first those after strokes, then the net one.
+    /// Asks for the displacement of a completed attempt.
     pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let trial = planned.trial;
-        let missing = self.missing_stroke(planned);
         let modelled = match self.machines.origin {
-            Origin::Virtual => Some(self.model(planned, attempt, missing.map(|(at, _)| at))?),
+            Origin::Virtual => Some(self.model(planned, attempt)?),
             Origin::Board | Origin::Unknown => None,
         };
-        if let Some(missing) = missing {
-            return self.measure_stroke(planned, attempt, missing, modelled);
-        }
         let question = Question::Displacement {
             planned,
             attempt,
@@ -41,12 +37,12 @@ impl Conduct<'_> {
                 self.row(row.saying(Some(modelled.text)))?;
                 return self.unfold_after(planned, attempt);
             }
-            (Answer::Length(_), Some(_)) => self.say_virtual(),
+            (Answer::Length(_), Some(_)) => self.desk.say(
+                "  nothing can be measured on the virtual bench: Enter takes the model's value",
+            ),
             (Answer::Length(value), None) => {
-                let campaign = self.folder.campaign();
-                let refusal = (campaign.plan.displacement.refusal(value))
-                    .or_else(|| campaign.disagreement(trial, value));
-                if let Some(why) = refusal {
+                let allowed = self.folder.campaign().plan.displacement;
+                if let Some(why) = allowed.refusal(value) {
                     self.desk.say(&format!("  {why}"));
                     return Ok(Then::Look);
                 }
@@ -63,35 +59,12 @@ impl Conduct<'_> {
         Ok(Then::Look)
     }
 
-    pub(super) fn say_virtual(&mut self) {
-        self.desk
-            .say("  nothing can be measured on the virtual bench: Enter takes the model's value");
-    }
-
     /// Handles an answer that is not a value.
-    pub(super) fn instead(
-        &mut self,
-        planned: &Planned,
-        attempt: u32,
-        answer: Answer,
-    ) -> Result<Then, Broken> {
+    fn instead(&mut self, planned: &Planned, attempt: u32, answer: Answer) -> Result<Then, Broken> {
         let trial = planned.trial;
         let mut ends = false;
         match answer {
-            Answer::Undo => {
-                let campaign = self.folder.campaign();
-                let here = campaign
-                    .state
-                    .trial(trial)
-                    .and_then(|state| state.attempt());
-                if here.is_some_and(|here| here.strokes_left_out || !here.strokes.is_empty()) {
-                    self.row(LedgerRow::of(LedgerEvent::Undone, trial, Some(attempt)))?;
-                    self.desk
-                        .say("  what was said of the last stroke is taken back");
-                } else {
-                    self.undo()?;
-                }
-            }
+            Answer::Undo => self.undo()?,
             Answer::Repeat(reason) => {
                 let row =
                     LedgerRow::of(LedgerEvent::Repeated, trial, Some(attempt)).saying(Some(reason));
@@ -132,13 +105,8 @@ impl Conduct<'_> {
         Ok(Then::Look)
     }
 
-    /// The modelled displacement: after a stroke, or of the whole trial.
-    fn model(
-        &self,
-        planned: &Planned,
-        attempt: u32,
-        after_stroke: Option<usize>,
-    ) -> Result<Modelled, Broken> {
+    /// The modelled displacement.
+    fn model(&self, planned: &Planned, attempt: u32) -> Result<Modelled, Broken> {
         let campaign = self.folder.campaign();
         let sidecar = campaign
             .run_sidecar(planned.trial, attempt)
@@ -154,7 +122,6 @@ impl Conduct<'_> {
             attempt,
             indentation_mm: a_mm,
             sidecar: &sidecar,
-            after_stroke,
         });
         modelled.map_err(|error| {
             let folder = Attempt::folder(planned.trial, attempt);

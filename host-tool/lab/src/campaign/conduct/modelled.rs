@@ -32,8 +32,6 @@ pub struct Wanted<'a> {
     pub indentation_mm: f64,
     /// The record of the run.
     pub sidecar: &'a Path,
-    /// Displacement after this stroke, from 1, instead of after the whole trial.
-    pub after_stroke: Option<usize>,
 }
 
 /// A model of the displacement. This crate has none itself.

@@ -39,7 +39,6 @@ impl Conduct<'_> {
                 match planned.purpose {
                     Purpose::Series => "",
                     Purpose::FoldTest => ", folded against unfolded",
-                    Purpose::AntegradePass | Purpose::ReturningPass => ", isolated passes",
                 }
             ),
             format!("  Clamp both rollers at {name}, in the same notch on either side."),

@@ -6,21 +6,27 @@ use std::path::Path;
 use crate::trials::coordination::{self, Recordings, Shaping};
 use crate::trials::experiment::{self, ExperimentError};
 use crate::trials::trial::{RecordError, Recording, Status, json as json_text};
-use client::Device;
+use client::error::ClientError;
 use client::identity::Origin;
 use client::plain::replace;
+use client::{Device, Unobserved};
 use protocol::capsule::{ActuationKind, CapsuleState};
-use protocol::rig::{Direction, MoveTo, RigEvent};
+use protocol::error::Refusal;
+use protocol::rig::{MoveTo, RigEvent};
 use protocol::system::What;
 use serde_json::json;
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
+use crate::campaign::files::RUN;
 use crate::campaign::form::Form;
 use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
-use crate::campaign::order::{Planned, doing};
+use crate::campaign::order::Planned;
 use crate::campaign::plan::{Millimetres, Purpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
 use crate::campaign::{remaining, resumption};
+
+/// Speed of the carriage on its way home between two trials, um/s.
+const HOMEWARD_UM_S: u32 = 20_000;
 
 impl Conduct<'_> {
     pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
@@ -28,13 +34,7 @@ impl Conduct<'_> {
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
         let left_s = remaining::remaining_s(campaign);
-        let mut checks = checks(
-            planned,
-            attempt,
-            of,
-            camera.as_deref(),
-            campaign.plan.passes,
-        );
+        let mut checks = checks(planned, attempt, of, camera.as_deref());
         checks[0].push_str(&format!(" {}.", remaining::text(left_s)));
         let question = Question::Ready {
             planned,
@@ -45,7 +45,7 @@ impl Conduct<'_> {
             return Ok(Then::Leave);
         };
         match answer {
-            Answer::Enter | Answer::Yes => return self.may_begin(planned),
+            Answer::Enter | Answer::Yes => return self.may_move(),
             Answer::Undo => self.undo()?,
             Answer::Exclude(reason) => self.exclude_last(reason)?,
             Answer::Skip(reason) => {
@@ -105,17 +105,6 @@ impl Conduct<'_> {
             )),
         }
         Ok(())
-    }
-
-    /// Whether the trial can still begin when Enter is pressed: its check-list may have waited for hours.
-    fn may_begin(&mut self, planned: &Planned) -> Result<Then, Broken> {
-        let then = self.may_move()?;
-        if matches!(then, Then::Go) && !self.is_staged(planned)? {
-            self.desk
-                .say("  the rollers no longer stand where they have to");
-            return Ok(Then::Look);
-        }
-        Ok(then)
     }
 
     fn camera_for(&self, trial: u32, attempt: u32) -> Option<String> {
@@ -180,18 +169,14 @@ impl Conduct<'_> {
         folder: &Path,
     ) -> Result<(), Broken> {
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
-        if let Some(direction) = planned.purpose.pass() {
-            self.write_conditions(planned, attempt, began, folder)?;
-            return self.pass(planned, direction, folder);
-        }
-        self.drive_to(planned.block, 0)?;
+        self.go_home(planned.block)?;
         self.write_conditions(planned, attempt, began, folder)?;
         if planned.purpose == Purpose::FoldTest {
             self.shape(planned.shape, folder)?;
         }
         let plan = &self.folder.campaign().plan;
         let (run, fold_at) = (plan.run, plan.fold_at);
-        let recording = self.recording(folder, "run", planned);
+        let recording = self.recording(folder, RUN, planned);
         if let Some(pacer) = self.desk.pacer() {
             self.machines.rig.set_pacer(pacer);
         }
@@ -247,52 +232,51 @@ impl Conduct<'_> {
         Ok(())
     }
 
-    /// Makes one stroke over the body. The rollers are already at its start.
-    fn pass(
-        &mut self,
-        planned: &Planned,
-        direction: Direction,
-        folder: &Path,
-    ) -> Result<(), Broken> {
-        let plan = &self.folder.campaign().plan;
-        let requested = MoveTo {
-            position_um: match direction {
-                Direction::Away => plan.run.stroke_um,
-                Direction::Home => 0,
-            },
-            speed_um_s: plan.passes.map_or(0, |passes| passes.speed_um_s),
+    /// Moves the carriage to 0. Homes first in each block and each session: handling the rollers may have turned the
+    /// screw.
+    fn go_home(&mut self, block: u32) -> Result<(), Broken> {
+        let resume = resumption(&self.folder.campaign().folder);
+        let not_ready = |why: String, help: &str| {
+            let help = format!("{help}, then {resume}");
+            Broken::NotReady { why, help }
         };
-        let recording = self.recording(folder, "pass", planned);
-        // A move cannot be held, but the key that stops must work.
-        if let Some(pacer) = self.desk.pacer() {
-            self.machines.rig.set_pacer(pacer);
+        let status = self.machines.rig.rig_status()?;
+        if let Some(fault) = status.fault {
+            let why = format!("the rig has a fault: {fault}");
+            return Err(not_ready(why, "remove its cause, `retrograde ack rig`"));
         }
-        let mut observer = self.desk.observer();
+        if !status.homed || self.homed_in != Some(block) {
+            let homed = experiment::home(&mut self.machines.rig, &mut *self.desk.observer())?;
+            self.machines.homed = Some((self.desk.now(), homed));
+            self.homed_in = Some(block);
+            return Ok(());
+        }
+        let to = MoveTo {
+            position_um: 0,
+            speed_um_s: HOMEWARD_UM_S,
+        };
         let rig = &mut self.machines.rig;
-        let passed = experiment::move_to(rig, requested, &recording, &mut *observer)?;
-        if passed.trial.status != Status::Complete {
+        let status = match rig.call(to) {
+            Ok(accepted) => rig.wait_move(&accepted, &mut Unobserved)?.1,
+            Err(ClientError::Refused {
+                refusal: Refusal::AlreadyThere,
+                ..
+            }) => rig.rig_status()?,
+            Err(error) => return Err(error.into()),
+        };
+        if status.position_steps == 0 && status.fault.is_none() {
+            return Ok(());
+        }
+        if rig.interrupted().is_some() {
             return Err(Broken::Ended {
-                action: "the pass",
-                status: passed.trial.status,
-                reason: passed.trial.error,
+                action: "the move home",
+                status: Status::Stopped,
+                reason: None,
             });
         }
-        let (accepted, _) = passed.record;
-        let (from, to) = (accepted.from_steps, accepted.to_steps);
-        let far = from.max(to);
-        let begins = if direction == Direction::Away { 0 } else { far };
-        if from != begins || from.min(to) != 0 {
-            return Err(Broken::NotReady {
-                why: format!(
-                    "the pass went from {from} to {to} steps, and not over the whole stroke"
-                ),
-                help: format!(
-                    "did something else move the rig? Then {}",
-                    resumption(&self.folder.campaign().folder)
-                ),
-            });
-        }
-        Ok(())
+        let at = status.position_steps;
+        let why = format!("the carriage is at {at} steps after the move to 0");
+        Err(not_ready(why, "`retrograde info rig` says what is wrong"))
     }
 
     fn recording(&self, folder: &Path, stem: &str, planned: &Planned) -> Recording {
@@ -306,7 +290,7 @@ impl Conduct<'_> {
                 planned.trial,
                 planned.indentation,
                 planned.lubrication.name(),
-                doing(planned.purpose, planned.shape),
+                planned.shape.name(),
                 planned.repeat
             )),
             telemetry_ms: self.folder.campaign().plan.telemetry_ms,
