@@ -28,7 +28,7 @@ fn main() {
     for file in ["Cargo.lock", "Cargo.toml", "memory.x"] {
         println!("cargo:rerun-if-changed=../{file}");
     }
-    // `cargo xtask lint structure` checks that no crate of an image is missing.
+    // Every crate of ours that an image is built from.
     for part in [
         "device",
         "firmware-rig",
