@@ -87,7 +87,7 @@ impl Judge {
         }
         let (low, high) = rig.look(|rig| (rig.extremes(), rig.forget_extremes()).0);
         self.carriage = rig.look(|rig| rig.carriage());
-        if edges.len() > 0 && !self.homes && (low < 0 || high > STROKE) {
+        if !edges.is_empty() && !self.homes && (low < 0 || high > STROKE) {
             return Err(format!("outside the stroke: {low} to {high} steps"));
         }
         if self.now_ns > self.active_ns + PAUSE_NS && !self.runs {
