@@ -15,7 +15,7 @@ use lab::trials::check;
 use lab::trials::experiment::{self, ExperimentError, PAPER_RUN, RunTrial};
 use lab::trials::trial::{Action, Recording, RigSample, Status, Trial};
 use protocol::capsule::{ActuationKind, ActuationOutcome};
-use protocol::rig::{MoveTo, RigState, Run, RunOutcome, RunTiming};
+use protocol::rig::{RigState, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Urgent};
 use report::html;
 use report::html::LeftOut;
@@ -305,18 +305,12 @@ fn a_refused_action_leaves_a_record_that_says_so() {
         stem: stem.to_owned(),
         ..recording(folder.path())
     };
-    let to = MoveTo {
-        position_um: 10_000,
-        speed_um_s: 5_000,
-    };
     let seen = &mut Unobserved;
     let run = experiment::run(&mut rig, SHORT_RUN, &recording("run"), seen).map(drop);
-    let pass = experiment::move_to(&mut rig, to, &recording("pass"), seen).map(drop);
     let kind = ActuationKind::Fold;
     let fold = experiment::actuate(&mut capsule, kind, &recording("fold"), seen).map(drop);
     for (stem, result, why) in [
         ("run", run, "home first"),
-        ("pass", pass, "home first"),
         ("fold", fold, "reference first"),
     ] {
         let error = result.expect_err(stem).to_string();
@@ -339,7 +333,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     let found = html::find(&folders).expect("a folder");
     assert_eq!(found.sidecars.len(), 1, "{found:?}");
     let left = |left: &LeftOut| left.why.contains("nothing was done: ") && !left.is_record;
-    assert_eq!(found.left_out.len(), 3, "{found:?}");
+    assert_eq!(found.left_out.len(), 2, "{found:?}");
     assert!(found.left_out.iter().all(left), "{found:?}");
     // As the reader in Python counts.
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples");

@@ -135,7 +135,7 @@ impl Defects {
 #[must_use]
 pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
     match trial.action {
-        Action::Run { .. } | Action::Move { .. } => rig(sidecar, trial).1,
+        Action::Run { .. } => rig(sidecar, trial).1,
         Action::Actuation { .. } => capsule(sidecar, trial).1,
     }
 }
@@ -144,11 +144,8 @@ pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
 #[must_use]
 pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Defects) {
     let (samples, unreadable) = read::<RigSample>(sidecar, trial);
-    let defects = match trial.action {
-        Action::Move { .. } => movement(trial, &samples),
-        _ => run(trial, &samples),
-    };
-    (samples, defects.after(unreadable))
+    let defects = run(trial, &samples).after(unreadable);
+    (samples, defects)
 }
 
 /// The readable telemetry of a record of the capsule, and the defects of the record.
@@ -186,74 +183,6 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
     }
     if let Some(executed) = executed {
         defects.ends_alike(executed.outcome.into(), trial, "the record's outcome");
-    }
-    defects
-}
-
-/// Defects of the record of a move.
-#[must_use]
-pub fn movement(trial: &Trial, samples: &[RigSample]) -> Defects {
-    let mut defects = telemetry(trial, samples);
-    let Action::Move {
-        screw,
-        requested,
-        accepted,
-        moved,
-    } = &trial.action
-    else {
-        return defects;
-    };
-    let (Some(accepted), Some(moved)) = (accepted, moved) else {
-        if trial.status == Status::Complete {
-            defects.say("it is called complete, without what was accepted or done");
-        }
-        return defects;
-    };
-    defects.ends_alike(moved.outcome.into(), trial, "the outcome of the move");
-    defects.agree(
-        screw.steps(requested.position_um) == accepted.to_steps,
-        "the rig accepted another place than was requested",
-    );
-    let (from, to) = (i64::from(accepted.from_steps), i64::from(accepted.to_steps));
-    defects.agree(
-        (to - from).unsigned_abs() == u64::from(accepted.stroke.steps),
-        "the steps that were accepted are not those between the two places",
-    );
-    if trial.status != Status::Complete {
-        return defects;
-    }
-    if moved.position_steps != accepted.to_steps {
-        defects.say(format!(
-            "it is called complete at {} steps, and {to} were to be reached",
-            moved.position_steps
-        ));
-    }
-    let (least, most) = (from.min(to), from.max(to));
-    let outside = |sample: &&RigSample| !(least..=most).contains(&i64::from(sample.position_steps));
-    if let Some(sample) = samples.iter().find(outside) {
-        defects.say(format!(
-            "a sample is at {} steps, outside of {least} to {most}",
-            sample.position_steps
-        ));
-    }
-    // A move has no recorded duration: the samples have to span it, except for one interval at either end.
-    if let [first, .., last] = samples {
-        let lasted_us = last.time_us.saturating_sub(first.time_us);
-        let every_us = samples
-            .windows(2)
-            .map(|pair| pair[1].time_us.saturating_sub(pair[0].time_us))
-            .max()
-            .unwrap_or(0);
-        let least_us = accepted.stroke.duration_ticks / 100;
-        if lasted_us.saturating_add(every_us.saturating_mul(2) + LATE_US) < least_us {
-            defects.lack(format!(
-                "the telemetry lasts {} s, and the move took {} s",
-                seconds(lasted_us),
-                seconds(least_us)
-            ));
-        }
-    } else if samples.is_empty() {
-        defects.lack("the move has no telemetry");
     }
     defects
 }

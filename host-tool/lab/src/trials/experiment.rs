@@ -1,4 +1,4 @@
-//! Recorded actions: a run, a move, an actuation.
+//! Recorded actions: a run, an actuation.
 
 use std::path::PathBuf;
 
@@ -12,13 +12,13 @@ use protocol::capsule::{
     ActuationKind, ActuationOutcome, ActuationRecord, Calibrate, CheckFolded, FoldTo,
 };
 use protocol::error::Refusal;
-use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunOutcome, RunRecord, RunTiming};
+use protocol::rig::{LinkLossPolicy, Run, RunOutcome, RunRecord, RunTiming};
 use protocol::system::{DeviceKind, Event, Identity};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
 use crate::trials::trial::{
-    Action, Ending, Moved, RecordError, Recorder, Recording, Screw, Status, Trial,
+    Action, Ending, RecordError, Recorder, Recording, Screw, Status, Trial,
 };
 
 /// The paper's run: 5 cycles of 130 mm in 40 s.
@@ -125,9 +125,6 @@ impl<R> RecordedTrial<R> {
 /// A recorded run.
 pub type RunTrial = RecordedTrial<RunRecord>;
 
-/// A recorded move: as planned by the rig, and as it ended.
-pub type MoveTrial = RecordedTrial<(MoveAccepted, Moved)>;
-
 /// A recorded actuation.
 pub type ActuationTrial = RecordedTrial<ActuationRecord>;
 
@@ -158,41 +155,6 @@ pub fn run(
             let accepted = rig.run(run)?;
             let record = rig.wait_run(&accepted, observer)?;
             Ok((record, Ending::Run(record)))
-        },
-    )
-}
-
-/// Moves the carriage once and records it, whatever the outcome.
-///
-/// # Errors
-/// The rig refused or was lost, or the record could not be written. Both files exist before anything moves.
-pub fn move_to(
-    rig: &mut Device,
-    requested: MoveTo,
-    recording: &Recording,
-    observer: &mut dyn Observer,
-) -> Result<MoveTrial, ExperimentError> {
-    let identity = identity(rig, DeviceKind::Rig)?;
-    let action = Action::Move {
-        screw: Screw::from(&rig.rig_status()?),
-        requested,
-        accepted: None,
-        moved: None,
-    };
-    record(
-        rig,
-        &identity,
-        action,
-        recording,
-        observer,
-        |rig, observer| {
-            let accepted = rig.call(requested)?;
-            let (outcome, status) = rig.wait_move(&accepted, observer)?;
-            let moved = Moved {
-                outcome,
-                position_steps: status.position_steps,
-            };
-            Ok(((accepted, moved), Ending::Move(moved)))
         },
     )
 }
@@ -410,10 +372,6 @@ fn verdict(ending: &Ending) -> String {
             decimal::fixed(record.thread_um.into(), 3),
             decimal::fixed(record.duration_ms.into(), 3)
         ),
-        Ending::Move(moved) => format!(
-            "the move ended as {:?} at {} steps",
-            moved.outcome, moved.position_steps
-        ),
         Ending::Refused(why) | Ending::Lost(why) => why.clone(),
     }
 }
@@ -424,7 +382,6 @@ pub(crate) fn after_stops(device: &mut Device, ending: &Ending) -> Option<String
     let is_stopped = match ending {
         Ending::Run(record) => record.outcome == RunOutcome::Stopped,
         Ending::Actuation(record) => record.outcome == ActuationOutcome::Stopped,
-        Ending::Move(moved) => moved.outcome == RunOutcome::Stopped,
         Ending::Refused(_) | Ending::Lost(_) => false,
     };
     if !is_stopped && device.interrupted().is_none() {
@@ -480,17 +437,5 @@ mod tests {
             );
         }
         assert_eq!(stem(ActuationKind::FoldTo), "fold-to");
-    }
-
-    /// If the record is lost, this sentence is all that is left of the motion.
-    #[test]
-    fn the_verdict_of_a_motion_says_how_and_where_it_ended() {
-        let moved = Ending::Move(Moved {
-            outcome: RunOutcome::Stopped,
-            position_steps: 1_234,
-        });
-        assert_eq!(verdict(&moved), "the move ended as Stopped at 1234 steps");
-        let lost = Ending::Lost("it went away".to_owned());
-        assert_eq!(verdict(&lost), "it went away");
     }
 }

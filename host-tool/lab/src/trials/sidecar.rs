@@ -14,10 +14,6 @@ use crate::trials::trial::{Action, RecordError, Trial};
 #[must_use]
 pub fn heading(trial: &Trial) -> String {
     match &trial.action {
-        Action::Move { requested, .. } => format!(
-            "Move to {} mm",
-            decimal::write(requested.position_um.into(), 3)
-        ),
         Action::Run { requested, .. } => format!(
             "Run, {} cycles of {} mm",
             requested.cycles,

@@ -14,9 +14,7 @@ use client::{Begun, Observer, Progress, decimal, limited, wording};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
-use protocol::rig::{
-    MoveAccepted, MoveTo, RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke,
-};
+use protocol::rig::{RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke};
 use protocol::system::Event;
 use protocol::table::{SCHEMA_KEY, Telemetry};
 use serde::{Deserialize, Serialize};
@@ -195,15 +193,6 @@ impl From<&RunRecord> for Executed {
     }
 }
 
-/// A move as it ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Moved {
-    /// How it ended.
-    pub outcome: RunOutcome,
-    /// Position by the read-back counter, at rest.
-    pub position_steps: i32,
-}
-
 /// The action of a trial.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
@@ -220,17 +209,6 @@ pub enum Action {
         achieved: Option<Achieved>,
         /// As executed; none if the host lost the rig.
         executed: Option<Executed>,
-    },
-    /// A move of the rig to a position.
-    Move {
-        /// Screw and stroke.
-        screw: Screw,
-        /// As requested.
-        requested: MoveTo,
-        /// As accepted; none if it was refused.
-        accepted: Option<MoveAccepted>,
-        /// As it ended; none if the host lost the rig.
-        moved: Option<Moved>,
     },
     /// An actuation of the capsule.
     Actuation {
@@ -310,7 +288,6 @@ impl Trial {
     pub const fn has_begun(&self) -> bool {
         match &self.action {
             Action::Run { achieved, .. } => achieved.is_some(),
-            Action::Move { accepted, .. } => accepted.is_some(),
             Action::Actuation { accepted, .. } => accepted.is_some(),
         }
     }
@@ -340,14 +317,7 @@ impl Trial {
                 self.status = Status::Unknown;
                 self.error = Some(error);
             }
-            (Action::Move { moved: slot, .. }, Ending::Move(moved)) => {
-                self.status = moved.outcome.into();
-                if let RunOutcome::Faulted(fault) = moved.outcome {
-                    self.error = Some(fault.to_string());
-                }
-                *slot = Some(moved);
-            }
-            (_, Ending::Run(_) | Ending::Actuation(_) | Ending::Move(_)) => {
+            (_, Ending::Run(_) | Ending::Actuation(_)) => {
                 self.status = Status::Unknown;
                 self.error = Some("the record of another kind of action".to_owned());
             }
@@ -663,8 +633,6 @@ pub enum Ending {
     Run(RunRecord),
     /// The capsule's record.
     Actuation(ActuationRecord),
-    /// Where a move ended.
-    Move(Moved),
     /// The reason why it never began.
     Refused(String),
     /// The reason why there is no record.
@@ -680,7 +648,6 @@ impl Observer for Recorder {
             (Action::Actuation { accepted, .. }, Begun::Actuation(actuation)) => {
                 *accepted = Some(*actuation);
             }
-            (Action::Move { accepted, .. }, Begun::Move(of_move)) => *accepted = Some(*of_move),
             _ => {}
         }
         self.write_sidecar();
@@ -690,7 +657,7 @@ impl Observer for Recorder {
         self.trial.missed_samples += u64::from(missed);
         let origin = self.trial.device.origin;
         match (sample, &self.trial.action) {
-            (Telemetry::Rig(rig), Action::Run { screw, .. } | Action::Move { screw, .. }) => {
+            (Telemetry::Rig(rig), Action::Run { screw, .. }) => {
                 let position_nm = screw.nm(rig.position_steps.into());
                 self.row(RigSample {
                     time_us: rig.time_us,

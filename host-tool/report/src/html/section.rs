@@ -6,11 +6,11 @@ use client::decimal;
 use lab::trials::check::{self, Defects};
 use lab::trials::sidecar::heading;
 use lab::trials::trial::{
-    Achieved, Action, CapsuleSample, Executed, Moved, RigSample, Screw, Status, Trial,
+    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial,
 };
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
-use protocol::rig::{LinkLossPolicy, MoveAccepted, MoveTo, Run, RunTiming, Stroke};
+use protocol::rig::{LinkLossPolicy, Run, RunTiming, Stroke};
 
 use crate::figures::{FigureError, actuation_figures, planned, run_figures};
 use crate::html::page;
@@ -38,21 +38,6 @@ pub(crate) fn section<'a>(
             let (samples, defects) = check::rig(sidecar, trial);
             let (achieved, executed) = (achieved.as_ref(), executed.as_ref());
             let content = run(trial, &samples, screw, requested, achieved, executed)?;
-            (defects, content)
-        }
-        Action::Move {
-            screw,
-            requested,
-            accepted,
-            moved,
-        } => {
-            let (_, defects) = check::rig(sidecar, trial);
-            let content = page::rows(move_rows(
-                screw,
-                requested,
-                accepted.as_ref(),
-                moved.as_ref(),
-            ));
             (defects, content)
         }
         Action::Actuation {
@@ -274,40 +259,6 @@ pub fn actuation_rows(
     rows
 }
 
-fn move_rows(
-    screw: &Screw,
-    requested: &MoveTo,
-    accepted: Option<&MoveAccepted>,
-    moved: Option<&Moved>,
-) -> Vec<(&'static str, String)> {
-    let mm = |steps: i32| format!("{} mm", decimal::write_signed(screw.nm(steps.into()), 6));
-    vec![
-        ("to", format!("{} mm", milli(requested.position_um))),
-        ("speed", format!("{} mm/s", milli(requested.speed_um_s))),
-        (
-            "from",
-            accepted.map_or_else(dash, |accepted| mm(accepted.from_steps)),
-        ),
-        (
-            "planned",
-            accepted.map_or_else(dash, |accepted| {
-                let stroke = &accepted.stroke;
-                format!(
-                    "{} steps in {} s, {} mm/s at most, ramps of {} mm/s²",
-                    stroke.steps,
-                    decimal::write(stroke.duration_ticks, 8),
-                    milli(stroke.peak_um_s),
-                    milli(stroke.accel_um_s2)
-                )
-            }),
-        ),
-        (
-            "at rest",
-            moved.map_or_else(dash, |moved| mm(moved.position_steps)),
-        ),
-    ]
-}
-
 pub(crate) fn in_short(trial: &Trial) -> String {
     match &trial.action {
         Action::Run {
@@ -318,14 +269,6 @@ pub(crate) fn in_short(trial: &Trial) -> String {
             executed.strokes,
             executed.counted_edges,
             decimal::write(executed.ticks, 8)
-        ),
-        Action::Move {
-            accepted: Some(accepted),
-            ..
-        } => format!(
-            "{} steps, {} s",
-            accepted.stroke.steps,
-            decimal::write(accepted.stroke.duration_ticks, 8)
         ),
         Action::Actuation {
             record: Some(record),

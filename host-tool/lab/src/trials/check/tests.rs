@@ -2,10 +2,10 @@
 
 use super::*;
 use crate::trials::experiment::PAPER_RUN;
-use crate::trials::trial::{Moved, Recording, Screw};
+use crate::trials::trial::{Recording, Screw};
 use jiff::Timestamp;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
-use protocol::rig::{MoveAccepted, MoveTo, RunOutcome, Stroke};
+use protocol::rig::{RunOutcome, Stroke};
 use protocol::system::Event;
 
 /// A step is 2.5 um.
@@ -283,89 +283,6 @@ fn rows_agree_with_the_sidecar() {
     assert_eq!(running, Defects::default());
 }
 
-/// From 100 to 1,100 steps within 0.5 s.
-fn move_record(change: impl FnOnce(&mut Trial, &mut Vec<RigSample>)) -> Defects {
-    let mut trial = trial(Action::Move {
-        screw: SCREW,
-        requested: MoveTo {
-            position_um: 2_750,
-            speed_um_s: 10_000,
-        },
-        accepted: Some(MoveAccepted {
-            from_steps: 100,
-            to_steps: 1_100,
-            stroke: Stroke {
-                steps: 1_000,
-                duration_ticks: 50_000_000,
-                ..STROKE
-            },
-        }),
-        moved: Some(Moved {
-            outcome: RunOutcome::Complete,
-            position_steps: 1_100,
-        }),
-    });
-    let mut samples: Vec<_> = (0..=25)
-        .map(|index| {
-            rig_sample(
-                1_000_000 + 20_000 * u64::from(index as u32),
-                100 + 40 * index,
-            )
-        })
-        .collect();
-    change(&mut trial, &mut samples);
-    trial.samples = samples.len() as u64;
-    movement(&trial, &samples)
-}
-
-fn accepted(trial: &mut Trial) -> &mut MoveAccepted {
-    match &mut trial.action {
-        Action::Move {
-            accepted: Some(accepted),
-            ..
-        } => accepted,
-        other => panic!("{other:?}"),
-    }
-}
-
-#[test]
-fn a_move_goes_from_place_to_place_and_its_telemetry_with_it() {
-    assert_eq!(move_record(|_, _| {}), Defects::default());
-    let found = move_record(|trial, _| accepted(trial).stroke.steps = 999);
-    assert!(only(&found).contains("between the two places"));
-    let found = move_record(|trial, _| accepted(trial).from_steps = 101);
-    assert_eq!(found.contradictions.len(), 2, "{found:?}");
-    let found = move_record(|trial, _| {
-        let Action::Move { moved, .. } = &mut trial.action else {
-            panic!("a move");
-        };
-        moved.as_mut().expect("moved").position_steps = 1_099;
-    });
-    assert!(only(&found).contains("1099 steps, and 1100"));
-    for (steps, outside) in [(100, false), (99, true), (1_100, false), (1_101, true)] {
-        let found = move_record(|_, samples| samples[12] = rig_sample(1_240_000, steps));
-        assert_eq!(
-            found.contradictions.len(),
-            usize::from(outside),
-            "{found:?}"
-        );
-    }
-    let found = move_record(|_, samples| samples.clear());
-    assert!(only(&found).contains("no telemetry"));
-    // An interval at either end, and 10 ms: 450 ms are enough.
-    for (took_us, gap) in [(450_000, false), (449_999, true)] {
-        let found = move_record(|_, samples| {
-            samples.truncate(24);
-            samples[23].time_us = 1_000_000 + took_us;
-            samples[22].time_us = 1_000_000 + took_us - 20_000;
-            samples[21].time_us = 1_000_000 + took_us - 40_000;
-            samples[20].time_us = 1_000_000 + took_us - 59_000;
-        });
-        let gaps = found.gaps.iter().filter(|gap| gap.contains("lasts"));
-        assert_eq!(gaps.count(), usize::from(gap), "{found:?}");
-    }
-}
-
 /// 78 ms may pass behind the last sample.
 #[test]
 fn an_actuation_is_that_which_was_accepted_and_its_telemetry_covers_it() {
@@ -459,13 +376,6 @@ fn a_status_that_the_record_does_not_bear_out_is_told() {
         *achieved = None;
     });
     assert!(only(&found).contains("without what was planned or executed"));
-    let found = move_record(|trial, _| {
-        let Action::Move { moved, .. } = &mut trial.action else {
-            panic!("a move");
-        };
-        *moved = None;
-    });
-    assert!(only(&found).contains("without what was accepted or done"));
     let bare = trial(Action::Actuation {
         actuation: ActuationKind::Fold,
         accepted: None,
