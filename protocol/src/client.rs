@@ -235,8 +235,9 @@ impl Client {
 
     fn reply(&mut self, header: Header, reply: Reply) -> Option<Output> {
         if let Reply::Urgent(urgent) = reply {
+            // A device answers with the stop that it has carried out. Another one, above all a weaker one, confirms nothing.
             self.urgent
-                .take_if(|(_, pending)| pending.header.seq == header.seq)?;
+                .take_if(|(asked, pending)| pending.header.seq == header.seq && *asked == urgent)?;
             return Some(Output::UrgentDone(urgent));
         }
         self.pending

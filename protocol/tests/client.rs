@@ -265,8 +265,12 @@ fn an_emergency_stop_that_is_not_confirmed_is_never_weakened() {
         client.urgent(second);
         let frame = sent(&mut client, 10);
         assert_eq!(urgent(&frame), Some(wanted));
+        let seq = header(&frame).seq;
+        // An answer to another stop confirms nothing, least of all a weaker one.
+        let other = Reply::Urgent(if wanted == Stop { EStop } else { Stop });
+        assert_eq!(hear(&mut client, Kind::Reply, seq, &other), None);
         let done = Reply::Urgent(wanted);
-        let output = hear(&mut client, Kind::Reply, header(&frame).seq, &done);
+        let output = hear(&mut client, Kind::Reply, seq, &done);
         assert_eq!(output, Some(Output::UrgentDone(wanted)));
         // A confirmed one is over: the next is as weak as it says.
         client.urgent(Stop);

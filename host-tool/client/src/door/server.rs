@@ -1,6 +1,7 @@
 //! The owner's side of a door: guests, their stops and questions, and the traffic passed on to them.
 
 use std::collections::{HashMap, VecDeque};
+use std::hash::{BuildHasher, RandomState};
 use std::io::{self, Read, Write};
 use std::net::Shutdown;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -42,9 +43,6 @@ const GREETING_TIME: Duration = Duration::from_secs(2);
 
 /// Stack of a guest's thread, bytes; small, because many guests may come at once.
 const GUEST_STACK: usize = 256 * 1024;
-
-/// First sequence number of guests' stops on the line. The owner's begin at random.
-const FIRST_SEQ: u16 = 0x8000;
 
 /// State shared by owner, pump and guests.
 pub struct Core {
@@ -116,6 +114,8 @@ struct Guest {
 /// Output side of the line. A thread locks it while it writes a frame.
 struct Out {
     line: Box<dyn Write + Send>,
+    /// Sequence number of the guests' next stop. It begins at random: a late answer to a stop that went out before this
+    /// line was opened confirms no other.
     next_seq: u16,
     /// Number of stops that guests have sent, and how many of them the owner has noticed.
     stops: u32,
@@ -132,7 +132,7 @@ impl Core {
             woken: Condvar::new(),
             out: Mutex::new(Out {
                 line,
-                next_seq: FIRST_SEQ,
+                next_seq: RandomState::new().hash_one(0) as u16,
                 stops: 0,
                 noticed: 0,
                 mark: Doorway::last_stops(doorway.as_ref()),
@@ -367,7 +367,7 @@ impl Core {
             Some(stop) => stop.seq,
             None => {
                 let seq = out.next_seq;
-                out.next_seq = seq.checked_add(1).unwrap_or(FIRST_SEQ);
+                out.next_seq = seq.wrapping_add(1);
                 if state.stops.len() == GUESTS {
                     state.stops.pop_front();
                 }
