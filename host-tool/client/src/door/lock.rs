@@ -6,8 +6,8 @@
 //! long as it lives; `.owner` describes the owner; `.door` is the socket. The modification times of `.stop` and
 //! `.estop` tell each process that a stop was requested since it last looked.
 
-use std::fs::{self, OpenOptions, TryLockError};
-use std::io;
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Write};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
@@ -18,9 +18,10 @@ use protocol::system::Urgent;
 
 use crate::address::Address;
 use crate::door::stream;
+use crate::limited;
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
-use crate::plain::Locked;
+use crate::plain::{self, Locked};
 
 /// Environment variable that names another folder for locks and doors.
 const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
@@ -107,7 +108,7 @@ impl Doorway {
             reason: Reason::Other,
             why: format!("its lock in {}: {}", self.folder.display(), why.to_string()),
             remedy: format!(
-                "see that the folder can be written and has free space, or name another with {FOLDER_VARIABLE}"
+                "see that the folder can be written, has free space and holds only files of `retrograde`, or name another with {FOLDER_VARIABLE}"
             ),
         }
     }
@@ -117,12 +118,7 @@ impl Doorway {
     /// # Errors
     /// The lock file cannot be made.
     pub fn claim(&self) -> Result<Option<Lock>, OpenError> {
-        let file = OpenOptions::new()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(self.file("lock"))
-            .map_err(|why| self.error(why))?;
+        let file = plain::open_or_create(&self.file("lock")).map_err(|why| self.error(why))?;
         match Locked::new(file) {
             // Somebody listens at the door, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
             Ok(_) if self.is_attended() => Ok(None),
@@ -159,18 +155,20 @@ impl Doorway {
     ///
     /// Call this before sending the stop. If called later, orders given after the stop was confirmed would be refused.
     pub fn mark_stop(&self, urgent: Urgent) {
-        let file = OpenOptions::new()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(self.file(stop_file(urgent)));
-        let _ = file.and_then(|file| file.set_modified(SystemTime::now()));
+        let path = self.file(stop_file(urgent));
+        let mark = || plain::open_or_create(&path)?.set_modified(SystemTime::now());
+        if mark().is_err() {
+            // A link, a pipe or a file that cannot be written: it is not ours.
+            let _ = fs::remove_file(&path);
+            let _ = mark();
+        }
     }
 
     /// The owner of the line, as far as it was written.
     #[must_use]
     pub fn owner(&self) -> Option<Owner> {
-        serde_json::from_slice(&fs::read(self.file("owner")).ok()?).ok()
+        let text = plain::read(&self.file("owner"), limited::BY_HAND);
+        serde_json::from_slice(&text.ok()?).ok()
     }
 
     /// Whether the owner seems to listen. It does not if there is a description but no door: the owner is setting up
@@ -207,7 +205,10 @@ impl Lock {
         // Write and rename, so that a reader finds the old file or the new one, never a part.
         let (new, file) = (doorway.file("new"), doorway.file("owner"));
         let text = serde_json::to_vec(&self.owner).map_err(|why| doorway.error(why))?;
-        fs::write(&new, text)
+        // Left by an owner that was killed. Whatever it is, it is not opened.
+        let _ = fs::remove_file(&new);
+        File::create_new(&new)
+            .and_then(|mut part| part.write_all(&text))
             .and_then(|()| fs::rename(&new, &file))
             .map_err(|why| doorway.error(why))
     }
@@ -392,6 +393,39 @@ mod tests {
             assert_eq!(doorway.stop_mark().since(before), None);
             doorway.mark_stop(urgent);
             assert_eq!(doorway.stop_mark().since(before), Some(urgent));
+        }
+    }
+
+    /// Regression: a stop waited for ever at a FIFO of one of these names.
+    #[test]
+    fn a_pipe_in_place_of_any_file_is_waited_for_by_nobody() {
+        let place = tempfile::tempdir().expect("a folder");
+        let pipes = ["lock", "owner", "door", "new", "stop", "estop"];
+        let (tell, told) = std::sync::mpsc::channel();
+        for name in pipes {
+            let doorway = doorway(place.path(), name);
+            let mode = rustix::fs::Mode::from_raw_mode(0o600);
+            rustix::fs::mkfifoat(rustix::fs::CWD, doorway.file(name), mode).expect("a FIFO");
+            let tell = tell.clone();
+            std::thread::spawn(move || {
+                assert!(doorway.owner().is_none());
+                for urgent in [Urgent::Stop, Urgent::EStop] {
+                    let before = doorway.stop_mark();
+                    doorway.mark_stop(urgent);
+                    assert_eq!(doorway.stop_mark().since(before), Some(urgent));
+                }
+                let claimed = doorway
+                    .claim()
+                    .map(|lock| lock.expect("free").listen().map(drop));
+                tell.send((name, claimed.is_ok_and(|opened| opened.is_ok())))
+            });
+        }
+        for _ in pipes {
+            let (name, opened) = told
+                .recv_timeout(std::time::Duration::from_secs(10))
+                .expect("waits for nobody");
+            // The lock alone cannot be replaced: another process may hold it.
+            assert_eq!(opened, name != "lock", "{name}");
         }
     }
 
