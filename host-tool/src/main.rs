@@ -3,6 +3,7 @@
 
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
+use std::panic::catch_unwind;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
@@ -13,7 +14,8 @@ fn main() -> ExitCode {
     let args: Vec<OsString> = std::env::args_os().collect();
     match bench() {
         Some(bench) if cli::is_virtual(&args) => on(&bench, &args),
-        _ => cli::run(args, &Ports),
+        // After a panic, too, the exit code is one of the table.
+        _ => catch_unwind(|| cli::run(args, &Ports)).unwrap_or(ExitCode::FAILURE),
     }
 }
 

@@ -76,13 +76,15 @@ pub fn run<'scope>(
     for machine in &board.machines {
         for urgent in [Urgent::Stop, Urgent::EStop] {
             let (waits, waiting) = channel();
-            couriers.push((machine.kind, urgent, waits));
-            scope.spawn(move || {
+            let courier = thread::Builder::new().spawn_scoped(scope, move || {
                 while let Ok(first) = waiting.recv() {
                     let all = std::iter::once(first).chain(waiting.try_iter()).collect();
                     stop(places, board, machine, urgent, all, WORKER_TIME);
                 }
             });
+            if courier.is_ok() {
+                couriers.push((machine.kind, urgent, waits));
+            }
         }
     }
     for request in direct {
@@ -99,6 +101,9 @@ pub fn run<'scope>(
                 if let Some((.., waits)) = courier {
                     // Cannot fail: the courier lives as long as this thread.
                     let _ = waits.send(wait);
+                } else if let Some(machine) = board.machine(machine) {
+                    // The system had no thread for it: tell one after the other.
+                    stop(places, board, machine, urgent, vec![wait], WORKER_TIME);
                 }
             }
             DirectRequest::Ask {
@@ -106,7 +111,8 @@ pub fn run<'scope>(
                 reply,
                 place,
             } => {
-                scope.spawn(move || {
+                // Without a thread the question has no answer, and the client is told so.
+                let _ = thread::Builder::new().spawn_scoped(scope, move || {
                     // The client may have disconnected.
                     let _ = reply.send(ask(places, board, question));
                     drop(place);

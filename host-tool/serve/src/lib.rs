@@ -166,10 +166,13 @@ pub fn serve(
                 leaving: &leaving,
                 pressed: Arc::clone(pressed),
             };
-            workers.push(scope.spawn(move || worker.work()));
+            let thread = thread::Builder::new().spawn_scoped(scope, move || worker.work());
+            workers.push(thread.map_err(Failure::no_thread)?);
         }
         let board = &*board;
-        scope.spawn(move || direct::run(scope, places, board, &to_do));
+        thread::Builder::new()
+            .spawn_scoped(scope, move || direct::run(scope, places, board, &to_do))
+            .map_err(Failure::no_thread)?;
         runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
@@ -183,8 +186,8 @@ pub fn serve(
             let told = worker.join();
             told.unwrap_or_else(|why| resume_unwind(why))
         });
-        told.collect::<Vec<_>>()
-    });
+        Ok::<_, Failure>(told.collect::<Vec<_>>())
+    })?;
     runtime.shutdown_timeout(Duration::from_millis(500));
     drop(server_file);
     match told.is_empty() {

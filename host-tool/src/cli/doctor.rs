@@ -130,11 +130,18 @@ pub(crate) fn doctor(
     let mut findings: Vec<Finding> = thread::scope(|scope| {
         let looks: Vec<_> = looked_at
             .iter()
-            .map(|place| scope.spawn(|| look(place, places)))
+            .map(|place| {
+                let thread = thread::Builder::new();
+                (place, thread.spawn_scoped(scope, || look(place, places)))
+            })
             .collect();
         looks
             .into_iter()
-            .flat_map(|look| look.join().unwrap_or_else(|panic| resume_unwind(panic)))
+            .flat_map(|(place, looking)| match looking {
+                Ok(looking) => looking.join().unwrap_or_else(|panic| resume_unwind(panic)),
+                // The system has no thread left: look one after the other.
+                Err(_) => look(place, places),
+            })
             .collect()
     });
     findings.extend(together(which, places, &findings));

@@ -60,7 +60,7 @@ impl Lines {
     /// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted.
     pub(crate) fn new(keyboard: Keyboard, by_hand: bool) -> Self {
         let (typing, typed) = mpsc::channel();
-        thread::spawn(move || {
+        read_with(move || {
             for line in keyboard.lines().map_while(Result::ok) {
                 if typing.send((Instant::now(), line)).is_err() {
                     return;
@@ -86,6 +86,15 @@ impl Lines {
     }
 }
 
+/// Starts a thread that reads. Without one it is as if the input had ended.
+fn read_with(read: impl FnOnce() + Send + 'static) {
+    if let Err(why) = thread::Builder::new().spawn(read) {
+        interrupt::tell(&format!(
+            "the keyboard is not read: no thread could be started: {why}"
+        ));
+    }
+}
+
 /// The request that a word or a key makes of a run. Stops the run itself, and tells the hint if the word is none.
 pub(crate) fn pace(word: &str, hint: &str) -> Option<Pace> {
     match word {
@@ -103,7 +112,7 @@ pub(crate) fn pace(word: &str, hint: &str) -> Option<Pace> {
 pub(crate) fn pacer(keyboard: Keyboard, single: bool) -> Pacer {
     let (typed, requests) = mpsc::channel();
     let hint = hint(single);
-    thread::spawn(move || {
+    read_with(move || {
         // False if no run takes requests any more.
         let take = |word: &str| pace(word, hint).is_none_or(|pace| typed.send(pace).is_ok());
         if single {

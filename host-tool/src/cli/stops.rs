@@ -27,13 +27,26 @@ fn tell(
     let begin = Instant::now();
     let mut told: Vec<Option<Told>> = targets.iter().map(|_| None).collect();
     thread::scope(|scope| {
+        let mut alone = vec![];
         for (index, target) in targets.iter().enumerate() {
             let results = results.clone();
-            scope.spawn(move || {
+            let tell = move || {
                 let told = target.told(places.urgent(target, urgent));
                 // The receiver lives as long as the scope.
                 let _ = results.send((index, told));
-            });
+            };
+            let thread = thread::Builder::new().spawn_scoped(scope, tell.clone());
+            if thread.is_err() {
+                alone.push(tell);
+            }
+        }
+        // The system has no thread left: tell these one after the other.
+        for tell in alone {
+            tell();
+            while let Ok((index, result)) = arriving.try_recv() {
+                screen.say(&result.line(urgent));
+                told[index] = Some(result);
+            }
         }
         drop(results);
         let mut warned = false;

@@ -96,7 +96,13 @@ pub(crate) fn watch(
     thread::scope(|scope| {
         for machine in &machines {
             let leaving = &leaving;
-            scope.spawn(move || follow(machine, places, leaving));
+            let thread = thread::Builder::new();
+            thread
+                .spawn_scoped(scope, move || follow(machine, places, leaving))
+                .map_err(|why| {
+                    leaving.store(true, Ordering::Relaxed);
+                    Failure::no_thread(why)
+                })?;
         }
         let mut next = Instant::now() + LINE;
         loop {
@@ -111,8 +117,8 @@ pub(crate) fn watch(
             }
         }
         leaving.store(true, Ordering::Relaxed);
-    });
-    Ok(Value::Null)
+        Ok(Value::Null)
+    })
 }
 
 fn line(panel: &Panel, in_json: bool) -> String {

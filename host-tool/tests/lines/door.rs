@@ -422,6 +422,30 @@ fn the_death_of_the_owner_is_seen_at_once_and_the_line_is_free() {
     assert_eq!(code, Some(0), "{err}");
 }
 
+/// Regression: a stop panicked where the system makes no thread, as in a container at its limit of processes.
+#[test]
+fn a_stop_needs_no_thread() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    // No address space has room for such a stack.
+    let without = |args: &[&str]| {
+        let mut command = bench.command(args);
+        command.env("RUST_MIN_STACK", (1_u64 << 47).to_string());
+        read(command.output().expect("starts"))
+    };
+    let (code, out, err) = without(&["estop"]);
+    assert_eq!(code, Some(0), "{out}{err}");
+    only(&bench, Urgent::EStop);
+    for args in [&["home"][..], &["run"], &["watch"]] {
+        let (code, _, err) = without(args);
+        assert_eq!(code, Some(1), "{args:?}: {err}");
+        assert!(
+            err.contains("no thread could be started"),
+            "{args:?}: {err}"
+        );
+    }
+    assert_eq!(bench.executed(), [] as [&str; 0]);
+}
+
 #[test]
 fn a_stop_gets_past_an_owner_that_is_frozen() {
     let bench = Bench::on_tcp(DeviceKind::Rig);

@@ -123,6 +123,16 @@ impl Diagnostic for Failure {
     }
 }
 
+impl Failure {
+    /// The system makes no further thread.
+    #[must_use]
+    pub fn no_thread(why: io::Error) -> Self {
+        let why = format!("no thread could be started: {why}");
+        let help = "nothing new was begun; end other programs of yours, or raise the limit of processes (`ulimit -u`; of a container: `--pids-limit`), then try again. `retrograde stop` and `estop` work all the same";
+        Self::said("retrograde::no_thread", FAILED, why, help)
+    }
+}
+
 impl From<RunError> for Failure {
     fn from(error: RunError) -> Self {
         let help = format!(

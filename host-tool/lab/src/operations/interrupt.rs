@@ -61,14 +61,15 @@ fn follow(
     use std::io::Read;
 
     let (mut arrived, arriving) = io::pipe()?;
-    for number in numbers {
-        signal_hook::low_level::pipe::register(*number, arriving.try_clone()?)?;
-    }
-    std::thread::spawn(move || {
+    // The thread first: without it a signal that is registered would be lost.
+    std::thread::Builder::new().spawn(move || {
         while arrived.read_exact(&mut [0]).is_ok() {
             handle(signal);
         }
-    });
+    })?;
+    for number in numbers {
+        signal_hook::low_level::pipe::register(*number, arriving.try_clone()?)?;
+    }
     Ok(())
 }
 

@@ -284,7 +284,7 @@ impl Places<'_> {
         let opened = Mutex::new(None);
         let line = || opened.lock().unwrap_or_else(PoisonError::into_inner);
         thread::scope(|scope| {
-            let stopper = scope.spawn(|| {
+            let stopper = thread::Builder::new().spawn_scoped(scope, || {
                 let (mut sent, mut result) = (None, Ok(()));
                 loop {
                     match pressed().filter(|urgent| sent != Some(*urgent)) {
@@ -298,6 +298,8 @@ impl Places<'_> {
                     }
                 }
             });
+            // Nothing is sent while no stop could be.
+            let stopper = stopper.map_err(Failure::no_thread)?;
             let device = self.open_for_command(kind, address, need, &pressed);
             *line() = pressed().is_none().then_some(device);
             waits.store(false, Ordering::Relaxed);

@@ -475,11 +475,12 @@ impl Recorder {
             .to_string_lossy()
             .into_owned();
         let sidecar = csv_path.with_extension("json");
+        let writer =
+            Writer::new(csv_path.clone(), file).map_err(|io| RecordError::write(&csv_path, io))?;
         // Nothing moves yet, so the disk may be slow and an error is reported at once.
         json(&trial)
             .and_then(|bytes| replace(&sidecar, &bytes))
             .map_err(|io| RecordError::write(&sidecar, io))?;
-        let writer = Writer::new(csv_path.clone(), file);
         Ok(Self {
             sidecar,
             csv: csv::Writer::from_writer(writer.appender()),

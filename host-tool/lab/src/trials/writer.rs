@@ -53,15 +53,18 @@ pub(crate) struct Writer {
 
 impl Writer {
     /// Writes to the end of `file`, whose path is `path`.
-    pub(crate) fn new(path: PathBuf, file: impl Sink) -> Self {
+    ///
+    /// # Errors
+    /// The system makes no further thread.
+    pub(crate) fn new(path: PathBuf, file: impl Sink) -> io::Result<Self> {
         let (jobs, given) = mpsc::channel();
         let failed = Arc::new(OnceLock::new());
         let first = Arc::clone(&failed);
-        Self {
+        Ok(Self {
             jobs,
-            thread: thread::spawn(move || write(&path, file, given, &first)),
+            thread: thread::Builder::new().spawn(move || write(&path, file, given, &first))?,
             failed,
-        }
+        })
     }
 
     /// The first failed write so far. Does not wait.
@@ -149,7 +152,8 @@ mod tests {
     fn everything_is_there_at_the_end_and_in_order() {
         let folder = tempfile::tempdir().expect("a folder");
         let (path, other) = (folder.path().join("a.csv"), folder.path().join("a.json"));
-        let writer = Writer::new(path.clone(), File::create(&path).expect("new"));
+        let writer =
+            Writer::new(path.clone(), File::create(&path).expect("new")).expect("a thread");
         let mut appender = writer.appender();
         for number in 0..1_000 {
             writeln!(appender, "{number}").expect("never fails");
@@ -188,7 +192,7 @@ mod tests {
     #[test]
     fn what_is_finished_is_on_the_disk() {
         let log = Arc::default();
-        let writer = Writer::new(PathBuf::from("a.csv"), Disk(Arc::clone(&log)));
+        let writer = Writer::new(PathBuf::from("a.csv"), Disk(Arc::clone(&log))).expect("a thread");
         writer.appender().write_all(b"row\n").expect("never fails");
         let error = writer.finish().expect_err("it was not synced");
         assert_eq!(error.why, "no space");
@@ -201,7 +205,7 @@ mod tests {
     fn a_disk_that_stands_delays_nobody() {
         let (reader, pipe) = io::pipe().expect("a pipe");
         let file = File::from(std::os::fd::OwnedFd::from(pipe));
-        let writer = Writer::new(PathBuf::from("pipe"), file);
+        let writer = Writer::new(PathBuf::from("pipe"), file).expect("a thread");
         // Far more than a pipe holds: this would not return if it waited for the reader.
         let mut appender = writer.appender();
         for _ in 0..100 {
@@ -235,7 +239,8 @@ mod tests {
         let path = folder.path().join("a.csv");
         fs::write(&path, b"").expect("new");
         // Open for reading only, so that appending fails.
-        let writer = Writer::new(path.clone(), File::open(&path).expect("there"));
+        let writer =
+            Writer::new(path.clone(), File::open(&path).expect("there")).expect("a thread");
         let sidecar = folder.path().join("a.json");
         assert!(writer.failure().is_none());
         writer.appender().write_all(b"row\n").expect("never fails");
@@ -276,7 +281,8 @@ mod tests {
     #[test]
     fn nothing_is_appended_behind_a_hole() {
         let taken = Arc::default();
-        let writer = Writer::new(PathBuf::from("a.csv"), Hiccup(Arc::clone(&taken), 0));
+        let writer =
+            Writer::new(PathBuf::from("a.csv"), Hiccup(Arc::clone(&taken), 0)).expect("a thread");
         let mut appender = writer.appender();
         for row in ["1\n", "2\n", "3\n"] {
             appender.write_all(row.as_bytes()).expect("never fails");
