@@ -8,8 +8,8 @@ use lab::campaign::folder::Folder;
 use lab::campaign::ledger::{AttemptOutcome, Standing};
 use serde_json::Value;
 
-use crate::campaign::{at, campaign, findings, relist};
-use crate::campaign_run::{converse, machines, path, place, whole};
+use crate::campaign::{at, findings, relist, small};
+use crate::campaign_run::{Place, machines};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 
 /// A plan of ten short trials in one block.
@@ -32,8 +32,7 @@ const UP_TO_THE_TRIALS: [(&str, &str); 4] = [
 /// Regression: two displacements that were missing were asked for in the same words, so that they could be exchanged.
 #[test]
 fn each_displacement_is_asked_for_by_the_name_of_its_trial() {
-    let place = place(&one_block());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&one_block());
     let memory = machines(None);
     let begin = [
         ("Trial 1 of 10", ""),
@@ -49,9 +48,8 @@ fn each_displacement_is_asked_for_by_the_name_of_its_trial() {
         ("Displacement of the tail", "q"),
     ];
     let lines = [&UP_TO_THE_TRIALS[..], &begin].concat();
-    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 130, "{shown}");
-    let (code, _, err) = memory.run(&["campaign", "edit", &out, "undo", "1"]);
+    at.answered(&memory, 130, lines);
+    let (code, _, err) = memory.run(&["campaign", "edit", &at.out, "undo", "1"]);
     assert_eq!(code, 0, "{err}");
     let lines = vec![
         (
@@ -64,9 +62,8 @@ fn each_displacement_is_asked_for_by_the_name_of_its_trial() {
         ),
         ("Trial 4 of 10", "q"),
     ];
-    let (code, shown) = converse(&memory, &["run", &out], lines);
-    assert_eq!(code, 130, "{shown}");
-    let campaign = whole(&out);
+    at.answered(&memory, 130, lines);
+    let campaign = at.whole();
     let um = [1, 2, 3].map(|trial| {
         let counted = campaign.state.trial(trial).expect("there").counted();
         counted.expect("counts").value.um
@@ -77,8 +74,7 @@ fn each_displacement_is_asked_for_by_the_name_of_its_trial() {
 /// Regression: it left the trial out that was corrected last.
 #[test]
 fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
-    let place = place(&one_block());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&one_block());
     let memory = machines(None);
     let begin = [
         ("Trial 1 of 10", "exclude torn"),
@@ -89,9 +85,8 @@ fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
         ("Trial 3 of 10", "q"),
     ];
     let lines = [&UP_TO_THE_TRIALS[..], &begin].concat();
-    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 130, "{shown}");
-    let (code, _, err) = memory.run(&["campaign", "edit", &out, "displacement", "1", "4"]);
+    at.answered(&memory, 130, lines);
+    let (code, _, err) = memory.run(&["campaign", "edit", &at.out, "displacement", "1", "4"]);
     assert_eq!(code, 0, "{err}");
     let lines = vec![
         ("Trial 3 of 10", "exclude the wall was torn"),
@@ -105,9 +100,8 @@ fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
         ("Trial 3 of 10, attempt 2", "exclude torn"),
         ("trial 3 does not count anyway", "q"),
     ];
-    let (code, shown) = converse(&memory, &["run", &out], lines);
-    assert_eq!(code, 130, "{shown}");
-    let campaign = whole(&out);
+    at.answered(&memory, 130, lines);
+    let campaign = at.whole();
     let standings = [1, 2, 3].map(|trial| campaign.state.trial(trial).expect("there").standing());
     assert_eq!(
         standings,
@@ -119,9 +113,7 @@ fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
 /// if the tool was killed before it had written the end of the attempt.
 #[test]
 fn a_record_that_is_not_whole_completes_no_attempt() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let read = Campaign::read(&path).expect("a campaign");
     let sidecar = read.run_sidecar(3, 1).expect("a record");
     let text = fs::read_to_string(&sidecar).expect("text");

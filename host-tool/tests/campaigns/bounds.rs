@@ -1,64 +1,42 @@
 //! Values exactly at a bound, and cases in which a campaign says the one thing and not the other.
 
 use std::fs;
-use std::path::Path;
 
-use client::identity::Origin;
 use jiff::SignedDuration;
-use lab::campaign::contents::Campaign;
 use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source};
 use lab::campaign::manifest::{self, Manifest, contents};
-use lab::campaign::plan::CampaignPlan;
-use lab::campaign::readings::{Kind, Quantity, Readings, questions, refusal};
+use lab::campaign::readings::{Kind, Quantity, Readings, refusal};
 use lab::campaign::remaining::remaining_s;
 use lab::campaign::verify::verify;
 use simulated_machines::machine::VIRTUAL_UID;
 
 use crate::campaign::{
-    SMALL, accepted, apply, at, campaign, findings, measured, mm, plan, reading, relist,
+    accepted, append, apply, campaign, findings, measured, mm, reading, relist, small,
 };
-use crate::campaign_run::{WIDTH, clamped, converse, machines, path, place, small_plan};
+use crate::campaign_run::{Place, WIDTH, clamped, machines, small_plan};
 use crate::support::plan::{ONE_CONDITION, PAPER, changed};
-
-/// The reason why a plan with this text in place of another one is refused; none if it is not.
-fn refused(from: &str, to: &str) -> Option<String> {
-    assert_eq!(SMALL.matches(from).count(), 1, "{from}");
-    let parsed = CampaignPlan::parse(&SMALL.replace(from, to), Path::new("plan.toml"));
-    parsed.err().map(|error| error.why)
-}
-
-// Plans.
-
-#[test]
-fn a_length_that_is_no_number_is_told_with_an_example() {
-    let why = refused("stroke_mm = 1\n", "stroke_mm = true\n").expect("no number");
-    assert!(why.contains("a number, for example 130 or 12.5"), "{why}");
-}
 
 // Questions.
 
 /// There is nothing to take back yet, so the question stays.
 #[test]
 fn an_undo_before_the_first_reading_asks_for_the_reading() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let lines = vec![
         ("rollers OFF", ""),
         ("Reading 1 of 2: D", "undo"),
         ("a number is needed here", "24.4"),
         ("Reading 2 of 2: D", "q"),
     ];
-    let (code, shown) = converse(&machines(None), &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 130, "{shown}");
-    let campaign = Campaign::read(Path::new(&out)).expect("a campaign");
+    at.answered(&machines(None), 130, lines);
+    let campaign = at.read();
     assert_eq!(campaign.readings.sets[0].values, [mm("24.4")]);
 }
 
 /// A number typed there would be taken for a measurement.
 #[test]
 fn a_number_at_the_virtual_bench_is_no_displacement() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let trial = [
         ("Trial 1 of 6", ""),
         ("Displacement by the model", "12.5"),
@@ -67,9 +45,8 @@ fn a_number_at_the_virtual_bench_is_no_displacement() {
     ];
     let lines = [&WIDTH[..], &clamped("20.4"), &trial].concat();
     let memory = machines(Some(VIRTUAL_UID));
-    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 130, "{shown}");
-    let campaign = Campaign::read(Path::new(&out)).expect("a campaign");
+    at.answered(&memory, 130, lines);
+    let campaign = at.read();
     let counted = campaign.state.trials[0].counted().expect("counts");
     assert_eq!(counted.source, Source::Model);
     assert_ne!(counted.value, mm("12.5"));
@@ -91,43 +68,12 @@ fn the_pause_between_two_blocks_is_no_pace() {
     assert_eq!(remaining_s(&campaign), pace);
 }
 
-/// Each stroke of the run has the time of its pulse to the camera.
-#[test]
-fn every_stroke_of_a_run_has_its_pulse() {
-    let longer = [
-        ("cycles = 1", "cycles = 3"),
-        ("duration_s = 8", "duration_s = 24"),
-    ];
-    let place = place(&changed(&small_plan(&[]), &longer));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let args = [
-        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "1",
-    ];
-    let at = ["--rig", "0", "--capsule", "1"];
-    let (code, said, err) = machines(Some(VIRTUAL_UID)).run(&[&args[..], &at].concat());
-    assert_eq!(code, 0, "{said}{err}");
-    let pulses = Path::new(&out).join("trials/001-1/sync.csv");
-    let pulses = fs::read_to_string(pulses).expect("there");
-    let mut rows = pulses.lines().map(|row| row.split(',').collect::<Vec<_>>());
-    assert_eq!(
-        rows.next().expect("a header"),
-        ["stroke", "time_us", "origin"]
-    );
-    let rows: Vec<_> = rows.collect();
-    let strokes: Vec<&str> = rows.iter().map(|row| row[0]).collect();
-    assert_eq!(strokes, ["0", "1", "2", "3", "4", "5"]);
-    let times: Vec<u64> = rows.iter().map(|row| row[1].parse().expect("us")).collect();
-    assert!(times.is_sorted_by(|one, next| one < next), "{times:?}");
-}
-
 // Folders.
 
 /// A manifest that cannot be read is none that is missing.
 #[test]
 fn a_manifest_that_cannot_be_read_is_told_so() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let list = path.join(manifest::NAME);
     fs::remove_file(&list).expect("removed");
     assert_eq!(findings(&path), ["SHA256SUMS: is missing"]);
@@ -140,24 +86,6 @@ fn a_manifest_that_cannot_be_read_is_told_so() {
     assert!(found[0].starts_with("SHA256SUMS: "), "{found:?}");
 }
 
-/// Only a campaign has to have a manifest.
-#[test]
-fn an_ordinary_folder_needs_no_manifest_and_may_hold_other_summaries() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
-    let records = path.join("trials/001-1");
-    for (name, text) in [
-        ("summary.json", "{\"mean\": 4.2}"),
-        ("summary.csv", "mean\n4.2\n"),
-    ] {
-        fs::write(records.join(name), text).expect("written");
-    }
-    let verified = verify(&records).expect("a folder");
-    assert_eq!((verified.campaign, verified.records), (false, 1));
-    assert_eq!(verified.findings, []);
-}
-
 /// Files of an attempt that has not ended reach the manifest as it ends: other files stay what they are.
 #[test]
 fn files_of_an_attempt_under_way_are_left_to_the_session() {
@@ -165,9 +93,7 @@ fn files_of_an_attempt_under_way_are_left_to_the_session() {
     let path = place.path().join("small");
     let mut folder = campaign(&path);
     let began = LedgerRow::of(LedgerEvent::Began, 4, Some(1));
-    folder
-        .append(began, at(100), Origin::Board)
-        .expect("written");
+    append(&mut folder, began, 100);
     let inside = folder.campaign().attempt_folder(4, 1);
     drop(folder);
     fs::create_dir_all(&inside).expect("made");
@@ -195,9 +121,7 @@ fn files_of_an_attempt_under_way_are_left_to_the_session() {
 /// A finding on one file says nothing of another one that is gone.
 #[test]
 fn a_changed_plan_is_told_beside_what_it_leads_to() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let plan = path.join("plan.toml");
     let text = fs::read_to_string(&plan).expect("there");
     fs::write(&plan, text.replace("format = 1", "format = 2")).expect("written");
@@ -207,28 +131,6 @@ fn a_changed_plan_is_told_beside_what_it_leads_to() {
             "plan.toml: was changed",
             "plan.toml: format 2, this tool reads 1",
         ]
-    );
-}
-
-/// An attempt at a fold has more records than that of its run.
-#[test]
-fn the_record_of_a_run_is_found_among_others() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    let folder = campaign(&path);
-    let records = folder.campaign().attempt_folder(1, 1);
-    for name in [
-        "unfold-20260131T120000Z.json",
-        "unfold-20260131T120000Z.csv",
-        "sync.csv",
-    ] {
-        fs::write(records.join(name), "").expect("written");
-    }
-    let run = folder.campaign().run_sidecar(1, 1).expect("there");
-    let name = run.file_name().expect("a name").to_string_lossy();
-    assert!(
-        name.starts_with("run-") && name.ends_with(".json"),
-        "{name}"
     );
 }
 
@@ -324,18 +226,6 @@ fn crests_as_far_apart_as_the_walls_give_no_indentation() {
     }
 }
 
-#[test]
-fn a_width_is_questioned_from_more_than_a_fifth_off() {
-    let text = SMALL.replace("width_about_mm = 24.4", "width_about_mm = 25");
-    for (value, asked) in [("30", 0), ("30.001", 1), ("20", 0), ("19.999", 1)] {
-        let mut readings = Readings::default();
-        measured(&mut readings, None, &[value]);
-        let set = readings.sets.last().expect("one");
-        let asks = questions(&plan(&text), &readings, set);
-        assert_eq!(asks.len(), asked, "{value}: {asks:?}");
-    }
-}
-
 /// No resolution is none that a reading could miss.
 #[test]
 fn without_a_resolution_every_reading_is_taken() {
@@ -354,15 +244,9 @@ fn a_rig_is_homed_once_in_a_block() {
         ("duration_s = 40", "duration_s = 8"),
         ("count = 5", "count = 1"),
     ];
-    let place = place(&changed(PAPER, &[&ONE_CONDITION[..], &short].concat()));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&changed(PAPER, &[&ONE_CONDITION[..], &short].concat()));
     let memory = machines(Some(VIRTUAL_UID));
-    let args = [
-        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "3",
-    ];
-    let at = ["--rig", "0", "--capsule", "1"];
-    let (code, said, err) = memory.run(&[&args[..], &at].concat());
-    assert_eq!(code, 0, "{said}{err}");
+    at.unattended(&memory, 0, &["--yes", "--trials", "3"]);
     let heard = memory.heard();
     let count = |name| heard.iter().filter(|heard| **heard == name).count();
     assert_eq!((count("Home"), count("Run")), (1, 3), "{heard:?}");

@@ -4,21 +4,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use client::Unobserved;
 use client::identity::Origin;
-use client::{Device, Unobserved};
 use jiff::Timestamp;
-use lab::campaign::CampaignError;
 use lab::campaign::chance::Chance;
 use lab::campaign::contents::{Campaign, order_text};
 use lab::campaign::files::{ATTEMPTS, READINGS, TRIALS};
 use lab::campaign::folder::Folder;
-use lab::campaign::form::Form;
 use lab::campaign::ledger::{
     AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, Standing,
 };
 use lab::campaign::manifest;
 use lab::campaign::order::order;
-use lab::campaign::plan::{CampaignPlan, Lubrication, Millimetres, Purpose};
+use lab::campaign::plan::{CampaignPlan, Millimetres, Purpose};
 use lab::campaign::prompts::{self, Answer};
 use lab::campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
 use lab::campaign::verify::verify;
@@ -26,9 +24,9 @@ use lab::trials::experiment;
 use lab::trials::trial::Recording;
 use proptest::prelude::*;
 use protocol::system::DeviceKind;
-use simulated_machines::machine::{Script, link};
 
-const PAPER: &str = include_str!("../../../examples/paper.toml");
+use crate::support::plan::PAPER;
+use crate::support::tool::device;
 
 /// Two indentations, dry and lubricated, twice each, and a fold test: 10 trials.
 pub const SMALL: &str = r#"
@@ -102,95 +100,68 @@ fn the_papers_plan_is_a_hundred_runs_and_the_fold_test() {
     assert_eq!(plan.run_s(), 40.0);
 }
 
+/// What stands in the plan, what is in its place, and what the refusal says; `-` if there is none.
+const PLANS: &str = r#"
+format = 1 => format = 2 => this tool reads 1
+seed = 3 => seed = -3 => seed
+seed = 3 => sede = 3 => unknown field `sede`
+name = "small" => name = "../x" => letters, digits
+name = "small" => name = "nnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnn" => -
+name = "small" => name = "nnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnnn" => 40
+operator = "A. Person" => operator = " " => metadata.operator is empty
+operator = "A. Person" => operator = "a\nb" => in one line
+caliper_resolution_mm = 0.01 => caliper_resolution_mm = 0 => 0.001 to 1
+caliper_resolution_mm = 0.01 => caliper_resolution_mm = nan => not a number
+stroke_mm = 1 => stroke_mm = 1,5 => TOML parse error
+stroke_mm = 1 => stroke_mm = true => a number, for example 130 or 12.5
+stroke_mm = 1 => stroke_mm = -1 => run.stroke_mm: -1
+stroke_mm = 1 => stroke_mm = 131 => run: 
+stroke_mm = 1 => stroke_mm = 1.00001 => more than 3 decimals
+duration_s = 1 => duration_s = 0.01 => run: 
+cycles = 1 => cycles = 0 => run: 
+telemetry_ms = 100 => telemetry_ms = 4 => 5 to 1000
+count = 2 => count = 0 => readings.count: 0
+spread_mm = 0.5 => spread_mm = 0 => above 0
+spread_mm = 0.5 => spread_mm = 1000 => -
+spread_mm = 0.5 => spread_mm = 1000.001 => 1000
+width_about_mm = 24.4 => width_about_mm = 0 => above 0
+width_about_mm = 24.4 => width_about_mm = 1000 => -
+width_about_mm = 24.4 => width_about_mm = 1000.001 => 1000
+width_about_mm = 24.4 => width_about_mm = 10.1 => the walls of 10.1 mm meet
+about_mm = 5.05 => about_mm = 1 => from the least to the greatest
+name = "a2" => name = "a1" => two indentations are called `a1`
+name = "a2" => name = "a 2" => indentation.name
+["a1", "a2"] => ["a1", "a3"] => `a3` is not among
+["a1", "a2"] => ["a1", "a1"] => `a1` twice
+["a1", "a2"] => [] => at least one name
+["lubricated", "dry"] => ["dry", "dry"] => `dry` twice
+["lubricated", "dry"] => ["wet"] => unknown variant `wet`
+repeats = 2 => repeats = 0 => series.repeats: 0
+repeats = 1 => repeats = 1001 => fold_test.repeats: 1001
+repeats = 1 => fold_at_cycle = 6; repeats = 1 => fold_test.fold_at_cycle: there is no cycle 6: the run has 1
+repeats = 1 => fold_at_cycle = 0; repeats = 1 => fold_test.fold_at_cycle: there is no cycle 0
+[fold_test] => [displacement]; least_mm = 1; greatest_mm = 1.001; [fold_test] => -
+[fold_test] => [displacement]; least_mm = 1; greatest_mm = 1; [fold_test] => is no range
+[fold_test] => [displacement]; least_mm = 2; greatest_mm = 1; [fold_test] => is no range
+[fold_test] => [virtual]; scatter_mm = 100; [fold_test] => -
+[fold_test] => [virtual]; scatter_mm = 100.001; [fold_test] => scatter_mm
+[fold_test] => [virtual]; scatter_mm = -0.001; [fold_test] => scatter_mm"#;
+
 #[test]
 fn a_plan_that_cannot_be_carried_out_says_why() {
-    let cases = [
-        ("format = 1", "format = 2", "this tool reads 1"),
-        ("seed = 3", "seed = -3", "seed"),
-        ("seed = 3", "sede = 3", "unknown field `sede`"),
-        ("name = \"small\"", "name = \"../x\"", "letters, digits"),
-        (
-            "operator = \"A. Person\"",
-            "operator = \" \"",
-            "metadata.operator is empty",
-        ),
-        (
-            "operator = \"A. Person\"",
-            "operator = \"a\\nb\"",
-            "in one line",
-        ),
-        (
-            "caliper_resolution_mm = 0.01",
-            "caliper_resolution_mm = 0",
-            "0.001 to 1",
-        ),
-        (
-            "caliper_resolution_mm = 0.01",
-            "caliper_resolution_mm = nan",
-            "not a number",
-        ),
-        ("stroke_mm = 1", "stroke_mm = 1,5", "TOML parse error"),
-        ("stroke_mm = 1", "stroke_mm = -1", "run.stroke_mm: -1"),
-        ("stroke_mm = 1", "stroke_mm = 131", "run: "),
-        (
-            "stroke_mm = 1",
-            "stroke_mm = 1.00001",
-            "more than 3 decimals",
-        ),
-        ("duration_s = 1", "duration_s = 0.01", "run: "),
-        ("cycles = 1", "cycles = 0", "run: "),
-        ("telemetry_ms = 100", "telemetry_ms = 4", "5 to 1000"),
-        ("count = 2", "count = 0", "readings.count: 0"),
-        ("spread_mm = 0.5", "spread_mm = 0", "above 0"),
-        ("width_about_mm = 24.4", "width_about_mm = 0", "above 0"),
-        (
-            "width_about_mm = 24.4",
-            "width_about_mm = 10.1",
-            "the walls of 10.1 mm meet",
-        ),
-        (
-            "about_mm = 5.05",
-            "about_mm = 1",
-            "from the least to the greatest",
-        ),
-        (
-            "name = \"a2\"",
-            "name = \"a1\"",
-            "two indentations are called `a1`",
-        ),
-        ("name = \"a2\"", "name = \"a 2\"", "indentation.name"),
-        ("[\"a1\", \"a2\"]", "[\"a1\", \"a3\"]", "`a3` is not among"),
-        ("[\"a1\", \"a2\"]", "[\"a1\", \"a1\"]", "`a1` twice"),
-        ("[\"a1\", \"a2\"]", "[]", "at least one name"),
-        (
-            "[\"lubricated\", \"dry\"]",
-            "[\"dry\", \"dry\"]",
-            "`dry` twice",
-        ),
-        (
-            "[\"lubricated\", \"dry\"]",
-            "[\"wet\"]",
-            "unknown variant `wet`",
-        ),
-        ("repeats = 2", "repeats = 0", "series.repeats: 0"),
-        ("repeats = 1", "repeats = 1001", "fold_test.repeats: 1001"),
-        (
-            "repeats = 1",
-            "repeats = 1\nfold_at_cycle = 6",
-            "fold_test.fold_at_cycle: there is no cycle 6: the run has 1",
-        ),
-        (
-            "repeats = 1",
-            "repeats = 1\nfold_at_cycle = 0",
-            "fold_test.fold_at_cycle: there is no cycle 0",
-        ),
-    ];
-    for (good, bad, says) in cases {
-        let text = SMALL.replacen(good, bad, 1);
-        assert_ne!(text, SMALL, "{good}");
-        let error = CampaignPlan::parse(&text, Path::new("plan.toml")).expect_err(bad);
-        assert!(error.why.contains(says), "{bad}: {}", error.why);
-        assert!(error.remedy.contains("examples/paper.toml"));
+    for case in PLANS.lines().skip(1) {
+        let parts: Vec<&str> = case.split(" => ").collect();
+        let [good, bad, says] = parts[..] else {
+            panic!("{case}");
+        };
+        assert!(SMALL.contains(good), "{good}");
+        let text = SMALL.replacen(good, &bad.replace("; ", "\n"), 1);
+        let refused = CampaignPlan::parse(&text, Path::new("plan.toml")).err();
+        assert_eq!(refused.is_none(), says == "-", "{bad}: {refused:?}");
+        if let Some(error) = refused {
+            assert!(error.why.contains(says), "{bad}: {}", error.why);
+            assert!(error.remedy.contains("examples/paper.toml"));
+        }
     }
     let nothing = &SMALL[..SMALL.find("[series]").expect("there")];
     let error = CampaignPlan::parse(nothing, Path::new("plan.toml")).expect_err("empty");
@@ -522,40 +493,29 @@ fn readings_that_cannot_be_are_refused_and_odd_ones_questioned() {
         (Quantity::BetweenCrests, "24.38", None),
     ] {
         let why = refused(quantity, value);
-        match says {
-            Some(says) => assert!(
-                why.as_deref().is_some_and(|why| why.contains(says)),
-                "{value}: {why:?}"
-            ),
-            None => assert_eq!(why, None, "{value}"),
-        }
+        let is_said = says.is_none_or(|says| why.as_ref().is_some_and(|why| why.contains(says)));
+        assert!(
+            is_said && why.is_some() == says.is_some(),
+            "{value}: {why:?}"
+        );
     }
     let plan = plan(SMALL);
     let mut readings = Readings::default();
     measured(&mut readings, None, &["24.4", "24.4"]);
     measured(&mut readings, Some("a2"), &["14.3", "14.3"]);
-    let asked =
-        |readings: &Readings| questions(&plan, readings, readings.sets.last().expect("one"));
-    assert_eq!(asked(&readings), Vec::<String>::new());
+    let set = readings.sets.last().expect("one");
+    assert_eq!(questions(&plan, &readings, set), [""; 0]);
     let mut deep = readings.clone();
     measured(&mut deep, Some("a1"), &["14.3", "14.3"]);
-    assert!(
-        asked(&deep)[0].contains("a1 = 5.050 mm is not below a2 = 5.050 mm"),
-        "{:?}",
-        asked(&deep)
-    );
+    let asks = |readings: &Readings, says: &str| {
+        let asked = questions(&plan, readings, readings.sets.last().expect("one"));
+        assert!(asked[0].contains(says), "{asked:?}");
+    };
+    asks(&deep, "a1 = 5.050 mm is not below a2 = 5.050 mm");
     measured(&mut readings, Some("a1"), &["22.0", "22.6"]);
-    assert!(
-        asked(&readings)[0].contains("differ by 0.6 mm"),
-        "{:?}",
-        asked(&readings)
-    );
-    measured(&mut readings, Some("a2"), &["22.4", "22.4"]);
-    assert!(
-        asked(&readings)[0].contains("a2 = 1.000 mm does not rise above a1 = 1.050 mm"),
-        "{:?}",
-        asked(&readings)
-    );
+    asks(&readings, "differ by 0.6 mm");
+    measured(&mut readings, Some("a2"), &["22.3", "22.3"]);
+    asks(&readings, "a2 = 1.050 mm does not rise above a1 = 1.050 mm");
 }
 
 // Folders.
@@ -582,17 +542,10 @@ pub(crate) fn campaign(path: &Path) -> Folder {
         let row = accepted(&reading(set, indentation, 1, "1"));
         folder.append_reading(row, now(), origin).expect("written");
     }
-    let mut script = Script::new(DeviceKind::Rig);
-    script.ready = true;
-    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 5).expect("there");
+    let mut rig = device(DeviceKind::Rig);
     for trial in 1..=3 {
-        folder
-            .append(
-                LedgerRow::of(LedgerEvent::Began, trial, Some(1)),
-                now(),
-                origin,
-            )
-            .expect("written");
+        let row = LedgerRow::of(LedgerEvent::Began, trial, Some(1));
+        folder.append(row, now(), origin).expect("written");
         let recording = Recording {
             folder: folder.campaign().attempt_folder(trial, 1),
             stem: "run".to_owned(),
@@ -618,9 +571,18 @@ pub(crate) fn campaign(path: &Path) -> Folder {
     folder
 }
 
-/// Resumes as `campaign run` does.
-fn resume(path: &Path, now: Timestamp) -> Result<(Folder, Vec<String>), CampaignError> {
-    Folder::resume(path, now)
+/// The folder of such a campaign.
+pub(crate) fn small() -> (tempfile::TempDir, PathBuf) {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    drop(campaign(&path));
+    (place, path)
+}
+
+/// Adds a row of a board.
+pub(crate) fn append(folder: &mut Folder, row: LedgerRow, second: i64) {
+    let added = folder.append(row, at(second), Origin::Board);
+    added.expect("written");
 }
 
 /// Lists the files of a folder as they are now.
@@ -659,10 +621,10 @@ fn a_folder_is_read_back_as_it_was_written() {
         ["a \"note\", with a comma"]
     );
     // Only one process may write.
-    let error = resume(&path, at(0)).err().expect("locked");
+    let error = Folder::resume(&path, at(0)).err().expect("locked");
     assert!(error.why.contains("another process"), "{}", error.why);
     drop(written);
-    let (again, told) = resume(&path, at(0)).expect("free");
+    let (again, told) = Folder::resume(&path, at(0)).expect("free");
     assert_eq!((again.campaign(), told), (&read, vec![]));
     let error = Folder::create(&path, SMALL, Path::new("small.toml"))
         .err()
@@ -674,16 +636,14 @@ fn a_folder_is_read_back_as_it_was_written() {
 /// whole line is lost.
 #[test]
 fn a_crash_at_any_byte_loses_no_whole_line() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let manifest = fs::read(path.join(manifest::NAME)).expect("there");
     let file = path.join(TRIALS);
     let before = fs::read(&file).expect("there");
     let rows = Campaign::read(&path).expect("a campaign").rows.len();
-    let mut folder = resume(&path, at(99)).expect("free").0;
+    let mut folder = Folder::resume(&path, at(99)).expect("free").0;
     let row = LedgerRow::of(LedgerEvent::Note, 3, None).saying(Some("last".to_owned()));
-    folder.append(row, at(100), Origin::Board).expect("written");
+    append(&mut folder, row.clone(), 100);
     drop(folder);
     let after = fs::read(&file).expect("there");
     for end in before.len()..=after.len() {
@@ -691,7 +651,7 @@ fn a_crash_at_any_byte_loses_no_whole_line() {
         fs::write(&file, &after[..end]).expect("written");
         let found = findings(&path);
         assert_eq!(found.is_empty(), end == before.len(), "{end}: {found:?}");
-        let (folder, told) = resume(&path, at(101)).expect("a crash");
+        let (mut folder, told) = Folder::resume(&path, at(101)).expect("a crash");
         let whole = end == after.len();
         assert_eq!(
             folder.campaign().rows.len(),
@@ -699,8 +659,13 @@ fn a_crash_at_any_byte_loses_no_whole_line() {
             "{end}"
         );
         assert_eq!(told.is_empty(), end == before.len(), "{end}: {told:?}");
+        // The next row follows no line that was cut short.
+        append(&mut folder, row.clone(), 102);
+        folder.seal().expect("written");
         drop(folder);
-        assert_eq!(findings(&path), Vec::<String>::new(), "{end}");
+        assert_eq!(findings(&path), [""; 0], "{end}");
+        let now = Campaign::read(&path).expect("a campaign").rows.len();
+        assert_eq!(now, rows + usize::from(whole) + 1, "{end}");
     }
 }
 
@@ -717,7 +682,7 @@ fn a_text_of_control_characters_is_none() {
     assert_eq!(fs::read(path.join(TRIALS)).expect("there"), before);
     let mut row = LedgerRow::of(LedgerEvent::Began, 4, Some(1));
     row.camera_file = Some("\u{7}".to_owned());
-    folder.append(row, at(200), Origin::Board).expect("written");
+    append(&mut folder, row, 200);
     assert_eq!(
         *folder.campaign(),
         Campaign::read(&path).expect("a campaign")
@@ -733,18 +698,16 @@ fn a_text_of_control_characters_is_none() {
 /// Programs that save a file beside the campaign use the suffix, too.
 #[test]
 fn half_a_file_of_another_program_is_not_removed() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let ours = format!("{}.0123456789abcdef.part", manifest::NAME);
     fs::write(path.join(&ours), "half").expect("written");
-    let (folder, told) = resume(&path, at(99)).expect("a crash");
+    let (folder, told) = Folder::resume(&path, at(99)).expect("a crash");
     assert!(told[0].contains(&ours), "{told:?}");
     assert!(!path.join(&ours).exists());
     drop(folder);
     for name in ["IMG_7.MOV.part", "IMG_7.MOV.0123456789abcdef.part"] {
         fs::write(path.join(name), "a film").expect("written");
-        let (folder, told) = resume(&path, at(99)).expect("whole");
+        let (folder, told) = Folder::resume(&path, at(99)).expect("whole");
         assert_eq!((told, path.join(name).exists()), (vec![], true));
         drop(folder);
         assert_eq!(findings(&path), [format!("{name}: is not in SHA256SUMS")]);
@@ -759,20 +722,17 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     let place = tempfile::tempdir().expect("a folder");
     let path = place.path().join("small");
     let mut folder = campaign(&path);
-    folder
-        .append(
-            LedgerRow::of(LedgerEvent::Began, 4, Some(1)),
-            at(200),
-            Origin::Board,
-        )
-        .expect("written");
+    append(
+        &mut folder,
+        LedgerRow::of(LedgerEvent::Began, 4, Some(1)),
+        200,
+    );
     drop(folder);
     // Copy the files of trial 3: completed, but not in the manifest.
     let [from, to] = ["003-1", "004-1"].map(|name| path.join(ATTEMPTS).join(name));
     fs::create_dir(&to).expect("made");
     let stamps = [at(16), at(200)].map(|time| time.strftime("%Y%m%dT%H%M%SZ").to_string());
-    for entry in fs::read_dir(&from).expect("there") {
-        let entry = entry.expect("an entry");
+    for entry in fs::read_dir(&from).expect("there").flatten() {
         let name = entry.file_name().into_string().expect("UTF-8");
         let name = name.replace(&stamps[0], &stamps[1]);
         let text = fs::read_to_string(entry.path()).expect("text");
@@ -784,32 +744,27 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     // Nothing tells to move or replace what the next session takes up.
     for finding in verify(&path).expect("readable").findings {
         let resume = format!("`retrograde campaign run {}`", path.display());
-        let resumes = finding.remedy.contains(&resume);
-        assert!(
-            resumes && !finding.remedy.contains("Move it"),
-            "{finding:?}"
-        );
+        let (resumes, moves) = (finding.remedy.contains(&resume), "Move it");
+        assert!(resumes && !finding.remedy.contains(moves), "{finding:?}");
     }
-    let (folder, told) = resume(&path, at(201)).expect("a crash");
+    let (folder, told) = Folder::resume(&path, at(201)).expect("a crash");
     assert_eq!(told.len(), 4, "{told:?}");
     let trial = folder.campaign().state.trial(4).expect("there").clone();
     assert_eq!(trial.standing(), Standing::Unmeasured);
     assert_eq!(folder.campaign().state.next(), Some(&trial));
     drop(folder);
     assert_eq!(findings(&path), Vec::<String>::new());
-    let mut folder = resume(&path, at(202)).expect("free").0;
+    let mut folder = Folder::resume(&path, at(202)).expect("free").0;
     let mut row = LedgerRow::of(LedgerEvent::Repeated, 4, Some(1));
     row.text = Some("not seen".to_owned());
-    folder.append(row, at(203), Origin::Board).expect("written");
-    folder
-        .append(
-            LedgerRow::of(LedgerEvent::Began, 4, Some(2)),
-            at(204),
-            Origin::Board,
-        )
-        .expect("written");
+    append(&mut folder, row, 203);
+    append(
+        &mut folder,
+        LedgerRow::of(LedgerEvent::Began, 4, Some(2)),
+        204,
+    );
     drop(folder);
-    let (folder, _) = resume(&path, at(205)).expect("a crash");
+    let (folder, _) = Folder::resume(&path, at(205)).expect("a crash");
     let trial = folder.campaign().state.trial(4).expect("there");
     assert_eq!(trial.standing(), Standing::Open);
     assert_eq!(trial.attempts[1].outcome, Some(AttemptOutcome::Lost));
@@ -817,38 +772,29 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
 
 #[test]
 fn a_campaign_with_a_changed_file_is_not_resumed() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
-    let resumed = || resume(&path, at(0)).err().map(|error| error.why);
+    let (_place, path) = small();
+    let resumed = || Folder::resume(&path, at(0)).err().map(|error| error.why);
     let listed = fs::read(path.join(manifest::NAME)).expect("there");
     let trials = fs::read_to_string(path.join(TRIALS)).expect("there");
     let last = trials[..trials.len() - 1].rfind('\n').expect("lines") + 1;
     let run = Campaign::read(&path).expect("read").run_sidecar(2, 1);
     let telemetry = run.expect("there").with_extension("csv");
     let rows = fs::read_to_string(&telemetry).expect("there");
+    let ledger = path.join(TRIALS);
     for (file, text, why) in [
-        (
-            path.join(TRIALS),
-            Some(trials.replace("4.2", "42")),
-            "was changed",
-        ),
-        (
-            path.join(TRIALS),
-            Some(trials[..last].to_owned()),
-            "was changed",
-        ),
-        (telemetry.clone(), Some(rows.clone() + "\n"), "was changed"),
-        (telemetry.clone(), None, "is missing"),
+        (&ledger, Some(trials.replace("4.2", "42")), "was changed"),
+        (&ledger, Some(trials[..last].to_owned()), "was changed"),
+        (&telemetry, Some(rows.clone() + "\n"), "was changed"),
+        (&telemetry, None, "is missing"),
     ] {
         match text {
-            Some(text) => fs::write(&file, text).expect("written"),
-            None => fs::remove_file(&file).expect("there"),
+            Some(text) => fs::write(file, text).expect("written"),
+            None => fs::remove_file(file).expect("there"),
         }
         assert!(resumed().is_some_and(|error| error.contains(why)), "{why}");
         // A new manifest would hide the loss.
         assert_eq!(fs::read(path.join(manifest::NAME)).expect("there"), listed);
-        fs::write(path.join(TRIALS), &trials).expect("written");
+        fs::write(&ledger, &trials).expect("written");
         fs::write(&telemetry, &rows).expect("written");
     }
     // What is added to an earlier attempt stays a finding.
@@ -877,7 +823,7 @@ fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change
     let bytes = fs::read(&path).expect("there");
     let mut undo = vec![(path.clone(), Some(bytes.clone()))];
     let mut named = vec![name.clone()];
-    let lines: Vec<&[u8]> = bytes.split_inclusive(|byte| *byte == b'\n').collect();
+    let mut lines: Vec<&[u8]> = bytes.split_inclusive(|byte| *byte == b'\n').collect();
     let (one, other) = (chance.below(lines.len()), chance.below(lines.len()));
     let mut new = None;
     let what = match chance.below(10) {
@@ -888,23 +834,15 @@ fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change
             new = Some(flipped);
             format!("bit {bit} of byte {place}")
         }
-        2 => {
-            let mut left = lines.clone();
-            left.remove(one);
-            new = Some(left.concat());
-            format!("line {one} removed")
-        }
-        3 => {
-            let mut left = lines.clone();
-            left.swap(one, other);
-            new = Some(left.concat());
-            format!("lines {one} and {other} exchanged")
-        }
-        4 => {
-            let mut left = lines.clone();
-            left.insert(one, lines[one]);
-            new = Some(left.concat());
-            format!("line {one} doubled")
+        kind @ 2..=4 => {
+            match kind {
+                2 => _ = lines.remove(one),
+                3 => lines.swap(one, other),
+                _ => lines.insert(one, lines[one]),
+            }
+            new = Some(lines.concat());
+            let how = ["removed", "exchanged with that", "doubled"][kind - 2];
+            format!("line {one} {how}, {other}")
         }
         5 => {
             let length = chance.below(bytes.len());
@@ -924,13 +862,8 @@ fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change
         8 => {
             let added = path.with_file_name("added.json");
             fs::write(&added, &bytes).expect("written");
-            named = vec![
-                added
-                    .strip_prefix(folder)
-                    .expect("within")
-                    .to_string_lossy()
-                    .into_owned(),
-            ];
+            let within = added.strip_prefix(folder).expect("within");
+            named = vec![within.to_string_lossy().into_owned()];
             undo.push((added, None));
             "one added beside it".to_owned()
         }
@@ -960,9 +893,7 @@ fn change(chance: &mut Chance, folder: &Path, files: &[String]) -> Option<Change
 /// Each finding names the file, the change and the remedy.
 #[test]
 fn each_of_a_thousand_single_changes_is_found() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let mut files = manifest::contents(&path).expect("there").files;
     files.push(manifest::NAME.to_owned());
     let mut chance = Chance::new(20_261_122);
@@ -995,9 +926,7 @@ fn each_of_a_thousand_single_changes_is_found() {
 /// Changes a file together with its hash. The contradictions between the files reveal it.
 #[test]
 fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
-    let place = tempfile::tempdir().expect("a folder");
-    let path = place.path().join("small");
-    drop(campaign(&path));
+    let (_place, path) = small();
     let sidecar = Campaign::read(&path)
         .expect("read")
         .run_sidecar(1, 1)
@@ -1018,39 +947,22 @@ fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
         let lines: Vec<_> = text.lines().collect();
         [&lines[..1], &lines[2..]].concat().join("\n") + "\n"
     };
+    let stopped: Edit = |text| text.replace("\"complete\"", "\"stopped\"");
+    let simulated: Edit = |text| text.replace("\"board\"", "\"virtual\"");
+    let lubricated: Edit = |text| text.replace("dry", "lubricated");
+    let another_seed: Edit = |text| text.replace("seed = 3", "seed = 4");
+    let other_origin = "is of origin virtual, trials.csv of board";
+    let [trials, readings] = [TRIALS, READINGS].map(|name| path.join(name));
+    let [order, plan] = ["order.csv", "plan.toml"].map(|name| path.join(name));
     let cases: [(&Path, Edit, &str); 8] = [
         (&telemetry, without_last, "rows, 10 were recorded"),
         (&telemetry, reversed, "time does not go on"),
-        (
-            &sidecar,
-            |text| text.replace("\"complete\"", "\"stopped\""),
-            "says stopped",
-        ),
-        (
-            &sidecar,
-            |text| text.replace("\"origin\": \"board\"", "\"origin\": \"virtual\""),
-            "is of origin virtual, trials.csv of board",
-        ),
-        (
-            &path.join(TRIALS),
-            without_second,
-            "row 1: it is numbered 2",
-        ),
-        (
-            &path.join(READINGS),
-            without_second,
-            "row 1: it is numbered 2",
-        ),
-        (
-            &path.join("order.csv"),
-            |text| text.replace("dry", "lubricated"),
-            "not the order",
-        ),
-        (
-            &path.join("plan.toml"),
-            |text| text.replace("seed = 3", "seed = 4"),
-            "not the order",
-        ),
+        (&sidecar, stopped, "says stopped"),
+        (&sidecar, simulated, other_origin),
+        (&trials, without_second, "row 1: it is numbered 2"),
+        (&readings, without_second, "row 1: it is numbered 2"),
+        (&order, lubricated, "not the order"),
+        (&plan, another_seed, "not the order"),
     ];
     for (file, edit, says) in cases {
         let before = fs::read_to_string(file).expect("there");
@@ -1067,22 +979,19 @@ fn a_change_with_a_new_manifest_is_found_where_files_contradict_each_other() {
     }
 }
 
+/// Only a campaign has to have a manifest, and other summaries may lie there.
 #[test]
 fn an_ordinary_folder_is_checked_as_far_as_it_can_be() {
-    let place = tempfile::tempdir().expect("a folder");
-    drop(campaign(&place.path().join("small")));
-    let records = place.path().join("small/trials/001-1");
-    let verified = verify(&records).expect("a folder");
-    assert_eq!(
-        (verified.campaign, verified.files, verified.records),
-        (false, 0, 1)
-    );
-    assert_eq!(verified.findings, vec![]);
+    let (place, path) = small();
+    let records = path.join("trials/001-1");
+    fs::write(records.join("summary.json"), "{\"mean\": 4.2}").expect("written");
+    fs::write(records.join("summary.csv"), "mean\n4.2\n").expect("written");
+    let found = verify(&records).expect("a folder");
+    assert_eq!((found.campaign, found.files, found.records), (false, 0, 1));
+    assert_eq!(found.findings, []);
     relist(&records);
-    assert_eq!(verify(&records).expect("a folder").files, 2);
+    assert_eq!(verify(&records).expect("a folder").files, 4);
     assert!(verify(&place.path().join("none")).is_err());
-    assert_eq!(Form::Folded.name(), "folded");
-    assert_eq!(Lubrication::Dry.name(), "dry");
 }
 
 #[test]
@@ -1090,13 +999,9 @@ fn a_run_that_the_plan_does_not_say_is_found() {
     let place = tempfile::tempdir().expect("a folder");
     let path = place.path().join("small");
     let mut folder = campaign(&path);
-    let mut script = Script::new(DeviceKind::Rig);
-    script.ready = true;
-    let mut rig = Device::connect(link(script).0, DeviceKind::Rig, 5).expect("there");
+    let mut rig = device(DeviceKind::Rig);
     let row = |event| LedgerRow::of(event, 4, Some(1));
-    folder
-        .append(row(LedgerEvent::Began), at(200), Origin::Board)
-        .expect("written");
+    append(&mut folder, row(LedgerEvent::Began), 200);
     let recording = Recording {
         folder: folder.campaign().attempt_folder(4, 1),
         stem: "run".to_owned(),
@@ -1109,9 +1014,7 @@ fn a_run_that_the_plan_does_not_say_is_found() {
     experiment::run(&mut rig, run, &recording, &mut Unobserved).expect("run");
     let mut ended = row(LedgerEvent::Ended);
     ended.outcome = Some(AttemptOutcome::Complete);
-    folder
-        .append(ended, at(230), Origin::Board)
-        .expect("written");
+    append(&mut folder, ended, 230);
     folder.seal_attempt(4, 1).expect("written");
     drop(folder);
     let found = findings(&path);

@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::io::{self, BufRead, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use client::identity::Origin;
 use host_tool::cli::run_on;
 use lab::campaign::contents::Campaign;
 use lab::campaign::form::Form;
-use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, Source, Standing};
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source, Standing, TrialState};
 use lab::campaign::verify::verify;
 use lab::operations::connector::Connector;
 use locomotion::roller::Params;
@@ -46,182 +46,167 @@ pub fn machines(uid: Option<[u8; 12]>) -> Memory {
     )
 }
 
-pub fn place(plan: &str) -> tempfile::TempDir {
-    let place = tempfile::tempdir().expect("a folder");
-    fs::write(place.path().join("plan.toml"), plan).expect("written");
-    place
+/// A folder with a plan, and the path of its campaign.
+pub struct Place {
+    folder: tempfile::TempDir,
+    pub plan: String,
+    pub out: String,
 }
 
-pub fn path(place: &tempfile::TempDir, name: &str) -> String {
-    place.path().join(name).display().to_string()
+impl Place {
+    pub fn of(plan: &str) -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name| folder.path().join(name).display().to_string();
+        let (plan_path, out) = (path("plan.toml"), path("c"));
+        fs::write(&plan_path, plan).expect("written");
+        Self {
+            folder,
+            plan: plan_path,
+            out,
+        }
+    }
+
+    pub fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).display().to_string()
+    }
+
+    /// Arguments that begin the campaign, or go on with it once it is there.
+    fn run(&self) -> Vec<&str> {
+        match Path::new(&self.out).exists() {
+            true => vec!["campaign", "run", &self.out],
+            false => vec!["campaign", "run", &self.plan, "--out", &self.out],
+        }
+    }
+
+    /// A session with these answers, which ends with this code. Returns everything shown.
+    #[track_caller]
+    pub fn answered(
+        &self,
+        machines: &dyn Connector,
+        code: u8,
+        lines: Vec<(&'static str, &'static str)>,
+    ) -> String {
+        let (ended, shown) = converse(machines, &self.run(), lines);
+        assert_eq!(ended, code, "{shown}");
+        shown
+    }
+
+    /// A session without a person. Returns all that was said.
+    #[track_caller]
+    pub fn unattended(&self, machines: &Memory, code: u8, more: &[&str]) -> String {
+        let (ended, said, err) = machines.run(&[&self.run()[..], &AT, more].concat());
+        assert_eq!(ended, code, "{said}{err}");
+        said + &err
+    }
+
+    pub fn read(&self) -> Campaign {
+        Campaign::read(Path::new(&self.out)).expect("a campaign")
+    }
+
+    /// The campaign, in which `verify` finds nothing wrong.
+    #[track_caller]
+    pub fn whole(&self) -> Campaign {
+        let verified = verify(Path::new(&self.out)).expect("a folder");
+        assert_eq!(verified.findings, vec![]);
+        self.read()
+    }
+
+    /// Contents of a file of the campaign.
+    pub fn text(&self, name: &str) -> String {
+        fs::read_to_string(Path::new(&self.out).join(name)).expect(name)
+    }
 }
 
 const AT: [&str; 4] = ["--rig", "0", "--capsule", "1"];
 
-pub fn whole(folder: &str) -> Campaign {
-    let verified = verify(Path::new(folder)).expect("a folder");
-    assert_eq!(verified.findings, vec![]);
-    Campaign::read(Path::new(folder)).expect("a campaign")
-}
-
-/// It said `SD 0.000 mm`.
-#[test]
-fn a_session_tells_one_reading_without_a_standard_deviation() {
-    let place = place(&small_plan(&[("count = 2", "count = 1")]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let args = ["campaign", "run", &plan, "--out", &out, "--yes"];
-    let args = [&args[..], &["--trials", "1"], &AT].concat();
-    let (code, said, err) = machines(Some(VIRTUAL_UID)).run(&args);
-    assert_eq!(code, 0, "{said}{err}");
-    assert!(said.contains("D = 24.400 mm, n = 1\n"), "{said}");
-    assert!(!said.contains("SD"), "{said}");
-}
-
 #[test]
 fn nobody_carries_a_virtual_campaign_out_and_all_of_it_is_marked_so() {
-    let place = place(&small_plan(&[("scatter_mm = 0 ", "scatter_mm = 0.5 ")]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let plan = small_plan(&[("scatter_mm = 0 ", "scatter_mm = 0.5 ")]);
+    let at = Place::of(&plan);
     let memory = machines(Some(VIRTUAL_UID));
-    let args = |extra: &[&str]| -> Vec<String> {
-        let all = [&["campaign"], extra, &AT[..]].concat();
-        all.into_iter().map(str::to_owned).collect()
-    };
-    let run = |extra: &[&str]| {
-        let args = args(extra);
-        memory.run(&args.iter().map(String::as_str).collect::<Vec<_>>())
-    };
-    let (code, said, err) = run(&["run", &plan, "--out", &out, "--yes", "--trials", "3"]);
-    assert_eq!(code, 0, "{said}{err}");
+    let said = at.unattended(&memory, 0, &["--yes", "--trials", "3"]);
     assert!(said.contains("3 of 6 trials are done"), "{said}");
-    assert!(
-        said.contains("VIRTUAL: nothing here is a measurement"),
-        "{said}"
-    );
-    assert!(
-        said.contains("min left") || said.contains("minute left"),
-        "{said}"
-    );
-    let (code, said, err) = run(&["run", &out, "--yes"]);
-    assert_eq!(code, 0, "{said}{err}");
-    assert!(
-        said.contains("6 of 6 trials are done") && said.contains("Nothing is left"),
-        "{said}"
-    );
-    let report = Path::new(&out).join("report");
-    assert!(report.join("report.html").is_file() && report.join("figure7.svg").is_file());
+    let is_marked = said.contains("VIRTUAL: nothing here is a measurement");
+    assert!(is_marked && said.contains(" left"), "{said}");
+    let said = at.unattended(&memory, 0, &["--yes"]);
+    let is_over = said.contains("6 of 6 trials are done") && said.contains("Nothing is left");
+    assert!(is_over, "{said}");
+    at.text("report/report.html");
+    at.text("report/figure7.svg");
     // Both carriages went the same way: they are one line.
-    let figure8 = fs::read_to_string(report.join("figure8.svg")).expect("a figure");
+    let figure8 = at.text("report/figure8.svg");
     assert!(figure8.contains("unfolded, folded: the same"), "{figure8}");
-    let (code, _, err) = memory.run(&["report", &out]);
-    assert!(
-        code == 1 && err.contains("`--force` replaces it") && !err.contains("--out"),
-        "a campaign's report takes no `--out`: {err}"
-    );
-    let campaign = whole(&out);
-    assert!(
-        campaign
-            .rows
-            .iter()
-            .all(|row| row.origin == Origin::Virtual)
-    );
-    assert!(
-        campaign
-            .reading_rows
-            .iter()
-            .all(|row| row.origin == Origin::Virtual)
-    );
-    for row in campaign
-        .rows
-        .iter()
-        .filter(|row| row.event == LedgerEvent::Displacement)
-    {
+    let campaign = at.whole();
+    let mut origins = campaign.rows.iter().map(|row| row.origin);
+    assert!(origins.all(|origin| origin == Origin::Virtual));
+    let mut origins = campaign.reading_rows.iter().map(|row| row.origin);
+    assert!(origins.all(|origin| origin == Origin::Virtual));
+    let is_displacement = |row: &&LedgerRow| row.event == LedgerEvent::Displacement;
+    for row in campaign.rows.iter().filter(is_displacement) {
         assert_eq!(row.source, Some(Source::ModelWithScatter));
         let text = row.text.as_deref().unwrap_or_default();
-        assert!(
-            text.contains("model") && text.contains("scatter of 0.5 mm added, seed 1"),
-            "{text}"
-        );
+        let tells = text.contains("model") && text.contains("scatter of 0.5 mm added, seed 1");
+        assert!(tells, "{text}");
     }
     for trial in &campaign.state.trials {
-        let attempt = trial.attempt().expect("done");
-        let (number, planned) = (trial.planned.trial, &trial.planned);
-        let about = if planned.indentation == "a2" {
-            "2"
-        } else {
-            "5.05"
-        };
-        assert_eq!(
-            attempt.indentation_mm.map(|a| a.to_string()).as_deref(),
-            Some(about)
-        );
-        let mm = trial.counted().expect("counts").value.mm();
-        match planned.shape {
-            Form::Unfolded => assert!(mm > 0.0, "{number}: {mm}"),
-            Form::Folded => assert!(mm < -20.0, "{number}: {mm}"),
-            Form::Folding => unreachable!("the plan has none"),
-        }
-        let folder = campaign.attempt_folder(number, 1);
-        let conditions = fs::read_to_string(folder.join("conditions.json")).expect("there");
-        for word in [
-            "\"origin\": \"virtual\"",
-            "stroke_um",
-            "\"shift_steps\"",
-            "\"uid\"",
-        ] {
-            assert!(conditions.contains(word), "{word}: {conditions}");
-        }
-        // Two strokes, 4 s apart.
-        let pulses = fs::read_to_string(folder.join("sync.csv")).expect("there");
-        let times: Vec<u64> = pulses
-            .lines()
-            .skip(1)
-            .map(|line| {
-                line.split(',')
-                    .nth(1)
-                    .expect("columns")
-                    .parse()
-                    .expect("a number")
-            })
-            .collect();
-        assert_eq!(times.len(), 2, "{pulses}");
-        assert!(
-            (times[1] - times[0]).abs_diff(4_000_000) < 10_000,
-            "{pulses}"
-        );
+        check_simulated(&campaign, trial);
     }
     // The same seed gives the same scatter.
-    let again = path(&place, "again");
-    assert_eq!(run(&["run", &plan, "--out", &again, "--yes"]).0, 0);
+    let again = Place::of(&plan);
+    again.unattended(&memory, 0, &["--yes"]);
     let values = |campaign: &Campaign| {
         let trials = campaign.state.trials.iter();
         trials
             .map(|trial| trial.counted().map(|mm| mm.value))
             .collect::<Vec<_>>()
     };
-    assert_eq!(values(&whole(&again)), values(&campaign));
-    // The folded body is measured, then unfolded. Both records are in the attempt's folder.
-    let fold = campaign
-        .state
-        .trials
-        .iter()
-        .find(|trial| trial.planned.shape == Form::Folded);
-    let folder = campaign.attempt_folder(fold.expect("one").planned.trial, 1);
-    let stems: Vec<String> = fs::read_dir(folder)
-        .expect("there")
-        .map(|entry| {
-            entry
-                .expect("an entry")
-                .file_name()
-                .to_string_lossy()
-                .into_owned()
-        })
-        .collect();
-    for stem in ["fold-", "run-", "unfold-"] {
-        assert!(
-            stems.iter().any(|name| name.starts_with(stem)),
-            "{stem}: {stems:?}"
-        );
+    assert_eq!(values(&again.whole()), values(&campaign));
+}
+
+/// What an attempt of that campaign has in its row and in its folder.
+fn check_simulated(campaign: &Campaign, trial: &TrialState) {
+    let (number, planned) = (trial.planned.trial, &trial.planned);
+    let about = match &*planned.indentation {
+        "a2" => "2",
+        _ => "5.05",
+    };
+    let a_mm = trial.attempt().expect("done").indentation_mm;
+    assert_eq!(a_mm.map(|a| a.to_string()).as_deref(), Some(about));
+    let mm = trial.counted().expect("counts").value.mm();
+    let is_folded = planned.shape == Form::Folded;
+    let as_expected = if is_folded { mm < -20.0 } else { mm > 0.0 };
+    assert!(as_expected, "{number}: {mm}");
+    let folder = campaign.attempt_folder(number, 1);
+    let conditions = fs::read_to_string(folder.join("conditions.json")).expect("there");
+    let origin = "\"origin\": \"virtual\"";
+    for word in [origin, "stroke_um", "\"shift_steps\"", "\"uid\""] {
+        assert!(conditions.contains(word), "{word}: {conditions}");
     }
+    // The times of the pulses to the camera: two strokes, 4 s apart.
+    let pulses = fs::read_to_string(folder.join("sync.csv")).expect("there");
+    let mut rows = pulses.lines().map(|row| row.split(',').collect::<Vec<_>>());
+    assert_eq!(rows.next(), Some(vec!["stroke", "time_us", "origin"]));
+    let rows: Vec<_> = rows.collect();
+    let strokes: Vec<&str> = rows.iter().map(|row| row[0]).collect();
+    assert_eq!(strokes, ["0", "1"]);
+    let us = |row: usize| rows[row][1].parse::<u64>().expect("a number");
+    let apart_us = us(1).saturating_sub(us(0));
+    assert!(apart_us.abs_diff(4_000_000) < 10_000, "{pulses}");
+    // The folded body is measured, then unfolded. Both records are in the attempt's folder.
+    for stem in ["fold-", "unfold-", "run-"] {
+        let is_there = file_of(&folder, stem).is_some();
+        assert_eq!(is_there, is_folded || stem == "run-", "{number}: {stem}");
+    }
+}
+
+/// The record of an attempt whose name begins so.
+pub fn file_of(folder: &Path, stem: &str) -> Option<PathBuf> {
+    let mut files = fs::read_dir(folder).expect("there").flatten();
+    let file = files.find(|file| {
+        let name = file.file_name().to_string_lossy().into_owned();
+        name.starts_with(stem) && name.ends_with(".json")
+    });
+    file.map(|file| file.path())
 }
 
 /// The bench's displacements are those of `simulate` and of the report's band, with the plan's own stroke and cycles.
@@ -246,16 +231,10 @@ fn a_virtual_campaign_has_the_rollers_of_its_plan() {
         let fold_test = plan.find("[fold_test]").expect("one");
         let displacement = plan.find("[displacement]").expect("one");
         plan.replace_range(fold_test..displacement, "");
-        let place = place(&plan);
-        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-        let run = [&["campaign", "run", &plan, "--out", &out, "--yes"][..], &AT].concat();
-        let (code, said, err) = memory.run(&run);
-        assert_eq!(code, 0, "{said}{err}");
-        let mm = whole(&out).state.trials[0]
-            .counted()
-            .expect("counts")
-            .value
-            .mm();
+        let at = Place::of(&plan);
+        at.unattended(&memory, 0, &["--yes"]);
+        let counted = at.whole().state.trials[0].counted();
+        let mm = counted.expect("counts").value.mm();
         let mut params = Params::PAPER;
         (params.stroke_mm, params.cycles) = (f64::from(stroke_mm), cycles);
         params.body.friction = friction;
@@ -271,24 +250,18 @@ fn a_virtual_campaign_has_the_rollers_of_its_plan() {
 
 #[test]
 fn the_capsule_folds_within_the_runs_that_the_plan_says() {
-    let place = place(&small_plan(&[
+    let at = Place::of(&small_plan(&[
         ("# fold_at_cycle = 3 ", "fold_at_cycle = 2 "),
         ("cycles = 1", "cycles = 3"),
         ("duration_s = 8", "duration_s = 24"),
         (r#"["dry", "lubricated"]"#, r#"["dry"]"#),
         (r#"["a2", "a5"]"#, r#"["a5"]"#),
     ]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
     let memory = machines(Some(VIRTUAL_UID));
-    let run = [&["campaign", "run", &plan, "--out", &out, "--yes"][..], &AT].concat();
-    let (code, said, err) = memory.run(&run);
-    assert_eq!(code, 0, "{said}{err}");
-    assert!(
-        said.contains("it will be unfolded, and fold in the run")
-            && said.contains("4 of 4 trials are done"),
-        "{said}"
-    );
-    let campaign = whole(&out);
+    let said = at.unattended(&memory, 0, &["--yes"]);
+    let tells = said.contains("it will be unfolded, and fold in the run");
+    assert!(tells && said.contains("4 of 4 trials are done"), "{said}");
+    let campaign = at.whole();
     let mm = |form: Form| {
         let mut trials = campaign.state.trials.iter();
         let trial = trials.find(|trial| trial.planned.shape == form && trial.planned.block == 2);
@@ -313,55 +286,29 @@ fn the_capsule_folds_within_the_runs_that_the_plan_says() {
         "{text}"
     );
     // The fold's record stands beside the run and says where in the run it happened.
-    let of_fold = fs::read_dir(campaign.attempt_folder(number, 1))
-        .expect("there")
-        .map(|entry| entry.expect("an entry").path())
-        .find(|path| {
-            let name = path.file_name().unwrap_or_default().to_string_lossy();
-            name.starts_with("fold-") && name.ends_with(".json")
-        });
+    let of_fold = file_of(&campaign.attempt_folder(number, 1), "fold-");
     let record = fs::read_to_string(of_fold.expect("a record")).expect("there");
-    assert!(
-        record.contains("\"cycle\": 2") && record.contains("\"latency_us\""),
-        "{record}"
-    );
-    let report = Path::new(&out).join("report");
-    let conditions = fs::read_to_string(report.join("conditions.csv")).expect("there");
-    assert!(
-        conditions.contains("fold_test,lubricated,a5,folding,1,1,"),
-        "{conditions}"
-    );
-    let figure = fs::read_to_string(report.join("figure8.svg")).expect("there");
+    let tells = record.contains("\"cycle\": 2") && record.contains("\"latency_us\"");
+    assert!(tells, "{record}");
+    let conditions = at.text("report/conditions.csv");
+    let condition = "fold_test,lubricated,a5,folding,1,1,";
+    assert!(conditions.contains(condition), "{conditions}");
+    let figure = at.text("report/figure8.svg");
     assert!(figure.contains("folding at cycle 2, n = 1"));
 }
 
 #[test]
 fn nobody_answers_for_a_board() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = machines(None);
-    let args = |extra: &[&'static str]| {
-        [&["campaign", "run", &plan, "--out", &out], extra, &AT]
-            .concat()
-            .iter()
-            .map(|arg| (*arg).to_owned())
-            .collect::<Vec<String>>()
-    };
-    let run = |args: Vec<String>| memory.run(&args.iter().map(String::as_str).collect::<Vec<_>>());
-    let (code, _, err) = run(args(&[]));
-    assert_eq!(code, 3, "{err}");
-    assert!(
-        err.contains("nobody is at a terminal") && !Path::new(&out).exists(),
-        "{err}"
-    );
-    let (code, _, err) = run(args(&["--yes"]));
-    assert_eq!(code, 3, "{err}");
-    assert!(
-        err.contains("displacement on a board has to be measured"),
-        "{err}"
-    );
+    let said = at.unattended(&memory, 3, &[]);
+    assert!(said.contains("nobody is at a terminal"), "{said}");
+    assert!(!Path::new(&at.out).exists());
+    let said = at.unattended(&memory, 3, &["--yes"]);
+    let measured = "displacement on a board has to be measured";
+    assert!(said.contains(measured), "{said}");
     assert!(!memory.heard().contains(&"Run") && !memory.heard().contains(&"Home"));
-    assert_eq!(whole(&out).rows, vec![]);
+    assert_eq!(at.whole().rows, vec![]);
 }
 
 /// Output that a simulated person can read.
@@ -427,9 +374,9 @@ impl BufRead for Person {
     }
 }
 
-/// Returns the exit code and everything shown.
-pub fn converse(
-    memory: &dyn Connector,
+/// A session with these answers. Returns the exit code and everything shown.
+fn converse(
+    machines: &dyn Connector,
     args: &[&str],
     lines: Vec<(&'static str, &'static str)>,
 ) -> (u8, String) {
@@ -442,15 +389,10 @@ pub fn converse(
         typing: vec![],
         missed: Arc::clone(&missed),
     };
-    let all = [&["retrograde", "campaign"], args, &AT].concat();
+    let args = [&["retrograde"], args, &AT].concat();
+    let args = args.into_iter().map(Into::into);
     let (mut out, mut err) = (shown.clone(), shown.clone());
-    let code = run_on(
-        all.into_iter().map(Into::into),
-        memory,
-        &mut out,
-        &mut err,
-        Some(Box::new(person)),
-    );
+    let code = run_on(args, machines, &mut out, &mut err, Some(Box::new(person)));
     let missed = *missed.lock().expect("free");
     assert_eq!(missed, None, "not shown in:\n{}", shown.text());
     (code, shown.text())
@@ -463,12 +405,11 @@ fn standings<const N: usize>(campaign: &Campaign, trials: [u32; N]) -> [Standing
 #[test]
 fn a_person_is_asked_again_until_the_answer_can_be() {
     let plan = small_plan(&[("camera = \"none\"", "camera = \"overhead\"")]);
-    let place = place(&plan);
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&plan);
     let memory = machines(None);
-    let (code, shown) = converse(
+    let shown = at.answered(
         &memory,
-        &["run", &plan, "--out", &out],
+        130,
         vec![
             ("rollers OFF", ""),
             ("Reading 1 of 2: D", "24,4"),
@@ -497,9 +438,8 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
             ("Clamp both rollers", "q"),
         ],
     );
-    assert_eq!(code, 130, "{shown}");
     assert!(shown.contains("campaign run"), "{shown}");
-    let campaign = whole(&out);
+    let campaign = at.whole();
     let first = campaign.state.trial(1).expect("there");
     assert_eq!(first.counted().map(|mm| mm.value.um), Some(12_500));
     assert_eq!(first.notes, ["21 degC"]);
@@ -512,9 +452,9 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     assert_eq!(campaign.origin(), Some(Origin::Board));
 
     // The next day: the second indentation; undo, repeat, exclude, skip.
-    let (code, shown) = converse(
+    at.answered(
         &memory,
-        &["run", &out],
+        130,
         vec![
             ("Clamp both rollers", ""),
             ("Reading 1 of 2: i", "14.3"),
@@ -533,18 +473,11 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
             ("Clamp both rollers", "q"),
         ],
     );
-    assert_eq!(code, 130, "{shown}");
-    let campaign = whole(&out);
-    assert_eq!(
-        standings(&campaign, [1, 2, 3, 4]),
-        [
-            Standing::Done,
-            Standing::Excluded,
-            Standing::Skipped,
-            Standing::Open
-        ]
-    );
-    let (_, said, _) = memory.run(&["campaign", "status", &out]);
+    let campaign = at.whole();
+    use Standing::{Done, Excluded, Open, Skipped};
+    let expected = [Done, Excluded, Skipped, Open];
+    assert_eq!(standings(&campaign, [1, 2, 3, 4]), expected);
+    let (_, said, _) = memory.run(&["campaign", "status", &at.out]);
     for line in [
         "1 of 6 trials are done",
         "attempt 1 does not count: given up: it was not at its mark",
@@ -554,25 +487,21 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
     ] {
         assert!(said.contains(line), "{line}: {said}");
     }
-    for args in [
-        &["include", "2"][..],
-        &["displacement", "2", "-1.5", "misread"],
-        &["include", "3"],
-        &["note", "all", "well"],
+    for (code, args) in [
+        (0, "include 2"),
+        (0, "displacement 2 -1.5 misread"),
+        (0, "include 3"),
+        (0, "note all well"),
+        (2, "exclude 5 x"),
+        (2, "displacement 2 140"),
+        (2, "undo 99"),
+        (2, "include 1"),
     ] {
-        let (code, said, err) = memory.run(&[&["campaign", "edit", &out], args].concat());
-        assert_eq!(code, 0, "{args:?}: {said}{err}");
+        let args: Vec<&str> = args.split(' ').collect();
+        let (ended, said, err) = memory.run(&[&["campaign", "edit", &at.out], &args[..]].concat());
+        assert_eq!(ended, code, "{args:?}: {said}{err}");
     }
-    for args in [
-        &["exclude", "5", "x"][..],
-        &["displacement", "2", "140"],
-        &["undo", "99"],
-        &["include", "1"],
-    ] {
-        let (code, said, err) = memory.run(&[&["campaign", "edit", &out], args].concat());
-        assert_eq!(code, 2, "{args:?}: {said}{err}");
-    }
-    let campaign = whole(&out);
+    let campaign = at.whole();
     let second = campaign
         .state
         .trial(2)
@@ -587,30 +516,28 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
 /// needed, and the way on is named.
 #[test]
 fn a_line_that_falls_silent_loses_no_answer() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let mut rig = Script::new(DeviceKind::Rig);
     // Two keep-alives in vain, with their repetitions.
     rig.deaf_to = vec![("KeepAlive", 8)];
     let memory = Memory::with(vec![rig.clone(), Script::new(DeviceKind::Capsule)]);
-    let (code, shown) = converse(
+    let shown = at.answered(
         &memory,
-        &["run", &plan, "--out", &out],
+        130,
         vec![
             ("waited for even so", ""),
             ("Reading 1 of 2: D", "24.4"),
             ("Reading 2 of 2: D", "q"),
         ],
     );
-    assert_eq!(code, 130, "{shown}");
     let values = |campaign: &Campaign| campaign.readings.sets[0].values.clone();
-    assert_eq!(values(&whole(&out)).len(), 1, "{shown}");
+    assert_eq!(values(&at.whole()).len(), 1, "{shown}");
 
     rig.deaf_to = vec![("KeepAlive", u32::MAX), ("Home", u32::MAX)];
     let memory = Memory::with(vec![rig, Script::new(DeviceKind::Capsule)]);
-    let (code, shown) = converse(
+    let shown = at.answered(
         &memory,
-        &["run", &out],
+        7,
         vec![
             ("waited for even so", "24.4"),
             ("Clamp both rollers", ""),
@@ -619,22 +546,20 @@ fn a_line_that_falls_silent_loses_no_answer() {
             ("Trial 1 of 6", ""),
         ],
     );
-    assert_eq!(code, 7, "{shown}");
-    let goes_on = format!("`retrograde campaign run {out}` goes on");
+    let goes_on = format!("`retrograde campaign run {}` goes on", at.out);
     assert!(shown.contains(&goes_on), "{shown}");
-    let campaign = whole(&out);
+    let campaign = at.whole();
     assert_eq!(values(&campaign).len(), 2);
     assert_eq!(campaign.readings.sets[1].values.len(), 2);
 }
 
 #[test]
 fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = machines(None);
-    let (code, shown) = converse(
+    let shown = at.answered(
         &memory,
-        &["run", &plan, "--out", &out],
+        130,
         vec![
             ("rollers OFF", ""),
             ("Reading 1 of 2: D", "500"),
@@ -665,15 +590,14 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
             ("the displacement of trial 1 is taken back", "q"),
         ],
     );
-    assert_eq!(code, 130, "{shown}");
-    let campaign = whole(&out);
+    let campaign = at.whole();
     assert_eq!(
         standings(&campaign, [1, 2]),
         [Standing::Unmeasured, Standing::Open],
         "{shown}"
     );
     assert_eq!(campaign.state.trials[0].attempts[0].camera_file, None);
-    let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &out], args].concat());
+    let edit = |args: &[&str]| memory.run(&[&["campaign", "edit", &at.out], args].concat());
     assert_eq!(edit(&["skip", "2"]).0, 0);
     let (code, _, err) = edit(&["undo", "2"]);
     assert!(
@@ -702,12 +626,11 @@ pub fn clamped(between_mm: &'static str) -> [(&'static str, &'static str); 3] {
 /// than Enter, a session that ends. The hand at the rollers may have turned the screw, so the rig homes again.
 #[test]
 fn rollers_that_are_clamped_anew_are_measured_anew() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = machines(None);
-    let (code, shown) = converse(
+    at.answered(
         &memory,
-        &["run", &plan, "--out", &out],
+        130,
         [
             &WIDTH[..],
             &clamped("20.4")[..],
@@ -727,7 +650,6 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
         ]
         .concat(),
     );
-    assert_eq!(code, 130, "{shown}");
     let homes = || {
         memory
             .heard()
@@ -736,9 +658,9 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
             .count()
     };
     let before = homes();
-    let (code, shown) = converse(
+    let shown = at.answered(
         &memory,
-        &["run", &out],
+        130,
         [
             &clamped("19.8")[..],
             &[
@@ -755,9 +677,8 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
         ]
         .concat(),
     );
-    assert_eq!(code, 130, "{shown}");
     assert_eq!(homes() - before, 2, "{shown}");
-    let campaign = whole(&out);
+    let campaign = at.whole();
     let attempts = &campaign.state.trials[0].attempts;
     let widths_mm = attempts.iter().map(|attempt| attempt.indentation_mm);
     let expected = ["2.3", "2.4"].map(|a| Some(a.parse().expect("a length")));
@@ -773,12 +694,11 @@ fn rollers_that_are_clamped_anew_are_measured_anew() {
 /// The rollers stand at the new notch, although its readings were discarded: those of the block before do not hold.
 #[test]
 fn a_clamping_whose_readings_were_discarded_is_not_the_one_before() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = machines(None);
-    let (code, shown) = converse(
+    at.answered(
         &memory,
-        &["run", &plan, "--out", &out],
+        130,
         [
             &WIDTH[..],
             &clamped("20.4")[..],
@@ -794,21 +714,18 @@ fn a_clamping_whose_readings_were_discarded_is_not_the_one_before() {
         ]
         .concat(),
     );
-    assert_eq!(code, 130, "{shown}");
-    let (code, _, err) = memory.run(&["campaign", "edit", &out, "repeat", "1", "torn"]);
+    let (code, _, err) = memory.run(&["campaign", "edit", &at.out, "repeat", "1", "torn"]);
     assert_eq!(code, 0, "{err}");
-    let (code, shown) = converse(
+    at.answered(
         &memory,
-        &["run", &out],
+        130,
         [&clamped("20.2")[..], &[("Trial 1 of 6, attempt 2", "q")]].concat(),
     );
-    assert_eq!(code, 130, "{shown}");
 }
 
 #[test]
 fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let mut rig = Script::new(DeviceKind::Rig);
     rig.uid = VIRTUAL_UID;
     let mut capsule = Script::new(DeviceKind::Capsule);
@@ -817,25 +734,17 @@ fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     // The loop opens within the first run, and stays open.
     broken.world = vec![(9_000_000, World::EStopLoop { open: true })];
     let memory = Memory::with(vec![broken, capsule.clone()]);
-    let run = |memory: &Memory, args: &[&str]| memory.run(&[&["campaign"], args, &AT].concat());
-    let (code, said, err) = run(&memory, &["run", &plan, "--out", &out, "--yes"]);
-    assert_eq!(code, 6, "{said}{err}");
-    let campaign = whole(&out);
+    let said = at.unattended(&memory, 6, &["--yes"]);
+    let campaign = at.whole();
     let first = campaign.state.trial(1).expect("there");
-    assert_eq!(
-        first.attempts[0].outcome,
-        Some(AttemptOutcome::Faulted),
-        "{said}{err}"
-    );
+    let outcome = first.attempts[0].outcome;
+    assert_eq!(outcome, Some(AttemptOutcome::Faulted), "{said}");
     assert_eq!(first.standing(), Standing::Open);
     let memory = Memory::with(vec![rig, capsule]);
-    let (code, said, err) = run(&memory, &["run", &out, "--yes"]);
-    assert_eq!(code, 0, "{said}{err}");
-    assert!(
-        said.contains("trial 1, attempt 1 does not count: faulted"),
-        "{said}"
-    );
-    assert_eq!(whole(&out).state.trial(1).expect("there").attempts.len(), 2);
+    let said = at.unattended(&memory, 0, &["--yes"]);
+    let told = "trial 1, attempt 1 does not count: faulted";
+    assert!(said.contains(told), "{said}");
+    assert_eq!(at.whole().state.trial(1).expect("there").attempts.len(), 2);
 }
 
 /// The plan is fixed from then on, and the rig would refuse it only after all readings of the first trial.
@@ -848,10 +757,9 @@ fn a_run_that_rigs_refuse_by_default_is_told_when_the_plan_is_fixed() {
         ("duration_s = 40", "duration_s = 15"),
     ];
     for (plan, told) in [(PAPER.to_owned(), false), (changed(PAPER, &fast), true)] {
-        let place = place(&plan);
-        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let at = Place::of(&plan);
         let memory = machines(Some(VIRTUAL_UID));
-        let (code, said, err) = memory.run(&["campaign", "new", &plan, "--out", &out]);
+        let (code, said, err) = memory.run(&["campaign", "new", &at.plan, "--out", &at.out]);
         assert_eq!(code, 0, "{said}{err}");
         assert_eq!(said.contains(note), told, "{said}");
         assert_eq!(said.contains("allow at least 15.184898 s"), told, "{said}");
@@ -860,30 +768,29 @@ fn a_run_that_rigs_refuse_by_default_is_told_when_the_plan_is_fixed() {
 
 #[test]
 fn verify_says_what_is_wrong_and_what_to_do() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = machines(Some(VIRTUAL_UID));
-    let (code, said, err) = memory.run(&["campaign", "new", &plan, "--out", &out]);
+    let (code, said, err) = memory.run(&["campaign", "new", &at.plan, "--out", &at.out]);
     assert_eq!(code, 0, "{said}{err}");
     assert!(said.contains("6 trials in 5 blocks, seed 20221"), "{said}");
-    let (code, said, _) = memory.run(&["verify", &out]);
+    let (code, said, _) = memory.run(&["verify", &at.out]);
     assert_eq!(code, 0);
     assert!(said.contains("4 files are as SHA256SUMS says"), "{said}");
-    fs::write(Path::new(&out).join("notes.txt"), "x").expect("written");
-    let (code, said, err) = memory.run(&["verify", &out]);
+    fs::write(Path::new(&at.out).join("notes.txt"), "x").expect("written");
+    let (code, said, err) = memory.run(&["verify", &at.out]);
     assert_eq!(code, 1, "{said}{err}");
     assert!(
         said.contains("notes.txt: is not in SHA256SUMS")
             && said.contains("remedy: was it put there by hand?"),
         "{said}"
     );
-    let (code, said, _) = memory.run(&["--json", "verify", &out]);
+    let (code, said, _) = memory.run(&["--json", "verify", &at.out]);
     let json: serde_json::Value = serde_json::from_str(&said).expect("JSON");
     assert_eq!(
         (code, &json["findings"][0]["path"]),
         (1, &"notes.txt".into())
     );
-    let empty = path(&place, "empty");
+    let empty = at.path("empty");
     fs::create_dir(&empty).expect("made");
     let (code, _, err) = memory.run(&["verify", &empty]);
     assert_eq!(code, 2, "{err}");
@@ -892,17 +799,10 @@ fn verify_says_what_is_wrong_and_what_to_do() {
 
 #[test]
 fn a_virtual_capsule_makes_the_campaign_virtual() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let mut capsule = Script::new(DeviceKind::Capsule);
     capsule.uid = VIRTUAL_UID;
     let memory = Memory::with(vec![Script::new(DeviceKind::Rig), capsule]);
-    let args = [
-        "campaign", "run", &plan, "--out", &out, "--yes", "--trials", "1",
-    ];
-    let (_, said, err) = memory.run(&[&args[..], &AT].concat());
-    let origin = Campaign::read(Path::new(&out))
-        .expect("a campaign")
-        .origin();
-    assert_eq!(origin, Some(Origin::Virtual), "{said}{err}");
+    let said = at.unattended(&memory, 0, &["--yes", "--trials", "1"]);
+    assert_eq!(at.read().origin(), Some(Origin::Virtual), "{said}");
 }

@@ -15,7 +15,7 @@ use protocol::system::DeviceKind;
 use simulated_machines::link::Memory;
 use simulated_machines::machine::{Left, Log, Script, Shared, SimulatedMachine, link};
 
-use crate::campaign_run::{converse, machines, path, place, whole};
+use crate::campaign_run::{Place, file_of, machines};
 use crate::support::mishap::{Line, Mishap, Opened};
 use crate::support::plan::{PAPER, changed};
 use crate::support::tool;
@@ -46,47 +46,54 @@ const UP_TO_THE_FOLDED_ONE: [(&str, &str); 7] = [
     ("it will be folded now", ""),
 ];
 
-fn session(
-    bench: &dyn Connector,
-    lines: &[(&'static str, &'static str)],
-) -> (u8, String, tempfile::TempDir) {
-    let place = place(&fold_test());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
-    let lines = [&UP_TO_THE_FOLDED_ONE[..], lines].concat();
-    let (code, shown) = converse(bench, &["run", &plan, "--out", &out], lines);
-    (code, shown, place)
+/// The session of that plan with these answers, which ends with this code.
+#[track_caller]
+fn session(bench: &dyn Connector, code: u8, answer: &'static str) -> (String, Place) {
+    let at = Place::of(&fold_test());
+    let lines = [
+        &UP_TO_THE_FOLDED_ONE[..],
+        &[("Displacement of the tail", answer)],
+    ];
+    let shown = at.answered(bench, code, lines.concat());
+    (shown, at)
 }
+
+fn is_done(at: &Place) -> bool {
+    at.whole().state.trial(2).expect("there").standing() == Standing::Done
+}
+
+const STILL_FOLDED: &str =
+    "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
 
 /// Regression: only a displacement unfolded it.
 #[test]
 fn whatever_ends_a_fold_trial_unfolds_the_capsule() {
-    for (answer, standing) in [
-        ("-60", Standing::Done),
-        ("exclude the wall was torn", Standing::Excluded),
-        ("skip", Standing::Skipped),
-        ("repeat it slipped", Standing::Open),
+    for (answer, standing, code) in [
+        ("-60", Standing::Done, 0),
+        ("exclude the wall was torn", Standing::Excluded, 0),
+        ("skip", Standing::Skipped, 0),
+        ("repeat it slipped", Standing::Open, 130),
     ] {
         let memory = machines(None);
-        let mut lines = vec![("Displacement of the tail", answer)];
+        let at = Place::of(&fold_test());
+        let mut lines = UP_TO_THE_FOLDED_ONE.to_vec();
+        lines.push(("Displacement of the tail", answer));
         if standing == Standing::Open {
             lines.push(("Trial 2 of 2, attempt 2", "q"));
         }
-        let (code, shown, place) = session(&memory, &lines);
-        assert_eq!(
-            code,
-            if standing == Standing::Open { 130 } else { 0 },
-            "{shown}"
-        );
+        let shown = at.answered(&memory, code, lines);
         let heard = memory.heard();
         let unfolds = heard.iter().filter(|heard| **heard == "Unfold").count();
         assert_eq!(unfolds, 1, "{answer}: {shown}");
         assert!(!shown.contains("folded still"), "{answer}: {shown}");
-        let campaign = whole(&path(&place, "c"));
+        // Whoever stands beside the capsule learns what it is about to do.
+        let told = shown.lines().filter(|line| line.ends_with(" the capsule."));
+        let motions = ["Reference", "Fold", "Unfold"].map(|verb| format!("{verb} the capsule."));
+        assert!(told.eq(motions), "{answer}: {shown}");
+        let campaign = at.whole();
         let folded = campaign.state.trial(2).expect("there");
         assert_eq!(folded.standing(), standing, "{shown}");
-        let files = std::fs::read_dir(campaign.attempt_folder(2, 1)).expect("there");
-        let mut names = files.map(|file| file.expect("a file").file_name());
-        assert!(names.any(|name| name.to_string_lossy().starts_with("unfold-")));
+        assert!(file_of(&campaign.attempt_folder(2, 1), "unfold-").is_some());
     }
 }
 
@@ -94,11 +101,9 @@ fn whatever_ends_a_fold_trial_unfolds_the_capsule() {
 #[test]
 fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
     let memory = machines(None);
-    let (code, shown, _place) = session(&memory, &[("Displacement of the tail", "q")]);
-    assert_eq!(code, 130, "{shown}");
+    let (shown, _) = session(&memory, 130, "q");
     assert!(!memory.heard().contains(&"Unfold"), "{shown}");
-    let told = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
-    assert!(shown.contains(told), "{shown}");
+    assert!(shown.contains(STILL_FOLDED), "{shown}");
 }
 
 /// State of a capsule that was calibrated, folded and switched off.
@@ -130,11 +135,9 @@ fn a_capsule_that_was_folded_is_told_with_the_check_before_the_command() {
     let mut capsule = Script::new(DeviceKind::Capsule);
     capsule.left = Some(Arc::new(switched_off()));
     let memory = tool::Memory::with(vec![Script::new(DeviceKind::Rig), capsule]);
-    let place = place(&fold_test());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&fold_test());
     let lines = UP_TO_THE_FOLDED_ONE[..5].to_vec();
-    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 3, "{shown}");
+    let shown = at.answered(&memory, 3, lines);
     let told = "The capsule is folded still, and its thread pulls: `retrograde capsule check`, then `retrograde unfold`.";
     assert!(shown.contains(told), "{shown}");
     let heard = memory.heard();
@@ -142,18 +145,6 @@ fn a_capsule_that_was_folded_is_told_with_the_check_before_the_command() {
         !heard.contains(&"Unfold") && !heard.contains(&"Run"),
         "{heard:?}"
     );
-}
-
-/// Whoever stands beside the capsule learns what it is about to do.
-#[test]
-fn each_motion_of_the_capsule_is_told_before_it() {
-    let memory = machines(None);
-    let (code, shown, _place) = session(&memory, &[("Displacement of the tail", "-60")]);
-    assert_eq!(code, 0, "{shown}");
-    let lines = shown.lines().filter(|line| line.ends_with(" the capsule."));
-    let told: Vec<&str> = lines.collect();
-    let motions = ["Reference", "Fold", "Unfold"].map(|verb| format!("{verb} the capsule."));
-    assert_eq!(told, motions, "{shown}");
 }
 
 /// The body of the present trial is still to be measured, in the folded shape.
@@ -168,8 +159,7 @@ fn a_corrected_trial_leaves_the_capsule_of_the_next_one_folded() {
         let shapes = order(&plan).into_iter().map(|trial| trial.shape);
         shapes.eq([Form::Unfolded, Form::Unfolded, Form::Folded, Form::Folded])
     };
-    let place = place(&plans.find(is_last).expect("of a hundred"));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&plans.find(is_last).expect("of a hundred"));
     let lines = vec![
         ("rollers OFF", ""),
         ("Reading 1 of 1: D", "24.4"),
@@ -188,8 +178,7 @@ fn a_corrected_trial_leaves_the_capsule_of_the_next_one_folded() {
         ("Trial 4 of 4", "q"),
     ];
     let memory = machines(None);
-    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 130, "{shown}");
+    let shown = at.answered(&memory, 130, lines);
     let heard = memory.heard();
     let count = |name| heard.iter().filter(|heard| **heard == name).count();
     assert_eq!((count("Fold"), count("Unfold")), (2, 1), "{shown}");
@@ -241,73 +230,55 @@ const END: &str = "GetCapsuleStatus";
 #[test]
 fn a_capsule_that_is_gone_when_it_is_to_be_unfolded_ends_no_session() {
     let bench = Bench::new(Mishap::Unplugged, LAST);
-    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
-    assert_eq!(code, 0, "{shown}");
+    let (shown, at) = session(&bench.connector(), 0, "-60");
     let told = "was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`";
     assert!(shown.contains(told), "{shown}");
     assert!(shown.contains("2 of 2 trials are done"), "{shown}");
-    let report = path(&place, "c/report/report.html");
-    assert!(Path::new(&report).is_file());
+    at.text("report/report.html");
 }
 
 /// Regression: a stop of the capsule within the run, older than the displacement, ended the session after it.
 #[test]
 fn a_stop_before_the_displacement_was_asked_for_keeps_no_capsule_folded() {
     let bench = Bench::new(Mishap::Stopped, LAST);
-    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
-    assert_eq!(code, 0, "{shown}");
+    let (shown, at) = session(&bench.connector(), 0, "-60");
     let told = shown.find("a stop came meanwhile").expect(&shown);
     assert!(shown[told..].contains("Unfold the capsule."), "{shown}");
     assert!(bench.has_unfolded());
-    whole(&path(&place, "c"));
+    at.whole();
 }
 
 #[test]
 fn a_stop_while_the_displacement_is_asked_for_leaves_the_capsule_and_tells_of_it() {
     let bench = Bench::new(Mishap::Stopped, END);
-    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
-    assert_eq!(code, 0, "{shown}");
+    let (shown, at) = session(&bench.connector(), 0, "-60");
     let stays = "the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`";
-    let left = "The capsule is folded still, and its thread pulls: `retrograde unfold`.";
-    for told in ["a stop came meanwhile", stays, left] {
+    for told in ["a stop came meanwhile", stays, STILL_FOLDED] {
         assert!(shown.contains(told), "{told}: {shown}");
     }
-    assert!(!bench.has_unfolded());
-    let campaign = whole(&path(&place, "c"));
-    let folded = campaign.state.trial(2).expect("there");
-    assert_eq!(folded.standing(), Standing::Done);
+    assert!(!bench.has_unfolded() && is_done(&at));
 }
 
 /// The stop ends the session, and the body has its displacement.
 #[test]
 fn a_stop_while_the_capsule_unfolds_ends_the_session_in_order() {
     let bench = Bench::new(Mishap::Stopped, "Unfold");
-    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
-    assert!(bench.has_unfolded());
-    let campaign = whole(&path(&place, "c"));
-    let folded = campaign.state.trial(2).expect("there");
-    assert_eq!(folded.standing(), Standing::Done, "{shown}");
+    let (shown, at) = session(&bench.connector(), 130, "-60");
+    assert!(bench.has_unfolded() && is_done(&at), "{shown}");
     let left = "left; everything that was entered is in";
     let told = "The capsule stands between its ends, and its thread may pull: `retrograde unfold`.";
     for said in [left, told] {
         assert!(shown.contains(said), "{said}: {shown}");
     }
-    assert_eq!(code, 130, "{shown}");
 }
 
 /// A capsule that may be moving still is no end in order.
 #[test]
 fn a_capsule_that_is_gone_while_it_unfolds_ends_the_session_with_an_error() {
     let bench = Bench::new(Mishap::Unplugged, "Unfold");
-    let (code, shown, place) = session(&bench.connector(), &[("Displacement of the tail", "-60")]);
-    assert_eq!(code, 4, "{shown}");
-    assert!(
-        shown.contains("it was unplugged: it MAY BE MOVING"),
-        "{shown}"
-    );
-    let campaign = whole(&path(&place, "c"));
-    let folded = campaign.state.trial(2).expect("there");
-    assert_eq!(folded.standing(), Standing::Done, "{shown}");
+    let (shown, at) = session(&bench.connector(), 4, "-60");
+    let told = "it was unplugged: it MAY BE MOVING";
+    assert!(shown.contains(told) && is_done(&at), "{shown}");
 }
 
 /// The line to a capsule that outlives the session.
@@ -388,8 +359,7 @@ fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
             let plan = CampaignPlan::parse(plan, Path::new("plan.toml")).expect("a plan");
             order(&plan)[0].shape == first
         };
-        let place = place(&plans.find(begins).expect("of a hundred"));
-        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let at = Place::of(&plans.find(begins).expect("of a hundred"));
         let bench = Kept::new();
         bench.moved(ActuationKind::Fold);
         let lines = [
@@ -399,12 +369,7 @@ fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
                 ("Displacement of the tail", "q"),
             ],
         ];
-        let (code, shown) = converse(
-            &bench.connector(),
-            &["run", &plan, "--out", &out],
-            lines.concat(),
-        );
-        assert_eq!(code, 130, "{shown}");
+        let shown = at.answered(&bench.connector(), 130, lines.concat());
         let is_motion = |line: &&str| line.contains("old the capsule.") || line.contains("anew.");
         let told: Vec<&str> = shown.lines().filter(is_motion).collect();
         assert_eq!(told, motions, "{shown}");
@@ -414,24 +379,17 @@ fn a_capsule_that_was_left_folded_is_folded_anew_for_a_folded_trial_only() {
 /// Somebody has unfolded it meanwhile, as they were told to: then nothing is left to do.
 #[test]
 fn a_capsule_that_is_unfolded_by_then_is_left_alone() {
-    let place = place(&fold_test());
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&fold_test());
     let bench = Kept::new();
     let lines = [
         &UP_TO_THE_FOLDED_ONE[..],
         &[("Displacement of the tail", "q")],
     ];
-    let (code, shown) = converse(
-        &bench.connector(),
-        &["run", &plan, "--out", &out],
-        lines.concat(),
-    );
-    assert_eq!(code, 130, "{shown}");
+    let shown = at.answered(&bench.connector(), 130, lines.concat());
     assert!(shown.contains("The capsule is folded still"), "{shown}");
     bench.moved(ActuationKind::Unfold);
     let lines = vec![("Displacement of the tail", "-60")];
-    let (code, shown) = converse(&bench.connector(), &["run", &out], lines);
-    assert_eq!(code, 0, "{shown}");
+    let shown = at.answered(&bench.connector(), 0, lines);
     let log = bench.log.lock().expect("free");
     let unfolds = log.heard.iter().filter(|heard| **heard == "Unfold");
     assert_eq!(unfolds.count(), 1, "{shown}");

@@ -17,7 +17,7 @@ use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Script, World, estop, link};
 
-use crate::campaign_run::{WIDTH, clamped, converse, path, place, small_plan, whole};
+use crate::campaign_run::{Place, WIDTH, clamped, small_plan};
 use crate::support::tool::{Memory, ready};
 
 /// A bench that is switched off while the first question waits, and is back after so many attempts to reach it.
@@ -107,6 +107,13 @@ impl Connector for Restarted {
     }
 }
 
+#[track_caller]
+fn nothing_moved(memory: &Memory) {
+    let heard = memory.heard();
+    let moved = heard.contains(&"Home") || heard.contains(&"Run");
+    assert!(!moved, "{heard:?}");
+}
+
 /// The answers up to the check-list of the first trial.
 const UP_TO_THE_TRIAL: [(&str, &str); 6] = [
     ("waited for even so", ""),
@@ -119,8 +126,7 @@ const UP_TO_THE_TRIAL: [(&str, &str); 6] = [
 
 #[test]
 fn the_same_machine_is_reached_again_where_it_is_needed() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let bench = Restarted::new(Script::new(DeviceKind::Rig), 1);
     let lines = [
         &UP_TO_THE_TRIAL[..],
@@ -132,14 +138,11 @@ fn the_same_machine_is_reached_again_where_it_is_needed() {
             ("Clamp both rollers", "q"),
         ],
     ];
-    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
-    assert_eq!(code, 130, "{shown}");
-    let campaign = whole(&out);
+    let shown = at.answered(&bench, 130, lines.concat());
+    let campaign = at.whole();
     let first = campaign.state.trial(1).expect("there");
-    assert_eq!(
-        (first.standing(), first.attempts.len()),
-        (Standing::Done, 1)
-    );
+    assert_eq!(first.standing(), Standing::Done);
+    assert_eq!(first.attempts.len(), 1);
     // The new session knows no position, so it homes.
     let heard = bench.then.heard();
     assert!(
@@ -152,8 +155,7 @@ fn the_same_machine_is_reached_again_where_it_is_needed() {
 /// Regression: the stop was thrown away with the old line, and the next Enter began the attempt.
 #[test]
 fn a_stop_that_came_while_the_machine_was_gone_holds_for_the_new_session() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let bench = Restarted {
         stopped: true,
         ..Restarted::new(Script::new(DeviceKind::Rig), 0)
@@ -165,13 +167,8 @@ fn a_stop_that_came_while_the_machine_was_gone_holds_for_the_new_session() {
             ("a stop came meanwhile: nothing begins", "q"),
         ],
     ];
-    let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines.concat());
-    assert_eq!(code, 130, "{shown}");
-    let heard = bench.then.heard();
-    assert!(
-        !heard.contains(&"Home") && !heard.contains(&"Run"),
-        "{heard:?}"
-    );
+    at.answered(&bench, 130, lines.concat());
+    nothing_moved(&bench.then);
 }
 
 #[test]
@@ -184,21 +181,15 @@ fn another_machine_is_named_and_nothing_moves() {
         (other, "rig identity uid is \"616e6f7468657220726967"),
         (changed, "rig settings link_timeout_ms is 2000, was 1000"),
     ] {
-        let place = place(&small_plan(&[]));
-        let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+        let at = Place::of(&small_plan(&[]));
         let bench = Restarted::new(then, 0);
         let lines = [&UP_TO_THE_TRIAL[..], &[("Trial 1 of 6", "")]].concat();
-        let (code, shown) = converse(&bench, &["run", &plan, "--out", &out], lines);
-        assert_eq!(code, 3, "{shown}");
+        let shown = at.answered(&bench, 3, lines);
         assert!(shown.contains(says), "{shown}");
-        let resume = format!("`retrograde campaign run {out}`");
+        let resume = format!("`retrograde campaign run {}`", at.out);
         assert!(shown.contains(&resume), "{shown}");
-        let heard = bench.then.heard();
-        assert!(
-            !heard.contains(&"Home") && !heard.contains(&"Run"),
-            "{heard:?}"
-        );
-        let campaign = whole(&out);
+        nothing_moved(&bench.then);
+        let campaign = at.whole();
         let first = campaign.state.trial(1).expect("there");
         assert_eq!(first.attempts.len(), 0, "no attempt has begun");
         assert_eq!(campaign.readings.sets[1].values.len(), 2, "{shown}");
@@ -213,11 +204,10 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
         running: Some((PAPER_RUN, 2_000_000)),
         ..Script::new(DeviceKind::Rig)
     };
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = Memory::with(vec![running.clone(), Script::new(DeviceKind::Capsule)]);
     let lines = vec![("rollers OFF", "q")];
-    let (_, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
+    let shown = at.answered(&memory, 130, lines);
     let told = "The rig was still moving, for nobody: it was stopped.";
     assert!(shown.contains(told), "{shown}");
     assert!(memory.heard().contains(&"Urgent"), "{:?}", memory.heard());
@@ -231,8 +221,7 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
             ("Displacement of the tail", "q"),
         ],
     ];
-    let (code, shown) = converse(&bench, &["run", &out], lines.concat());
-    assert_eq!(code, 130, "{shown}");
+    at.answered(&bench, 130, lines.concat());
     let heard = bench.then.heard();
     let place_of = |name| heard.iter().position(|heard| *heard == name);
     let stopped = place_of("Urgent").expect("it was stopped");
@@ -247,23 +236,17 @@ fn a_machine_that_moves_for_nobody_is_stopped_before_anything_else() {
 fn a_fault_is_told_before_the_rollers_move() {
     let mut faulted = Script::new(DeviceKind::Rig);
     faulted.world = estop(0);
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = Memory::with(vec![faulted, Script::new(DeviceKind::Capsule)]);
     let lines = [&WIDTH[..], &clamped("20.4"), &[("Trial 1 of 6", "")]].concat();
-    let (code, shown) = converse(&memory, &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 3, "{shown}");
+    let shown = at.answered(&memory, 3, lines);
     assert!(shown.contains("the rig has a fault: "), "{shown}");
     let words = shown.split_whitespace().collect::<Vec<_>>().join(" ");
-    let help =
-        format!("remove its cause, `retrograde ack rig`, then `retrograde campaign run {out}`");
+    let goes_on = format!("`retrograde campaign run {}`", at.out);
+    let help = format!("remove its cause, `retrograde ack rig`, then {goes_on}");
     assert!(words.contains(&help), "{shown}");
-    let heard = memory.heard();
-    assert!(
-        !heard.contains(&"Home") && !heard.contains(&"Run"),
-        "{heard:?}"
-    );
-    let outcome = whole(&out).state.trials[0].attempts[0].outcome;
+    nothing_moved(&memory);
+    let outcome = at.whole().state.trials[0].attempts[0].outcome;
     assert_eq!(outcome, Some(AttemptOutcome::Refused));
 }
 

@@ -5,7 +5,7 @@
 use std::fs;
 use std::path::Path;
 
-use crate::campaign_run::{machines, path, place};
+use crate::campaign_run::{Place, machines};
 use crate::support::plan::{PAPER, changed};
 use simulated_machines::machine::VIRTUAL_UID;
 
@@ -20,24 +20,11 @@ fn the_manuals_figures_are_those_of_a_virtual_campaign() {
             ("scatter_mm = 0 ", "scatter_mm = 1 "),
         ],
     );
-    let place = place(&plan);
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&plan);
     let memory = machines(Some(VIRTUAL_UID));
-    let (code, said, err) = memory.run(&[
-        "campaign",
-        "run",
-        &plan,
-        "--out",
-        &out,
-        "--yes",
-        "--rig",
-        "0",
-        "--capsule",
-        "1",
-    ]);
-    assert_eq!(code, 0, "{said}{err}");
+    at.unattended(&memory, 0, &["--yes"]);
     for name in ["figure7.svg", "figure8.svg"] {
-        let drawn = fs::read(Path::new(&out).join("report").join(name)).expect("a figure");
+        let drawn = fs::read(Path::new(&at.out).join("report").join(name)).expect("a figure");
         let picture = Path::new("../docs/pictures").join(name);
         if std::env::var_os("RETROGRADE_PICTURES").is_some() {
             fs::write(&picture, &drawn).expect("written");

@@ -6,7 +6,7 @@ use lab::operations::connector::Connector;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, link};
 
-use crate::campaign_run::{WIDTH, clamped, converse, path, place, small_plan, whole};
+use crate::campaign_run::{Place, WIDTH, clamped, small_plan};
 use crate::support::mishap::{Line, Mishap, Opened};
 
 /// A bench whose rig somebody stops once it has heard this request.
@@ -24,16 +24,14 @@ const LEFT: &str = "left; everything that was entered is in";
 
 #[test]
 fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let trial = [("Trial 1 of 6", "")];
     let lines = [&WIDTH[..], &clamped("20.4"), &trial].concat();
-    let (code, shown) = converse(&stopped_after("Run"), &["run", &plan, "--out", &out], lines);
-    assert_eq!(code, 130, "{shown}");
+    let shown = at.answered(&stopped_after("Run"), 130, lines);
     for told in ["  stopped: attempt 1 of trial 1 does not count", LEFT] {
         assert!(shown.contains(told), "{told}: {shown}");
     }
-    let campaign = whole(&out);
+    let campaign = at.whole();
     let first = campaign.state.trial(1).expect("there");
     assert_eq!(first.standing(), Standing::Open);
     let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();

@@ -10,10 +10,9 @@ use report::html;
 use serde_json::Value;
 use simulated_machines::machine::VIRTUAL_UID;
 
-use crate::campaign::{at, campaign, findings};
-use crate::campaign_run::{machines, path, place, small_plan};
+use crate::campaign::{at, campaign, findings, small};
+use crate::campaign_run::{Place, machines, small_plan};
 use crate::support::offline::{retrograde, text};
-use crate::support::tool::Memory;
 
 /// A folder with the record of one complete run, and its sidecar.
 fn record(place: &tempfile::TempDir) -> std::path::PathBuf {
@@ -113,9 +112,7 @@ fn a_lost_record_of_any_action_counts() {
 
 #[test]
 fn a_file_that_is_gone_has_one_finding() {
-    let place = tempfile::tempdir().expect("a folder");
-    let folder = place.path().join("small");
-    drop(campaign(&folder));
+    let (_place, folder) = small();
     for name in ["order.csv", "plan.toml", "trials.csv", "readings.csv"] {
         let kept = fs::read(folder.join(name)).expect("there");
         fs::remove_file(folder.join(name)).expect("there");
@@ -151,29 +148,15 @@ fn a_plan_that_is_none_is_told_before_anything_else() {
 fn a_refused_row_is_told_in_words() {
     let place = tempfile::tempdir().expect("a folder");
     let mut folder = campaign(&place.path().join("small"));
-    for (event, trial, attempt, says) in [
-        (
-            LedgerEvent::Skipped,
-            1,
-            None,
-            "trial 1 is done, not to be skipped",
-        ),
-        (
-            LedgerEvent::Ended,
-            1,
-            Some(1),
-            "trial 1 is done, not to be ended",
-        ),
-        (
-            LedgerEvent::Began,
-            1,
-            Some(2),
-            "trial 1 is done, not to be begun",
-        ),
+    for (event, attempt, what) in [
+        (LedgerEvent::Skipped, None, "skipped"),
+        (LedgerEvent::Ended, Some(1), "ended"),
+        (LedgerEvent::Began, Some(2), "begun"),
     ] {
-        let row = LedgerRow::of(event, trial, attempt);
-        let error = folder.append(row, at(100), Origin::Board).expect_err(says);
-        assert!(error.why.contains(says), "{error:?}");
+        let row = LedgerRow::of(event, 1, attempt);
+        let error = folder.append(row, at(100), Origin::Board).expect_err(what);
+        let says = format!("trial 1 is done, not to be {what}");
+        assert!(error.why.contains(&says), "{error:?}");
     }
 }
 
@@ -190,17 +173,16 @@ fn a_question_lists_what_it_takes() {
 /// Regression: whoever looked at a report in between was left with it at the end.
 #[test]
 fn the_report_of_a_finished_campaign_is_of_its_last_state() {
-    let place = place(&small_plan(&[]));
-    let (plan, out) = (path(&place, "plan.toml"), path(&place, "c"));
+    let at = Place::of(&small_plan(&[]));
     let memory = machines(Some(VIRTUAL_UID));
-    let run = |what: &str, more: &[&str]| go_on(&memory, what, more);
-    run(&plan, &["--out", &out, "--trials", "3"]);
-    let (code, _, err) = memory.run(&["report", &out]);
+    let run = |more: &[&str]| at.unattended(&memory, 0, &[&["--yes"], more].concat());
+    run(&["--trials", "3"]);
+    let (code, _, err) = memory.run(&["report", &at.out]);
     assert_eq!(code, 0, "{err}");
-    let page = Path::new(&out).join("report/report.html");
+    let page = Path::new(&at.out).join("report/report.html");
     let read = || fs::read_to_string(&page).expect("a page");
     let early = read();
-    let said = run(&out, &[]);
+    let said = run(&[]);
     assert!(
         said.contains("report.html, made anew, for it was of an earlier state"),
         "{said}"
@@ -208,38 +190,22 @@ fn the_report_of_a_finished_campaign_is_of_its_last_state() {
     let last = read();
     assert!(last != early && last.contains("Every trial of the plan counts."));
     // Nothing has changed since: a page with another band would be kept.
-    let said = run(&out, &[]);
+    let said = run(&[]);
     assert!(
         said.contains("report.html, of this state already"),
         "{said}"
     );
     assert_eq!(read(), last);
-    let (code, _, err) = memory.run(&["campaign", "edit", &out, "note", "21 degC"]);
+    let (code, _, err) = memory.run(&["campaign", "edit", &at.out, "note", "21 degC"]);
     assert_eq!(code, 0, "{err}");
-    let said = run(&out, &[]);
+    let said = run(&[]);
     assert!(said.contains("made anew") && read() != last, "{said}");
     // Somebody else's page.
     fs::write(&page, "<p>mine</p>").expect("written");
-    let said = run(&out, &[]);
+    let said = run(&[]);
     assert!(
         said.contains("is no report of this program: move it elsewhere"),
         "{said}"
     );
     assert_eq!(read(), "<p>mine</p>");
-}
-
-fn go_on(memory: &Memory, what: &str, more: &[&str]) -> String {
-    let line = [
-        "campaign",
-        "run",
-        what,
-        "--yes",
-        "--rig",
-        "0",
-        "--capsule",
-        "1",
-    ];
-    let (code, said, err) = memory.run(&[&line[..], more].concat());
-    assert_eq!(code, 0, "{said}{err}");
-    said
 }
