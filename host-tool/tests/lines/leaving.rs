@@ -123,42 +123,29 @@ fn a_server_that_leaves_stops_no_run_of_another_process() {
     run.wait().expect("ended");
 }
 
-/// Once, `move` said "stopping", then "emergency stop", and sent neither.
+/// Once, `move` said "stopping", then "emergency stop", and sent neither. A machine that does not confirm it is named.
 #[test]
 fn ctrl_c_stops_the_machine_while_a_command_waits_for_its_line() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let mut watch = bench.command(&["watch"]).spawn().expect("starts");
-    bench.wait_for("GetRigStatus");
-    kill(Signal::STOP, watch.id());
-    let mut waiting = bench
-        .command(&["move", "60", "--speed-mm-s", "20"])
-        .spawn()
-        .expect("starts");
-    has_begun(&mut waiting);
-    kill(Signal::INT, waiting.id());
-    let (code, out, err) = read(waiting.wait_with_output().expect("ended"));
-    watch.kill().expect("killed");
-    watch.wait().expect("ended");
-    assert_eq!(code, Some(130), "{out}{err}");
-    assert_eq!(bench.urgent(), [Urgent::Stop], "{out}{err}");
-    assert_eq!(bench.count("MoveTo"), 0, "{out}{err}");
-}
-
-/// The same at a machine that does not confirm it.
-#[test]
-fn ctrl_c_while_a_command_waits_for_its_line_says_when_it_is_not_confirmed() {
-    let bench = Bench::on_tcp_as(&deaf(), 1);
-    let mut watch = bench.command(&["watch"]).spawn().expect("starts");
-    bench.wait_for("GetRigStatus");
-    kill(Signal::STOP, watch.id());
-    let mut waiting = bench.command(&["home"]).spawn().expect("starts");
-    has_begun(&mut waiting);
-    kill(Signal::INT, waiting.id());
-    let (code, out, err) = read(waiting.wait_with_output().expect("ended"));
-    watch.kill().expect("killed");
-    watch.wait().expect("ended");
-    assert_eq!(code, Some(7), "{out}{err}");
-    assert!(err.contains("cut the motor supply NOW"), "{err}");
+    for (script, ends) in [(ready(DeviceKind::Rig), 130), (deaf(), 7)] {
+        let bench = Bench::on_tcp_as(&script, 1);
+        let mut watch = bench.command(&["watch"]).spawn().expect("starts");
+        bench.wait_for("GetRigStatus");
+        kill(Signal::STOP, watch.id());
+        let mut command = bench.command(&["move", "60", "--speed-mm-s", "20"]);
+        let mut waiting = command.spawn().expect("starts");
+        has_begun(&mut waiting);
+        kill(Signal::INT, waiting.id());
+        let (code, out, err) = read(waiting.wait_with_output().expect("ended"));
+        watch.kill().expect("killed");
+        watch.wait().expect("ended");
+        assert_eq!(code, Some(ends), "{out}{err}");
+        assert_eq!(bench.count("MoveTo"), 0, "{out}{err}");
+        if ends == 130 {
+            assert_eq!(bench.urgent(), [Urgent::Stop], "{out}{err}");
+        } else {
+            assert!(err.contains("cut the motor supply NOW"), "{err}");
+        }
+    }
 }
 
 /// Whoever leaves between two steps is told, too, when the stop that goes with it is not confirmed.

@@ -480,26 +480,6 @@ fn a_stop_finds_the_door_without_its_owner_file() {
 }
 
 #[test]
-fn connections_that_do_nothing_keep_no_stop_out() {
-    let bench = Bench::on_tcp(DeviceKind::Rig);
-    let server = Server::start(&bench);
-    let idle: Vec<_> = (0..600).map(|_| server.connect()).collect();
-    let streams: Vec<_> = (0..300)
-        .map(|_| {
-            let mut stream = server.connect();
-            let get = "GET /api/v1/stream HTTP/1.1\r\nHost: localhost\r\n\r\n";
-            stream.write_all(get.as_bytes()).expect("sent");
-            stream
-        })
-        .collect();
-    for kind in ["stop", "estop", "stop"] {
-        let (status, text) = server.stop(kind);
-        assert_eq!(status, 200, "{text}");
-    }
-    drop((idle, streams));
-}
-
-#[test]
 fn a_refused_connection_is_closed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let server = Server::start(&bench);
