@@ -367,11 +367,8 @@ fn a_trial_goes_through_its_standings() {
         row.source = Some(Source::Measured);
         row.text = Some("slipped".to_owned());
         state.apply(&row).expect("possible");
-        assert_eq!(
-            state.trial(1).expect("there").standing(),
-            standing,
-            "{event:?}"
-        );
+        let trial = state.trial(1).expect("there");
+        assert_eq!(trial.standing(), standing, "{event:?}");
         state.next().expect("more to do").planned.trial
     };
     use Standing::{Done, Excluded, Open, Skipped, UnderWay, Unmeasured};
@@ -381,15 +378,8 @@ fn a_trial_goes_through_its_standings() {
         assert_eq!(next, 1, "it is still to be done");
     }
     step(LedgerEvent::Began, 6, None, UnderWay);
-    assert_eq!(
-        step(
-            LedgerEvent::Ended,
-            6,
-            Some(AttemptOutcome::Complete),
-            Unmeasured
-        ),
-        1
-    );
+    let complete = Some(AttemptOutcome::Complete);
+    assert_eq!(step(LedgerEvent::Ended, 6, complete, Unmeasured), 1);
     assert_eq!(step(LedgerEvent::Displacement, 6, None, Done), 2);
     assert_eq!(step(LedgerEvent::Undone, 6, None, Unmeasured), 1);
     step(LedgerEvent::Displacement, 6, None, Done);
@@ -605,21 +595,12 @@ fn a_folder_is_read_back_as_it_was_written() {
     assert_eq!(read, *written.campaign());
     assert_eq!(findings(&path), Vec::<String>::new());
     let verified = verify(&path).expect("a folder");
-    assert_eq!(
-        (verified.campaign, verified.files, verified.records),
-        (true, 10, 3)
-    );
-    assert_eq!(
-        read.state
-            .trial(3)
-            .and_then(|trial| trial.counted())
-            .map(|mm| mm.value),
-        Some(mm("-0.25"))
-    );
-    assert_eq!(
-        read.state.trial(2).expect("there").notes,
-        ["a \"note\", with a comma"]
-    );
+    assert!(verified.campaign);
+    assert_eq!((verified.files, verified.records), (10, 3));
+    let trial = |number| read.state.trial(number).expect("there");
+    let counted = trial(3).counted().map(|mm| mm.value);
+    assert_eq!(counted, Some(mm("-0.25")));
+    assert_eq!(trial(2).notes, ["a \"note\", with a comma"]);
     // Only one process may write.
     let error = Folder::resume(&path, at(0)).err().expect("locked");
     assert!(error.why.contains("another process"), "{}", error.why);
