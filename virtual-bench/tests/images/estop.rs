@@ -5,11 +5,15 @@ use jiff::Timestamp;
 use lab::trials::trial::{Recording, Status};
 use lab::trials::{check, experiment};
 
-use crate::common::{Dice, faulted, home_quickly, quick, quickly_homed, rig};
+use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
 use protocol::rig::{RigFault, RigState, RunOutcome};
+use protocol::system::Urgent;
 use virtual_bench::{
     faults::When,
-    plants::{contact::TO_PIN_NS, rig::Action},
+    plants::{
+        contact::TO_PIN_NS,
+        rig::{Action, Switch},
+    },
 };
 
 const SEED: u64 = 0x5EED_E570;
@@ -140,4 +144,37 @@ fn an_estop_outlives_a_reset() {
     rig.device.acknowledge().expect("the cause is gone");
     rig.home();
     rig.check_clean(1);
+}
+
+/// The other fault keeps its name until the reset, and the emergency stop outlives it: by a frame, or by the loop, which
+/// is closed again by then.
+#[test]
+fn an_estop_in_another_fault_outlives_a_reset() {
+    for by_frame in [true, false] {
+        let what = format!("by frame: {by_frame}");
+        let mut rig = quickly_homed();
+        let number = rig.edge_count() as u64 + 3_000;
+        rig.look(move |rig| rig.plan(When::Edge(number), Action::Stick(Switch::Far, Some(true))));
+        faulted(&mut rig, paper(1), RigFault::FarLimit, &what);
+        rig.act(Action::Stick(Switch::Far, None));
+        let fault = if by_frame {
+            rig.device.urgent(Urgent::EStop).expect(&what);
+            RigFault::EStopFrame
+        } else {
+            rig.act(Action::EStop(true));
+            rig.pass(100_000);
+            rig.act(Action::EStop(false));
+            rig.pass(100_000);
+            RigFault::EStopLoop
+        };
+        assert_eq!(rig.status().fault, Some(RigFault::FarLimit), "{what}");
+        rig.bench.reset().expect(&what);
+        rig.pass(500_000);
+        rig.device.hello(2).expect(&what);
+        assert_eq!(rig.status().fault, Some(fault), "{what}");
+        assert!(rig.device.home().is_err(), "it has to be acknowledged");
+        rig.device.acknowledge().expect(&what);
+        rig.home();
+        rig.check_clean(1);
+    }
 }

@@ -14,9 +14,9 @@ use crate::common::{
 };
 use protocol::{
     error::Refusal,
-    rig::{RigFault, RigState, Run, RunOutcome, RunTiming},
+    rig::{MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
     settings::{FactoryReset, GetSetting, Setting, SettingKey},
-    system::{DeviceKind, ResetCause},
+    system::{DeviceKind, ResetCause, Urgent},
     table::Telemetry,
 };
 use virtual_bench::bench::{Bench, BenchOptions};
@@ -205,6 +205,59 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
     let homed = rig.device.wait_homing(&accepted, &mut Unobserved);
     let homed = homed.expect(&what);
     assert_eq!((homed.shift_steps, rig.carriage()), (residual, 0), "{what}");
+}
+
+/// The flag opens while the rig brakes for a stop: the count is wrong all the same.
+#[test]
+fn steps_that_were_lost_before_a_stop_are_found() {
+    let mut rig = rig_with(RigOptions::default());
+    home_quickly(&mut rig);
+    rig.home();
+    let before = rig.edge_count();
+    let lost_at = before as u64 + 1_000;
+    rig.look(move |rig| rig.plan(When::Edge(lost_at), Action::LoseSteps(64)));
+    let run = quick(1, 4_000, 20_000, 500_000);
+    rig.device.run(run).expect("the run is accepted");
+    // Step 1,000 of 3,200 on the way home. It brakes over 160 steps, begins within 150, and meets the flag at 864.
+    while rig.edge_count() < before + 3_200 + 2_200 {
+        rig.idle(500);
+    }
+    rig.device.urgent(Urgent::Stop).expect("it is heard");
+    rig.idle(100_000);
+    let status = rig.status();
+    let fault = RigFault::LostSteps { residual_steps: 64 };
+    assert_eq!((status.fault, status.homed), (Some(fault), false));
+}
+
+/// Regression: noise on the read-back at rest moved the counter, and every motion after it went as much too far, up to
+/// the far end and beyond.
+#[test]
+fn a_count_that_noise_has_moved_at_rest_is_a_fault_before_anything_moves() {
+    let mut rig = homed();
+    let first = rig.edge_count();
+    for _ in 0..9 {
+        rig.act(Action::ReadBack(Fault::Spike(1_000)));
+        rig.pass(100);
+    }
+    let to = MoveTo {
+        position_um: 0,
+        speed_um_s: 10_000,
+    };
+    let (commanded, counted) = (0, -9);
+    let fault = RigFault::ReadBack { commanded, counted };
+    match rig.device.call(to) {
+        Err(ClientError::Refused { refusal, .. }) => {
+            assert_eq!(refusal, Refusal::RigFaulted(fault));
+        }
+        other => panic!("{other:?}"),
+    }
+    let status = rig.status();
+    assert_eq!((status.fault, status.homed), (Some(fault), false));
+    rig.pass(100_000);
+    assert_eq!(rig.edge_count(), first);
+    rig.device.acknowledge().expect("acknowledged");
+    rig.home();
+    rig.check_clean(0);
 }
 
 /// Cuts the jumper at rest or at an edge, on the way out and on the way back. The carriage must stop long before the
