@@ -22,7 +22,6 @@
 extern crate std;
 
 pub mod body;
-pub mod chance;
 pub mod folded;
 pub mod kinematics;
 pub mod model;

@@ -1,21 +1,21 @@
 //! Random choices from a seed.
 
-use locomotion::chance::SplitMix64;
-
-/// Choices that depend on the seed alone, for ever: a campaign goes on in the order that was drawn.
+/// SplitMix64 (Steele, Lea, Flood 2014). The seed gives the same choices for ever, so that a campaign goes on in the
+/// order that was drawn; no general-purpose crate promises that across its versions.
 #[derive(Clone, Debug)]
-pub struct Chance(SplitMix64);
+pub struct Chance(u64);
 
 impl Chance {
-    /// The choices of this seed.
-    #[must_use]
     pub const fn new(seed: u64) -> Self {
-        Self(SplitMix64::new(seed))
+        Self(seed)
     }
 
-    /// 64 random bits.
     pub fn bits(&mut self) -> u64 {
-        self.0.bits()
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
     }
 
     /// A uniform number below `bound`; 0 if `bound` is 0.
