@@ -4,7 +4,6 @@
 //! * [`design`]: every number of one origami, beside the paper's requirements.
 //! * [`series`]: the paper's series and free sweeps, in parallel, in order.
 //! * [`model_file`]: reading and writing models, and their descriptions.
-//! * [`virtual_displacement`]: displacements of the virtual bench.
 //! * [`snapshots`]: wall and body at several moments.
 //! * [`charts`]: the series as figures, beside the numbers in the paper's text.
 //! * [`drawing`]: drawings to scale, in millimetres.
@@ -20,4 +19,3 @@ pub mod series;
 pub mod snapshots;
 pub mod table;
 pub mod values;
-pub mod virtual_displacement;

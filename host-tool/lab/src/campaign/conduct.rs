@@ -2,7 +2,7 @@
 //! operator leaves. Writes each result to the folder before the next step begins.
 
 mod displacement;
-pub mod modelled;
+mod modelled;
 mod reach;
 mod readings;
 mod trial;
@@ -22,7 +22,6 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 
 use crate::campaign::CampaignError;
-use crate::campaign::conduct::modelled::DisplacementModel;
 use crate::campaign::folder::Folder;
 use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
 use crate::campaign::prompts::{self, Answer, Halt, Question};
@@ -36,7 +35,6 @@ pub type Connect<'a> = dyn FnMut(DeviceKind) -> Result<Device, String> + 'a;
 
 /// Shows text to the operator and asks for answers.
 pub trait Desk {
-    /// Shows a line.
     fn say(&mut self, text: &str);
     /// Waits for an answer. Calls `keep_alive` several times a second meanwhile.
     ///
@@ -53,18 +51,13 @@ pub trait Desk {
     fn observer(&mut self) -> Box<dyn Observer + '_>;
     /// The keys that hold and resume a run, if there are any.
     fn pacer(&mut self) -> Option<Pacer>;
-    /// The time of day.
     fn now(&self) -> Timestamp;
 }
 
-/// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// All trials are done.
     Through,
-    /// The requested number of trials is done.
     Enough,
-    /// The operator left.
     Left,
 }
 
@@ -80,21 +73,13 @@ pub enum Broken {
     /// A motion did not end as planned.
     #[error("{action} ended as {status:?}")]
     Ended {
-        /// Name of the motion.
         action: &'static str,
-        /// How it ended.
         status: Status,
-        /// The fault, if there was one.
         reason: Option<String>,
     },
     /// A machine is in a state in which no trial can begin.
     #[error("{why}")]
-    NotReady {
-        /// The reason.
-        why: String,
-        /// Advice.
-        help: String,
-    },
+    NotReady { why: String, help: String },
 }
 
 impl From<ClientError> for Broken {
@@ -165,9 +150,6 @@ pub struct Machines {
 
 impl Machines {
     /// Asks the machines for their identities and settings.
-    ///
-    /// # Errors
-    /// As [`Device::call`].
     pub fn new(
         rig: Device,
         capsule: Option<Device>,
@@ -216,9 +198,6 @@ impl Machines {
 
     /// Stops every motion that is still going on. Such a motion belongs to an attempt that the tool has left, which
     /// the ledger lists as lost. Returns the machines stopped.
-    ///
-    /// # Errors
-    /// As [`Device::urgent`] and [`Device::call`].
     pub fn come_to_rest(&mut self) -> Result<Vec<&'static str>, ClientError> {
         let mut stopped = vec![];
         let state = self.rig.rig_status()?.state;
@@ -264,12 +243,10 @@ impl Machines {
     }
 }
 
-/// A session at a campaign.
 pub struct Conduct<'a> {
     folder: &'a mut Folder,
     machines: &'a mut Machines,
     desk: &'a mut dyn Desk,
-    model: &'a dyn DisplacementModel,
     connect: &'a mut Connect<'a>,
     /// Whether a machine did not answer while a question waited, and was not reached since.
     gone: bool,
@@ -295,14 +272,12 @@ impl<'a> Conduct<'a> {
         folder: &'a mut Folder,
         machines: &'a mut Machines,
         desk: &'a mut dyn Desk,
-        model: &'a dyn DisplacementModel,
         connect: &'a mut Connect<'a>,
     ) -> Self {
         Self {
             folder,
             machines,
             desk,
-            model,
             connect,
             gone: false,
             camera: None,
@@ -311,9 +286,6 @@ impl<'a> Conduct<'a> {
     }
 
     /// Continues the campaign where it stands, with at most `attempts` new attempts.
-    ///
-    /// # Errors
-    /// [`Broken`].
     pub fn carry_out(&mut self, attempts: Option<u32>) -> Result<Ending, Broken> {
         let ended = self.go_on(attempts);
         let sealed = self.folder.seal();

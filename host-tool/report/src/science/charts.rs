@@ -42,7 +42,6 @@ fn line<R>(
     curve(label, colour, Mark::Line(width), points)
 }
 
-/// Colour of a curve in a family, from light to dark.
 fn shade(index: usize, count: usize) -> RGBColor {
     let part = index as f64 / (count.max(2) - 1) as f64;
     let mix = |light: f64, dark: f64| (light + (dark - light) * part).round() as u8;

@@ -20,7 +20,6 @@ pub const CAPSULE_MM: f64 = 13.0;
 /// The design squeezed by one indentation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Squeezed {
-    /// Indentation a, mm.
     pub indentation_mm: f64,
     /// Eq. (4): psi, mm.
     pub spacing_mm: f64,
@@ -74,7 +73,6 @@ pub struct Best {
     pub reason: &'static str,
 }
 
-/// All numbers of a design.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Report {
     pub width_mm: f64,
@@ -114,7 +112,6 @@ pub struct Report {
     pub rules: Vec<RuleRow>,
     /// None if this beta leaves no alpha that is known to work.
     pub best_alpha: Option<Best>,
-    /// The error in the paper's Eq. (6).
     pub equation_6: Equation6,
 }
 

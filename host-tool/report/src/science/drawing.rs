@@ -30,7 +30,6 @@ pub const KINEMATICS: &str =
 /// A point, mm: x to the right, y downward.
 pub type Point = (f64, f64);
 
-/// An SVG under construction.
 pub struct Drawing {
     width_mm: f64,
     height_mm: f64,
@@ -38,7 +37,6 @@ pub struct Drawing {
 }
 
 impl Drawing {
-    /// An empty sheet of this size.
     pub fn new(width_mm: f64, height_mm: f64) -> Self {
         Self {
             width_mm,
@@ -58,7 +56,6 @@ impl Drawing {
         )
     }
 
-    /// Appends an element. Cannot fail: it writes to a string.
     fn put(&mut self, element: std::fmt::Arguments<'_>) {
         let _ = self.body.write_fmt(element);
         self.body.push('\n');
@@ -72,12 +69,10 @@ impl Drawing {
         ));
     }
 
-    /// Ends a group.
     pub fn close(&mut self) {
         self.put(format_args!("</g>"));
     }
 
-    /// A straight line.
     pub fn line(&mut self, class: &str, (x1, y1): Point, (x2, y2): Point) {
         let [x1, y1, x2, y2] = [x1, y1, x2, y2].map(Mm);
         self.put(format_args!(
@@ -85,7 +80,6 @@ impl Drawing {
         ));
     }
 
-    /// A closed shape.
     pub fn polygon(&mut self, class: &str, points: &[Point]) {
         self.put(format_args!(
             "<polygon class=\"{class}\" points=\"{}\"/>",
@@ -93,7 +87,6 @@ impl Drawing {
         ));
     }
 
-    /// An open line through points.
     pub fn polyline(&mut self, class: &str, points: &[Point]) {
         self.put(format_args!(
             "<polyline class=\"{class}\" points=\"{}\"/>",
@@ -154,7 +147,6 @@ impl Drawing {
         self.text(anchor, (x + aside, middle), text);
     }
 
-    /// Draws a body about the axis y = 0.
     pub fn body(&mut self, body: &Body) {
         let root = body.core_mm / 2.0;
         for crescent in &body.crescents {
@@ -210,11 +202,9 @@ pub struct Crescent {
     /// Distance of the tip from the axis, mm.
     #[serde(skip)]
     pub reach_mm: f64,
-    /// Its indentation, mm.
     pub indentation_mm: f64,
 }
 
-/// A body at its position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     core_mm: f64,
@@ -224,9 +214,6 @@ pub struct Body {
 
 impl Body {
     /// A body of crescents with these indentations, tail first.
-    ///
-    /// # Errors
-    /// An indentation that the design does not allow.
     pub fn new(
         design: &Design<f64>,
         core_tail_mm: f64,
@@ -252,9 +239,6 @@ impl Body {
     }
 
     /// The body of a model's chain.
-    ///
-    /// # Errors
-    /// None for the chain of this design.
     pub fn of(design: &Design<f64>, chain: &Chain) -> Result<Self, OutOfRange> {
         Self::new(design, chain.core_tail_mm(), chain.indentations_mm())
     }

@@ -7,22 +7,17 @@ use toml::{Table, Value as Item};
 
 use crate::figures::ModelName;
 
-/// Why a model cannot be built from the given values.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ModelError {
-    /// The file is not valid TOML.
     #[error("it cannot be read: {0}")]
     Syntax(String),
-    /// No body has this name.
     #[error("there is no body {0:?}: choose {names}", names = names())]
     Body(String),
-    /// No parameter has this name.
     #[error("there is no parameter {0}{near}", near = near(.0))]
     Unknown(String),
     /// The parameter cannot take this value.
     #[error("{key}: {why}")]
     Unsuitable { key: &'static str, why: Unsuitable },
-    /// Two keys set the same parameter.
     #[error("{0} and {1} set the same: give one of them")]
     Twice(&'static str, &'static str),
 }
@@ -57,7 +52,6 @@ fn near(key: &str) -> String {
     }
 }
 
-/// A value as it was written.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Given {
     Number(f64),
@@ -74,10 +68,8 @@ impl From<&str> for Given {
 /// A parameter and the value written for it.
 pub type Choice = (&'static Setting, Given);
 
-/// Content of a model file.
 #[derive(Clone, Debug, Default)]
 pub struct ModelFile {
-    /// The body that it starts from.
     pub body: Option<String>,
     pub choices: Vec<Choice>,
 }
@@ -86,9 +78,6 @@ pub struct ModelFile {
 const FROM_BODY: &str = "from_body";
 
 /// Reads a model file: `from_body = "one"`, and sections with the keys of the parameters. Refuses unknown keys.
-///
-/// # Errors
-/// [`ModelError`]; ranges are checked by [`Model::check`].
 pub fn read(text: &str) -> Result<ModelFile, ModelError> {
     let table: Table = text
         .parse()
@@ -125,9 +114,6 @@ fn choice(key: &str, item: Item) -> Result<Choice, ModelError> {
 }
 
 /// A named body with some values replaced. Does not check ranges; [`Model::check`] does.
-///
-/// # Errors
-/// No such body, a value that its parameter cannot take, one parameter set by two keys.
 pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
     let mut model = Model::named(body).ok_or_else(|| ModelError::Body(body.to_owned()))?;
     for (setting, given) in choices {
@@ -150,7 +136,6 @@ pub fn build(body: &str, choices: &[Choice]) -> Result<Model, ModelError> {
     Ok(model)
 }
 
-/// Writes a model; [`read`] restores it bit for bit.
 pub fn write(model: &Model) -> String {
     let mut text = format!(
         "# Origin: {}\n# `retrograde simulate --model` reads this file. What is left out is that of the body.\n\
@@ -219,7 +204,6 @@ pub fn short_origin(model: &Model) -> String {
     format!("model {}{}", model.name, changes(model, ""))
 }
 
-/// Name of the model in a figure.
 pub fn name(model: &Model) -> ModelName {
     let changes = changes(model, ", a fit to words");
     ModelName {

@@ -1,6 +1,7 @@
 //! The paper's series and free sweeps. The runs are independent, so any number of threads gives the same rows in the
 //! same order, bit for bit.
 
+use lab::campaign::plan::Lubrication;
 use locomotion::model::{Model, Setting, Value};
 use locomotion::paper::{INDENTATIONS_MM, frictions, pressures_pa};
 use locomotion::range::OutOfRange;
@@ -13,19 +14,18 @@ use crate::science::model_file::ModelError;
 
 /// The pressure of the paper's friction series, Pa (section II.B).
 pub const FRICTION_SERIES_PA: f64 = 7000.0;
-/// Friction of a lubricated and of a dry intestine: the ends of the paper's range \[assumed\].
-pub const LUBRICATION: [(&str, f64); 2] = [("with", 0.08), ("without", 0.20)];
+/// Friction with and without lubrication.
+pub const LUBRICATION: [(&str, f64); 2] = [
+    ("with", Lubrication::Lubricated.friction()),
+    ("without", Lubrication::Dry.friction()),
+];
 
-/// A pool of threads.
 pub struct Workers {
     pool: rayon::ThreadPool,
 }
 
 impl Workers {
     /// A pool of `threads` threads, by default one per core.
-    ///
-    /// # Errors
-    /// The system provides no threads.
     pub fn new(threads: Option<u16>) -> Result<Self, rayon::ThreadPoolBuildError> {
         let threads = threads.map_or(0, usize::from);
         let pool = rayon::ThreadPoolBuilder::new()
@@ -58,7 +58,6 @@ impl Workers {
     }
 }
 
-/// Parameters of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
     pub friction: f64,
@@ -101,16 +100,12 @@ pub struct TubeMoment {
     pub head_displacement_mm: f64,
 }
 
-/// A simulated run in the tube.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TubeRun {
-    /// From the start to the end.
     pub course: Vec<TubeMoment>,
-    /// The end.
     pub end: TubeRow,
 }
 
-/// The end of a run in the tube.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct TubeRow {
     pub friction: f64,
@@ -129,9 +124,6 @@ pub struct TubeRow {
 }
 
 /// Simulates runs in the tube from all placements, and takes their mean.
-///
-/// # Errors
-/// A friction or a pressure that the model does not cover.
 pub fn tube_run(mut params: tube::Params, case: &Case) -> Result<TubeRun, OutOfRange> {
     params.body.friction = case.friction;
     let start = TubeMoment {
@@ -185,7 +177,6 @@ pub fn beside_the_paper(runs: &[TubeRun]) -> Vec<TubeRow> {
     runs.iter().map(row).collect()
 }
 
-/// A simulated run on the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RollerRow {
     /// `with` or `without` for the frictions of the paper's two series; else empty.
@@ -200,9 +191,6 @@ pub struct RollerRow {
 }
 
 /// Simulates one run on the rig.
-///
-/// # Errors
-/// A friction or an indentation that the model does not cover.
 pub fn roller_run(mut params: roller::Params, case: &Case) -> Result<RollerRow, OutOfRange> {
     params.body.friction = case.friction;
     let mut body = roller::UnfoldedBody::new(params, case.load)?;
@@ -219,7 +207,6 @@ pub fn roller_run(mut params: roller::Params, case: &Case) -> Result<RollerRow, 
     })
 }
 
-/// A parameter of the model that a sweep varies.
 #[derive(Clone, Debug)]
 pub struct Axis {
     pub setting: &'static Setting,
@@ -230,9 +217,6 @@ pub struct Axis {
 pub type Variant = (Model, Map<String, serde_json::Value>);
 
 /// A model for each combination of the axes' values; the last axis varies fastest.
-///
-/// # Errors
-/// A value that its parameter cannot take, whatever the others are.
 pub fn variants(model: &Model, axes: &[Axis]) -> Result<Vec<Variant>, ModelError> {
     let mut all = vec![(*model, Map::new())];
     for Axis { setting, values } in axes {
@@ -259,7 +243,6 @@ pub fn variants(model: &Model, axes: &[Axis]) -> Result<Vec<Variant>, ModelError
     Ok(all)
 }
 
-/// A run of a sweep.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SweepRow<R> {
     #[serde(flatten)]
@@ -267,7 +250,6 @@ pub struct SweepRow<R> {
     /// Pressure, Pa, or indentation, mm.
     #[serde(skip)]
     pub load: f64,
-    /// Displacement, mm.
     #[serde(skip)]
     pub mm: f64,
     #[serde(flatten)]
@@ -287,7 +269,6 @@ impl<R> SweepRow<R> {
     }
 }
 
-/// A moment of the fold test.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct FoldRow {
     /// Distance travelled by the carriage, mm.
@@ -315,9 +296,6 @@ pub struct FoldTest {
 const FOLD_ROW_MM: f64 = 5.0;
 
 /// The fold test of section III.A, by default with the model's thread drawn in.
-///
-/// # Errors
-/// A thread or an indentation that the models do not cover.
 pub fn fold_test(
     model: &Model,
     indentation_mm: f64,

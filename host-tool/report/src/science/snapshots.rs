@@ -20,7 +20,6 @@ const STROKES: [f64; 6] = [0.0, 0.25, 0.5, 0.75, 1.0, 10.0];
 /// Distance between two points of a drawn wall, mm.
 const WALL_STEP_MM: f64 = 0.5;
 
-/// One picture.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Snapshot {
     /// Label of the column: pressure or indentation.
@@ -34,7 +33,6 @@ pub struct Snapshot {
     pub roller_mm: Option<f64>,
 }
 
-/// All pictures of one model, column by column.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Strip {
     /// `tube` or `roller`.
@@ -43,7 +41,6 @@ pub struct Strip {
     pub coupling: f64,
     /// Half the width of the intestine at rest, mm.
     pub half_width_mm: f64,
-    /// Columns of pictures from the first moment to the last.
     pub columns: Vec<Vec<Snapshot>>,
 }
 
@@ -56,7 +53,6 @@ pub struct SnapshotRow {
     pub case: String,
     /// Label of the row: time or travel.
     pub moment: String,
-    /// Number of the crescent, 1 at the tail.
     pub crescent: usize,
     #[serde(flatten)]
     pub place: Crescent,
@@ -156,7 +152,6 @@ fn wall(length_mm: f64, at: impl Fn(f64) -> f64) -> Vec<Point> {
 }
 
 impl Strip {
-    /// Every crescent of every picture.
     pub fn rows(&self) -> Vec<SnapshotRow> {
         let mut rows = vec![];
         for snapshot in self.columns.iter().flatten() {

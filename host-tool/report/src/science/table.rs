@@ -6,17 +6,11 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 /// The rows as the bytes of a CSV file.
-///
-/// # Errors
-/// A row that is not a flat record.
 pub fn csv<T: Serialize>(rows: &[T]) -> Result<Vec<u8>, csv::Error> {
     written(rows, None)
 }
 
 /// As [`csv()`], with the origin of the values in a last column of each row.
-///
-/// # Errors
-/// As [`csv()`].
 pub fn csv_of<T: Serialize>(rows: &[T], origin: &str) -> Result<Vec<u8>, csv::Error> {
     written(rows, Some(origin))
 }

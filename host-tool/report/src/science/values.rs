@@ -5,7 +5,6 @@ use std::str::FromStr;
 
 use client::decimal;
 
-/// Most members of a list.
 pub const MOST: usize = 10_000;
 
 /// Decimals that a number may have.

@@ -4,7 +4,7 @@ use client::Device;
 use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 
-use crate::campaign::conduct::modelled::{Modelled, Wanted};
+use crate::campaign::conduct::modelled::{self, Modelled};
 use crate::campaign::conduct::{Broken, Conduct, Then};
 use crate::campaign::form::Form;
 use crate::campaign::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow, Source};
@@ -13,7 +13,6 @@ use crate::campaign::plan::Millimetres;
 use crate::campaign::prompts::{Answer, Question};
 
 impl Conduct<'_> {
-    /// Asks for the displacement of a completed attempt.
     pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
         let trial = planned.trial;
         let modelled = match self.machines.origin {
@@ -59,7 +58,6 @@ impl Conduct<'_> {
         Ok(Then::Look)
     }
 
-    /// Handles an answer that is not a value.
     fn instead(&mut self, planned: &Planned, attempt: u32, answer: Answer) -> Result<Then, Broken> {
         let trial = planned.trial;
         let mut ends = false;
@@ -105,7 +103,6 @@ impl Conduct<'_> {
         Ok(Then::Look)
     }
 
-    /// The modelled displacement.
     fn model(&self, planned: &Planned, attempt: u32) -> Result<Modelled, Broken> {
         let campaign = self.folder.campaign();
         let sidecar = campaign
@@ -116,13 +113,7 @@ impl Conduct<'_> {
             .trial(planned.trial)
             .and_then(|trial| trial.attempt()?.indentation_mm)
             .map_or(0.0, Millimetres::mm);
-        let modelled = self.model.displacement(&Wanted {
-            plan: &campaign.plan,
-            planned,
-            attempt,
-            indentation_mm: a_mm,
-            sidecar: &sidecar,
-        });
+        let modelled = modelled::displacement(&campaign.plan, planned, attempt, a_mm, &sidecar);
         modelled.map_err(|error| {
             let folder = Attempt::folder(planned.trial, attempt);
             Broken::NotReady {

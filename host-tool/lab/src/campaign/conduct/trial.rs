@@ -160,7 +160,6 @@ impl Conduct<'_> {
         }
     }
 
-    /// Makes all motions of an attempt.
     fn act(
         &mut self,
         planned: &Planned,
