@@ -29,10 +29,9 @@ use motion::axis::Axis;
 use protocol::system::DeviceKind;
 use report::html::campaign::{Present, present, report_folder};
 use report::html::{self, Existing};
-use report::science::virtual_displacement::Models;
 use serde_json::{Value, json};
 
-use crate::cli::failure::Own;
+use crate::cli::failure;
 use crate::cli::screen::Screen;
 
 /// Command named to other processes as the owner of the line.
@@ -202,7 +201,7 @@ pub(crate) fn campaign(
             carry_out(folder, &args.session, places, screen)
         }
         CampaignSubcommand::Status(args) => {
-            let campaign = Campaign::read(&args.folder).map_err(Own::from)?;
+            let campaign = Campaign::read(&args.folder).map_err(failure::campaign)?;
             for line in status(&campaign) {
                 screen.say(&line);
             }
@@ -247,7 +246,7 @@ impl<'a> PlanFile<'a> {
                 "give a plan, such as `examples/paper.toml`, or the folder of a campaign",
             )
         })?;
-        let plan = CampaignPlan::parse(&text, path).map_err(Own::from)?;
+        let plan = CampaignPlan::parse(&text, path).map_err(failure::campaign)?;
         Ok(Self { path, text, plan })
     }
 }
@@ -271,7 +270,7 @@ fn create(
             )
         })?;
     }
-    let folder = Folder::create(&out, &text, path).map_err(Own::from)?;
+    let folder = Folder::create(&out, &text, path).map_err(failure::campaign)?;
     let campaign = folder.campaign();
     screen.say(&format!(
         "Campaign {}: {} trials in {}, seed {}; {}.",
@@ -296,7 +295,7 @@ fn create(
 
 /// Opens a folder for writing. Reports what a killed session has left.
 fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
-    let (folder, told) = Folder::resume(path, places.connector.now()).map_err(Own::from)?;
+    let (folder, told) = Folder::resume(path, places.connector.now()).map_err(failure::campaign)?;
     for line in told {
         screen.say(&line);
     }
@@ -313,7 +312,7 @@ fn carry_out(
     if folder.campaign().state.next().is_some() {
         let ending = sit_down(&mut folder, session, places, screen)?;
         if ending == Ending::Left {
-            return Err(Own::Left { folder: path }.into());
+            return Err(failure::left(&path));
         }
     }
     let campaign = folder.campaign();
@@ -347,7 +346,7 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, F
         Present::Nothing => Existing::Keep,
         Present::Outdated => Existing::Replace,
     };
-    let written = html::campaign::write(folder, existing).map_err(Own::from)?;
+    let written = html::campaign::write(folder, existing).map_err(failure::report)?;
     screen.say(&match present {
         Present::Outdated => {
             format!("Report: {page_text}, made anew, for it was of an earlier state.")
@@ -407,23 +406,22 @@ fn sit_down(
         _ if session.yes => Who::Nobody(Box::new(plan)),
         Some(keyboard) => Who::person(keyboard, screen.single_keys),
         None => {
-            return Err(admit(session, screen)
-                .err()
-                .unwrap_or(Own::Left { folder: path }.into()));
+            let refused = admit(session, screen).err();
+            return Err(refused.unwrap_or_else(|| failure::left(&path)));
         }
     };
     let mut desk = Counter::new(screen, places, who);
     let mut connect = |kind| {
         let device = places.connect(kind, Purpose::Own(COMMAND));
-        device.map_err(|failure| failure.in_one_line())
+        device.map_err(|why| why.in_one_line())
     };
-    let ended = Conduct::new(folder, &mut machines, &mut desk, &Models, &mut connect)
-        .carry_out(session.trials);
+    let ended =
+        Conduct::new(folder, &mut machines, &mut desk, &mut connect).carry_out(session.trials);
     drop(desk);
     if let Err(Broken::Experiment(_)) = &ended {
         screen.hint(&again(&path, session.yes));
     }
-    ended.map_err(|broken| failure(broken, &again(&path, session.yes)))
+    ended.map_err(|broken| broken_off(broken, &again(&path, session.yes)))
 }
 
 /// The command that goes on with a campaign, in the way it was begun.
@@ -432,9 +430,9 @@ fn again(folder: &Path, yes: bool) -> String {
     format!("`retrograde campaign run {}{yes}` goes on", word(folder))
 }
 
-fn failure(broken: Broken, again: &str) -> Failure {
+fn broken_off(broken: Broken, again: &str) -> Failure {
     match broken {
-        Broken::Campaign(error) => Own::from(error).into(),
+        Broken::Campaign(error) => failure::campaign(error),
         Broken::Experiment(error) => within_campaign(error).into(),
         Broken::Ended {
             action,
@@ -489,7 +487,6 @@ fn rank(campaign: &Campaign) -> impl Fn(&str) -> usize + '_ {
     |name| campaign.plan.rank(name).unwrap_or(usize::MAX)
 }
 
-/// Progress of a campaign, line by line.
 fn status(campaign: &Campaign) -> Vec<String> {
     let state = &campaign.state;
     let done = state
@@ -510,7 +507,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
         format!("Data: {origin}."),
     ];
     for tally in state.tallies(rank(campaign)) {
-        let values: Vec<_> = tally.counted.iter().map(|(_, mm)| mm.value).collect();
+        let values: Vec<_> = tally.counted.iter().map(|mm| mm.value).collect();
         let condition = &tally.condition;
         let mut line = format!(
             "  {:<9} {:<10} {:<8} {:<8} n = {} of {}",
@@ -581,14 +578,13 @@ fn left_out(trial: &TrialState) -> Vec<String> {
     lines
 }
 
-/// Summary for `--json`.
 fn summary(campaign: &Campaign) -> Value {
     let conditions: Vec<_> = campaign
         .state
         .tallies(rank(campaign))
         .into_iter()
         .map(|tally| {
-            let values: Vec<_> = tally.counted.iter().map(|(_, mm)| mm.value).collect();
+            let values: Vec<_> = tally.counted.iter().map(|mm| mm.value).collect();
             let some = Summary::of(&values);
             json!({
                 "condition": tally.condition,
@@ -627,7 +623,7 @@ fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result
     folder
         .append(row, places.connector.now(), origin)
         .and_then(|()| folder.seal())
-        .map_err(Own::from)?;
+        .map_err(failure::campaign)?;
     for line in status(folder.campaign()) {
         screen.say(&line);
     }
@@ -692,19 +688,6 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_command_that_goes_on_is_the_one_that_was_given() {
-        let folder = Path::new("study");
-        assert_eq!(
-            again(folder, false),
-            "`retrograde campaign run study` goes on"
-        );
-        assert_eq!(
-            again(folder, true),
-            "`retrograde campaign run study --yes` goes on"
-        );
-    }
-
     /// Regression: on a full disk a campaign advised `--out DIR`, which it refuses.
     #[test]
     fn a_full_disk_within_a_campaign_has_a_remedy_for_a_campaign() {
@@ -717,7 +700,7 @@ mod tests {
             },
         ] {
             let is_ended = matches!(error, ExperimentError::Unrecorded { .. });
-            let failure = failure(Broken::Experiment(error), "");
+            let failure = broken_off(Broken::Experiment(error), "");
             let text = failure.text();
             assert!(
                 !text.contains("--out") && text.contains("free space"),

@@ -16,14 +16,13 @@ use lab::commissioning::work::{Options, Work};
 use lab::commissioning::{procedure, step};
 use lab::operations::arguments::{DATA_FOLDER, MachineKind};
 use lab::operations::connector::Purpose;
-use lab::operations::failure::Failure;
+use lab::operations::failure::{FAULT, Failure, REFUSED, STOPPED};
 use lab::operations::interrupt;
 use lab::operations::places::Places;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use terminal::Terminal;
 
-use crate::cli::failure::{Own, Unfinished};
 use crate::cli::screen::Screen;
 
 /// Arguments of `commission`.
@@ -135,7 +134,7 @@ pub(crate) fn commission(
     }
     let names: Vec<_> = open.iter().map(|(step, _)| step.name).collect();
     Err(unfinished(
-        Unfinished::NotShown,
+        REFUSED,
         format!(
             "commissioning is not complete: {} of {} steps were not shown: {}",
             names.len(),
@@ -149,8 +148,8 @@ pub(crate) fn commission(
     ))
 }
 
-fn unfinished(ending: Unfinished, why: String, help: String) -> Failure {
-    Own::Commission { ending, why, help }.into()
+fn unfinished(exit_code: u8, why: String, help: String) -> Failure {
+    Failure::said("retrograde::commission", exit_code, why, help)
 }
 
 /// Stops what moves when the operator leaves, and waits for the confirmation.
@@ -218,7 +217,7 @@ fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(),
     match ended {
         Ok(Ending::Through) => Ok(()),
         Ok(Ending::Defect(step, why)) => Err(unfinished(
-            Unfinished::Defect,
+            FAULT,
             format!("{step}: {why}"),
             format!("mend it; {help}"),
         )),
@@ -227,10 +226,10 @@ fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(),
                 Some(step) => format!("left at the step {step}, which has no result"),
                 None => "left between two steps".to_owned(),
             };
-            Err(unfinished(Unfinished::Left, why, help))
+            Err(unfinished(STOPPED, why, help))
         }
         Err(Broken::Client(error)) => Err(error.into()),
         Err(Broken::Record(error)) => Err(error.into()),
-        Err(Broken::NoHands(why)) => Err(unfinished(Unfinished::Left, why, help)),
+        Err(Broken::NoHands(why)) => Err(unfinished(STOPPED, why, help)),
     }
 }

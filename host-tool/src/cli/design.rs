@@ -10,7 +10,7 @@ use report::science::{charts, drawing};
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Named;
-use crate::cli::failure::Own;
+use crate::cli::failure;
 use crate::cli::model::ModelArgs;
 use crate::cli::screen::Screen;
 
@@ -96,7 +96,8 @@ pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value
         screen.say(&format!("drawing:  {}", file.path().display()));
     }
     if let Some(file) = map {
-        let svg = charts::maps(&design::maps(&design, args.indentation_mm)?).map_err(Own::from)?;
+        let svg =
+            charts::maps(&design::maps(&design, args.indentation_mm)?).map_err(failure::figure)?;
         file.write(|out| out.write_all(svg.as_bytes()))?;
         screen.say(&format!("map:      {}", file.path().display()));
     }

@@ -12,7 +12,7 @@ use report::figures;
 use serde_json::{Value, json};
 
 use crate::cli::calculation::Named;
-use crate::cli::failure::Own;
+use crate::cli::failure;
 use crate::cli::screen::Screen;
 
 /// Arguments of `plan`.
@@ -59,7 +59,7 @@ pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Fa
     }
     if let Some(file) = plot {
         let planned = figures::planned(&summary.screw, &run, &summary.achieved);
-        let svg = figures::plan_figure(planned).map_err(Own::from)?;
+        let svg = figures::plan_figure(planned).map_err(failure::figure)?;
         file.write(|out| out.write_all(svg.as_bytes()))?;
         screen.say(&format!("plot:          {}", file.path().display()));
     }

@@ -9,7 +9,7 @@ use lab::operations::failure::Failure;
 use report::html::{self, Existing, campaign as campaign_report};
 use serde_json::{Value, json};
 
-use crate::cli::failure::Own;
+use crate::cli::failure;
 use crate::cli::screen::Screen;
 
 /// Arguments of `report`.
@@ -35,8 +35,8 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
         return report_campaign(folder, args, existing, screen);
     }
     let out = args.out.clone().unwrap_or_else(|| "report.html".into());
-    let found = html::find(&args.trials).map_err(Own::from)?;
-    let report = html::write(&found, &[], &out, existing).map_err(Own::from)?;
+    let found = html::find(&args.trials).map_err(failure::report)?;
+    let report = html::write(&found, &[], &out, existing).map_err(failure::report)?;
     let trials = match found.sidecars.len() {
         1 => "1 trial".to_owned(),
         n => format!("{n} trials"),
@@ -61,14 +61,11 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     let lost = found.left_out.iter().filter(|left| left.is_record).count();
     match (report.damaged.len(), lost) {
         (0, 0) => Ok(value),
-        (damaged, lost) => Err(Own::ReportDefects {
-            page: out,
-            defects: format!(
-                "trials that contradict themselves: {damaged}, records left out: {lost}"
-            ),
-            written: value,
+        (damaged, lost) => {
+            let defects =
+                format!("trials that contradict themselves: {damaged}, records left out: {lost}");
+            Err(failure::report_defects(&out, &defects, value))
         }
-        .into()),
     }
 }
 
@@ -98,7 +95,7 @@ fn report_campaign(
             format!("`retrograde report {folder}{force}`"),
         ));
     }
-    let written = campaign_report::write(folder, existing).map_err(Own::from)?;
+    let written = campaign_report::write(folder, existing).map_err(failure::report)?;
     screen.say(&format!(
         "{} of {} trials count; origin {}",
         written.counted, written.planned, written.origin
@@ -114,12 +111,15 @@ fn report_campaign(
     }
     match (written.findings.len(), written.defects) {
         (0, 0) => Ok(json!(written)),
-        (findings, defects) => Err(Own::ReportDefects {
-            page: written.page.clone(),
-            defects: format!(
+        (findings, defects) => {
+            let defects = format!(
                 "findings of `verify`: {findings}, trials whose records cannot be relied on: {defects}"
-            ),
-            written: json!(written),
-        }.into()),
+            );
+            Err(failure::report_defects(
+                &written.page,
+                &defects,
+                json!(written),
+            ))
+        }
     }
 }

@@ -19,7 +19,7 @@ use report::science::{charts, model_file, snapshots, table};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use crate::cli::failure::Own;
+use crate::cli::failure;
 use crate::cli::model::{ModelArgs, key_and_value};
 use crate::cli::screen::Screen;
 
@@ -425,7 +425,7 @@ impl Session<'_, '_> {
         let key = name.split('-').next().unwrap_or(name);
         self.series.insert(key.to_owned(), json!(rows));
         self.csv(&format!("{name}.csv"), rows)?;
-        let svg = svg.map_err(Own::from)?;
+        let svg = svg.map_err(failure::figure)?;
         self.file(&format!("{name}.svg"), &svg)
     }
 

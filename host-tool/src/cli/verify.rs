@@ -7,7 +7,7 @@ use lab::campaign::{CampaignError, manifest, verify as verification};
 use lab::operations::failure::Failure;
 use serde_json::{Value, json};
 
-use crate::cli::failure::Own;
+use crate::cli::failure;
 use crate::cli::screen::Screen;
 
 /// Arguments of `verify`.
@@ -20,25 +20,20 @@ pub struct VerifyArgs {
 
 pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let folder = &args.folder;
-    let verified = verification::verify(folder).map_err(Own::from)?;
+    let verified = verification::verify(folder).map_err(failure::campaign)?;
     let has_manifest = folder.join(manifest::NAME).exists();
     for finding in &verified.findings {
         screen.say(&format!("{finding}\n  remedy: {}", finding.remedy));
     }
     if !verified.findings.is_empty() {
-        return Err(Own::Changed {
-            folder: folder.clone(),
-            findings: verified.findings,
-        }
-        .into());
+        return Err(failure::changed(folder, &verified.findings));
     }
     if !has_manifest && verified.records == 0 {
-        return Err(Own::from(CampaignError::misuse(
+        return Err(failure::campaign(CampaignError::misuse(
             folder,
             format!("there is no {} and no record of a trial", manifest::NAME),
             "give the folder of a campaign, or of records",
-        ))
-        .into());
+        )));
     }
     let whole = verified.records - verified.unended.len();
     let unended = unended(&verified.unended);
