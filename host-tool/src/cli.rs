@@ -86,21 +86,6 @@ Examples:
 
 `retrograde man run | man -l -` shows the manual page of a subcommand.";
 
-/// Subcommands as `--help` shows them: a heading, and what stands below it.
-const GROUPS: [(&str, &[&str]); 5] = [
-    ("Look", &["doctor", "info", "health", "watch", "serve"]),
-    (
-        "Move",
-        &[
-            "home", "run", "move", "jog", "hold", "resume", "fold", "unfold", "capsule", "stop",
-            "estop", "ack",
-        ],
-    ),
-    ("Trials", &["campaign", "records", "verify", "report"]),
-    ("Model", &["plan", "design", "simulate"]),
-    ("Set up", &["commission", "settings", "completions", "man"]),
-];
-
 /// Global options that say where machines are.
 const PLACES: [&str; 3] = ["rig", "capsule", "baud"];
 /// Subcommands that reach no machine, so that their help does not show these.
@@ -270,7 +255,6 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
 }
 
 /// Whether a command line, with its environment, is meant for a virtual machine.
-#[must_use]
 pub fn is_virtual(args: &[OsString]) -> bool {
     let is_virtual = |given: &Given| given.address == Ok(Address::Virtual);
     parsed(args, true).is_ok_and(|cli| [cli.rig, cli.capsule].iter().flatten().any(is_virtual))
@@ -316,30 +300,17 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
         .mut_subcommands(with_negative_numbers)
 }
 
-/// The command line, with its subcommands in groups.
 fn command() -> clap::Command {
     let command = with_negative_numbers(Cli::command());
-    let mut help = "{about-with-newline}\n{usage-heading} {usage}\n".to_owned();
-    for (heading, names) in GROUPS {
-        help += &format!("\n{heading}:\n");
-        for name in names {
-            let about = command.find_subcommand(name).and_then(|of| of.get_about());
-            help += &format!("  {name:<15}  {}\n", about.unwrap_or_default());
-        }
-    }
-    help += "  help             Print this, or the help of a subcommand\n\nOptions:\n{options}{after-help}";
     // Hidden, but still taken: a script may give them to all commands.
     let hidden: Vec<_> = command
         .get_arguments()
         .filter(|argument| PLACES.contains(&argument.get_id().as_str()))
         .map(|argument| argument.clone().hide(true))
         .collect();
-    WITHOUT_MACHINES
-        .iter()
-        .fold(command, |command, name| {
-            command.mut_subcommand(name, |of| of.args(&hidden))
-        })
-        .help_template(help)
+    WITHOUT_MACHINES.iter().fold(command, |command, name| {
+        command.mut_subcommand(name, |of| of.args(&hidden))
+    })
 }
 
 fn run_in(
@@ -576,35 +547,6 @@ mod tests {
             .collect();
         for name in WITHOUT_MACHINES {
             assert!(known.iter().any(|known| known == name), "{name}");
-        }
-    }
-
-    #[test]
-    fn every_subcommand_is_in_one_group_and_on_one_line() {
-        let command = command();
-        let mut known: Vec<_> = command
-            .get_subcommands()
-            .map(|of| of.get_name().to_owned())
-            .collect();
-        let mut grouped: Vec<_> = GROUPS
-            .iter()
-            .flat_map(|(_, names)| names.iter().map(|name| (*name).to_owned()))
-            .collect();
-        known.sort();
-        grouped.sort();
-        assert_eq!(grouped, known);
-        let help = self::command().render_help().to_string();
-        for (_, names) in GROUPS {
-            for name in names {
-                let lines = help.lines().filter(|line| {
-                    line.strip_prefix("  ")
-                        .and_then(|line| line.strip_prefix(name))
-                        .is_some_and(|rest| rest.starts_with("  "))
-                });
-                let lines: Vec<_> = lines.collect();
-                assert_eq!(lines.len(), 1, "{name}");
-                assert!(lines[0].len() <= 100, "{name}: {}", lines[0]);
-            }
         }
     }
 }
