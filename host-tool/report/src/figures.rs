@@ -28,17 +28,13 @@ const LETTERS: i32 = 50;
 /// Mean width of a letter.
 const LETTER_WIDTH: i32 = 22;
 
-/// Why a figure could not be drawn.
 #[derive(Debug, thiserror::Error)]
 #[error("a figure could not be drawn: {0}")]
 pub struct FigureError(String);
 
-/// How a curve is drawn.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Mark {
-    /// A line of this width.
     Line(u32),
-    /// Dots of this radius.
     Dots(i32),
     /// Each pair of points is a line of this width.
     Segments(u32),
@@ -66,7 +62,6 @@ pub(crate) fn curve(
     }
 }
 
-/// One chart of a figure.
 pub(crate) struct Chart {
     pub(crate) x_label: &'static str,
     pub(crate) y_label: String,
@@ -124,7 +119,6 @@ pub fn run_figures(
     ])
 }
 
-/// Thread and motor current against time.
 pub fn actuation_figures(
     name: &str,
     origin: Origin,
@@ -146,7 +140,6 @@ pub fn actuation_figures(
     ])
 }
 
-/// Position of a plan alone.
 pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
     over_time(
         &Heading::new("Planned position", Source::Plan),
@@ -190,30 +183,12 @@ fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<Str
 
 /// Draws charts one below the other, as one SVG.
 pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, FigureError> {
-    Figure::new(heading.clone(), charts).svg()
-}
-
-/// A figure in a file of its own: charts one below the other.
-pub struct Figure {
-    heading: Heading,
-    charts: Vec<Chart>,
-}
-
-impl Figure {
-    pub(crate) fn new(heading: Heading, charts: Vec<Chart>) -> Self {
-        Self { heading, charts }
-    }
-
-    /// Draws it.
-    pub fn svg(&self) -> Result<String, FigureError> {
-        let (width, height) = SIZE;
-        let height = self.heading.height() + height * self.charts.len() as u32;
-        let mut svg = String::new();
-        draw(SVGBackend::with_string(&mut svg, (width, height)), self)
-            .map_err(|error| FigureError(error.to_string()))?;
-        described(&svg, &self.heading)
-            .ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
-    }
+    let (width, height) = SIZE;
+    let height = heading.height() + height * charts.len() as u32;
+    let mut svg = String::new();
+    let backend = SVGBackend::with_string(&mut svg, (width, height));
+    draw(backend, heading, &charts).map_err(|error| FigureError(error.to_string()))?;
+    described(&svg, heading).ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
 }
 
 /// Adds title and description, for screen readers and for a file that is passed on alone.
@@ -236,8 +211,7 @@ fn described(svg: &str, heading: &Heading) -> Option<String> {
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 type Sheet<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-fn draw(backend: SVGBackend<'_>, figure: &Figure) -> Drawn {
-    let Figure { heading, charts } = figure;
+fn draw(backend: SVGBackend<'_>, heading: &Heading, charts: &[Chart]) -> Drawn {
     let root = backend.into_drawing_area();
     let (head, body) = root.split_vertically(heading.height());
     for line in heading.lines() {
@@ -302,7 +276,6 @@ fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
     Ok(())
 }
 
-/// A curve's entry in the legend.
 fn draw_entry(root: &Sheet<'_>, (x, y): (i32, i32), curve: &Curve) -> Drawn {
     let colour = curve.colour;
     let line = |y: i32, style: ShapeStyle| PathElement::new([(x, y), (x + 60, y)], style);
@@ -320,7 +293,6 @@ fn draw_entry(root: &Sheet<'_>, (x, y): (i32, i32), curve: &Curve) -> Drawn {
 
 type Plot<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
-/// A curve in the plot.
 fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve) -> Drawn {
     let colour = curve.colour;
     let is_finite = |point: &&(f64, f64)| point.0.is_finite() && point.1.is_finite();

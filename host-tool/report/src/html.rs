@@ -24,21 +24,17 @@ use crate::figures::FigureError;
 use crate::html::remark::Remark;
 use crate::html::section::{in_short, reasons, remark_table, section, status};
 
-/// Why the report was not written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum ReportError {
-    /// A record could not be read.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
-    /// The report could not be written.
     #[error("{path}: {why}", path = path.display())]
     #[diagnostic(
         code(retrograde::report),
         help("it needs a folder that can be written, with free space; then again")
     )]
     Unwritten { path: PathBuf, why: String },
-    /// A figure could not be drawn.
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
@@ -48,7 +44,6 @@ pub enum ReportError {
         help("give a folder with records of `retrograde run`, or their JSON files")
     )]
     NoTrials {
-        /// Where the tool looked for them.
         path: PathBuf,
         /// Files found there instead.
         left_out: Vec<LeftOut>,
@@ -86,10 +81,8 @@ pub struct LeftOut {
     pub is_record: bool,
 }
 
-/// Files of a report.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Found {
-    /// Sidecars of trials.
     pub sidecars: Vec<PathBuf>,
     /// Other files beside them, with the reasons for omitting them.
     pub left_out: Vec<LeftOut>,
@@ -112,7 +105,6 @@ pub struct Damaged {
     pub defects: Vec<String>,
 }
 
-/// A report before it is written to disk.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Report {
     pub html: String,
@@ -122,9 +114,6 @@ pub struct Report {
 
 /// Finds the trials at these paths; a folder stands for all trials in it, in the order of their start. Lists all
 /// other files of a folder with the reason.
-///
-/// # Errors
-/// A path cannot be read, or a folder holds no trial.
 pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
     let mut all = Found::default();
     for path in paths {
@@ -272,10 +261,6 @@ pub(crate) fn not_written(path: &Path, io: &std::io::Error) -> ReportError {
     }
 }
 
-/// The report of these trials.
-///
-/// # Errors
-/// A sidecar cannot be read.
 pub fn html(found: &Found, remarks: &[Remark]) -> Result<Report, ReportError> {
     let mut trials = vec![];
     for sidecar in &found.sidecars {

@@ -8,7 +8,6 @@ use crate::figures::{LETTERS, SIZE};
 
 /// Height of a title of one line and of the line below it, units of the drawing.
 const HEIGHT: u32 = 116;
-/// Distance between lines.
 const ROW: i32 = 54;
 /// Left edge of the lines, and the room that is kept at the right.
 const MARGIN: i32 = 24;
@@ -16,14 +15,10 @@ const MARGIN: i32 = 24;
 /// fonts, whose size is 1 / 1.24 of it.
 const LETTER: f32 = 0.58 / 1.24;
 
-/// Origin of a figure's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// From records of this origin.
     Records(Origin),
-    /// Calculated by a model.
     Model,
-    /// Calculated from a plan for a rig.
     Plan,
 }
 
@@ -45,17 +40,14 @@ impl Source {
     }
 }
 
-/// Title of a figure and origin of its values.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Heading {
     pub title: String,
-    /// Where its values come from.
     pub source: Source,
     /// For a model's figure: which model.
     pub model: Option<ModelName>,
 }
 
-/// Name of the model in a figure.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ModelName {
     /// For the line below the title: at most about 55 letters.
@@ -65,7 +57,6 @@ pub struct ModelName {
 }
 
 impl Heading {
-    /// Heading for a figure of a model's values.
     pub fn of_model(title: impl Into<String>, model: ModelName) -> Self {
         Self {
             title: title.into(),
@@ -90,7 +81,6 @@ impl Heading {
         }
     }
 
-    /// Heading with this title.
     pub fn new(title: impl Into<String>, source: Source) -> Self {
         Self {
             title: title.into(),
@@ -124,7 +114,6 @@ impl Heading {
     }
 }
 
-/// A line of a heading.
 pub(super) struct Line {
     pub(super) text: String,
     /// For the drawing library, as [`LETTERS`].
@@ -175,7 +164,7 @@ mod tests {
     fn a_long_title_is_wrapped_and_not_cut() {
         let name = "a-name-of-an-indentation-of-forty-letters";
         for title in [
-            format!("Trial 102: lubricated, {name}, returning pass, repeat 10"),
+            format!("Trial 102: lubricated, {name}, repeat 10"),
             "w".repeat(150),
         ] {
             let heading = Heading::new(title.clone(), Source::Records(Origin::Virtual));
@@ -192,7 +181,7 @@ mod tests {
             assert_eq!(last.text, "virtual: simulated, not a measurement");
             assert!(last.at.1 < heading.height() as i32 - 20);
         }
-        let short = Heading::new("Isolated passes", Source::Model);
+        let short = Heading::new("Friction", Source::Model);
         assert_eq!((short.lines().len(), short.height()), (2, HEIGHT));
     }
 }

@@ -28,59 +28,45 @@ use crate::html::section::{reasons, status};
 use crate::html::{Existing, ReportError, not_written, page, unwritten};
 use crate::science::table;
 
-/// Why a campaign's report was not written.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 pub enum CampaignReportError {
-    /// The folder.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Campaign(#[from] CampaignError),
-    /// The report.
     #[error(transparent)]
     #[diagnostic(transparent)]
     Report(#[from] ReportError),
     /// The page already exists; a campaign has no other place for it.
     #[error("{path} is there already; nothing was written", path = path.display())]
     #[diagnostic(code(retrograde::exists), help("`--force` replaces it"))]
-    Exists {
-        /// The page.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
 }
 
 /// The files written, and warnings about them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Written {
-    /// The page.
     #[serde(serialize_with = "client::wording::path")]
     pub page: PathBuf,
-    /// All files, the page last.
     #[serde(serialize_with = "client::wording::paths")]
     pub files: Vec<PathBuf>,
-    /// Trials of the plan.
     pub planned: usize,
     /// Trials that count.
     pub counted: usize,
-    /// Trials that do not count, with the reasons.
     pub left_out: Vec<(u32, String)>,
     /// The same as sentences, the trials to come in one.
     #[serde(skip)]
     pub told: Vec<String>,
     /// Number of those that are done but have unreliable records.
     pub defects: usize,
-    /// Findings of `verify`.
     pub findings: Vec<String>,
-    /// Where the data come from.
     pub origin: Origin,
 }
 
-/// File name of the page.
 const PAGE: &str = "report.html";
 
 /// The file at the place of a campaign's report.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Present {
-    /// Nothing.
     Nothing,
     /// The report of the folder as it is.
     Current,
@@ -91,7 +77,6 @@ pub enum Present {
 }
 
 /// Looks at the place of a campaign's report.
-#[must_use]
 pub fn present(folder: &Path) -> Present {
     let path = report_folder(folder).join(PAGE);
     if fs::symlink_metadata(&path).is_err() {
@@ -119,7 +104,6 @@ fn hash_of_list(hash: &str) -> String {
 const COUNTED: &str = "totals/counted";
 
 /// Folder of a campaign's reports; `verify` ignores it.
-#[must_use]
 pub fn report_folder(campaign: &Path) -> PathBuf {
     campaign.join(manifest::NOT_COVERED)
 }
@@ -137,8 +121,8 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
     }
     let evaluation = evaluate(folder)?;
     let figures = Figures {
-        figure7: Drawings::of(figure7(&evaluation))?,
-        figure8: Drawings::of(figure8(&evaluation))?,
+        figure7: figure7(&evaluation).map_err(ReportError::from)?,
+        figure8: figure8(&evaluation).map_err(ReportError::from)?,
     };
     let html = html(&evaluation, &figures)?;
     let failed = |name: &str| {
@@ -203,25 +187,9 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
     })
 }
 
-/// A figure with its caption.
-struct Drawings {
-    svg: String,
-    caption: String,
-}
-
-impl Drawings {
-    fn of(drawn: Option<Captioned>) -> Result<Option<Self>, ReportError> {
-        let Some(Captioned { figure, caption }) = drawn else {
-            return Ok(None);
-        };
-        let svg = figure.svg()?;
-        Ok(Some(Self { svg, caption }))
-    }
-}
-
 struct Figures {
-    figure7: Option<Drawings>,
-    figure8: Option<Drawings>,
+    figure7: Option<Captioned>,
+    figure8: Option<Captioned>,
 }
 
 fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportError> {
@@ -320,7 +288,7 @@ fn figure(svg: Option<&str>, otherwise: &str, caption: &str) -> Markup {
 }
 
 /// A figure of the campaign, or the words that stand for it.
-fn drawn(drawings: Option<&Drawings>, otherwise: &str) -> Markup {
+fn drawn(drawings: Option<&Captioned>, otherwise: &str) -> Markup {
     let caption = drawings.map_or("", |drawings| &drawings.caption);
     figure(drawings.map(|drawings| &*drawings.svg), otherwise, caption)
 }
@@ -335,7 +303,6 @@ fn condition_key(row: &ConditionRow) -> String {
     )
 }
 
-/// Table of a purpose's conditions.
 fn conditions(evaluation: &Evaluation, purpose: Purpose) -> Markup {
     let has_shapes = purpose == Purpose::FoldTest;
     let rows = || {

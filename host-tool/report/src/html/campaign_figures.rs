@@ -9,8 +9,7 @@ use plotters::style::RGBColor;
 
 use crate::figures::palette::{DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
 use crate::figures::{
-    Chart, Curve, Figure, FigureError, Heading, Mark, Source, curve, figure, planned, sampled,
-    thinned,
+    Chart, Curve, FigureError, Heading, Mark, Source, curve, figure, planned, sampled, thinned,
 };
 use crate::html::evaluation::{Evaluation, LINE, Part, deviations, run_of};
 
@@ -34,9 +33,7 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
 
 /// A figure with the caption that says what was drawn in it.
 pub struct Captioned {
-    /// The figure.
-    pub figure: Figure,
-    /// Its caption.
+    pub svg: String,
     pub caption: String,
 }
 
@@ -143,8 +140,7 @@ fn dots_and_bars(
 }
 
 /// Displacement against indentation; none without a trial that counts.
-#[must_use]
-pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
+pub fn figure7(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError> {
     let mut curves = vec![];
     let mut has_line = false;
     let places = Places::of(evaluation, &[Purpose::Series]);
@@ -180,7 +176,7 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
         );
     }
     if curves.is_empty() {
-        return None;
+        return Ok(None);
     }
     let mut caption = format!("Each dot is a trial, {BARS}");
     if has_line {
@@ -195,14 +191,13 @@ pub fn figure7(evaluation: &Evaluation) -> Option<Captioned> {
     };
     let title = "Fig. 7: displacement over indentation";
     let heading = Heading::new(title, Source::Records(evaluation.origin));
-    let figure = Figure::new(heading, vec![chart]);
-    Some(Captioned { figure, caption })
+    let svg = figure(&heading, vec![chart])?;
+    Ok(Some(Captioned { svg, caption }))
 }
 
 /// Folded against unfolded over time; none without a trial that counts. The displacement is known at the beginning,
 /// where it is zero, and at the end; between them the figure shows the carriage.
-#[must_use]
-pub fn figure8(evaluation: &Evaluation) -> Option<Captioned> {
+pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError> {
     let shapes = [
         (Form::Unfolded, WET),
         (Form::Folded, DRY),
@@ -253,7 +248,7 @@ pub fn figure8(evaluation: &Evaluation) -> Option<Captioned> {
         }
     }
     if displacements.is_empty() {
-        return None;
+        return Ok(None);
     }
     for carriage in &mut carriages {
         if carriage.label.contains(", ") {
@@ -278,8 +273,8 @@ pub fn figure8(evaluation: &Evaluation) -> Option<Captioned> {
         charts.push(chart("carriage / mm", false, carriages));
         caption.push_str(" Below, the carriage in the first trial of each shape.");
     }
-    let figure = Figure::new(heading, charts);
-    Some(Captioned { figure, caption })
+    let svg = figure(&heading, charts)?;
+    Ok(Some(Captioned { svg, caption }))
 }
 
 /// Largest difference of curves that one line can stand for, relative to their height: less than the line is wide.
@@ -305,7 +300,6 @@ fn coincide(one: &[(f64, f64)], other: &[(f64, f64)]) -> bool {
     lies_on(one, other) && lies_on(other, one)
 }
 
-/// Position of the carriage over time.
 fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
     let (samples, start_us, screw) = samples(run)?;
     let all: Vec<_> = samples
@@ -328,9 +322,6 @@ fn samples(run: &Part) -> Option<(Vec<RigSample>, u64, Screw)> {
 }
 
 /// A run over its plan, and the difference; none without telemetry or plan.
-///
-/// # Errors
-/// If the drawing library fails.
 pub fn run_over_plan(name: &str, run: &Part) -> Result<Option<String>, FigureError> {
     let Action::Run {
         screw,

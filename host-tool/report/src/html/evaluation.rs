@@ -54,28 +54,19 @@ impl<const DECIMALS: usize> Serialize for Rounded<DECIMALS> {
 /// A trial: a row of `report/trials.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TrialRow {
-    /// Its number.
     pub trial: u32,
-    /// Its block.
     pub block: u32,
-    /// Series or fold test.
     pub purpose: Purpose,
-    /// State of the walls.
     pub lubrication: Lubrication,
-    /// Name of the indentation.
     pub indentation: String,
-    /// Shape of the body.
     pub shape: Form,
-    /// Number of the repeat.
     pub repeat: u32,
     /// Whether it is part of means and lines.
     pub counts: bool,
-    /// Why it does not count.
     pub reason: Option<String>,
     /// Whether it is done but its record is unreliable.
     #[serde(skip)]
     pub has_defect: bool,
-    /// Number of attempts.
     pub attempts: usize,
     /// The attempt that counts.
     pub attempt: Option<u32>,
@@ -83,9 +74,7 @@ pub struct TrialRow {
     pub indentation_mm: Option<Millimetres>,
     /// Displacement of the tail, + headward.
     pub displacement_mm: Option<Millimetres>,
-    /// Where the displacement comes from.
     pub source: Option<Source>,
-    /// Steps of the plan.
     pub planned_steps: Option<u64>,
     /// Steps that the generator emitted.
     pub commanded_steps: Option<u64>,
@@ -99,11 +88,9 @@ pub struct TrialRow {
     pub late_ticks: Option<i64>,
     /// False pulses on the limit inputs.
     pub glitches: Option<u32>,
-    /// Number of holds.
     pub holds: Option<u32>,
     /// Rows of the telemetry.
     pub samples: Option<u64>,
-    /// Samples that the link lost.
     pub lost_samples: Option<u64>,
     /// Energy of the capsule's motor in this attempt.
     pub energy_mj: Option<u32>,
@@ -111,22 +98,16 @@ pub struct TrialRow {
     pub telemetry: Option<String>,
     /// Its hash by the manifest.
     pub telemetry_sha256: Option<String>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
 /// Equal trials: a row of `report/conditions.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ConditionRow {
-    /// Series or fold test.
     pub purpose: Purpose,
-    /// State of the walls.
     pub lubrication: Lubrication,
-    /// Name of the indentation.
     pub indentation: String,
-    /// Shape of the body.
     pub shape: Form,
-    /// Trials of the plan.
     pub planned: usize,
     /// Trials that count.
     pub n: usize,
@@ -134,64 +115,49 @@ pub struct ConditionRow {
     pub indentation_mm: Option<Rounded<3>>,
     /// Mean of their displacements.
     pub mean_mm: Option<Rounded<3>>,
-    /// Standard deviation of the sample.
     pub sd_mm: Option<Rounded<3>>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
 /// A line through displacement over indentation, by the means of the clampings: a row of `report/lines.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LineRow {
-    /// State of the walls.
     pub lubrication: Lubrication,
-    /// Number of trials.
     pub n: usize,
     /// Rise, mm of displacement per mm of indentation.
     pub slope: Rounded<4>,
-    /// Value at zero indentation.
     pub intercept_mm: Rounded<4>,
     /// Share of the trials' variance that the line explains.
     pub r_squared: Option<Rounded<4>>,
     /// Standard deviation of the trials about the line.
     pub residual_sd_mm: Option<Rounded<4>>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
 /// An attempt: a row of `report/attempts.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AttemptRow {
-    /// The trial.
     pub trial: u32,
     /// Number of the attempt, from 1.
     pub attempt: u32,
-    /// When it began.
     pub began_utc: String,
-    /// How it ended.
     pub outcome: Option<AttemptOutcome>,
     /// Whether the trial uses this attempt.
     pub stands: bool,
     /// Why it does not.
     pub reason: Option<String>,
-    /// The camera's file.
     pub camera_file: Option<String>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
 /// Accepted readings of one width: a row of `report/readings.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ReadingsRow {
-    /// Number of the set.
     pub readings_set: u32,
-    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; empty for the width.
     pub indentation: Option<String>,
-    /// Number of readings.
     pub n: usize,
-    /// Their mean.
     pub mean_mm: Rounded<4>,
     /// Standard deviation of the sample; none for a single reading.
     pub sd_mm: Option<Rounded<4>>,
@@ -199,47 +165,31 @@ pub struct ReadingsRow {
     pub spread_mm: Millimetres,
     /// a_n = (D - i_n)/2 with the last D, Eq. 8.
     pub indentation_mm: Option<Rounded<4>>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
-/// A machine's record that is part of a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
-    /// Its sidecar.
     pub sidecar: PathBuf,
-    /// Its content.
     pub trial: Trial,
-    /// Its defects.
     pub defects: Defects,
 }
 
-/// Everything that the report shows.
 #[derive(Clone, Debug)]
 pub struct Evaluation {
-    /// The campaign.
     pub campaign: Campaign,
-    /// Origin of the data.
     pub origin: Origin,
-    /// Findings of `verify`.
     pub findings: Vec<Finding>,
-    /// The hashes, as listed.
     pub manifest: Manifest,
-    /// Hash of the list.
     pub manifest_sha256: String,
-    /// All trials, in their order.
     pub trials: Vec<TrialRow>,
     /// The records of each trial, in the same order.
     pub parts: Vec<Vec<Part>>,
     /// All conditions of the plan, also those without a trial that counts.
     pub conditions: Vec<ConditionRow>,
-    /// Lines through the series.
     pub lines: Vec<(LineRow, FittedLine)>,
-    /// All attempts.
     pub attempts: Vec<AttemptRow>,
-    /// All accepted readings.
     pub readings: Vec<ReadingsRow>,
-    /// All machines that took part.
     pub devices: Vec<IdentityRecord>,
     /// Names and versions of the tools that recorded.
     pub tools: Vec<String>,
@@ -248,9 +198,6 @@ pub struct Evaluation {
 }
 
 /// Reads a campaign's folder, verifies it first, and evaluates it.
-///
-/// # Errors
-/// It is no campaign, or one whose ledger cannot be read.
 pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     let findings = verify(folder)?.findings;
     let campaign = Campaign::read(folder)?;
@@ -321,8 +268,6 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
     parts
 }
 
-/// The run among the records of a trial.
-#[must_use]
 pub fn run_of(parts: &[Part]) -> Option<&Part> {
     parts
         .iter()
@@ -331,7 +276,6 @@ pub fn run_of(parts: &[Part]) -> Option<&Part> {
 
 /// Position of each sample minus that of the plan at the same time: (s, mm). None for a run that was held or not
 /// planned.
-#[must_use]
 pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)>> {
     let Action::Run {
         screw,
@@ -357,7 +301,6 @@ pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)
 
 /// (a_n, mean displacement) of each clamping, mm. All trials of one clamping share its a_n and its errors, so these
 /// means, not the trials, are independent of each other. Clampings of equal a_n count as one.
-#[must_use]
 pub fn clampings(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut all: BTreeMap<u64, Vec<f64>> = BTreeMap::new();
     for (a_mm, displacement_mm) in points {
@@ -400,7 +343,6 @@ fn line(
 
 impl Evaluation {
     /// The file's path within the folder, as in the manifest.
-    #[must_use]
     pub fn within(&self, file: &Path) -> String {
         let file = file.strip_prefix(&self.campaign.folder).unwrap_or(file);
         let parts = file.iter().map(|part| part.to_string_lossy());
@@ -408,7 +350,6 @@ impl Evaluation {
     }
 
     /// The file's hash according to the manifest.
-    #[must_use]
     pub fn hash(&self, file: &Path) -> Option<String> {
         Some(manifest::hex(self.manifest.0.get(&self.within(file))?))
     }
@@ -566,7 +507,6 @@ impl Evaluation {
     }
 
     /// (a_n, displacement) of the trials that count for a purpose, mm.
-    #[must_use]
     pub fn points(&self, purpose: Purpose, lubrication: Lubrication) -> Vec<(f64, f64)> {
         self.trials
             .iter()

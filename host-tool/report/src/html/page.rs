@@ -82,7 +82,6 @@ pub(crate) fn tag(origin: Origin) -> Markup {
     }
 }
 
-/// A table of names and values.
 pub(crate) fn rows<'a>(rows: impl IntoIterator<Item = (&'a str, String)>) -> Markup {
     html! {
         div.wide.short { table { tbody {

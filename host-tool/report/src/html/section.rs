@@ -73,7 +73,6 @@ pub(crate) fn section<'a>(
     Ok(Section { defects, body })
 }
 
-/// The defects as a list.
 pub(crate) fn reasons(defects: &[String]) -> Markup {
     html! {
         @if !defects.is_empty() {
@@ -228,7 +227,6 @@ fn actuation_section(
 /// The capsule ignores the inrush current when it measures its peak.
 const AFTER_INRUSH: &str = "largest current after the inrush, by the capsule";
 
-/// An actuation's record as names and values with units.
 pub fn actuation_rows(
     kind: ActuationKind,
     record: &ActuationRecord,
