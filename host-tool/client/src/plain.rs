@@ -5,8 +5,10 @@ use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write};
 use std::ops::Deref;
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::OFlags;
 use tempfile::{Builder, NamedTempFile, TempDir};
 
 use crate::limited;
@@ -35,17 +37,11 @@ pub fn open(path: &Path) -> io::Result<File> {
 }
 
 /// Opens an existing plain file for reading and writing.
-///
-/// # Errors
-/// As [`open`].
 pub fn open_to_write(path: &Path) -> io::Result<File> {
     opened(path, fs::OpenOptions::new().read(true).write(true))
 }
 
 /// Opens a plain file for writing, which is created empty if it is missing.
-///
-/// # Errors
-/// As [`open`].
 pub fn open_or_create(path: &Path) -> io::Result<File> {
     let mut options = fs::OpenOptions::new();
     opened(path, options.write(true).create(true).truncate(false))
@@ -57,14 +53,9 @@ fn opened(path: &Path, options: &mut fs::OpenOptions) -> io::Result<File> {
         Ok(found) if !found.is_file() => return Err(not_plain()),
         _ => {}
     }
-    #[cfg(unix)]
-    {
-        use rustix::fs::OFlags;
-        use std::os::unix::fs::OpenOptionsExt;
-        // The path may have become another file since it was looked at.
-        let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY;
-        options.custom_flags(i32::try_from(flags.bits()).unwrap_or_default());
-    }
+    // The path may have become another file since it was looked at.
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY;
+    options.custom_flags(i32::try_from(flags.bits()).unwrap_or_default());
     let file = options.open(path)?;
     if file.metadata()?.is_file() {
         Ok(file)
@@ -121,9 +112,6 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
 }
 
 /// Opens a plain file of at most `limit` bytes. A reader should still not read on without end: the file may grow.
-///
-/// # Errors
-/// As [`read`].
 pub fn open_within(path: &Path, limit: u64) -> io::Result<io::Take<File>> {
     let file = open(path)?;
     if file.metadata()?.len() > limit {
@@ -161,26 +149,22 @@ impl<R: Read> Read for Rows<R> {
 }
 
 /// Whether the path names a plain file, itself and not by a link.
-#[must_use]
 pub fn is_file(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|found| found.is_file())
 }
 
 /// Whether the path names a folder, itself and not by a link.
-#[must_use]
 pub fn is_folder(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|found| found.is_dir())
 }
 
 /// Whether the text names a file in its own folder, and none elsewhere.
-#[must_use]
 pub fn is_name(text: &str) -> bool {
     let odd = |c: char| matches!(c, '/' | '\\' | ':') || c.is_control();
     !matches!(text, "" | "." | "..") && !text.chars().any(odd)
 }
 
 /// The plain files of a folder, by name. Empty if the folder cannot be read or is a link.
-#[must_use]
 pub fn files(folder: &Path) -> Vec<PathBuf> {
     if !is_folder(folder) {
         return vec![];
@@ -211,11 +195,7 @@ fn beside<T>(
     prefix.push(".");
     let mut builder = Builder::new();
     builder.prefix(&prefix).suffix(PART).rand_bytes(RANDOM);
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        builder.permissions(fs::Permissions::from_mode(mode));
-    }
+    builder.permissions(fs::Permissions::from_mode(mode));
     let parent = path.parent().filter(|parent| *parent != Path::new(""));
     make(&builder, parent.unwrap_or(Path::new("."))).map_err(|io| {
         // Without the random name, which says nothing to the user.
@@ -226,23 +206,16 @@ fn beside<T>(
 }
 
 /// A new file that is about to replace `path`, and is removed if it does not. No link can lead its bytes elsewhere.
-///
-/// # Errors
-/// It cannot be created.
 pub fn part_of(path: &Path) -> io::Result<NamedTempFile> {
     beside(path, 0o666, |builder, parent| builder.tempfile_in(parent))
 }
 
 /// As [`part_of`], for a folder.
-///
-/// # Errors
-/// It cannot be created.
 pub fn part_of_folder(path: &Path) -> io::Result<TempDir> {
     beside(path, 0o777, |builder, parent| builder.tempdir_in(parent))
 }
 
 /// Name of the file that `part` was about to replace, if it has the form of [`part_of`].
-#[must_use]
 pub fn of_part(part: &str) -> Option<&str> {
     let (name, random) = part.strip_suffix(PART)?.rsplit_once('.')?;
     let is_random =
@@ -269,9 +242,6 @@ pub fn folder_below(parent: &Path, name: &str) -> io::Result<PathBuf> {
 }
 
 /// Removes a file; one that is missing is no error.
-///
-/// # Errors
-/// It cannot be removed.
 pub fn remove(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(io) if io.kind() != io::ErrorKind::NotFound => Err(io),
@@ -306,14 +276,7 @@ pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// Brings the names in the folder of this path to the disk: without this a power cut may undo a rename.
-///
-/// # Errors
-/// The folder cannot be opened, or the disk reports an error.
 pub fn sync_folder_of(path: &Path) -> io::Result<()> {
-    // Other systems do not open folders.
-    if cfg!(not(unix)) {
-        return Ok(());
-    }
     let parent = path.parent().filter(|parent| *parent != Path::new(""));
     match File::open(parent.unwrap_or(Path::new(".")))?.sync_all() {
         // Some network file systems cannot do it.
@@ -329,7 +292,7 @@ pub fn sync_folder_of(path: &Path) -> io::Result<()> {
     }
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
 mod tests {
     use super::*;
     use std::os::unix::fs::symlink;
@@ -460,15 +423,11 @@ mod tests {
         assert_eq!(fs::read(&path).expect("there"), b"1");
         remove(&path).expect("removed");
         remove(&path).expect("no error");
-        #[cfg(unix)]
-        {
-            use std::os::unix::fs::PermissionsExt;
-            let plain = File::create(place.path().join("plain")).expect("new");
-            replace(&path, b"3").expect("written");
-            let mode = |found: fs::Metadata| found.permissions().mode();
-            let ours = mode(fs::metadata(&path).expect("there"));
-            assert_eq!(ours, mode(plain.metadata().expect("there")));
-        }
+        let plain = File::create(place.path().join("plain")).expect("new");
+        replace(&path, b"3").expect("written");
+        let mode = |found: fs::Metadata| found.permissions().mode();
+        let ours = mode(fs::metadata(&path).expect("there"));
+        assert_eq!(ours, mode(plain.metadata().expect("there")));
     }
 
     /// Events in a folder, in order: `new` for a name that a rename has put there, `open` for the folder itself,

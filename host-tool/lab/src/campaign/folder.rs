@@ -74,7 +74,6 @@ impl Growing {
     }
 }
 
-/// A campaign that this process may write.
 pub struct Folder {
     /// Held for its lock, which the system releases when the process ends in any way.
     _lock: Locked,
@@ -88,9 +87,6 @@ pub struct Folder {
 
 impl Folder {
     /// Creates the folder of a new campaign; its path must not exist. The folder appears as a whole or not at all.
-    ///
-    /// # Errors
-    /// The plan cannot be carried out, or something cannot be written.
     pub fn create(folder: &Path, plan_text: &str, plan_path: &Path) -> Result<Self, CampaignError> {
         let plan = CampaignPlan::parse(plan_text, plan_path)?;
         if fs::symlink_metadata(folder).is_ok() {
@@ -113,11 +109,8 @@ impl Folder {
             }
             let manifest = manifest::of_folder(part.path())?;
             plain::replace(&within(manifest::NAME), manifest.text().as_bytes())?;
-            // Locked before it appears, so that nobody else writes it first. Other systems do not rename a folder in
-            // which a file is open.
-            let lock = cfg!(unix).then(|| plain::open_or_create(&within(LOCK)));
-            let lock = lock.transpose()?;
-            let lock = lock.map(Locked::new).transpose()?;
+            // Locked before it appears, so that nobody else writes it first.
+            let lock = Locked::new(plain::open_or_create(&within(LOCK))?)?;
             // Fails if another process was faster: its folder is not empty.
             fs::rename(part.path(), folder)?;
             let _ = part.keep();
@@ -134,7 +127,6 @@ impl Folder {
                 "choose a folder that can be written, with free space: `--out DIR`",
             )
         })?;
-        let lock = lock.map_or_else(|| self::lock(folder), Ok)?;
         Self::open(folder, lock)
     }
 
@@ -252,8 +244,6 @@ impl Folder {
         Ok(())
     }
 
-    /// The campaign as it stands.
-    #[must_use]
     pub fn campaign(&self) -> &Campaign {
         &self.campaign
     }
@@ -292,9 +282,6 @@ impl Folder {
     }
 
     /// Adds a row to the readings. It is on the disk when this returns.
-    ///
-    /// # Errors
-    /// As [`Folder::append`].
     pub fn append_reading(
         &mut self,
         mut row: ReadingRow,
@@ -332,9 +319,6 @@ impl Folder {
     }
 
     /// Adds the files of an attempt to the manifest.
-    ///
-    /// # Errors
-    /// They cannot be read, or the manifest cannot be written.
     pub fn seal_attempt(&mut self, trial: u32, attempt: u32) -> Result<(), CampaignError> {
         let path = self.campaign.attempt_folder(trial, attempt);
         let within = format!("{ATTEMPTS}/{}", Attempt::folder(trial, attempt));
@@ -350,9 +334,6 @@ impl Folder {
     }
 
     /// Replaces the manifest, if anything has changed since.
-    ///
-    /// # Errors
-    /// It cannot be written.
     pub fn seal(&mut self) -> Result<(), CampaignError> {
         for (name, file) in [(TRIALS, &self.trials), (READINGS, &self.readings)] {
             self.manifest.0.insert(name.to_owned(), file.hash());
