@@ -13,15 +13,12 @@ const EXCERPT: usize = 40;
 /// Presumed kind of the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Sign {
-    /// No byte came.
     Silence,
     /// The bytes that were sent come back.
     Echo,
     /// A machine that sends but does not hear.
     Deaf,
-    /// A web server.
     Web,
-    /// A server for remote log-in.
     Ssh,
     /// Some other instrument that sends text; the beginning of the text.
     Text(String),
@@ -30,7 +27,6 @@ pub enum Sign {
 }
 
 /// Identifies the sender of these bytes.
-#[must_use]
 pub fn sign(bytes: &[u8]) -> Sign {
     if bytes.is_empty() {
         return Sign::Silence;
@@ -82,8 +78,6 @@ impl fmt::Display for Sign {
 }
 
 impl Sign {
-    /// The remedy.
-    #[must_use]
     pub fn remedy(&self) -> &'static str {
         match self {
             Self::Silence => {

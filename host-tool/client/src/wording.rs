@@ -10,7 +10,6 @@ use serde_json::Value;
 use crate::decimal;
 
 /// Name of a state or an outcome, as in files and HTTP; empty for a value with parts.
-#[must_use]
 pub fn name(of: &impl Serialize) -> String {
     match serde_json::to_value(of) {
         Ok(Value::String(name)) => name,
@@ -19,23 +18,16 @@ pub fn name(of: &impl Serialize) -> String {
 }
 
 /// Serializes a path as text. JSON is Unicode: U+FFFD replaces bytes that are not.
-///
-/// # Errors
-/// Those of the serializer.
 pub fn path<S: Serializer>(path: &Path, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_str(&path.display())
 }
 
 /// Serializes paths as [`path`] does.
-///
-/// # Errors
-/// Those of the serializer.
 pub fn paths<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S::Error> {
     serializer.collect_seq(paths.iter().map(|path| path.display().to_string()))
 }
 
 /// A path as one word of a command line that a person copies.
-#[must_use]
 pub fn word(path: &Path) -> String {
     let text = match path.display().to_string() {
         option if option.starts_with('-') => format!("./{option}"),
@@ -48,8 +40,6 @@ pub fn word(path: &Path) -> String {
     }
 }
 
-/// Text of a machine's refusal.
-#[must_use]
 pub fn refusal(refusal: &Refusal) -> String {
     match *refusal {
         Refusal::OutOfRange {
@@ -127,7 +117,6 @@ fn named(field: Field) -> (&'static str, u32, &'static str) {
 }
 
 /// Text of a file that cannot be read as JSON or TOML, without the names of Rust's types.
-#[must_use]
 pub fn unreadable(error: &impl ToString) -> String {
     let mut text = error.to_string().trim_end().to_owned();
     for (jargon, said) in [

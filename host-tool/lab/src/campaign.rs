@@ -32,16 +32,12 @@ use std::path::{Path, PathBuf};
 use client::wording::word;
 use miette::Diagnostic;
 
-/// Why a campaign cannot be used.
 #[derive(Debug, thiserror::Error, Diagnostic)]
 #[error("{path}: {why}", path = path.display())]
 #[diagnostic(code(retrograde::campaign), help("{remedy}"))]
 pub struct CampaignError {
-    /// The file or folder.
     pub path: PathBuf,
-    /// The reason.
     pub why: String,
-    /// Advice for the user.
     pub remedy: String,
     /// Whether only the command is wrong, not the campaign.
     pub misuse: bool,
@@ -51,7 +47,6 @@ pub struct CampaignError {
 pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run DIR` with its folder";
 
 /// The command that goes on with the campaign of a folder, as a person copies it.
-#[must_use]
 pub fn resumption(folder: &Path) -> String {
     format!("`retrograde campaign run {}`", word(folder))
 }

@@ -18,21 +18,18 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-/// A place to examine.
 struct Place {
     /// The machine that should be there, if the user says so.
     wanted: Option<DeviceKind>,
     candidate: Candidate,
 }
 
-/// Result for a place.
 #[derive(Debug)]
 pub struct Finding {
     /// The place, with the machine that should be there.
     place: String,
     /// Keyword for programs.
     code: &'static str,
-    /// Text for people.
     text: String,
     /// Remedy; none if nothing is wrong.
     remedy: Option<String>,
@@ -63,7 +60,6 @@ impl Finding {
         }
     }
 
-    /// The finding as a line for people.
     pub(crate) fn line(&self) -> String {
         let mut text = format!("{}: {}: {}", self.place, self.code, self.text);
         if let Some(remedy) = &self.remedy {
@@ -73,7 +69,6 @@ impl Finding {
         text
     }
 
-    /// The finding for `--json`.
     pub(crate) fn json(&self) -> Value {
         json!({
             "place": self.place,
@@ -86,7 +81,6 @@ impl Finding {
     }
 }
 
-/// Keyword of a failure.
 fn code(failure: &Failure) -> &'static str {
     match failure {
         Failure::Open(OpenError { reason, .. }) => match reason {
@@ -260,7 +254,6 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(Identity, String, Trou
     Ok((identity, text, trouble))
 }
 
-/// Problems that only show across all places.
 fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Finding> {
     let found = |kind| {
         let found = findings.iter().map(|finding| finding.found);

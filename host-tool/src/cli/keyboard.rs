@@ -24,7 +24,6 @@ pub(crate) fn standard() -> Option<Keyboard> {
     is_there().then(|| Box::new(BufReader::new(io::stdin())) as Keyboard)
 }
 
-/// A person can type here.
 pub(crate) fn is_there() -> bool {
     let input = io::stdin();
     input.is_terminal() && in_foreground(&input)
@@ -42,14 +41,12 @@ const READ_FIRST: Duration = Duration::from_millis(500);
 /// Answer to an Enter that came too soon.
 pub(crate) const TOO_SOON: &str = "That Enter came before this could be read. Press it again.";
 
-/// A line that was typed.
 pub(crate) enum Line {
     Text(String),
     /// An Enter alone, before anybody can have read the question.
     TooSoon,
 }
 
-/// The lines that a person types.
 pub(crate) struct Lines {
     typed: Receiver<(Instant, String)>,
     /// They come from a terminal, not from a file.

@@ -67,9 +67,6 @@ impl ModelArgs {
     }
 
     /// Builds the model: the body, overridden by the file, overridden by the options.
-    ///
-    /// # Errors
-    /// The file cannot be read or used, a value is impossible, or the model is out of range.
     pub fn model(&self) -> Result<Model, Failure> {
         for (index, (setting, _)) in self.choices.iter().enumerate() {
             if self.choices[..index]

@@ -11,7 +11,6 @@ use serde_json::Value;
 /// Source of a person's typed lines.
 pub type Keyboard = Box<dyn BufRead + Send>;
 
-/// The two streams of a command.
 pub(crate) struct Screen<'a> {
     pub(crate) out: &'a mut dyn Write,
     pub(crate) err: &'a mut dyn Write,
@@ -51,7 +50,6 @@ impl Screen<'_> {
         taken
     }
 
-    /// Prints a result as it is; no JSON.
     pub(crate) fn print(&mut self, text: &[u8]) {
         let written = self.out.write_all(text);
         self.note(written);
@@ -66,7 +64,6 @@ impl Screen<'_> {
         }
     }
 
-    /// Prints a hint that is not part of the output.
     pub(crate) fn hint(&mut self, text: &str) {
         let _ = writeln!(self.err, "{}", visible::lines(text));
     }
@@ -83,7 +80,6 @@ impl Screen<'_> {
             && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str())
     }
 
-    /// An observer that shows the progress of an action.
     pub(crate) fn live(&mut self) -> Live<'_> {
         let terminal = self.terminal;
         Live::new(self.stream(), terminal)

@@ -31,7 +31,6 @@ const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 pub struct Doorway {
     folder: PathBuf,
     key: String,
-    /// The line, as the user named it.
     place: String,
 }
 
@@ -46,7 +45,6 @@ pub struct Lock {
 
 impl Doorway {
     /// The last stops on this line; empty without a doorway, where no other process can send one.
-    #[must_use]
     pub fn last_stops(doorway: Option<&Self>) -> StopMark {
         doorway.map_or_else(StopMark::default, Self::stop_mark)
     }
@@ -72,7 +70,6 @@ impl Doorway {
     }
 
     /// Like [`Doorway::of`], in another folder, which must exist and be safe from other users.
-    #[must_use]
     pub fn within(folder: &Path, address: &Address) -> Option<Self> {
         Some(Self::new(
             folder.to_owned(),
@@ -96,8 +93,6 @@ impl Doorway {
         self.folder.join(format!("{}.{what}", self.key))
     }
 
-    /// The line, as the user named it.
-    #[must_use]
     pub fn place(&self) -> &str {
         &self.place
     }
@@ -114,9 +109,6 @@ impl Doorway {
     }
 
     /// Takes the line; `None` if another process has it.
-    ///
-    /// # Errors
-    /// The lock file cannot be made.
     pub fn claim(&self) -> Result<Option<Lock>, OpenError> {
         let file = plain::open_or_create(&self.file("lock")).map_err(|why| self.error(why))?;
         match Locked::new(file) {
@@ -164,8 +156,6 @@ impl Doorway {
         }
     }
 
-    /// The owner of the line, as far as it was written.
-    #[must_use]
     pub fn owner(&self) -> Option<Owner> {
         let text = plain::read(&self.file("owner"), limited::BY_HAND);
         serde_json::from_slice(&text.ok()?).ok()
@@ -220,12 +210,10 @@ impl Lock {
         self.publish()
     }
 
-    /// The process that owns the line.
     pub fn owner(&self) -> &Owner {
         &self.owner
     }
 
-    /// Lock and door of the line.
     pub fn doorway(&self) -> &Doorway {
         &self.doorway
     }

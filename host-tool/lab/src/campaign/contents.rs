@@ -22,20 +22,14 @@ pub(crate) const TRIALS_HEADER: &str = "row,time_utc,event,trial,attempt,outcome
 pub(crate) const READINGS_HEADER: &str =
     "row,time_utc,readings_set,quantity,indentation,event,reading,value_mm,text,origin\n";
 
-/// Everything known about a campaign.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Campaign {
-    /// Its folder.
     pub folder: PathBuf,
-    /// The plan as the user wrote it.
     pub plan: CampaignPlan,
-    /// The planned trials in the order of execution.
     pub order: Vec<Planned>,
-    /// Rows of the ledger.
     pub rows: Vec<LedgerRow>,
     /// State of the trials, derived from `rows`.
     pub state: CampaignState,
-    /// Rows of the caliper's readings.
     pub reading_rows: Vec<ReadingRow>,
     /// The readings in force, derived from `reading_rows`.
     pub readings: Readings,
@@ -87,8 +81,6 @@ impl Campaign {
         })
     }
 
-    /// The folder of an attempt.
-    #[must_use]
     pub fn attempt_folder(&self, trial: u32, attempt: u32) -> PathBuf {
         self.folder
             .join(ATTEMPTS)
@@ -96,7 +88,6 @@ impl Campaign {
     }
 
     /// The sidecar of an attempt's run; none if it was not begun.
-    #[must_use]
     pub fn run_sidecar(&self, trial: u32, attempt: u32) -> Option<PathBuf> {
         let mut found = plain::files(&self.attempt_folder(trial, attempt));
         found.retain(|path| {
@@ -117,7 +108,6 @@ impl Campaign {
     }
 
     /// Where the data come from, rig or simulation; none before there are any.
-    #[must_use]
     pub fn origin(&self) -> Option<Origin> {
         (self.state.sequence.origin()).or(self.readings.sequence.origin())
     }
@@ -180,8 +170,6 @@ pub(crate) fn not_a_campaign(path: &Path, why: impl ToString) -> CampaignError {
     )
 }
 
-/// The text of `order.csv`.
-#[must_use]
 pub fn order_text(order: &[Planned]) -> String {
     let mut csv = csv::Writer::from_writer(vec![]);
     for planned in order {

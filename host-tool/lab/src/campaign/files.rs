@@ -2,30 +2,23 @@
 
 use crate::trials::experiment::{ACTUATIONS, stem};
 
-/// The plan as the user wrote it.
 pub const PLAN: &str = "plan.toml";
-/// The trials in their order.
 pub const ORDER: &str = "order.csv";
-/// The ledger.
 pub const TRIALS: &str = "trials.csv";
-/// The caliper's readings.
 pub const READINGS: &str = "readings.csv";
 /// Locked by the process that writes to the folder. The file is empty and not in the manifest.
 pub const LOCK: &str = ".lock";
-/// A folder for each attempt at a trial.
 pub const ATTEMPTS: &str = "trials";
 
 /// First part of the name of a run's record.
 pub const RUN: &str = "run";
 
 /// Whether a file's name is one that the record of an action gets, of either machine.
-#[must_use]
 pub fn is_record(name: &str) -> bool {
     let mut stems = std::iter::once(RUN).chain(ACTUATIONS.map(stem));
     stems.any(|stem| is_of(name, stem))
 }
 
-/// Whether a name begins with this first part.
 pub(crate) fn is_of(name: &str, stem: &str) -> bool {
     let rest = name.strip_prefix(stem);
     rest.is_some_and(|rest| rest.starts_with('-'))

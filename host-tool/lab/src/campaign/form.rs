@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-/// The body's shape during a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Form {
@@ -15,8 +14,6 @@ pub enum Form {
 }
 
 impl Form {
-    /// The name in ledgers.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Unfolded => "unfolded",

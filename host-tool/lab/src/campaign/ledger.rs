@@ -15,27 +15,22 @@ use serde::{Deserialize, Serialize};
 use crate::campaign::order::{Condition, Planned};
 use crate::campaign::plan::Millimetres;
 
-/// Kind of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LedgerEvent {
     /// An attempt at a trial begins; nothing has moved yet.
     Began,
-    /// It ended, as `outcome` says.
     Ended,
     /// The displacement of the tail was entered. A later one of the same attempt corrects it.
     Displacement,
-    /// The displacement was taken back.
     Undone,
     /// The attempt is given up, and the trial is done again.
     Repeated,
-    /// The trial is left out.
     Skipped,
     /// The trial was done, and is left out of the evaluation.
     Excluded,
     /// The trial is no longer skipped or excluded.
     Included,
-    /// A remark.
     Note,
 }
 
@@ -57,17 +52,12 @@ impl LedgerEvent {
 }
 
 outcomes! {
-    /// How an attempt ended.
     AttemptOutcome {
-        /// As planned.
         Complete: "complete",
-        /// The machine refused it.
         Refused: "refused",
-        /// The operator stopped it.
         Stopped: "stopped",
         /// The machine stopped by itself because it no longer heard from the tool.
         LinkLost: "link_lost",
-        /// A fault ended it.
         Faulted: "faulted",
         /// The tool ended during the attempt, or lost the machine.
         Lost: "lost",
@@ -87,13 +77,10 @@ impl From<Status> for AttemptOutcome {
     }
 }
 
-/// Origin of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Source {
-    /// A person measured it.
     Measured,
-    /// A model calculated it.
     Model,
     /// A model calculated it, and the plan's scatter was added.
     ModelWithScatter,
@@ -106,7 +93,6 @@ pub struct LedgerRow {
     pub row: u32,
     /// Time by the computer's clock.
     pub time_utc: Timestamp,
-    /// Kind of event.
     pub event: LedgerEvent,
     /// The trial; empty for a note on the whole campaign.
     pub trial: Option<u32>,
@@ -116,7 +102,6 @@ pub struct LedgerRow {
     pub outcome: Option<AttemptOutcome>,
     /// With `displacement`: of the tail since the beginning, + headward.
     pub displacement_mm: Option<Millimetres>,
-    /// With `displacement`: its origin.
     pub source: Option<Source>,
     /// With `began`: the set of readings in `readings.csv` that gives the indentation.
     pub readings_set: Option<u32>,
@@ -126,13 +111,11 @@ pub struct LedgerRow {
     pub camera_file: Option<String>,
     /// A reason, a remark.
     pub text: Option<String>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
 impl LedgerRow {
     /// A row about a trial; the ledger adds its number.
-    #[must_use]
     pub fn of(event: LedgerEvent, trial: u32, attempt: Option<u32>) -> Self {
         Self {
             row: 0,
@@ -151,7 +134,6 @@ impl LedgerRow {
         }
     }
 
-    /// Adds a reason or remark.
     #[must_use]
     pub fn saying(mut self, text: Option<String>) -> Self {
         self.text = text.filter(|text| !text.is_empty());
@@ -159,41 +141,32 @@ impl LedgerRow {
     }
 }
 
-/// The first contradiction in a ledger.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("row {row}: {why}")]
 pub struct Contradiction {
     /// Number of the row in the file, from 1.
     pub row: u32,
-    /// The contradiction.
     pub why: String,
 }
 
-/// A displacement, as last entered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Displacement {
     /// Of the tail, + headward.
     pub value: Millimetres,
-    /// Its origin.
     pub source: Source,
     /// Number of entries: more than one if it was corrected.
     pub entered: u32,
 }
 
-/// An attempt at a trial.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Attempt {
     /// From 1.
     pub number: u32,
-    /// When it began.
     pub began: Timestamp,
-    /// When it ended.
     pub ended: Option<Timestamp>,
     /// How it ended; none while it goes on.
     pub outcome: Option<AttemptOutcome>,
-    /// Why it did not end as planned.
     pub reason: Option<String>,
-    /// The net displacement.
     pub displacement: Option<Displacement>,
     /// Number of displacements entered, including those taken back.
     pub entries: u32,
@@ -201,32 +174,24 @@ pub struct Attempt {
     pub given_up: Option<String>,
     /// The set of readings that gives its indentation.
     pub readings_set: Option<u32>,
-    /// Its indentation a_n.
     pub indentation_mm: Option<Millimetres>,
-    /// The camera's file.
     pub camera_file: Option<String>,
 }
 
 impl Attempt {
     /// Whether it was completed and is not given up.
-    #[must_use]
     pub fn stands(&self) -> bool {
         self.outcome == Some(AttemptOutcome::Complete) && self.given_up.is_none()
     }
 
-    /// Name of its folder.
-    #[must_use]
     pub fn folder(trial: u32, attempt: u32) -> String {
         format!("{trial:03}-{attempt}")
     }
 }
 
-/// State of a trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// Not done yet.
     Open,
-    /// An attempt has begun and not ended.
     UnderWay,
     /// Run, but the displacement is missing.
     Unmeasured,
@@ -234,12 +199,10 @@ pub enum Standing {
     Done,
     /// Done, but left out of the evaluation.
     Excluded,
-    /// Skipped.
     Skipped,
 }
 
 impl Standing {
-    /// The state in words.
     const fn words(self) -> &'static str {
         match self {
             Self::Open => "not done yet",
@@ -261,30 +224,22 @@ impl Standing {
     }
 }
 
-/// A trial and its history.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialState {
-    /// As planned.
     pub planned: Planned,
     /// All attempts, including those that do not count.
     pub attempts: Vec<Attempt>,
-    /// Why it is skipped; none if it is not.
     pub skipped: Option<String>,
-    /// Why it is excluded; none if it is not.
     pub excluded: Option<String>,
-    /// Remarks.
     pub notes: Vec<String>,
 }
 
 impl TrialState {
     /// The attempt that counts, if there is one.
-    #[must_use]
     pub fn attempt(&self) -> Option<&Attempt> {
         self.attempts.last().filter(|attempt| attempt.stands())
     }
 
-    /// Its state.
-    #[must_use]
     pub fn standing(&self) -> Standing {
         if self.skipped.is_some() {
             return Standing::Skipped;
@@ -300,7 +255,6 @@ impl TrialState {
         }
     }
 
-    /// How it is left out, if it is.
     fn left_out(&self) -> Option<&'static str> {
         match self.standing() {
             Standing::Skipped => Some("skipped"),
@@ -309,8 +263,6 @@ impl TrialState {
         }
     }
 
-    /// The displacement, if it counts.
-    #[must_use]
     pub fn counted(&self) -> Option<Displacement> {
         (self.standing() == Standing::Done)
             .then(|| self.attempt()?.displacement)
@@ -318,18 +270,13 @@ impl TrialState {
     }
 }
 
-/// Progress of a condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tally {
-    /// The condition.
     pub condition: Condition,
-    /// Number of planned trials.
     pub planned: u32,
     /// Trials that count: n.
-    pub counted: Vec<(u32, Displacement)>,
-    /// Number of excluded trials.
+    pub counted: Vec<Displacement>,
     pub excluded: u32,
-    /// Number of skipped trials.
     pub skipped: u32,
 }
 
@@ -342,14 +289,10 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// The number of the next row.
-    #[must_use]
     pub fn next_row(&self) -> u32 {
         self.rows + 1
     }
 
-    /// Origin of all rows; none before the first one.
-    #[must_use]
     pub fn origin(&self) -> Option<Origin> {
         self.origin
     }
@@ -367,27 +310,20 @@ impl Sequence {
         }
     }
 
-    /// Counts a row.
     pub(crate) fn take(&mut self, origin: Origin) {
         self.rows += 1;
         self.origin = Some(origin);
     }
 }
 
-/// The state that follows from a ledger.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CampaignState {
-    /// All trials in their order.
     pub trials: Vec<TrialState>,
-    /// Remarks on the whole campaign.
     pub notes: Vec<String>,
-    /// Numbers and origin of the rows.
     pub sequence: Sequence,
 }
 
 impl CampaignState {
-    /// State before the first row.
-    #[must_use]
     pub fn new(order: &[Planned]) -> Self {
         let trial = |planned: &Planned| TrialState {
             planned: planned.clone(),
@@ -451,7 +387,6 @@ impl CampaignState {
     }
 
     /// The trial to do next: first one whose displacement is missing, then a new one.
-    #[must_use]
     pub fn next(&self) -> Option<&TrialState> {
         let with = |wanted: Standing| {
             self.trials
@@ -463,14 +398,11 @@ impl CampaignState {
             .or_else(|| with(Standing::Open))
     }
 
-    /// A trial by its number.
-    #[must_use]
     pub fn trial(&self, number: u32) -> Option<&TrialState> {
         self.trials.get((number as usize).checked_sub(1)?)
     }
 
     /// The trial and attempt of the latest displacement that was not taken back.
-    #[must_use]
     pub fn last_measured(&self, rows: &[LedgerRow]) -> Option<(u32, u32)> {
         rows.iter().rev().find_map(|row| {
             let (trial, attempt) = (row.trial?, row.attempt?);
@@ -483,7 +415,6 @@ impl CampaignState {
     }
 
     /// All conditions in the order of purpose, lubrication and shape; indentations in the order of `rank`.
-    #[must_use]
     pub fn tallies(&self, rank: impl Fn(&str) -> usize) -> Vec<Tally> {
         let mut tallies = BTreeMap::new();
         for trial in &self.trials {
@@ -505,9 +436,7 @@ impl CampaignState {
             match trial.standing() {
                 Standing::Excluded => tally.excluded += 1,
                 Standing::Skipped => tally.skipped += 1,
-                _ => tally
-                    .counted
-                    .extend(trial.counted().map(|mm| (trial.planned.trial, mm))),
+                _ => tally.counted.extend(trial.counted()),
             }
         }
         tallies.into_values().collect()

@@ -12,21 +12,17 @@ use client::{limited, plain};
 use crate::campaign::CampaignError;
 use crate::campaign::files::{LOCK, READINGS, TRIALS};
 
-/// File name of the manifest.
 pub const NAME: &str = "SHA256SUMS";
 
 /// Folder that the manifest leaves out: `report` can create it again.
 pub const NOT_COVERED: &str = "report";
 
-/// A SHA-256 hash.
 pub type Hash = [u8; 32];
 
 /// Paths relative to the folder, with `/` between their parts, and the hashes of the files.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Manifest(pub BTreeMap<String, Hash>);
 
-/// A hash as text.
-#[must_use]
 pub fn hex(hash: &Hash) -> String {
     hash.iter().fold(String::new(), |mut text, byte| {
         let _ = write!(text, "{byte:02x}");
@@ -59,8 +55,6 @@ fn is_path(path: &str) -> bool {
 }
 
 impl Manifest {
-    /// Formats the manifest.
-    #[must_use]
     pub fn text(&self) -> String {
         self.0.iter().fold(String::new(), |mut text, (path, hash)| {
             let _ = writeln!(text, "{}  {path}", hex(hash));
@@ -100,9 +94,6 @@ impl Manifest {
 pub(crate) const COPY: &str = "restore it from a copy";
 
 /// Reads the manifest of a folder; none if the folder has none.
-///
-/// # Errors
-/// The file is not a manifest.
 pub fn read(folder: &Path) -> Result<Option<Manifest>, CampaignError> {
     let path = folder.join(NAME);
     let text = match plain::read_text(&path, limited::RECORD) {
@@ -129,34 +120,25 @@ pub(crate) fn hash_of(mut file: impl Read) -> io::Result<hmac_sha256::Hash> {
 }
 
 /// The hash of a plain file.
-///
-/// # Errors
-/// Those of the file; it is longer than any that this program writes, [`plain::TELEMETRY`].
 pub fn hash_file(path: &Path) -> io::Result<Hash> {
     let file = plain::open_within(path, plain::TELEMETRY)?;
     Ok(hash_of(file)?.finalize())
 }
 
-/// Differences between a folder and its manifest.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Differences {
     /// Listed files that are missing or were changed, and files that cannot be read, with what is wrong.
     pub damaged: BTreeMap<String, String>,
     /// Tables with more lines than when they were listed.
     pub grown: Vec<String>,
-    /// Files that are not listed.
     pub added: Vec<String>,
     /// Entries that are neither a file nor a folder.
     pub strange: Vec<String>,
-    /// Number of files compared.
     pub compared: usize,
 }
 
 impl Differences {
     /// Compares every file.
-    ///
-    /// # Errors
-    /// Some part of the folder cannot be read.
     pub fn between(folder: &Path, manifest: &Manifest) -> io::Result<Self> {
         let there = contents(folder)?;
         let missing = |path: &String| (path.clone(), "is missing".to_owned());
@@ -201,7 +183,6 @@ fn has_grown(full: &Path, path: &str, listed: &Hash) -> bool {
     })
 }
 
-/// Content of a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Contents {
     /// Paths of all files, except for the manifest and the folder [`NOT_COVERED`].
@@ -211,9 +192,6 @@ pub struct Contents {
 }
 
 /// Lists a folder, with everything below it.
-///
-/// # Errors
-/// Some part of it cannot be read.
 pub fn contents(folder: &Path) -> io::Result<Contents> {
     let mut contents = Contents::default();
     walk(folder, "", &mut contents)?;
@@ -250,9 +228,6 @@ fn walk(folder: &Path, under: &str, contents: &mut Contents) -> io::Result<()> {
 }
 
 /// The manifest of a folder as it is now.
-///
-/// # Errors
-/// Some part of it cannot be read.
 pub fn of_folder(folder: &Path) -> io::Result<Manifest> {
     let mut manifest = Manifest::default();
     for path in contents(folder)?.files {
@@ -263,9 +238,6 @@ pub fn of_folder(folder: &Path) -> io::Result<Manifest> {
 }
 
 /// The hash of a folder's manifest, and so of every file in it.
-///
-/// # Errors
-/// The manifest cannot be read.
 pub fn hash_of_all(folder: &Path) -> io::Result<String> {
     hash_file(&folder.join(NAME)).map(|hash| hex(&hash))
 }

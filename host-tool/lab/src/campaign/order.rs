@@ -10,16 +10,12 @@ use crate::campaign::chance::Chance;
 use crate::campaign::form::Form;
 use crate::campaign::plan::{CampaignPlan, Lubrication, Purpose};
 
-/// The conditions that averaged trials share.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Condition {
     /// Figure that the trial is for.
     pub purpose: Purpose,
-    /// State of the walls.
     pub lubrication: Lubrication,
-    /// Name of the indentation.
     pub indentation: String,
-    /// Shape of the body.
     pub shape: Form,
 }
 
@@ -32,19 +28,14 @@ pub struct Planned {
     pub block: u32,
     /// Figure that it is for.
     pub purpose: Purpose,
-    /// State of the walls.
     pub lubrication: Lubrication,
-    /// Name of the indentation.
     pub indentation: String,
-    /// Shape of the body.
     pub shape: Form,
     /// Number of the repeat of its condition, from 1.
     pub repeat: u32,
 }
 
 impl Planned {
-    /// Its condition.
-    #[must_use]
     pub fn condition(&self) -> Condition {
         Condition {
             purpose: self.purpose,
@@ -56,7 +47,6 @@ impl Planned {
 }
 
 /// All trials of a plan, in the order that its seed gives.
-#[must_use]
 pub fn order(plan: &CampaignPlan) -> Vec<Planned> {
     let mut chance = Chance::new(plan.seed);
     let mut trials = vec![];

@@ -27,19 +27,15 @@ const WIDEST_UM: i64 = 1_000_000;
 /// A length, written in millimetres and stored in micrometres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Millimetres {
-    /// Micrometres.
     pub um: i64,
 }
 
 impl Millimetres {
-    /// From micrometres.
-    #[must_use]
     pub const fn from_um(um: i64) -> Self {
         Self { um }
     }
 
     /// The length in mm, for calculations.
-    #[must_use]
     pub fn mm(self) -> f64 {
         self.um as f64 / 1_000.0
     }
@@ -99,7 +95,6 @@ fn thousandths<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Err
     parse_thousandths(&text).map_err(D::Error::custom)
 }
 
-/// State of the intestine's wall.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Lubrication {
@@ -110,12 +105,18 @@ pub enum Lubrication {
 }
 
 impl Lubrication {
-    /// Name in plans and ledgers.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Dry => "dry",
             Self::Lubricated => "lubricated",
+        }
+    }
+
+    /// Friction of such a wall: an end of the paper's range \[assumed\].
+    pub const fn friction(self) -> f64 {
+        match self {
+            Self::Dry => 0.20,
+            Self::Lubricated => 0.08,
         }
     }
 }
@@ -131,8 +132,6 @@ pub enum Purpose {
 }
 
 impl Purpose {
-    /// Name in the ledger.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Series => "series",
@@ -155,7 +154,6 @@ pub struct Metadata {
     pub soap: String,
     /// The camera, and what starts it.
     pub camera: String,
-    /// The caliper.
     pub caliper: String,
     /// Resolution of the caliper; readings finer than this are asked again.
     pub caliper_resolution_mm: Millimetres,
@@ -186,7 +184,6 @@ const fn default_telemetry_ms() -> u16 {
     crate::trials::experiment::DEFAULT_TELEMETRY_MS
 }
 
-/// How to read the caliper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Readings {
@@ -232,18 +229,14 @@ struct DisplacementTable {
     greatest_mm: Option<Millimetres>,
 }
 
-/// Range of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Displacements {
-    /// The least.
     pub least_mm: Millimetres,
-    /// The greatest.
     pub greatest_mm: Millimetres,
 }
 
 impl Displacements {
     /// Why a value cannot be a displacement of this plan; none if it can.
-    #[must_use]
     pub fn refusal(&self, value: Millimetres) -> Option<String> {
         let allowed = self.least_mm..=self.greatest_mm;
         (!allowed.contains(&value)).then(|| {
@@ -262,7 +255,6 @@ pub struct Virtual {
     /// Standard deviation of the scatter on displacements; 0 for none.
     #[serde(default)]
     pub scatter_mm: Millimetres,
-    /// Seed of the scatter.
     #[serde(default)]
     pub seed: u32,
 }
@@ -288,9 +280,7 @@ struct File {
 /// Trials repeated under the same conditions, except for their indentations.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Group {
-    /// State of the walls.
     pub lubrication: Lubrication,
-    /// Names of indentations, as listed.
     pub indentations: Vec<String>,
     /// Figure that they are for, and shape of the body.
     #[serde(skip)]
@@ -299,30 +289,21 @@ pub struct Group {
     pub repeats: u32,
 }
 
-/// A plan that can be carried out.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct CampaignPlan {
     /// Its name: letters, digits, `-` and `_`.
     pub name: String,
-    /// Seed of the order.
     pub seed: u64,
-    /// People, specimen and equipment.
     pub metadata: Metadata,
-    /// The run of every trial.
     pub run: Run,
-    /// Interval of telemetry, ms.
     pub telemetry_ms: u16,
-    /// How to read the caliper.
     pub readings: Readings,
     /// Places of the rollers, from the least indentation to the greatest.
     pub indentations: Vec<Indentation>,
-    /// Groups of trials, dry ones first.
     pub groups: Vec<Group>,
     /// Where the body folds, for the runs in which it does.
     pub fold_at: Option<Cue>,
-    /// Range of a displacement.
     pub displacement: Displacements,
-    /// Scatter of the virtual bench.
     pub virtual_bench: Virtual,
 }
 
@@ -403,15 +384,12 @@ impl CampaignPlan {
     }
 
     /// Index of an indentation in the order of depth.
-    #[must_use]
     pub fn rank(&self, indentation: &str) -> Option<usize> {
         self.indentations
             .iter()
             .position(|known| known.name == indentation)
     }
 
-    /// Whether some trial needs the capsule.
-    #[must_use]
     pub fn needs_capsule(&self) -> bool {
         self.groups
             .iter()
@@ -420,7 +398,6 @@ impl CampaignPlan {
     }
 
     /// Duration of a run, ignoring the rounding of a solved plan, s.
-    #[must_use]
     pub fn run_s(&self) -> f64 {
         match self.run.timing {
             RunTiming::Total { total_us, .. } => total_us as f64 / 1e6,

@@ -10,24 +10,17 @@ use crate::campaign::order::Planned;
 use crate::campaign::plan::{Lubrication, Millimetres, Purpose};
 use crate::campaign::readings::Quantity;
 
-/// Why there is no answer.
 #[derive(Debug)]
 pub enum Halt {
-    /// The operator has left.
     Left,
     /// The link to a machine failed while the question waited.
     Client(ClientError),
 }
 
-/// A question.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Question<'a> {
     /// The operator has to prepare something by hand.
-    Prepare {
-        /// The preparations, one per line.
-        todo: Vec<String>,
-    },
-    /// A reading of the caliper.
+    Prepare { todo: Vec<String> },
     Reading {
         /// D or i_n.
         quantity: Quantity,
@@ -35,30 +28,18 @@ pub enum Question<'a> {
         indentation: Option<&'a str>,
         /// Number of the reading, from 1.
         number: u32,
-        /// Number of readings of the set.
         count: u32,
     },
     /// A set of readings is implausible.
-    Odd {
-        /// The reasons, as questions.
-        questions: &'a [String],
-    },
-    /// A trial is about to begin.
+    Odd { questions: &'a [String] },
     Ready {
-        /// The trial.
         planned: &'a Planned,
-        /// The attempt.
         attempt: u32,
-        /// The check-list, one item per line.
         checks: Vec<String>,
     },
-    /// The displacement of the tail.
     Displacement {
-        /// The trial.
         planned: &'a Planned,
-        /// The attempt.
         attempt: u32,
-        /// Number of trials of the campaign.
         of: usize,
         /// The modelled value, on the virtual bench.
         model: Option<Millimetres>,
@@ -67,7 +48,6 @@ pub enum Question<'a> {
 
 impl Question<'_> {
     /// The question in words, line by line.
-    #[must_use]
     pub fn text(&self) -> Vec<String> {
         match self {
             Self::Prepare { todo } => todo.clone(),
@@ -108,8 +88,6 @@ impl Question<'_> {
         }
     }
 
-    /// The possible answers, for the prompt.
-    #[must_use]
     pub fn hint(&self) -> &'static str {
         match self {
             Self::Prepare { .. } => "Enter when it is done; q leaves",
@@ -130,39 +108,27 @@ impl Question<'_> {
     }
 }
 
-/// An answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Answer {
-    /// Enter alone.
     Enter,
-    /// A length.
     Length(Millimetres),
-    /// Yes.
     Yes,
-    /// Repeat.
     Again,
     /// Take the last entry back.
     Undo,
-    /// Do the trial once more.
     Repeat(String),
-    /// Leave the trial out.
     Skip(String),
     /// Leave the trial out of the evaluation.
     Exclude(String),
-    /// A remark.
     Note(String),
-    /// The camera's file.
     Camera(String),
     /// The rollers were clamped anew.
     Clamp,
-    /// Leave.
     Quit,
     /// Unclear, with the reason.
     Unclear(String),
 }
 
-/// Parses a typed answer.
-#[must_use]
 pub fn parse(text: &str) -> Answer {
     // A key that a terminal does not know may arrive as a control character.
     let text = text.replace(char::is_control, " ");
@@ -232,8 +198,6 @@ fn heading(planned: &Planned, attempt: u32, of: usize) -> String {
     )
 }
 
-/// Check-list before a trial.
-#[must_use]
 pub fn checks(
     planned: &Planned,
     attempt: u32,
@@ -263,7 +227,6 @@ pub fn checks(
 }
 
 /// Proposed name of the camera's file.
-#[must_use]
 pub fn camera_file(name: &str, trial: u32, attempt: u32) -> String {
     format!("{name}-{}", Attempt::folder(trial, attempt))
 }

@@ -20,11 +20,9 @@ pub enum Quantity {
     BetweenCrests,
 }
 
-/// Kind of a row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// A reading.
     Reading,
     /// The last reading of the set was taken back.
     Withdrawn,
@@ -43,11 +41,9 @@ pub struct ReadingRow {
     pub time_utc: Timestamp,
     /// The set of readings, from 1. Each clamping begins a new one.
     pub readings_set: u32,
-    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; empty for the width.
     pub indentation: Option<String>,
-    /// Kind of this row.
     pub event: Kind,
     /// Number of the reading in the set, from 1.
     pub reading: Option<u32>,
@@ -55,22 +51,16 @@ pub struct ReadingRow {
     pub value_mm: Option<Millimetres>,
     /// The questions that were asked and confirmed, or why the set is not used.
     pub text: Option<String>,
-    /// Origin of the data.
     pub origin: Origin,
 }
 
-/// A set of readings of one width.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Set {
-    /// Its number.
     pub number: u32,
-    /// Measured quantity.
     pub quantity: Quantity,
     /// Name of the indentation; none for the width.
     pub indentation: Option<String>,
-    /// The readings.
     pub values: Vec<Millimetres>,
-    /// Whether it is accepted.
     pub accepted: bool,
     /// Whether it is discarded: before it was accepted, or because the rollers were clamped anew.
     pub discarded: bool,
@@ -78,24 +68,17 @@ pub struct Set {
     pub text: Option<String>,
 }
 
-/// Mean and spread of readings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// Number of readings.
     pub count: usize,
-    /// Mean, mm.
     pub mean_mm: f64,
     /// Standard deviation of the sample, mm; none for a single reading.
     pub sd_mm: Option<f64>,
-    /// The least.
     pub least: Millimetres,
-    /// The greatest.
     pub greatest: Millimetres,
 }
 
 impl Summary {
-    /// Summary of these values; none without values.
-    #[must_use]
     pub fn of(values: &[Millimetres]) -> Option<Self> {
         let (least, greatest) = (*values.iter().min()?, *values.iter().max()?);
         // Exact, because it is in whole micrometres.
@@ -110,19 +93,15 @@ impl Summary {
         })
     }
 
-    /// Greatest value minus least.
-    #[must_use]
     pub fn spread(&self) -> Millimetres {
         Millimetres::from_um(self.greatest.um - self.least.um)
     }
 }
 
-/// All readings of a campaign.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Readings {
     /// In the order of their numbers, from 1.
     pub sets: Vec<Set>,
-    /// Numbers and origin of the rows.
     pub sequence: Sequence,
 }
 
@@ -213,16 +192,12 @@ impl Readings {
         Ok(())
     }
 
-    /// The set that has begun and is incomplete.
-    #[must_use]
     pub fn open(&self) -> Option<&Set> {
         self.sets
             .last()
             .filter(|last| !last.accepted && !last.discarded)
     }
 
-    /// The last accepted set of D.
-    #[must_use]
     pub fn width(&self) -> Option<&Set> {
         self.sets
             .iter()
@@ -239,7 +214,6 @@ impl Readings {
 
     /// The last complete set of i_n, which is the present clamping of the rollers; none if it was discarded: they are
     /// clamped otherwise by now.
-    #[must_use]
     pub fn clamped(&self) -> Option<&Set> {
         self.sets
             .iter()
@@ -249,7 +223,6 @@ impl Readings {
 
     /// a_n = (D - i_n)/2 from a set of i_n and the last accepted D, mm. None without D, or if they contradict each
     /// other.
-    #[must_use]
     pub fn indentation_mm(&self, set: &Set) -> Option<f64> {
         let width = Summary::of(&self.width()?.values)?.mean_mm;
         let between = Summary::of(&set.values)?.mean_mm;
@@ -260,7 +233,6 @@ impl Readings {
 }
 
 /// Why a reading is refused; none if it is not. `width_mm` is the mean of D, once it is known.
-#[must_use]
 pub fn refusal(
     quantity: Quantity,
     value: Millimetres,
@@ -289,8 +261,6 @@ pub fn refusal(
 /// Share of the plan's `width_about_mm` by which D may differ from it unasked.
 const FAR_OFF: f64 = 0.2;
 
-/// The questions to ask about a set before it is accepted.
-#[must_use]
 pub fn questions(plan: &CampaignPlan, readings: &Readings, set: &Set) -> Vec<String> {
     let mut questions = vec![];
     let Some(summary) = Summary::of(&set.values) else {

@@ -16,7 +16,6 @@ const LATEST: usize = 15;
 const CLAMPING_S: f64 = 300.0;
 
 /// The remaining time, s, by the pace of the last trials once there is one.
-#[must_use]
 pub fn remaining_s(campaign: &Campaign) -> f64 {
     let (mut trials, mut moving_s) = (0.0, 0.0);
     let mut blocks = vec![];
@@ -74,8 +73,6 @@ fn median(mut values: Vec<f64>) -> Option<f64> {
     values.get(values.len() / 2).copied()
 }
 
-/// The duration in words.
-#[must_use]
 pub fn text(seconds: f64) -> String {
     let minutes = (seconds / 60.0).ceil() as u64;
     match (minutes / 60, minutes % 60) {

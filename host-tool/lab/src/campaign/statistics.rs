@@ -1,11 +1,8 @@
 //! Statistics of repeated measurements: mean and standard deviation, and the least-squares line. Pure.
 
-/// Mean and standard deviation of some values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Spread {
-    /// Number of values.
     pub n: usize,
-    /// Their mean.
     pub mean: f64,
     /// Standard deviation of the sample, with n - 1; none for a single value.
     pub sd: Option<f64>,
@@ -13,7 +10,6 @@ pub struct Spread {
 
 impl Spread {
     /// Mean and standard deviation of these values; none without values.
-    #[must_use]
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() {
             return None;
@@ -26,18 +22,15 @@ impl Spread {
     }
 }
 
-/// The least-squares line through points.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FittedLine {
     /// Rise per unit of x.
     pub slope: f64,
-    /// Value at x = 0.
     pub intercept: f64,
 }
 
 impl FittedLine {
     /// Through points (x, y); none for fewer than two different x, which determine no line.
-    #[must_use]
     pub fn through(points: &[(f64, f64)]) -> Option<Self> {
         let first = points.first()?.0;
         if points.iter().all(|(x, _)| *x == first) {
@@ -56,8 +49,6 @@ impl FittedLine {
         Some(Self { slope, intercept })
     }
 
-    /// Its value at `x`.
-    #[must_use]
     pub fn at(&self, x: f64) -> f64 {
         self.intercept + self.slope * x
     }

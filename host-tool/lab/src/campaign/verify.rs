@@ -14,14 +14,11 @@ use crate::campaign::ledger::{Attempt, AttemptOutcome, TrialState};
 use crate::campaign::manifest::{self, COPY, Contents, Differences, contents};
 use crate::campaign::{CampaignError, resumption};
 
-/// A file that is not as it should be.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Finding {
     /// The file, relative to the folder.
     pub path: String,
-    /// The fault.
     pub what: String,
-    /// Advice to the user.
     pub remedy: String,
 }
 
@@ -44,25 +41,17 @@ impl std::fmt::Display for Finding {
 const STRANGE: &str = "is neither a file nor a folder, or has a name that cannot be listed";
 const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 
-/// Result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Verified {
-    /// Whether it is the folder of a campaign.
     pub campaign: bool,
-    /// Number of files whose hashes were compared.
     pub files: usize,
-    /// Number of trial records whose contents were checked.
     pub records: usize,
     /// Records without an end: under way, or their recording was cut off.
     pub unended: Vec<String>,
-    /// All findings.
     pub findings: Vec<Finding>,
 }
 
 /// Looks through a folder and changes nothing.
-///
-/// # Errors
-/// The folder cannot be read.
 pub fn verify(folder: &Path) -> Result<Verified, CampaignError> {
     if !folder.is_dir() {
         return Err(CampaignError::misuse(

@@ -25,7 +25,6 @@ const PLAIN: Step = Step {
     check: image,
 };
 
-/// The steps in their order.
 pub const STEPS: &[Step] = &[
     Step {
         name: "image",
@@ -368,7 +367,6 @@ fn unfold(work: &mut Work<'_>) -> Result<(), Halt> {
     Ok(())
 }
 
-/// Starts a fold, and waits until it is under way.
 fn folding(work: &mut Work<'_>) -> Result<(), Halt> {
     unfolded(work)?;
     work.device.fold()?;

@@ -12,7 +12,6 @@ pub enum Halt {
     NotShown(String),
     /// A defect, described by this text.
     Defect(String),
-    /// The machine failed, or the link to it.
     Client(ClientError),
     /// The connection to the bench's hands was lost.
     NoHands(String),
@@ -29,7 +28,6 @@ impl From<ClientError> for Halt {
     }
 }
 
-/// Describes an unexpected refusal.
 pub(super) fn refused(refusal: &Refusal) -> String {
     match refusal {
         Refusal::RigFaulted(fault) => fault_text(*fault),
@@ -37,7 +35,6 @@ pub(super) fn refused(refusal: &Refusal) -> String {
     }
 }
 
-/// Explains a fault of a new machine.
 pub fn fault_text(fault: RigFault) -> String {
     match fault {
         RigFault::ReadBack { commanded, counted } => format!(

@@ -23,7 +23,6 @@ use crate::outcomes;
 const PATIENCE: Duration = Duration::from_secs(30);
 
 outcomes! {
-    /// Parts that a hand can act on.
     Part {
         /// The home flag, actuated or let go.
         HomeFlag: "home-flag",
@@ -48,7 +47,6 @@ outcomes! {
 }
 
 outcomes! {
-    /// Quantities that a hand can measure.
     Reading {
         /// EN (D8) against GND while the reset button is held, mV. The board starts again afterwards.
         EnableInReset: "enable-in-reset-mv",
@@ -114,7 +112,6 @@ impl FromStr for Wish {
     }
 }
 
-/// Prints a line for the operator.
 pub type Say<'a> = dyn FnMut(&str) + 'a;
 
 /// Checks the machine for the effect of an act, and keeps its link alive. True when the effect is there.
@@ -161,7 +158,6 @@ impl Hands for Nobody {
     }
 }
 
-/// The hands of a virtual bench, at its port for hands.
 pub struct Bench {
     place: String,
     stream: BufReader<TcpStream>,

@@ -10,7 +10,6 @@ use object::{Endianness, Object as _, ObjectSymbol as _};
 /// Flash of the STM32F411RE.
 const MOST_BYTES: usize = 512 * 1024;
 
-/// Why a file has no fingerprint.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
     #[error("{0}")]

@@ -21,11 +21,8 @@ pub const FORMAT: u32 = 1;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StepOutcome {
-    /// Observed and correct.
     Passed,
-    /// Observed and wrong.
     Failed,
-    /// Not observed.
     NotShown,
 }
 
@@ -46,15 +43,12 @@ pub struct StepResult {
     pub settings: BTreeMap<String, u32>,
 }
 
-/// A commissioning, finished or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Commissioning {
     pub format: u32,
-    /// `rig` or `capsule`.
     pub machine: String,
     /// Unique number of the board, 24 hex digits.
     pub board_uid: String,
-    /// Whether it is a real machine.
     #[serde(default)]
     pub origin: Origin,
     /// Name and version of the host tool that wrote it last.
@@ -100,7 +94,6 @@ impl Commissioning {
         }
     }
 
-    /// Reads a record; none if there is no such file.
     pub fn read(path: &Path) -> Result<Option<Self>, RecordError> {
         let error = |why: String| RecordError {
             path: path.to_owned(),

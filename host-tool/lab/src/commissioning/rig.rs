@@ -24,7 +24,6 @@ const PLAIN: Step = Step {
     check: board::image_is_the_one,
 };
 
-/// The steps in their order.
 pub const STEPS: &[Step] = &[
     Step {
         name: "image",

@@ -24,7 +24,6 @@ pub struct Step {
     pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
 }
 
-/// The steps of a machine, in their order.
 pub const fn steps(machine: DeviceKind) -> &'static [Step] {
     match machine {
         DeviceKind::Rig => rig::STEPS,

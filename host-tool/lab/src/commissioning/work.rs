@@ -38,7 +38,6 @@ pub struct Work<'a> {
     hands: &'a mut dyn Hands,
     say: &'a mut dyn FnMut(&str),
     reopen: &'a Reopen<'a>,
-    /// The motor supply, as far as it is known.
     supply: Option<bool>,
     pub(crate) measured: Map<String, Value>,
 }
@@ -72,7 +71,6 @@ impl<'a> Work<'a> {
         (self.say)(text);
     }
 
-    /// Keeps a measured number; its name has the unit.
     pub fn note(&mut self, name: &str, value: impl Into<Value>) {
         self.measured.insert(name.to_owned(), value.into());
     }

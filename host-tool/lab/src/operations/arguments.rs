@@ -58,7 +58,6 @@ pub struct RecordArgs {
 
 impl RecordArgs {
     /// The recording of a motion that begins now. The server has a folder of its own.
-    #[must_use]
     pub fn recording(&self, folder: &Path, stem: &str, now: Timestamp) -> Recording {
         Recording {
             folder: folder.to_owned(),
@@ -168,7 +167,6 @@ pub enum Preset {
 
 impl Waves {
     /// The request these arguments stand for.
-    #[must_use]
     pub fn request(&self, on_link_loss: OnLinkLoss) -> Run {
         let accel_um_s2 = self.accel_mm_s2.0;
         let cycles = u64::from(self.cycles);
@@ -213,9 +211,6 @@ impl Waves {
 }
 
 /// Parses a number that must be above 0.
-///
-/// # Errors
-/// The reason, for the user.
 pub fn above_zero<T>(text: &str) -> Result<T, String>
 where
     T: std::str::FromStr<Err = DecimalError> + Default + PartialEq,

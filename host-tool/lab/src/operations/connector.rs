@@ -22,7 +22,6 @@ use protocol::system::DeviceKind;
 /// A place where there may be a machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Candidate {
-    /// Its address.
     pub address: Address,
     /// The kind of machine, if it is known without asking.
     pub kind: Option<DeviceKind>,
@@ -54,9 +53,6 @@ pub enum Purpose {
 /// Opens links. Several threads may call it, so that a stop goes to all machines at once.
 pub trait Connector: Sync {
     /// Opens a link to a machine; sends nothing. It does not search: the caller resolves [`Address::Auto`].
-    ///
-    /// # Errors
-    /// [`OpenError`] with what to do about it.
     fn open(
         &self,
         kind: DeviceKind,
@@ -86,7 +82,6 @@ pub trait Connector: Sync {
     /// A nonce for the next session, different from the last one.
     fn nonce(&self) -> u32;
 
-    /// The time of day, for records.
     fn now(&self) -> Timestamp;
 
     /// The simulated hands at the machine of this kind and address, if they are part of this program. A board needs a

@@ -6,20 +6,15 @@ use serde_json::{Value, json};
 /// The advice when a machine may not have been stopped.
 pub const DO_NOW: &str = "press the emergency stop button or cut the motor supply NOW; or press Ctrl-C twice in the terminal whose `retrograde` moves the machine";
 
-/// Result of a stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Delivery {
-    /// The machine has confirmed it.
     Stopped,
     /// It was sent, but the machine did not confirm it.
     NotConfirmed,
-    /// It was not sent.
     NotDelivered,
 }
 
 impl Delivery {
-    /// Name for `--json`.
-    #[must_use]
     pub fn name(self) -> &'static str {
         match self {
             Self::Stopped => "stopped",
@@ -29,20 +24,16 @@ impl Delivery {
     }
 }
 
-/// Result of the stop of one machine.
 #[derive(Clone, Debug)]
 pub struct Told {
     /// The machine, as the user would name it: `rig at /dev/ttyACM0`.
     pub machine: String,
-    /// Result of the stop.
     pub delivery: Delivery,
     /// The reason why it is not known to stand; empty if it is.
     pub why: String,
 }
 
 impl Told {
-    /// Text for a person.
-    #[must_use]
     pub fn line(&self, urgent: Urgent) -> String {
         let machine = &self.machine;
         match (self.delivery, urgent) {
@@ -57,8 +48,6 @@ impl Told {
         }
     }
 
-    /// Value for `--json`.
-    #[must_use]
     pub fn json(&self) -> Value {
         json!({
             "machine": self.machine,
@@ -69,7 +58,6 @@ impl Told {
 }
 
 /// Names the machines that did not confirm, in one sentence.
-#[must_use]
 pub fn summary(told: &[Told]) -> String {
     let of = |delivery, text: &str| {
         let machines: Vec<_> = told

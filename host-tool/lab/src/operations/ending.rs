@@ -33,9 +33,6 @@ pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
 }
 
 /// Checks that a recorded motion ended as planned.
-///
-/// # Errors
-/// The trial is not complete.
 pub fn completed(action: &'static str, trial: &Trial, help: String) -> Result<(), Failure> {
     if trial.status == Status::Complete {
         return Ok(());
@@ -48,8 +45,6 @@ pub fn completed(action: &'static str, trial: &Trial, help: String) -> Result<()
     })
 }
 
-/// The failure of a motion that ended early.
-#[must_use]
 pub fn cut_short(action: &'static str, rig: &Device, status: &RigStatus) -> Failure {
     let (ending, reason) = match (status.fault, rig.interrupted()) {
         (Some(_), _) => (Status::Faulted, None),
@@ -86,14 +81,10 @@ fn ended(
     }
 }
 
-/// Position of the carriage, in mm.
-#[must_use]
 pub fn millimetres(status: &RigStatus) -> String {
     decimal::write_signed(status.position_um.into(), 3)
 }
 
-/// Result of homing, in one line.
-#[must_use]
 pub fn homed_text(homed: &client::Homed) -> String {
     format!(
         "Homed in {} s; the two passes differ by {} steps, the reference moved by {} steps.",

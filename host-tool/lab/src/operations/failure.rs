@@ -21,19 +21,14 @@ use serde_json::{Value, json};
 
 use crate::operations::delivery::{self, Delivery, Told};
 
-/// The reason why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// An error of the device or of the link to it.
     #[error(transparent)]
     Client(#[from] ClientError),
-    /// The link could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-    /// A recorded action failed.
     #[error(transparent)]
     Experiment(#[from] ExperimentError),
-    /// A record could not be written or read.
     #[error(transparent)]
     Record(#[from] RecordError),
     /// No machine of the wanted kind was found, or none at all; `there` lists what was found instead.
@@ -64,16 +59,13 @@ pub enum Failure {
     Said(Box<Said>),
 }
 
-/// A failure in words.
 #[derive(Debug)]
 pub struct Said {
     /// Keyword for programs: `retrograde::input`.
     pub code: String,
     /// The exit code; the table is in `docs/records.md`.
     pub exit_code: u8,
-    /// The reason.
     pub why: String,
-    /// The remedy; empty if there is none.
     pub help: String,
     /// Fields that `--json` shows beside the error.
     pub more: Value,
@@ -156,7 +148,6 @@ impl From<OutOfRange> for Failure {
 }
 
 /// Text of a command line that cannot be understood; clap writes ranges as Rust does.
-#[must_use]
 pub fn usage_text(error: &clap::Error) -> String {
     error.render().to_string().replace("..=", " to ")
 }
@@ -242,7 +233,6 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
 
 impl Failure {
     /// An error of any kind, with its code and remedy.
-    #[must_use]
     pub fn of(error: &dyn Diagnostic, exit_code: u8) -> Self {
         let text = |of: Option<Box<dyn fmt::Display + '_>>| {
             of.map(|of| of.to_string()).unwrap_or_default()
@@ -255,7 +245,6 @@ impl Failure {
         )
     }
 
-    /// Any failure in words.
     pub fn said(
         code: impl Into<String>,
         exit_code: u8,
@@ -271,7 +260,6 @@ impl Failure {
         }))
     }
 
-    /// Adds fields that `--json` shows beside the error.
     #[must_use]
     pub fn with(mut self, fields: Value) -> Self {
         if let Self::Said(said) = &mut self {
@@ -303,7 +291,6 @@ impl Failure {
     }
 
     /// The result could not be written, although the command was carried out.
-    #[must_use]
     pub fn output(io: &io::Error) -> Self {
         Self::said(
             "retrograde::output",
@@ -313,14 +300,10 @@ impl Failure {
         )
     }
 
-    /// The remedy; empty where there is none.
-    #[must_use]
     pub fn remedy(&self) -> String {
         self.help().map(|help| help.to_string()).unwrap_or_default()
     }
 
-    /// Text with its remedy, in one line.
-    #[must_use]
     pub fn in_one_line(&self) -> String {
         let help = self.help().map(|help| format!("; {help}"));
         let text = format!("{self}{}", help.unwrap_or_default());
@@ -328,7 +311,6 @@ impl Failure {
     }
 
     /// The exit code; the table is in `docs/records.md`.
-    #[must_use]
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Client(error) | Self::Experiment(ExperimentError::Client(error)) => {
@@ -355,8 +337,6 @@ impl Failure {
         }
     }
 
-    /// Value for `--json`.
-    #[must_use]
     pub fn json(&self) -> Value {
         let mut value = json!({
             "ok": false,
@@ -378,8 +358,6 @@ impl Failure {
         value
     }
 
-    /// Text for people.
-    #[must_use]
     pub fn text(&self) -> String {
         let code = self
             .code()
@@ -397,7 +375,6 @@ impl Failure {
         format!("error{code}: {self}{help}{way_on}")
     }
 
-    /// The reason for which a machine refused a request.
     fn refusal(&self) -> Option<&Refusal> {
         match self.client()? {
             ClientError::Refused { refusal, .. } => Some(refusal),
@@ -406,7 +383,6 @@ impl Failure {
     }
 
     /// The link broke while the machine moved, or after it was ordered to: it may be moving.
-    #[must_use]
     pub fn is_cut(&self) -> bool {
         matches!(
             self.client(),

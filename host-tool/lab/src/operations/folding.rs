@@ -9,9 +9,6 @@ use crate::operations::arguments::PartialArgs;
 use crate::operations::failure::Failure;
 
 /// Converts the arguments to a motion of the capsule.
-///
-/// # Errors
-/// The target is longer than any origami or thread.
 pub fn motion(args: &PartialArgs) -> Result<Actuation, Failure> {
     Ok(match (args.thread_mm, args.indentation_mm) {
         (Some(thread), _) => Actuation::fold_to(target_um(thread.0.into())?),

@@ -23,7 +23,6 @@ const KEPT_EVENTS: usize = 60;
 /// Time over which samples are counted, and for which a sample's speed stays valid.
 const WINDOW: Duration = Duration::from_secs(2);
 
-/// State of the connection to the machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Contact {
     /// Not connected; the reason, with the remedy.
@@ -59,8 +58,6 @@ pub struct Quality {
 }
 
 impl Quality {
-    /// Samples per second.
-    #[must_use]
     pub fn samples_per_s(&self, at: Instant) -> usize {
         let recent = self
             .samples
@@ -70,7 +67,6 @@ impl Quality {
     }
 }
 
-/// State of one machine.
 #[derive(Clone, Debug)]
 pub struct Panel {
     pub kind: DeviceKind,
@@ -98,7 +94,6 @@ pub const MOVES_ALREADY: &str = "SOMETHING MOVES that no process here has begun:
 
 impl Panel {
     /// The panel before the first connection.
-    #[must_use]
     pub fn new(kind: DeviceKind, place: String) -> Self {
         Self {
             kind,
@@ -116,7 +111,6 @@ impl Panel {
     }
 
     /// Whether something moves, according to the machine's last message.
-    #[must_use]
     pub fn moves(&self) -> bool {
         use protocol::rig::RigState::{Homing, Moving, Running, Stopping};
         let rig = self.rig.as_ref().map(|status| status.state);
@@ -190,7 +184,6 @@ impl Panel {
     }
 
     /// Progress of the present run, in thousandths of a stroke.
-    #[must_use]
     pub fn run_thousandths(&self) -> Option<u64> {
         let status = self.rig.filter(in_run)?;
         // The length of the strokes is known after the first reversal.
@@ -212,7 +205,6 @@ impl Panel {
         self.quality.heard = Some(at);
     }
 
-    /// Takes an event.
     pub fn event(&mut self, event: &Event) {
         if self.events.len() == KEPT_EVENTS {
             self.events.pop_front();
@@ -221,14 +213,12 @@ impl Panel {
     }
 
     /// Speed of the carriage in um/s, if it is known at this moment.
-    #[must_use]
     pub fn speed_um_s(&self, at: Instant) -> Option<i32> {
         let (speed, then) = self.speed?;
         (at.saturating_duration_since(then) < WINDOW).then_some(speed)
     }
 
     /// State and numbers in one line, for a reader without a terminal.
-    #[must_use]
     pub fn line(&self, at: Instant) -> String {
         let mut parts = vec![];
         if let Contact::Lost(why) = &self.contact {
@@ -268,29 +258,23 @@ impl Panel {
 }
 
 /// Micrometres as millimetres with three decimals.
-#[must_use]
 pub fn millimetres(um: i32) -> String {
     decimal::fixed(um.into(), 3)
 }
 
 /// Position of the carriage at this step, with the screw of the rig's status. Rounded as the rig does, half away from
 /// home.
-#[must_use]
 pub fn position_um(status: &RigStatus, position_steps: i32) -> i32 {
     let nm = Screw::from(status).nm(position_steps.unsigned_abs().into());
     let um = i32::try_from((nm + 500) / 1_000).unwrap_or(i32::MAX);
     position_steps.signum() * um
 }
 
-/// Whether the rig is in a run.
-#[must_use]
 pub fn in_run(status: &RigStatus) -> bool {
     use protocol::rig::RigState::{Held, Running, Stopping};
     matches!(status.state, Running | Held | Stopping) && status.strokes > 0
 }
 
-/// Progress of the run.
-#[must_use]
 pub fn run_text(status: &RigStatus) -> String {
     let tenths = status.elapsed_us / 100_000;
     format!(
@@ -304,7 +288,6 @@ pub fn run_text(status: &RigStatus) -> String {
 }
 
 /// Approximate remaining time of the run, s; known from its first stroke on.
-#[must_use]
 pub fn left_s(status: &RigStatus, thousandths: u64) -> Option<u64> {
     let all = u64::from(status.strokes) * 1_000;
     if thousandths < 1_000 || thousandths > all || status.state != protocol::rig::RigState::Running
@@ -315,8 +298,6 @@ pub fn left_s(status: &RigStatus, thousandths: u64) -> Option<u64> {
     Some(left_us.div_ceil(1_000_000))
 }
 
-/// Short text of an event.
-#[must_use]
 pub fn event_text(event: &Event) -> String {
     match event.what {
         What::Booted(cause) => format!("the device started: {cause:?}"),
@@ -378,9 +359,6 @@ fn rig_text(event: RigEvent) -> String {
 
 /// Requests the machine's status, and updates the panel with it and with the round-trip time. Does not lock the panel
 /// while waiting.
-///
-/// # Errors
-/// No answer.
 pub fn ask<'a>(
     device: &mut Device,
     panel: impl Fn() -> MutexGuard<'a, Panel>,

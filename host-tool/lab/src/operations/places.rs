@@ -20,7 +20,6 @@ use crate::operations::delivery::{Delivery, Told};
 use crate::operations::failure::Failure;
 use crate::operations::interrupt;
 
-/// Both machines.
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
 /// Maximum owners of a line that may end while this process looks through their doors.
@@ -38,14 +37,12 @@ const AGAIN: Duration = Duration::from_millis(10);
 /// Interval between two looks at Ctrl-C while a command waits for the line.
 const PRESSED: Duration = Duration::from_millis(20);
 
-/// A place and its answer.
 pub struct Found {
     pub candidate: Candidate,
     /// The machine that answered, or the reason why none did.
     pub answer: Result<Identity, Failure>,
 }
 
-/// A machine to stop.
 pub struct Target {
     pub kind: Option<DeviceKind>,
     /// Its place, unless it has to be found.
@@ -54,13 +51,11 @@ pub struct Target {
 
 impl Target {
     /// Name of the machine for messages.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         self.kind.map_or("machine", identity::kind_name)
     }
 
     /// Result of a stop of this machine.
-    #[must_use]
     pub fn told(&self, result: Result<String, Failure>) -> Told {
         let (machine, delivery, why) = match result {
             Ok(place) => (place, Delivery::Stopped, String::new()),
@@ -109,7 +104,6 @@ pub struct Beginning {
 
 impl Beginning {
     /// A command line that begins now.
-    #[must_use]
     pub fn now() -> Self {
         Self {
             began: Began::now(),
@@ -140,7 +134,6 @@ pub struct Places<'a> {
 
 impl Places<'_> {
     /// The address that the user gave.
-    #[must_use]
     pub fn address(&self, kind: DeviceKind) -> Option<&Address> {
         match kind {
             DeviceKind::Rig => self.rig.as_ref(),
@@ -409,9 +402,6 @@ impl Places<'_> {
     }
 
     /// The machines that a command addresses.
-    ///
-    /// # Errors
-    /// No address was given and no machine is found.
     pub fn machines(&self, which: &Which) -> Result<Vec<DeviceKind>, Failure> {
         if let Some(machine) = which.machine {
             return Ok(vec![machine.into()]);
@@ -472,7 +462,6 @@ pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failur
     found
 }
 
-/// Describes all places, one line each.
 pub fn list(found: &[Found]) -> String {
     if found.is_empty() {
         return "there is no port with an ST-LINK".to_owned();
@@ -481,7 +470,6 @@ pub fn list(found: &[Found]) -> String {
     format!("there is:\n  {}", lines.join("\n  "))
 }
 
-/// Describes a place.
 pub fn line(found: &Found) -> String {
     let candidate = &found.candidate;
     let who = match &found.answer {
@@ -490,20 +478,4 @@ pub fn line(found: &Found) -> String {
         Err(failure) => failure.to_string(),
     };
     format!("{} ({}): {who}", candidate.address, candidate.description)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_unknown_kind_is_called_a_machine() {
-        let target = |kind| Target {
-            kind,
-            address: Some("COM3".parse().expect("an address")),
-        };
-        assert_eq!(target(None).to_string(), "machine at COM3");
-        let rig = Some(DeviceKind::Rig);
-        assert_eq!(target(rig).to_string(), "rig at COM3");
-    }
 }

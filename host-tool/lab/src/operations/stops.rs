@@ -9,7 +9,6 @@ use std::sync::{Mutex, PoisonError};
 
 use protocol::system::Urgent;
 
-/// A stop that was requested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Ask {
     number: u64,
@@ -18,7 +17,6 @@ pub struct Ask {
 
 impl Ask {
     /// Number of the stop, from 1.
-    #[must_use]
     pub fn number(self) -> u64 {
         self.number
     }
@@ -52,7 +50,6 @@ pub struct Book {
 }
 
 /// Name of a stop on the screen.
-#[must_use]
 pub fn name(urgent: Urgent) -> &'static str {
     match urgent {
         Urgent::Stop => "stop",
@@ -77,7 +74,6 @@ impl Book {
     }
 
     /// Number of the last stop. An order that arrives now is newer than this stop and older than the next.
-    #[must_use]
     pub fn asked(&self) -> u64 {
         self.asked
     }
@@ -91,20 +87,16 @@ impl Book {
     }
 
     /// Whether the machine has confirmed a stop that was sent after this one was requested.
-    #[must_use]
     pub fn is_confirmed(&self, ask: Ask) -> bool {
         self.confirmed[ask.urgent as usize] >= ask.number
     }
 
-    /// The strongest stop that is awaited and not confirmed.
-    #[must_use]
     pub fn unconfirmed(&self) -> Option<Urgent> {
         let open = self.open.iter().filter(|ask| !self.is_confirmed(**ask));
         open.map(|ask| ask.urgent).max()
     }
 
     /// The strongest stop requested since stop `number`, confirmed or not.
-    #[must_use]
     pub fn since(&self, number: u64) -> Option<Urgent> {
         [Urgent::EStop, Urgent::Stop]
             .into_iter()
@@ -117,7 +109,6 @@ impl Book {
     }
 
     /// The stop that has to be sent to the machine now, if any.
-    #[must_use]
     pub fn wanted(&self) -> Option<Urgent> {
         let during = self.order.and_then(|number| self.since(number));
         self.unconfirmed().max(during)

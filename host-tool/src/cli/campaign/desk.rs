@@ -37,9 +37,6 @@ impl Who {
 
 /// Checks that the plan holds every answer that a person would give, and that none of them would be refused: the plan
 /// would give the same one again for ever.
-///
-/// # Errors
-/// Some `about_mm` is missing, or makes a reading that no caliper of this plan shows.
 pub(super) fn can_answer(plan: &CampaignPlan) -> Result<(), String> {
     let because = |why: String| format!("`--yes` takes the readings from the plan, and {why}");
     let missing = |what: String| because(format!("it has no {what}"));

@@ -22,7 +22,6 @@ pub(super) struct Terminal {
     interrupt: Interrupt,
 }
 
-/// A line that was typed.
 enum Answer {
     Nothing,
     TooSoon,

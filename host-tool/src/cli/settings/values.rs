@@ -3,7 +3,6 @@
 use lab::operations::failure::Failure;
 use protocol::settings::{MAX_NAME, SettingKey};
 
-/// A setting by name.
 #[derive(Clone, Copy, Debug)]
 pub struct Key(pub SettingKey);
 
@@ -21,9 +20,6 @@ impl std::str::FromStr for Key {
 }
 
 /// Reads a value and checks it against the range of its setting.
-///
-/// # Errors
-/// [`Failure::Input`] if it is not a whole number, [`Failure::Refused`] if it is out of range.
 pub(crate) fn value_of(key: SettingKey, text: &str) -> Result<u32, Failure> {
     let range = key.range();
     let (name, min, max) = (key.name(), range.min, range.max);

@@ -86,7 +86,6 @@ fn opens_the_loop(work: &mut Work<'_>, part: Part, what: &str) -> Result<(), Hal
     work.clear()
 }
 
-/// The inputs that differ, for people.
 fn changed(before: RigInputs, after: RigInputs) -> &'static str {
     let flag = before.home_flag != after.home_flag;
     let limit = before.far_limit != after.far_limit;

@@ -133,7 +133,6 @@ impl Work<'_> {
         }
     }
 
-    /// Acknowledges what is latched.
     pub fn clear(&mut self) -> Result<(), Halt> {
         let status = self.status()?;
         if status.fault.is_none() && !status.needs_acknowledge {
