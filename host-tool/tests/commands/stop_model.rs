@@ -375,6 +375,7 @@ fn the_table_of_the_manual_names_tests_that_exist() {
         include_str!("../faults/campaign_process.rs"),
         include_str!("../lines/leaving.rs"),
         include_str!("../lines/stopping.rs"),
+        include_str!("../server/serve.rs"),
         include_str!("../signals/main.rs"),
     ];
     let in_python = include_str!("../../../python/tests/test_client.py");
