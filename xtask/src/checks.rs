@@ -73,10 +73,14 @@ fn carry_out(steps: &[Step]) -> Result<()> {
     ))
 }
 
-/// The tests of plain `cargo test`, which needs nothing installed.
+/// The tests of plain `cargo test`, which needs nothing installed. Two for each core: many of them wait for a line in
+/// real time.
 fn host_tests() -> Result<()> {
+    let threads = 2 * std::thread::available_parallelism().map_or(1, usize::from);
+    let mut cargo = host_cargo("test");
+    cargo.args(["--locked", "--no-fail-fast"]);
     run(
-        host_cargo("test").args(["--locked", "--no-fail-fast"]),
+        cargo.env("RUST_TEST_THREADS", threads.to_string()),
         "run the failing test alone: `cargo test -p PACKAGE NAME`",
     )
 }
