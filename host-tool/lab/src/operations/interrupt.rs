@@ -90,7 +90,7 @@ fn stop(pressed: &AtomicU8) {
 fn escalate(pressed: &AtomicU8) {
     // Atomic: [`press`] may be called at the same moment, and neither count may be lost.
     let more = |before: u8| Some(before.saturating_add(1));
-    let before = pressed.fetch_update(Ordering::Relaxed, Ordering::Relaxed, more);
+    let before = pressed.try_update(Ordering::Relaxed, Ordering::Relaxed, more);
     tell(match before {
         Ok(0) => STOPPING,
         _ => "emergency stop",
