@@ -71,7 +71,6 @@ impl Laboratory {
             .env("RETROGRADE_RIG", &self.line)
             .env_remove("RETROGRADE_CAPSULE")
             .env("RETROGRADE_RUNTIME_DIR", self.folder.path())
-            .env("RETROGRADE_CONFIG", self.folder.path().join("none.toml"))
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
