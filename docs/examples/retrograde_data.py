@@ -77,6 +77,12 @@ class Trial:
         return device.get("origin", "unknown")
 
     @property
+    def whole(self):
+        """Whether it has an end and all its rows, as `retrograde verify` asks. Its motion may have ended well without."""
+        cut = "the telemetry was not recorded whole" in (self.sidecar["error"] or "")
+        return self.sidecar["status"] != "running" and not cut
+
+    @property
     def telemetry(self):
         """The rows of the CSV file."""
         return read_csv(self.path.with_name(self.sidecar["telemetry"]))
@@ -171,6 +177,10 @@ class Campaign:
         attempt = self.trials[trial - 1]["attempt"]
         return None if attempt is None else self.folder / "trials" / f"{trial:03}-{attempt}"
 
+    def whole(self, trial):
+        """Whether the records of the attempt that stands are. It stood when the capsule was unfolded after it."""
+        return all(record.whole for record in self.records(trial) if not record.path.name.startswith("unfold-"))
+
     def records(self, trial):
         """The records of the machines in the attempt that stands."""
         folder = self.attempt_folder(trial)
@@ -211,9 +221,10 @@ class Campaign:
         return found
 
     def counted(self):
-        """The trials that count, as rows: they are done, and their files are as they were written."""
+        """The trials that count, as rows: they are done, and their files are whole and as they were written."""
         changed = self.changed_trials()
-        return Table(trial for trial in self.trials if trial["standing"] == "done" and trial["trial"] not in changed)
+        done = [trial for trial in self.trials if trial["standing"] == "done" and trial["trial"] not in changed]
+        return Table(trial for trial in done if self.whole(trial["trial"]))
 
     def table(self):
         """All trials as rows without their attempts."""

@@ -97,7 +97,7 @@ pub enum Existing {
     Replace,
 }
 
-/// A trial whose record contradicts itself.
+/// A trial whose record contradicts itself or is not whole.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Damaged {
     #[serde(serialize_with = "client::wording::path")]
@@ -290,7 +290,7 @@ pub fn html(found: &Found, remarks: &[Remark]) -> Result<Report, ReportError> {
                         td { a href={ "#trial-" (index + 1) } { (heading(trial)) } (page::tag(trial.device.origin)) }
                         td { (trial.started_utc.strftime("%Y-%m-%d %H:%M:%S")) }
                         td { (trial.note.as_deref().unwrap_or("")) }
-                        td { (status(trial.status, &section.defects)) }
+                        td { (status(trial, &section.defects)) }
                         td { (in_short(trial)) }
                     }
                 }

@@ -28,6 +28,7 @@ pub fn list(folder: &FilePath) -> Value {
                 "what": heading(trial),
                 "note": trial.note,
                 "outcome": trial.status.name(),
+                "whole": trial.not_whole().is_none(),
                 "origin": trial.device.origin,
                 "csv": plain::is_file(&csv).then(|| name(&csv)),
             })

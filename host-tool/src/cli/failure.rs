@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use lab::campaign::verify::Finding;
+use lab::campaign::verify::Verified;
 use lab::campaign::{CampaignError, resumption};
 use lab::operations::failure::{FAILED, Failure, STOPPED, USAGE};
 use miette::Diagnostic;
@@ -34,15 +34,20 @@ pub(crate) fn left(folder: &Path) -> Failure {
     Failure::said("retrograde::left", STOPPED, why, help)
 }
 
-/// A folder has changed since it was written.
-pub(crate) fn changed(folder: &Path, findings: &[Finding]) -> Failure {
+/// A folder has changed since it was written, or a record in it is not whole.
+pub(crate) fn verified(folder: &Path, verified: &Verified) -> Failure {
+    let is = match verified.findings.is_empty() {
+        true => "is as it was written, but a record in it is not whole",
+        false => "is not as it was written",
+    };
+    let findings = [&verified.findings[..], &verified.not_whole].concat();
     let first = findings.first().map(ToString::to_string);
     let more = match findings.len() {
         0 | 1 => String::new(),
         count => format!(", and {} more findings", count - 1),
     };
     let why = format!(
-        "{} is not as it was written: {}{more}",
+        "{} {is}: {}{more}",
         folder.display(),
         first.unwrap_or_default()
     );

@@ -62,8 +62,9 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
     match (report.damaged.len(), lost) {
         (0, 0) => Ok(value),
         (damaged, lost) => {
-            let defects =
-                format!("trials that contradict themselves: {damaged}, records left out: {lost}");
+            let defects = format!(
+                "trials that contradict themselves or are not whole: {damaged}, records left out: {lost}"
+            );
             Err(failure::report_defects(&out, &defects, value))
         }
     }

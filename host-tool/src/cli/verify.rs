@@ -1,4 +1,4 @@
-//! `verify`: finds every change of a folder since it was written.
+//! `verify`: finds every change of a folder since it was written, and every record that is not whole.
 
 use std::path::PathBuf;
 
@@ -22,11 +22,11 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
     let folder = &args.folder;
     let verified = verification::verify(folder).map_err(failure::campaign)?;
     let has_manifest = folder.join(manifest::NAME).exists();
-    for finding in &verified.findings {
+    for finding in verified.findings.iter().chain(&verified.not_whole) {
         screen.say(&format!("{finding}\n  remedy: {}", finding.remedy));
     }
-    if !verified.findings.is_empty() {
-        return Err(failure::changed(folder, &verified.findings));
+    if !(verified.findings.is_empty() && verified.not_whole.is_empty()) {
+        return Err(failure::verified(folder, &verified));
     }
     if !has_manifest && verified.records == 0 {
         return Err(failure::campaign(CampaignError::misuse(
@@ -35,17 +35,16 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
             "give the folder of a campaign, or of records",
         )));
     }
-    let whole = verified.records - verified.unended.len();
-    let unended = unended(&verified.unended);
+    let records = verified.records;
     screen.say(&match has_manifest {
         true => format!(
-            "{}: {} files are as {} says; {whole} records are whole and in order{unended}.",
+            "{}: {} files are as {} says; {records} records are whole and in order.",
             folder.display(),
             verified.files,
             manifest::NAME,
         ),
         false => format!(
-            "{}: there is no {}, so nothing shows whether files were changed; {whole} records have all their rows in order{unended}.",
+            "{}: there is no {}, so nothing shows whether files were changed; {records} records are whole and in order.",
             folder.display(),
             manifest::NAME,
         ),
@@ -55,20 +54,6 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
         "manifest": has_manifest,
         "files": verified.files,
         "records": verified.records,
-        "unended": verified.unended,
         "findings": [],
     }))
-}
-
-/// Names the records without an end. Whether something still records them is not known here.
-fn unended(records: &[String]) -> String {
-    let have = match records.len() {
-        0 => return String::new(),
-        1 => "1 has no end, because it".to_owned(),
-        count => format!("{count} have no end, because each"),
-    };
-    format!(
-        "; {have} is under way or was cut off: {}",
-        records.join(", ")
-    )
 }

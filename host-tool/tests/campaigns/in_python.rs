@@ -4,6 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use crate::campaign::relist;
 use crate::campaign_report::{PLAN, made};
 use lab::campaign::folder::Folder;
 use report::html::evaluation::evaluate;
@@ -52,10 +53,20 @@ fn the_figure_in_python_leaves_out_a_changed_trial() {
     );
     // A file that was added to its folder is a change as well.
     fs::write(&telemetry, whole).expect("as before");
-    fs::write(telemetry.with_file_name("more.txt"), "added").expect("written");
+    let more = telemetry.with_file_name("more.txt");
+    fs::write(&more, "added").expect("written");
     let (dots, _, hints) = drawn().expect("as before");
     assert_eq!(dots, 10);
     assert!(hints.contains("trial 3 is left out: "), "{hints}");
+    // So is one whose record was cut by a full disk.
+    fs::remove_file(&more).expect("as before");
+    let sidecar = telemetry.with_extension("json");
+    let trial = fs::read_to_string(&sidecar).expect("text");
+    let cut = "\"error\": \"the telemetry was not recorded whole: no space\"";
+    fs::write(&sidecar, trial.replacen("\"error\": null", cut, 1)).expect("written");
+    relist(&path);
+    assert_eq!(drawn().expect("as before").0, 10);
+    assert!(!evaluate(&path).expect("a campaign").trials[2].counts);
 }
 
 /// `01` is the name of an indentation, not the number 1.

@@ -201,7 +201,8 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
         err.contains("damaged: ") && err.contains("is empty"),
         "{err}"
     );
-    let said = "is written; trials that contradict themselves: 1, records left out: 0";
+    let said =
+        "is written; trials that contradict themselves or are not whole: 1, records left out: 0";
     assert!(err.contains(said), "{err}");
     assert!(
         fs::read_to_string(&out)

@@ -40,6 +40,14 @@ fn a_disk_that_fills_in_mid_run_is_told_at_once_and_the_verdict_is_not_lost() {
         error.contains("the telemetry was not recorded whole"),
         "{error}"
     );
+    // Regression: every reader but one took it for whole.
+    let folder = bench.folder.path().join("retrograde-data");
+    let (code, out, err) = bench.retrograde(&["verify", folder.to_str().expect("UTF-8")]);
+    assert_eq!(code, Some(1), "{out}{err}");
+    assert!(
+        out.contains("json: the telemetry was not recorded whole: "),
+        "{out}"
+    );
     // A full disk must not stop the rig.
     assert!(bench.urgent().is_empty());
 }

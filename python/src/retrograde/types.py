@@ -220,5 +220,6 @@ class RecordEntry(TypedDict, total=False):
     what: str
     note: Optional[str]
     outcome: str
+    whole: bool
     origin: str
     csv: Optional[str]

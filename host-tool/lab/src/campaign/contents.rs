@@ -130,8 +130,7 @@ fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
 }
 
 impl Planned {
-    /// Why these records, with their files' names, do not make an attempt complete. A record has an error beside a
-    /// complete motion if it was not recorded whole. The capsule is unfolded after a complete attempt, so an unfolding
+    /// Why these records, with their files' names, do not make an attempt complete. The capsule is unfolded after a complete attempt, so an unfolding
     /// does not count.
     pub(crate) fn incomplete(&self, records: &[(String, Trial)]) -> Option<String> {
         let has = |stem| records.iter().any(|(name, _)| is_of(name, stem));
@@ -145,11 +144,11 @@ impl Planned {
         let counts = records.iter().filter(|(name, _)| !is_of(name, unfolding));
         let other = |(name, record): &(String, Trial)| {
             let says = AttemptOutcome::from(record.status);
-            match &record.error {
+            match record.not_whole() {
                 _ if says != AttemptOutcome::Complete => {
                     Some(format!("{name} says {}", says.name()))
                 }
-                Some(error) => Some(format!("{name} says that {error}")),
+                Some(why) => Some(format!("{name} says that {why}")),
                 None => None,
             }
         };

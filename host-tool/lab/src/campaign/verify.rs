@@ -5,7 +5,7 @@ use std::path::Path;
 use std::{fs, io};
 
 use crate::trials::check;
-use crate::trials::trial::{Action, Status, Trial};
+use crate::trials::trial::{Action, Trial};
 use client::plain;
 
 use crate::campaign::contents::Campaign;
@@ -39,6 +39,7 @@ impl std::fmt::Display for Finding {
 }
 
 const STRANGE: &str = "is neither a file nor a folder, or has a name that cannot be listed";
+const REPEAT: &str = "once nothing records it any more, repeat the motion; `retrograde records fetch` has what the machine still knows of its last one";
 const UNKNOWN: &str = "was it put there by hand? Move it elsewhere";
 
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -46,9 +47,10 @@ pub struct Verified {
     pub campaign: bool,
     pub files: usize,
     pub records: usize,
-    /// Records without an end: under way, or their recording was cut off.
-    pub unended: Vec<String>,
+    /// What differs from what was written.
     pub findings: Vec<Finding>,
+    /// Records that are as they were written, but not whole. The ledger of a campaign counts none of them.
+    pub not_whole: Vec<Finding>,
 }
 
 /// Looks through a folder and changes nothing.
@@ -202,8 +204,8 @@ impl Verified {
         match Trial::read(&full) {
             Ok(trial) => {
                 self.records += 1;
-                if trial.status == Status::Running {
-                    self.unended.push(path.to_owned());
+                if let Some(why) = trial.not_whole() {
+                    self.not_whole.push(Finding::new(path, why, REPEAT));
                 }
                 for what in check::record(&full, &trial).contradictions {
                     self.find(path, what, COPY);

@@ -244,6 +244,9 @@ pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
 fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
     let mut defects = Defects::default();
     let name = &trial.telemetry;
+    if let Some(why) = trial.not_whole() {
+        defects.lack(why);
+    }
     // While a trial runs, its sidecar does not know the final number of samples.
     if trial.status != Status::Running {
         if samples.len() as u64 != trial.samples {

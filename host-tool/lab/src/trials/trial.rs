@@ -26,6 +26,9 @@ use crate::trials::writer::{Appender, Writer};
 /// Version of the sidecar's format; incremented when a field changes its meaning or its name.
 pub const FORMAT: u32 = 2;
 
+/// Beginning of the error of a record whose telemetry could not be written to its end.
+const CUT: &str = "the telemetry was not recorded whole";
+
 /// Why a file of a trial could not be written or read.
 #[derive(Clone, Debug, thiserror::Error, Diagnostic)]
 #[error("{path}: {why}", path = path.display())]
@@ -290,6 +293,16 @@ impl Trial {
             Action::Run { achieved, .. } => achieved.is_some(),
             Action::Actuation { accepted, .. } => accepted.is_some(),
         }
+    }
+
+    /// Why the record is not whole; none if it is. The motion may have ended well all the same. Every reader of
+    /// records asks this.
+    #[must_use]
+    pub fn not_whole(&self) -> Option<&str> {
+        if self.status == Status::Running {
+            return Some("no end is recorded: it is under way, or was cut off");
+        }
+        self.error.as_deref().filter(|error| error.contains(CUT))
     }
 
     /// Notes how the trial ended.
@@ -561,10 +574,10 @@ impl Recorder {
         let failure = self.failed.or(written.err());
         if let Some(failure) = &failure {
             self.trial.samples = keep_whole_rows(&self.csv_path).unwrap_or(0);
-            // Add the error to the verdict, so that a reader does not take the telemetry for complete.
-            self.trial
-                .error
-                .get_or_insert_with(|| format!("the telemetry was not recorded whole: {failure}"));
+            // Beside the fault, if there was one: `Trial::not_whole` looks for it.
+            let cut = Some(format!("{CUT}: {failure}"));
+            let errors = self.trial.error.take().into_iter().chain(cut);
+            self.trial.error = Some(errors.collect::<Vec<_>>().join("; "));
         }
         // Write the sidecar even after a failure: it says how the trial ended.
         let said = json(&self.trial)

@@ -537,7 +537,7 @@ fn trial(evaluation: &Evaluation, row: &TrialRow, parts: &[Part]) -> Result<Mark
             } } }
             @for part in parts {
                 p {
-                    (evaluation.within(&part.sidecar)) ": " (status(part.trial.status, &part.defects)) br;
+                    (evaluation.within(&part.sidecar)) ": " (status(&part.trial, &part.defects)) br;
                     span.hash { "SHA-256 " (evaluation.hash(&part.sidecar).unwrap_or_else(|| "not listed".to_owned())) }
                 }
                 (reasons(&part.defects.all()))

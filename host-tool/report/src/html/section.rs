@@ -51,7 +51,7 @@ pub(crate) fn section<'a>(
     let listed = defects.all();
     let device = &trial.device;
     let body = html! {
-        h2 { (heading(trial)) " " (status(trial.status, &defects)) (page::tag(device.origin)) }
+        h2 { (heading(trial)) " " (status(trial, &defects)) (page::tag(device.origin)) }
         p {
             (trial.started_utc)
             @if let Some(note) = &trial.note { ", " (note) }
@@ -282,8 +282,8 @@ pub(crate) fn in_short(trial: &Trial) -> String {
 }
 
 /// How it ended, and whether its record is reliable.
-pub(crate) fn status(status: Status, defects: &Defects) -> Markup {
-    let (text, good) = match status {
+pub(crate) fn status(trial: &Trial, defects: &Defects) -> Markup {
+    let (text, good) = match trial.status {
         Status::Running => ("no end is recorded: it is under way, or was cut off", false),
         Status::Complete => ("complete", true),
         Status::Refused => ("refused; nothing was done", false),
@@ -295,6 +295,8 @@ pub(crate) fn status(status: Status, defects: &Defects) -> Markup {
     html! {
         @if !defects.contradictions.is_empty() {
             span.bad { "said to be “" (text) "”, but the record contradicts itself" }
+        } @else if trial.not_whole().is_some() {
+            span.bad { (text) @if trial.status != Status::Running { "; not recorded whole" } }
         } @else if !defects.gaps.is_empty() {
             span.bad { (text) "; a part of the telemetry is missing" }
         } @else {

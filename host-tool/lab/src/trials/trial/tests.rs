@@ -145,3 +145,28 @@ fn a_record_of_a_later_format_is_not_read() {
         assert_eq!(read.err().as_deref(), why);
     }
 }
+
+/// Regression: the fault of a run hid that its telemetry was cut.
+#[test]
+fn a_fault_does_not_hide_that_rows_are_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fold_in(folder.path());
+    let action = Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    };
+    let trial = Trial::new(action, device(), &recording);
+    let mut recorder = Recorder::create(trial, &recording).expect("created");
+    let sidecar = recorder.sidecar().to_owned();
+    recorder.failed = Some(RecordError::write(recorder.csv(), "no space"));
+    let lost = Ending::Lost("gone".to_owned());
+    assert!(recorder.finish(lost, 0).is_err());
+    let error = Trial::read(&sidecar)
+        .expect("a sidecar")
+        .error
+        .expect("two");
+    for said in ["gone; ", "the telemetry was not recorded whole", "no space"] {
+        assert!(error.contains(said), "{error}");
+    }
+}
