@@ -1,6 +1,6 @@
 //! The keyboard: answers questions, and holds, resumes and stops a run.
 
-use std::io::{self, BufRead, BufReader, IsTerminal, Read};
+use std::io::{self, BufRead, BufReader, IsTerminal};
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -13,7 +13,7 @@ use crate::cli::screen::Keyboard;
 /// Hint that lists the keys or words for a run.
 pub(crate) fn hint(single: bool) -> &'static str {
     if single {
-        "h holds the run, r resumes it, s or Ctrl-C stops it."
+        "h holds the run, r and Enter resumes it, s or Ctrl-C stops it."
     } else {
         "h and Enter holds the run, r and Enter resumes it, s and Enter or Ctrl-C stops it."
     }
@@ -104,18 +104,40 @@ pub(crate) fn pace(word: &str, hint: &str) -> Option<Pace> {
     None
 }
 
+/// The letter of the key that was pressed alone, or held. Several characters at once are a paste, or what a terminal sends
+/// for a function key, with Alt or as a report.
+fn lone(typed: &[u8]) -> Option<char> {
+    let (first, rest) = typed.split_first()?;
+    rest.iter()
+        .all(|byte| byte == first)
+        .then_some(char::from(*first))
+}
+
 /// Reads until the program ends, on a thread of its own because a read from a terminal cannot be interrupted: single keys
 /// if the terminal gives them, lines otherwise.
-pub(crate) fn pacer(keyboard: Keyboard, single: bool) -> Pacer {
+pub(crate) fn pacer(mut keyboard: Keyboard, single: bool) -> Pacer {
     let (typed, requests) = mpsc::channel();
     let hint = hint(single);
     read_with(move || {
         // False if no run takes requests any more.
         let take = |word: &str| pace(word, hint).is_none_or(|pace| typed.send(pace).is_ok());
         if single {
-            for byte in keyboard.bytes().map_while(Result::ok) {
-                let key = char::from(byte).to_string();
-                if !take(key.trim()) {
+            // Enter decides, which ends no sequence of a function key: of one in pieces a lone `R` may be left.
+            let mut resumes = false;
+            while let Ok(typed @ [_, ..]) = keyboard.fill_buf() {
+                let (count, key) = (typed.len(), lone(typed));
+                keyboard.consume(count);
+                let goes_on = match key {
+                    Some('\n') if resumes => take("r"),
+                    Some('r' | 'R') => {
+                        interrupt::tell("Enter resumes the run");
+                        true
+                    }
+                    Some(key) => take(key.to_string().trim()),
+                    None => true,
+                };
+                resumes = matches!(key, Some('r' | 'R'));
+                if !goes_on {
                     return;
                 }
             }
@@ -146,8 +168,9 @@ impl SingleKeys {
         let before = tcgetattr(&input).ok()?;
         let mut keys = before.clone();
         keys.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
-        keys.special_codes[SpecialCodeIndex::VMIN] = 1;
-        keys.special_codes[SpecialCodeIndex::VTIME] = 0;
+        // A read ends 0.1 s after the last byte: what comes faster was not typed by hand, and arrives together.
+        keys.special_codes[SpecialCodeIndex::VMIN] = u8::MAX;
+        keys.special_codes[SpecialCodeIndex::VTIME] = 1;
         tcsetattr(&input, OptionalActions::Now, &keys).ok()?;
         Some(Self { before })
     }
