@@ -12,7 +12,7 @@
     reason = "a program for the terminal talks to it"
 )]
 
-use std::io;
+use std::io::Write;
 
 use client::Device;
 use client::address::Address;
@@ -20,6 +20,7 @@ use client::decimal;
 use client::identity;
 use client::link::serial::DEFAULT_BAUD;
 use lab::operations::connector::{Connector, Ports, Purpose};
+use lab::operations::output::Stream;
 use lab::trials::experiment::{self, PAPER_RUN};
 use lab::trials::progress::Live;
 use miette::{IntoDiagnostic, Result, miette};
@@ -41,8 +42,9 @@ fn main() -> Result<()> {
     }
 
     // Prints what begins and, every few seconds, how far it is.
-    let mut stdout = io::stdout();
-    let mut progress = Live::new(&mut stdout, false);
+    // The text waits for no reader, so that the rig never waits for this program.
+    let mut out = Stream::Out;
+    let mut progress = Live::new(&mut out, false);
 
     // A run starts at home.
     let status = rig.rig_status()?;
@@ -53,6 +55,8 @@ fn main() -> Result<()> {
     // The rig refuses a run that it cannot execute exactly, and says why.
     let accepted = rig.run(PAPER_RUN)?;
     let record = rig.wait_run(&accepted, &mut progress)?;
+    drop(progress);
+    out.flush().into_diagnostic()?;
     print_record(&record);
     match record.outcome {
         RunOutcome::Complete => Ok(()),

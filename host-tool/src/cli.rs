@@ -51,6 +51,7 @@ use lab::operations::arguments::{
 use lab::operations::connector::Connector;
 use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{DONE, Failure, USAGE, usage, usage_text};
+use lab::operations::output::Stream;
 use lab::operations::places::{Beginning, Places};
 use protocol::capsule::ActuationKind;
 use protocol::system::{DeviceKind, Urgent};
@@ -243,15 +244,18 @@ impl Subcommand {
 
 /// Runs one command line, program name first, on the process's streams.
 pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) -> ExitCode {
-    let (mut out, mut err) = (io::stdout(), io::stderr());
-    let terminal = err.is_terminal();
+    let (mut out, mut err) = (Stream::Out, Stream::Err);
+    let terminal = io::stderr().is_terminal();
     let at = At {
         terminal,
         single_keys: true,
         environment: true,
         keyboard: keyboard::standard(),
     };
-    ExitCode::from(run_in(args, connector, &mut out, &mut err, at))
+    let code = run_in(args, connector, &mut out, &mut err, at);
+    // The last text of an error.
+    let _ = out.flush();
+    ExitCode::from(code)
 }
 
 /// Whether a command line, with its environment, is meant for a virtual machine.

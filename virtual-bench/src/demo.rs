@@ -1,6 +1,6 @@
 //! The paper's experiment on both images: driven by the host tool's client, judged from the pins.
 
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::PathBuf;
 
 use client::Device;
@@ -99,12 +99,15 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     for identity in [rig.identity(), capsule.identity()].into_iter().flatten() {
         say(&identity::line(identity));
     }
-    let mut stdout = std::io::stdout();
+    let mut out: Box<dyn Write> = match terminal {
+        true => Box::new(io::stderr()),
+        false => Box::new(io::stdout()),
+    };
     let mut stage = Stage {
         rig,
         capsule,
         options,
-        live: Live::new(&mut stdout, terminal),
+        live: Live::new(&mut *out, terminal),
         judge: Judge {
             rig: rig_bench.clone(),
             capsule: capsule_bench.clone(),
@@ -155,7 +158,7 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
 
 fn say(line: &str) {
     // A closed pipe does not end the demo.
-    let _ = writeln!(std::io::stdout(), "{line}");
+    let _ = writeln!(io::stdout(), "{line}");
 }
 
 fn print_logs(rig: &Bench<RigBoard>, capsule: &Bench<CapsuleBoard>) -> Result<(), BenchError> {

@@ -5,7 +5,7 @@
 //! * [`failure`]: the reason why a command failed, its remedy and exit code.
 //! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
 //! * [`folding`], [`ending`], [`reached`]: tasks before and after a motion.
-//! * [`panel`]: the known state of a machine that is watched.
+//! * [`panel`]: the known state of a machine that is watched. [`output`]: text for people and programs.
 
 pub mod arguments;
 pub mod connector;
@@ -14,6 +14,7 @@ pub mod ending;
 pub mod failure;
 pub mod folding;
 pub mod interrupt;
+pub mod output;
 pub mod panel;
 pub mod places;
 pub mod reached;

@@ -1,11 +1,14 @@
 //! `simulate`: the paper's series and free sweeps, without a machine.
 
 use std::fs;
+use std::io::Write;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
 use clap::{Args, Subcommand};
-use indicatif::ProgressBar;
 use lab::operations::failure::Failure;
+use lab::operations::output::{ERASE, Stream};
 use lab::trials::progress;
 use locomotion::folded::Contact;
 use locomotion::model::{Model, Setting};
@@ -451,15 +454,21 @@ impl Session<'_, '_> {
         cases: &[T],
         work: impl Fn(&T) -> Result<R, OutOfRange> + Sync,
     ) -> Result<Vec<R>, Failure> {
-        let bar = match self.screen.terminal {
-            true => ProgressBar::new(cases.len() as u64),
-            false => ProgressBar::hidden(),
+        let (terminal, total) = (self.screen.terminal, cases.len() as u64);
+        let (begin, done) = (Instant::now(), AtomicU64::new(0));
+        let show = |text: &str| {
+            if terminal {
+                let _ = Stream::Err.write_all(text.as_bytes());
+            }
         };
-        bar.set_style(progress::style(
-            "  {bar:30} {pos} of {len} runs, {eta} left",
-        ));
-        let results = self.workers.map(cases, &|| bar.inc(1), work);
-        bar.finish_and_clear();
+        let count = || {
+            let done = done.fetch_add(1, Ordering::Relaxed) + 1;
+            let left_s = begin.elapsed().as_secs() * (total - done) / done;
+            let message = format!("{done} of {total} runs, {left_s} s left");
+            show(&progress::bar(done, total, &message));
+        };
+        let results = self.workers.map(cases, &count, work);
+        show(ERASE);
         Ok(results?)
     }
 }

@@ -25,6 +25,11 @@ pub(crate) struct Screen<'a> {
     pub(crate) failed: Option<io::Error>,
 }
 
+/// Writes a line in one piece.
+fn line(out: &mut dyn Write, text: &str) -> io::Result<()> {
+    out.write_all(format!("{}\n", visible::lines(text)).as_bytes())
+}
+
 impl Screen<'_> {
     fn stream(&mut self) -> &mut dyn Write {
         if self.json { self.err } else { self.out }
@@ -33,16 +38,15 @@ impl Screen<'_> {
     /// Prints a line. A failing output must not end the supervision of a machine, so the command continues and fails
     /// at its end.
     pub(crate) fn say(&mut self, text: &str) {
-        let written = writeln!(self.stream(), "{}", visible::lines(text));
+        let written = line(self.stream(), text);
         if !self.json {
             self.note(written);
         }
     }
 
-    /// Prints a line at once; false if no reader is left.
+    /// Prints a line and waits until it is written; false if no reader is left.
     pub(crate) fn tell(&mut self, text: &str) -> bool {
-        let text = visible::lines(text);
-        let written = writeln!(self.stream(), "{text}").and_then(|()| self.stream().flush());
+        let written = line(self.stream(), text).and_then(|()| self.stream().flush());
         let taken = written.is_ok();
         if !self.json {
             self.note(written);
@@ -65,7 +69,7 @@ impl Screen<'_> {
     }
 
     pub(crate) fn hint(&mut self, text: &str) {
-        let _ = writeln!(self.err, "{}", visible::lines(text));
+        let _ = line(self.err, text);
     }
 
     /// Asks for confirmation; false if no person can answer.
@@ -73,16 +77,17 @@ impl Screen<'_> {
         let Some(keyboard) = &mut self.keyboard else {
             return false;
         };
-        let question = visible::lines(question);
-        let _ = writeln!(self.err, "{question} Type yes and Enter.");
+        let _ = line(self.err, &format!("{question} Type yes and Enter."));
         let mut answer = String::new();
         keyboard.read_line(&mut answer).is_ok()
             && ["y", "yes"].contains(&answer.trim().to_lowercase().as_str())
     }
 
     pub(crate) fn live(&mut self) -> Live<'_> {
-        let terminal = self.terminal;
-        Live::new(self.stream(), terminal)
+        match self.terminal {
+            true => Live::new(self.err, true),
+            false => Live::new(self.stream(), false),
+        }
     }
 
     /// Prints the JSON object or the error, and returns the exit code.

@@ -75,7 +75,7 @@ pub(crate) fn serve(
     };
     let pressed = interrupt::install();
     let url = serve::serve(options, places, &pressed, &mut |text| {
-        screen.tell(text);
+        screen.say(text);
     })?;
     Ok(json!({ "served": url }))
 }

@@ -464,7 +464,7 @@ fn a_stop_gets_past_an_owner_that_is_frozen() {
 }
 
 #[test]
-fn a_stop_does_not_wait_for_an_owner_whose_output_is_stuck() {
+fn an_owner_whose_output_is_stuck_goes_on() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let full = bench.folder.path().join("pipe");
     assert!(
@@ -492,8 +492,7 @@ fn a_stop_does_not_wait_for_an_owner_whose_output_is_stuck() {
     assert_eq!(code, Some(0), "{out}{err}");
     only(&bench, Urgent::EStop);
     let (code, _, err) = bench.retrograde(&["info"]);
-    assert_eq!(code, Some(4), "{err}");
-    assert!(err.contains(&format!("process {}", run.id())), "{err}");
+    assert_eq!(code, Some(0), "{err}");
     run.kill().expect("killed");
     run.wait().expect("ended");
 }

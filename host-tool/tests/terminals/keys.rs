@@ -19,15 +19,46 @@ const RUN: [&str; 7] = [
     "60",
 ];
 
+const SHORT: [&str; 7] = [
+    "run",
+    "--cycles",
+    "1",
+    "--stroke-mm",
+    "10",
+    "--duration-s",
+    "2",
+];
+
 #[test]
 fn single_keys_hold_resume_and_stop_a_run() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut terminal = Terminal::start(bench.command(&RUN), 80, 24);
-    terminal.wait_for("h holds the run, r resumes it, s or Ctrl-C stops it.");
+    terminal.wait_for("h holds the run, ");
     terminal.wait_for("stroke 1 of 2");
     terminal.press("h");
     terminal.wait_for("held at");
+    // F3, the position of the cursor and a pasted word end with `R`; F4 with `S`.
+    for keys in [
+        "\x1bOR",
+        "\x1b[2;5R",
+        "\x1bOS",
+        "\x1br",
+        "\x1b[200~s\x1b[201~",
+        "hrs",
+    ] {
+        terminal.press(keys);
+        std::thread::sleep(Duration::from_millis(300));
+    }
+    terminal.press("\x1b");
+    std::thread::sleep(Duration::from_millis(40));
+    terminal.press("O");
+    std::thread::sleep(Duration::from_millis(40));
+    terminal.press("R");
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!((bench.count("Resume"), bench.urgent().len()), (0, 0));
     terminal.press("r");
+    terminal.wait_for("Enter resumes the run");
+    terminal.press("\n");
     terminal.wait_for("resumed");
     // An unknown key shows the list of keys.
     terminal.press("x");
@@ -58,16 +89,7 @@ fn the_terminal_is_restored_however_the_run_ends() {
         assert_eq!(terminal.ends_restored(), Some(code), "{end:?}");
         assert_eq!(bench.retrograde(&["home"]).0, Some(0));
     }
-    let short = [
-        "run",
-        "--cycles",
-        "1",
-        "--stroke-mm",
-        "10",
-        "--duration-s",
-        "2",
-    ];
-    let terminal = Terminal::start(bench.command(&short), 80, 24);
+    let terminal = Terminal::start(bench.command(&SHORT), 80, 24);
     assert_eq!(terminal.ends_restored(), Some(0));
     // The rig refuses the run.
     assert_eq!(bench.retrograde(&["estop"]).0, Some(0));
@@ -154,4 +176,21 @@ fn an_emergency_stop_after_the_stop_is_told() {
         }
         assert_eq!(bench.retrograde(&["home"]).0, Some(0));
     }
+}
+
+/// Ctrl-S pauses the terminal: what is written there waits, and the run goes on and is recorded.
+#[test]
+fn a_paused_terminal_does_not_hold_up_a_run() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let mut terminal = Terminal::start(bench.command(&SHORT), 80, 24);
+    terminal.wait_for("stroke 1 of 2");
+    terminal.press("\x13");
+    bench.wait_for("GetRunRecord");
+    terminal.press("\x11");
+    assert_eq!(terminal.ends_restored(), Some(0));
+    let trial = bench.trial();
+    assert_eq!(
+        (&trial["status"], &trial["missed_samples"]),
+        (&"complete".into(), &0.into())
+    );
 }

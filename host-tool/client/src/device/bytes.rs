@@ -45,7 +45,7 @@ fn is_abandonable(impact: Impact) -> bool {
     !matches!(impact, Impact::None | Impact::Pace)
 }
 
-/// Telemetry samples kept until they are taken; beyond that the oldest are dropped.
+/// Telemetry samples kept until they are taken; beyond that the oldest are dropped, and count as missed.
 const TELEMETRY_INBOX: usize = 4_096;
 
 impl Device {
@@ -425,10 +425,13 @@ impl Device {
             match self.client.receive(*byte) {
                 None => {}
                 Some(Output::Telemetry { missed, sample }) => {
-                    if self.telemetry.len() == TELEMETRY_INBOX {
-                        self.telemetry.pop_front();
-                    }
                     self.telemetry.push_back((missed, sample));
+                    if self.telemetry.len() > TELEMETRY_INBOX
+                        && let Some((before, _)) = self.telemetry.pop_front()
+                        && let Some((missed, _)) = self.telemetry.front_mut()
+                    {
+                        *missed = missed.saturating_add(before).saturating_add(1);
+                    }
                 }
                 Some(Output::Event(event)) => self.note_event(event),
                 Some(Output::UrgentDone(_)) => {

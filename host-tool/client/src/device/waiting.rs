@@ -454,8 +454,10 @@ impl Device {
         observer: &mut dyn Observer,
         state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
     ) -> Result<(), ClientError> {
-        self.wait_for(action, at_most_us, observer, state)
-            .map_err(|error| while_moving(action, error))
+        let waited = self.wait_for(action, at_most_us, observer, state);
+        // What came before an error is recorded, too.
+        self.hand_out_telemetry(observer);
+        waited.map_err(|error| while_moving(action, error))
     }
 
     /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every `keep_alive_us`
@@ -506,7 +508,8 @@ impl Device {
                 }
                 asked_us = now_us;
                 start_clock = start_clock.or(self.clock);
-                if self.passed_us(start_us, start_clock) > limit_us {
+                // By the time of the question: the observer may have taken long since the answer.
+                if self.passed_us(start_us, start_clock, now_us) > limit_us {
                     self.urgent(Urgent::Stop)?;
                     return Err(ClientError::Overdue {
                         place: self.place(),
@@ -519,11 +522,11 @@ impl Device {
         }
     }
 
-    /// Time since the link's clock was at `start_us` and the device's at `start_clock`, us. It counts by the device's
+    /// Time until `now_us` since the link's clock was at `start_us` and the device's at `start_clock`, us. It counts by the device's
     /// clock, so that an emulated device that cannot keep up is not overdue. A clock slower than [`SLOWEST`] counts as
     /// broken.
-    fn passed_us(&self, start_us: u64, start_clock: Option<Clock>) -> u64 {
-        let passed_us = self.now_us() - start_us;
+    fn passed_us(&self, start_us: u64, start_clock: Option<Clock>, now_us: u64) -> u64 {
+        let passed_us = now_us - start_us;
         let behind_us = start_clock
             .zip(self.clock)
             .map_or(0, |(then, now)| now.behind_us(then));
@@ -581,7 +584,7 @@ pub(super) mod tests {
             })
         };
         let mut device = Device::new(Box::new(At(1_000_000)), 1);
-        assert_eq!(device.passed_us(0, None), 1_000_000);
+        assert_eq!(device.passed_us(0, None, 1_000_000), 1_000_000);
         for (behind_us, passed_us) in [
             (0, 1_000_000),
             (600_000, 400_000),
@@ -589,7 +592,11 @@ pub(super) mod tests {
             (1_000_000, 50_000),
         ] {
             device.clock = clock(behind_us);
-            assert_eq!(device.passed_us(0, clock(0)), passed_us, "{behind_us}");
+            assert_eq!(
+                device.passed_us(0, clock(0), 1_000_000),
+                passed_us,
+                "{behind_us}"
+            );
         }
     }
 }

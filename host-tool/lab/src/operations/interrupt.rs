@@ -7,6 +7,8 @@ use std::sync::{Arc, OnceLock};
 use client::{Interrupt, visible};
 use protocol::system::Urgent;
 
+use crate::operations::output::{ERASE, Stream};
+
 const STOPPING: &str = "stopping; Ctrl-C now for the emergency stop";
 
 /// Number of interrupts. Global, because a process has one handler.
@@ -99,12 +101,12 @@ fn escalate(pressed: &AtomicU8) {
 
 /// Prints a message, even if a progress bar occupies the line.
 pub fn tell(text: &str) {
-    let clear = if io::stderr().is_terminal() {
-        "\r\x1b[2K"
+    let erase = if io::stderr().is_terminal() {
+        ERASE
     } else {
         ""
     };
     // Write in one piece: another thread draws the bar and would wipe an unfinished line.
-    let line = format!("{clear}{}\n", visible::lines(text));
-    let _ = io::stderr().write_all(line.as_bytes());
+    let line = format!("{erase}{}\n", visible::lines(text));
+    let _ = Stream::Err.write_all(line.as_bytes());
 }

@@ -4,29 +4,34 @@ use std::io::Write;
 
 use client::decimal;
 use client::{Begun, Observer, Pace, Progress, homing_limit_us, visible, wording};
-use indicatif::{ProgressBar, ProgressStyle};
 use protocol::capsule::CapsuleEvent;
 use protocol::error::Refusal;
 use protocol::rig::{RigEvent, RunTiming};
 use protocol::system::{Event, What};
 
+use crate::operations::output::{ERASE, columns};
+
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
-/// One line of 80 columns, cut off at the width of the terminal: a bar of two lines would erase text above it. It leaves
-/// 61 columns for the longest message.
-const BAR: &str = "  {bar:10} {percent:>3} % {wide_msg}";
-
-/// The look of a bar, in ASCII where the terminal shows nothing else.
+/// A bar and a message in place of the present line, in ASCII where the terminal shows nothing else. Cut off at the width
+/// of the terminal, for a bar of two lines would erase text above it; of 80 columns it leaves 61 for the message.
 #[must_use]
-pub fn style(template: &str) -> ProgressStyle {
-    let style = ProgressStyle::with_template(template);
-    let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-    if is_unicode() {
-        style
-    } else {
-        style.progress_chars("##.")
-    }
+pub fn bar(done: u64, total: u64, message: &str) -> String {
+    let part = |of: u64| done.min(total) * of / total.max(1);
+    let (full, empty) = match is_unicode() {
+        true => ("█", "░"),
+        false => ("#", "."),
+    };
+    let tenths = part(10) as usize;
+    let line = format!(
+        "  {}{} {:>3} % {message}",
+        full.repeat(tenths),
+        empty.repeat(10 - tenths),
+        part(100)
+    );
+    let shown: String = line.chars().take(columns()).collect();
+    format!("{ERASE}{shown}")
 }
 
 /// Whether the user's environment says that the terminal shows characters beyond ASCII.
@@ -35,50 +40,47 @@ pub fn is_unicode() -> bool {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     let locale = set("LC_ALL").or(set("LC_CTYPE")).or(set("LANG"));
     let locale = locale.unwrap_or_default().to_lowercase();
-    locale.contains("utf-8") || locale.contains("utf8") || cfg!(windows)
+    locale.contains("utf-8") || locale.contains("utf8")
 }
 
 /// Prints the progress of an action. All times are the machine's, so they mean the same on the virtual bench.
 pub struct Live<'a> {
     out: &'a mut dyn Write,
     terminal: bool,
-    bar: Option<ProgressBar>,
+    /// A bar is on the present line.
+    has_bar: bool,
     next_line_us: u64,
     /// Whether the run was held at the last report.
     held: bool,
 }
 
 impl<'a> Live<'a> {
-    /// Prints to `out`; draws a bar on standard error instead of lines if that is a terminal.
+    /// Prints to `out`; draws a bar instead of lines if that is a terminal.
     pub fn new(out: &'a mut dyn Write, terminal: bool) -> Self {
         Self {
             out,
             terminal,
-            bar: None,
+            has_bar: false,
             next_line_us: 0,
             held: false,
         }
     }
 
     fn line(&mut self, text: &str) {
-        let text = visible::lines(text);
-        match &self.bar {
-            Some(bar) => bar.println(text.as_ref()),
-            // Ignore the error: a closed pipe must not stop the machine's supervision.
-            None => drop(writeln!(self.out, "{text}")),
-        }
+        self.write(&format!("{}\n", visible::lines(text)), false);
+    }
+
+    /// Writes a text in place of the bar, in one piece.
+    fn write(&mut self, text: &str, is_bar: bool) {
+        let erase = if self.has_bar && !is_bar { ERASE } else { "" };
+        self.has_bar = is_bar;
+        // Ignore the error: a closed pipe must not stop the machine's supervision.
+        let _ = self.out.write_all(format!("{erase}{text}").as_bytes());
     }
 
     fn show(&mut self, elapsed_us: u64, total_us: u64, message: &str) {
         if self.terminal {
-            let bar = self.bar.get_or_insert_with(|| {
-                let bar = ProgressBar::new(total_us);
-                bar.set_style(style(BAR));
-                bar
-            });
-            bar.set_length(total_us);
-            bar.set_position(elapsed_us.min(total_us));
-            bar.set_message(message.to_owned());
+            self.write(&bar(elapsed_us, total_us, message), true);
         } else if elapsed_us >= self.next_line_us {
             self.next_line_us = elapsed_us - elapsed_us % LINE_US + LINE_US;
             self.line(&format!("  {message}"));
@@ -88,17 +90,12 @@ impl<'a> Live<'a> {
 
 impl Drop for Live<'_> {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
+        self.write("", false);
     }
 }
 
 impl Observer for Live<'_> {
     fn begun(&mut self, begun: &Begun) {
-        if let Some(bar) = self.bar.take() {
-            bar.finish_and_clear();
-        }
         self.next_line_us = LINE_US;
         self.line(&begun_text(begun));
     }
@@ -277,13 +274,8 @@ mod tests {
             (80_000_000_000, "stroke 20000 of 20000, 130.000 mm"),
         ] {
             let text = run_text(1, total_us, place, true);
-            let before = BAR
-                .replace("{bar:10}", "##########")
-                .replace("{percent:>3}", "100")
-                .replace("{wide_msg}", "");
-            let columns = before.chars().count() + text.chars().count();
-            assert!(columns <= 80, "{columns}: {before}{text}");
             assert!(text.contains(" s left, stroke"), "{text}");
+            assert!(bar(1, total_us, &text).ends_with(&text), "{text}");
         }
     }
 
