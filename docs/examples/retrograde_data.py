@@ -40,8 +40,8 @@ def value(text, column=None):
 def read_csv(path):
     """The rows of a CSV file as dictionaries. A last line without its end is no row: writing it was cut off."""
     with open(path, newline="", encoding="utf-8") as file:
-        whole = [line for line in file if line.endswith("\n")]
-    return Table({name: value(cell, name) for name, cell in row.items()} for row in csv.DictReader(whole))
+        whole = (line for line in file if line.endswith("\n"))
+        return Table({name: value(cell, name) for name, cell in row.items()} for row in csv.DictReader(whole))
 
 
 class Table(list):

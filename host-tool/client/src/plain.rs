@@ -13,8 +13,14 @@ use tempfile::{Builder, NamedTempFile, TempDir};
 
 use crate::limited;
 
-/// Limit for the telemetry of one trial, and for any file that is hashed, bytes: 2.5 million rows.
-pub const TELEMETRY: u64 = 256 << 20;
+/// Most rows of the telemetry of one trial: 27 h at 10 ms. Longer runs are refused, and no further row is recorded.
+pub const ROWS: u64 = 10_000_000;
+
+/// Longest row of telemetry, bytes.
+pub const ROW: u64 = 160;
+
+/// Limit for the telemetry of one trial, and for any file that is hashed, bytes.
+pub const TELEMETRY: u64 = (ROWS + 1) * ROW;
 
 /// Longest line of a table, bytes.
 pub const LINE: usize = 64 << 10;

@@ -9,7 +9,6 @@ pub(crate) mod palette;
 mod profile;
 
 use client::identity::Origin;
-use lab::trials::trial::{CapsuleSample, RigSample};
 use plotters::coord::Shift;
 use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
@@ -70,27 +69,102 @@ pub(crate) struct Chart {
     pub(crate) curves: Vec<Curve>,
 }
 
-/// Keeps, for each of `stretches` equal stretches, the points with the least and the greatest value: the curve looks
-/// the same.
-pub(crate) fn thinned(points: &[(f64, f64)], stretches: usize) -> Vec<(f64, f64)> {
-    if points.len() <= stretches * 2 {
-        return points.to_vec();
-    }
-    let mut thin = vec![];
-    for part in points.chunks(points.len().div_ceil(stretches)) {
-        let of = |worse: fn(&f64, &f64) -> bool| {
-            let better = |a: usize, b: usize| if worse(&part[a].1, &part[b].1) { b } else { a };
-            (0..part.len()).reduce(better)
-        };
-        let (Some(least), Some(most)) = (of(|a, b| b < a), of(|a, b| b > a)) else {
-            continue;
-        };
-        thin.push(part[least.min(most)]);
-        if least != most {
-            thin.push(part[least.max(most)]);
+/// A curve of any length in bounded memory: the points with the least and the greatest value of each stretch of it, so
+/// that it looks the same.
+pub(crate) struct Thin {
+    /// Most stretches.
+    most: usize,
+    /// Points of each stretch.
+    per: usize,
+    count: usize,
+    /// The least and the greatest point of each, with their numbers.
+    stretches: Vec<[(usize, (f64, f64)); 2]>,
+}
+
+impl Thin {
+    pub(crate) const fn new(most: usize) -> Self {
+        Self {
+            most,
+            per: 1,
+            count: 0,
+            stretches: vec![],
         }
     }
-    thin
+
+    /// Adds a point, unless it cannot be drawn.
+    pub(crate) fn push(&mut self, point: (f64, f64)) {
+        if !(point.0.is_finite() && point.1.is_finite()) {
+            return;
+        }
+        let wider = |[least, most]: &mut [(usize, (f64, f64)); 2], other: (usize, (f64, f64))| {
+            if other.1.1 < least.1.1 {
+                *least = other;
+            }
+            if other.1.1 > most.1.1 {
+                *most = other;
+            }
+        };
+        if self.count == self.most * self.per {
+            let pairs = self.stretches.chunks(2).map(|pair| {
+                let mut both = pair[0];
+                pair.iter().flatten().for_each(|end| wider(&mut both, *end));
+                both
+            });
+            self.stretches = pairs.collect();
+            self.per *= 2;
+        }
+        let numbered = (self.count, point);
+        match self.stretches.last_mut() {
+            Some(last) if !self.count.is_multiple_of(self.per) => wider(last, numbered),
+            _ => self.stretches.push([numbered; 2]),
+        }
+        self.count += 1;
+    }
+
+    pub(crate) fn points(&self) -> Vec<(f64, f64)> {
+        let mut points: Vec<_> = self.stretches.iter().flatten().copied().collect();
+        points.sort_by_key(|(number, _)| *number);
+        points.dedup_by_key(|(number, _)| *number);
+        points.into_iter().map(|(_, point)| point).collect()
+    }
+}
+
+/// Number of stretches of the curves of a whole page.
+const STRETCHES: usize = 2_000;
+
+fn thinned(points: impl IntoIterator<Item = (f64, f64)>, most: usize) -> Vec<(f64, f64)> {
+    let mut thin = Thin::new(most);
+    points.into_iter().for_each(|point| thin.push(point));
+    thin.points()
+}
+
+/// Two curves of a record over its time.
+pub struct Curves {
+    start_us: Option<u64>,
+    of: [Thin; 2],
+}
+
+impl Curves {
+    /// Without a start, time 0 is the first sample.
+    pub const fn since(start_us: Option<u64>) -> Self {
+        let of = [Thin::new(STRETCHES), Thin::new(STRETCHES)];
+        Self { start_us, of }
+    }
+
+    pub fn push(&mut self, time_us: u64, values: [f64; 2]) {
+        let time_s = since(*self.start_us.get_or_insert(time_us), time_us);
+        for (thin, value) in self.of.iter_mut().zip(values) {
+            thin.push((time_s, value));
+        }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.of[0].count == 0
+    }
+
+    fn measured(&self, origin: Origin) -> [Curve; 2] {
+        [0, 1].map(|index| measured_curve(origin, self.of[index].points()))
+    }
 }
 
 /// Position and velocity against time, measured over planned.
@@ -98,45 +172,33 @@ pub fn run_figures(
     name: &str,
     origin: Origin,
     planned: Planned,
-    samples: &[RigSample],
-    start_us: u64,
+    curves: &Curves,
 ) -> Result<[String; 2], FigureError> {
-    let number = |text: &str| text.parse::<f64>().unwrap_or(f64::NAN);
-    let figure = |what, y_label, plan, value: &dyn Fn(&RigSample) -> f64| {
-        let at = |sample: &RigSample| (since(start_us, sample.time_us), value(sample));
-        let measured = measured_curve(origin, samples.iter().map(at).collect());
+    let figure = |what, y_label, plan, measured| {
         let heading = Heading::new(format!("{name}: {what}"), Source::Records(origin));
         over_time(&heading, y_label, vec![plan_curve(plan), measured])
     };
-    let (position, velocity) = (planned.position, planned.velocity);
+    let [position, velocity] = curves.measured(origin);
     Ok([
-        figure("position", "position / mm", position, &|sample| {
-            number(&sample.position_mm)
-        })?,
-        figure("velocity", "velocity / (mm/s)", velocity, &|sample| {
-            number(&sample.speed_mm_s)
-        })?,
+        figure("position", "position / mm", planned.position, position)?,
+        figure("velocity", "velocity / (mm/s)", planned.velocity, velocity)?,
     ])
 }
 
+/// Thread and current against time.
 pub fn actuation_figures(
     name: &str,
     origin: Origin,
-    samples: &[CapsuleSample],
-    start_us: u64,
+    curves: &Curves,
 ) -> Result<[String; 2], FigureError> {
-    let figure = |what, y_label, value: &dyn Fn(&CapsuleSample) -> f64| {
-        let at = |sample: &CapsuleSample| (since(start_us, sample.time_us), value(sample));
-        let measured = measured_curve(origin, samples.iter().map(at).collect());
+    let figure = |what, y_label, measured| {
         let heading = Heading::new(format!("{name}: {what}"), Source::Records(origin));
         over_time(&heading, y_label, vec![measured])
     };
-    let current = |sample: &CapsuleSample| f64::from(sample.current_ma);
+    let [thread, current] = curves.measured(origin);
     Ok([
-        figure("thread", "thread wound / mm", &|sample| {
-            f64::from(sample.thread_um) / 1e3
-        })?,
-        figure("motor current", "motor current / mA", &current)?,
+        figure("thread", "thread wound / mm", thread)?,
+        figure("motor current", "motor current / mA", current)?,
     ])
 }
 
@@ -299,6 +361,7 @@ fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve) -> Drawn {
     let points: Vec<_> = curve.points.iter().filter(is_finite).copied().collect();
     match curve.mark {
         Mark::Line(width) => {
+            let points = thinned(points, STRETCHES);
             plot.draw_series(LineSeries::new(points, colour.stroke_width(width)))?;
         }
         Mark::Dots(radius) => {
@@ -383,12 +446,12 @@ mod tests {
             .map(|index| (f64::from(index), (f64::from(index) / 37.0).sin()))
             .chain([(10_000.0, 5.0), (10_001.0, -7.0)])
             .collect();
-        let thin = thinned(&points, 200);
+        let thin = thinned(points.iter().copied(), 200);
         assert!(thin.len() <= 400 && thin.is_sorted_by(|a, b| a.0 < b.0));
         for wanted in [5.0, -7.0] {
             assert!(thin.iter().any(|point| point.1 == wanted), "{wanted}");
         }
-        assert_eq!(thinned(&points[..300], 200), points[..300]);
+        assert_eq!(thinned(points[..300].to_vec(), 200), points[..300]);
     }
 
     #[test]

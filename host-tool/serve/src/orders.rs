@@ -3,7 +3,6 @@
 
 use clap::{Args, Command};
 use lab::trials::experiment::Actuation;
-use lab::trials::plan;
 use protocol::capsule::ActuationKind;
 use protocol::rig::{Jog, MoveTo, Run};
 use protocol::system::DeviceKind;
@@ -145,9 +144,7 @@ pub fn run(body: &Map<String, Value>) -> Result<Run, Failure> {
 
 fn waves(body: &Map<String, Value>) -> Result<(Run, RecordArgs), Failure> {
     let args: RunArgs = parse(&RUN, None, body)?;
-    let run = args.waves.request(args.on_link_loss);
-    plan::check(&run)?;
-    Ok((run, args.record))
+    Ok((args.run()?, args.record))
 }
 
 /// Parses the arguments of one command. The whole command line has a hundred times as many, and building it would take

@@ -10,7 +10,6 @@ use lab::operations::places::Places;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::{Coordination, Cue};
 use lab::trials::experiment::{self, ExperimentError, RunTrial, stem};
-use lab::trials::plan;
 use lab::trials::trial::Status;
 use protocol::capsule::CapsuleState;
 use protocol::rig::Run;
@@ -60,8 +59,7 @@ pub(crate) fn run(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let request = args.waves.request(args.on_link_loss);
-    plan::check(&request)?;
+    let request = args.run()?;
     let tied = tied(args, &request)?;
     let partner = match tied {
         Some((shaping, cue)) => Some((ready(shaping, places, screen)?, shaping, cue)),

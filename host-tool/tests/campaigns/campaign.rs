@@ -120,6 +120,7 @@ stroke_mm = 1 => stroke_mm = 1.00001 => more than 3 decimals
 duration_s = 1 => duration_s = 0.01 => run: 
 cycles = 1 => cycles = 0 => run: 
 telemetry_ms = 100 => telemetry_ms = 4 => 5 to 1000
+duration_s = 1 => duration_s = 2000000 => use 201 to 1000
 count = 2 => count = 0 => readings.count: 0
 spread_mm = 0.5 => spread_mm = 0 => above 0
 spread_mm = 0.5 => spread_mm = 1000 => -

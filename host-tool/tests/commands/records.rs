@@ -319,8 +319,8 @@ fn a_refused_action_leaves_a_record_that_says_so() {
         let trial = Trial::read(&sidecar).expect("sidecar");
         assert_eq!(trial.status.name(), "refused", "{trial:?}");
         let defects = match trial.device.device.as_str() {
-            "rig" => check::rig(&sidecar, &trial).1,
-            _ => check::capsule(&sidecar, &trial).1,
+            "rig" => check::rig(&sidecar, &trial, |_| {}),
+            _ => check::capsule(&sidecar, &trial, |_| {}),
         };
         assert_eq!(defects.all(), [""; 0]);
         assert!(trial.error.expect("why").contains(why));

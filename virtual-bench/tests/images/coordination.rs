@@ -6,7 +6,7 @@ use lab::trials::check;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::Cue;
 use lab::trials::experiment::PAPER_RUN;
-use lab::trials::trial::{CapsuleSample, Recording, Status};
+use lab::trials::trial::{Recording, Status};
 use protocol::rig::{Run, RunTiming};
 use protocol::system::DeviceKind;
 use virtual_bench::bench::Bench;
@@ -106,8 +106,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         assert_eq!(run.trial.status, Status::Complete, "{what}");
         assert!(actuation.is_ok(), "{what}: {:?}", actuation.err());
         let fold = actuation.expect("it is recorded");
-        let (samples, mut defects) = check::read::<CapsuleSample>(&fold.sidecar, &fold.trial);
-        defects.extend(check::actuation(&fold.trial, &samples).all());
+        let defects = check::record(&fold.sidecar, &fold.trial).all();
         assert!(defects.is_empty(), "{what}: {defects:?}");
         let edges = rig.look(move |rig| rig.edges().since(before));
         assert_eq!(edges.len(), 6 * STEPS, "{what}");

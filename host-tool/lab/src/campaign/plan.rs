@@ -485,6 +485,7 @@ fn run(table: &RunTable) -> Result<(Run, u16), String> {
             table.telemetry_ms
         ));
     }
+    plan::fits(&run, table.telemetry_ms).map_err(|why| format!("run.telemetry_ms: {why}"))?;
     Ok((run, table.telemetry_ms))
 }
 

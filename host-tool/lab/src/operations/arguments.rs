@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::operations::failure::Failure;
+use crate::trials::plan;
 use crate::trials::trial::Recording;
 use clap::builder::{PossibleValue, PossibleValuesParser, RangedU64ValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
@@ -95,6 +97,21 @@ pub struct RunArgs {
     /// The record.
     #[command(flatten)]
     pub record: RecordArgs,
+}
+
+impl RunArgs {
+    /// The run these arguments stand for.
+    ///
+    /// # Errors
+    /// No rig could execute it, or no record take it up.
+    pub fn run(&self) -> Result<Run, Failure> {
+        let run = self.waves.request(self.on_link_loss);
+        plan::check(&run)?;
+        plan::fits(&run, self.record.telemetry_ms).map_err(|why| {
+            Failure::input(why, "nothing moved; `--telemetry-ms` sets the interval")
+        })?;
+        Ok(run)
+    }
 }
 
 /// Reaction of the rig to a silent host.

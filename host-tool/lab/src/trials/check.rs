@@ -3,6 +3,7 @@
 //!
 //! Each defect is a sentence with its numbers. Only [`read`], and what reads by it, opens files.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use client::decimal;
@@ -52,32 +53,76 @@ impl Sample for CapsuleSample {
     }
 }
 
-/// Reads the telemetry up to the first unreadable row; reports what is wrong with the file as defects.
-pub fn read<T: Sample>(sidecar: &Path, trial: &Trial) -> (Vec<T>, Vec<String>) {
+/// Reads the telemetry row by row, up to the first unreadable one; reports what is wrong with the file as defects.
+pub fn read<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -> Vec<String> {
     let path = sidecar.with_file_name(&trial.telemetry);
     let name = &trial.telemetry;
     let mut reader = match plain::rows(&path) {
         Ok(rows) => csv::Reader::from_reader(rows),
-        Err(error) => return (vec![], vec![format!("{name} cannot be read: {error}")]),
+        Err(error) => return vec![format!("{name} cannot be read: {error}")],
     };
-    let mut samples = vec![];
+    let mut row = 1_u64;
     let mut rows = reader.deserialize();
-    while let Some(row) = rows.next() {
-        match row {
-            Ok(sample) => samples.push(sample),
+    while let Some(read) = rows.next() {
+        match read {
+            Ok(sample) => see(&sample),
             // The tool was killed while it wrote it.
             Err(_) if trial.status == Status::Running && rows.next().is_none() => break,
-            Err(error) => {
-                // Do not trust the rows after it.
-                let row = samples.len() + 1;
-                return (
-                    samples,
-                    vec![format!("row {row} of {name} cannot be read: {error}")],
-                );
+            // Do not trust the rows after it.
+            Err(error) => return vec![format!("row {row} of {name} cannot be read: {error}")],
+        }
+        row += 1;
+    }
+    vec![]
+}
+
+/// What the checks keep of telemetry, however long that is.
+#[derive(Debug, Default)]
+pub struct Seen {
+    rows: u64,
+    missed: u64,
+    first: Option<(u64, u16)>,
+    last_us: u64,
+    /// Origins other than the sidecar's, the first of them.
+    other: Option<Origin>,
+    /// First row whose time does not go on in the next one.
+    back: Option<u64>,
+    /// Time between two rows and samples lost between them: how often, and when first.
+    steps: BTreeMap<(u64, u16), (u64, u64)>,
+}
+
+impl Seen {
+    /// Takes the next row of a trial.
+    pub fn take<T: Sample>(&mut self, trial: &Trial, sample: &T) {
+        let (time_us, missed) = (sample.time_us(), sample.missed());
+        if ![Origin::Unknown, trial.device.origin].contains(&sample.origin()) {
+            self.other.get_or_insert(sample.origin());
+        }
+        match self.first {
+            None => self.first = Some((time_us, missed)),
+            Some(_) if time_us <= self.last_us => {
+                self.back.get_or_insert(self.rows);
+            }
+            Some(_) => {
+                let step = self.steps.entry((time_us - self.last_us, missed));
+                step.or_insert((0, self.last_us)).0 += 1;
             }
         }
+        self.last_us = time_us;
+        self.rows += 1;
+        self.missed += u64::from(missed);
     }
-    (samples, vec![])
+
+    /// Time between samples, us: the median of those without a loss between them.
+    fn interval_us(&self) -> Option<u64> {
+        let all = || self.steps.iter().filter(|((_, missed), _)| *missed == 0);
+        let half = all().map(|(_, (count, _))| count).sum::<u64>() / 2;
+        let mut until = 0;
+        all().find_map(|((us, _), (count, _))| {
+            until += count;
+            (until > half).then_some(*us)
+        })
+    }
 }
 
 /// Defects of a record.
@@ -135,31 +180,37 @@ impl Defects {
 #[must_use]
 pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
     match trial.action {
-        Action::Run { .. } => rig(sidecar, trial).1,
-        Action::Actuation { .. } => capsule(sidecar, trial).1,
+        Action::Run { .. } => rig(sidecar, trial, |_| {}),
+        Action::Actuation { .. } => capsule(sidecar, trial, |_| {}),
     }
 }
 
-/// The readable telemetry of a record of the rig, and the defects of the record.
+/// The defects of a record of the rig; `see` is shown its readable telemetry.
 #[must_use]
-pub fn rig(sidecar: &Path, trial: &Trial) -> (Vec<RigSample>, Defects) {
-    let (samples, unreadable) = read::<RigSample>(sidecar, trial);
-    let defects = run(trial, &samples).after(unreadable);
-    (samples, defects)
+pub fn rig(sidecar: &Path, trial: &Trial, see: impl FnMut(&RigSample)) -> Defects {
+    let (seen, unreadable) = seen(sidecar, trial, see);
+    run(trial, &seen).after(unreadable)
 }
 
-/// The readable telemetry of a record of the capsule, and the defects of the record.
+/// The defects of a record of the capsule; `see` is shown its readable telemetry.
 #[must_use]
-pub fn capsule(sidecar: &Path, trial: &Trial) -> (Vec<CapsuleSample>, Defects) {
-    let (samples, unreadable) = read::<CapsuleSample>(sidecar, trial);
-    let defects = actuation(trial, &samples).after(unreadable);
-    (samples, defects)
+pub fn capsule(sidecar: &Path, trial: &Trial, see: impl FnMut(&CapsuleSample)) -> Defects {
+    let (seen, unreadable) = seen(sidecar, trial, see);
+    actuation(trial, &seen).after(unreadable)
+}
+
+fn seen<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -> (Seen, Vec<String>) {
+    let mut seen = Seen::default();
+    let unreadable = read(sidecar, trial, |sample: &T| {
+        seen.take(trial, sample);
+        see(sample);
+    });
+    (seen, unreadable)
 }
 
 /// Defects of a rig's run.
-#[must_use]
-pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
-    let mut defects = telemetry(trial, samples);
+fn run(trial: &Trial, seen: &Seen) -> Defects {
+    let mut defects = telemetry(trial, seen);
     let Action::Run {
         requested,
         achieved,
@@ -173,7 +224,7 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
         planned_and_done(trial, requested, achieved, executed, &mut defects);
         covers(
             trial,
-            samples,
+            seen,
             run_start_us(trial),
             executed.ticks / 100,
             &mut defects,
@@ -188,9 +239,8 @@ pub fn run(trial: &Trial, samples: &[RigSample]) -> Defects {
 }
 
 /// Defects of a capsule's trial.
-#[must_use]
-pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Defects {
-    let mut defects = telemetry(trial, samples);
+fn actuation(trial: &Trial, seen: &Seen) -> Defects {
+    let mut defects = telemetry(trial, seen);
     let Action::Actuation {
         actuation,
         accepted,
@@ -216,7 +266,7 @@ pub fn actuation(trial: &Trial, samples: &[CapsuleSample]) -> Defects {
     );
     covers(
         trial,
-        samples,
+        seen,
         actuation_start_us(trial),
         u64::from(record.duration_ms) * 1_000,
         &mut defects,
@@ -241,64 +291,40 @@ pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
 }
 
 /// Checks that apply to the telemetry of both machines.
-fn telemetry<T: Sample>(trial: &Trial, samples: &[T]) -> Defects {
+fn telemetry(trial: &Trial, seen: &Seen) -> Defects {
     let mut defects = Defects::default();
     let name = &trial.telemetry;
     if let Some(why) = trial.not_whole() {
+        // The sidecar's numbers are those of all samples, or of the beginning.
         defects.lack(why);
-    }
-    // While a trial runs, its sidecar does not know the final number of samples.
-    if trial.status != Status::Running {
-        if samples.len() as u64 != trial.samples {
+    } else {
+        if seen.rows != trial.samples {
             defects.say(format!(
                 "{name} has {} rows, {} were recorded",
-                samples.len(),
-                trial.samples
+                seen.rows, trial.samples
             ));
         }
-        let missed: u64 = samples
-            .iter()
-            .map(|sample| u64::from(sample.missed()))
-            .sum();
-        if missed != trial.missed_samples {
+        if seen.missed != trial.missed_samples {
             defects.say(format!(
-                "by the rows of {name} {missed} samples were lost, by the sidecar {}",
-                trial.missed_samples
+                "by the rows of {name} {} samples were lost, by the sidecar {}",
+                seen.missed, trial.missed_samples
             ));
         }
     }
-    let other =
-        |sample: &T| sample.origin() != Origin::Unknown && sample.origin() != trial.device.origin;
-    if let Some(sample) = samples.iter().find(|sample| other(sample)) {
+    if let Some(other) = seen.other {
         defects.say(format!(
-            "{name} is of origin {}, the sidecar of origin {}",
-            sample.origin(),
+            "{name} is of origin {other}, the sidecar of origin {}",
             trial.device.origin
         ));
     }
-    let back = samples
-        .windows(2)
-        .position(|pair| pair[1].time_us() <= pair[0].time_us());
-    match back {
+    match seen.back {
         Some(row) => defects.say(format!(
-            "time does not go on between rows {} and {} of {name}",
-            row + 1,
-            row + 2
+            "time does not go on between rows {row} and {} of {name}",
+            row + 1
         )),
-        None => gaps(trial, samples, &mut defects),
+        None => gaps(trial, seen, &mut defects),
     }
     defects
-}
-
-/// Time between samples, us: the median of those without a loss between them.
-fn interval_us<T: Sample>(samples: &[T]) -> Option<u64> {
-    let mut all: Vec<u64> = samples
-        .windows(2)
-        .filter(|pair| pair[1].missed() == 0)
-        .map(|pair| pair[1].time_us().saturating_sub(pair[0].time_us()))
-        .collect();
-    all.sort_unstable();
-    all.get(all.len() / 2).copied()
 }
 
 /// Longest plausible time between two samples with `missed` lost ones between them.
@@ -307,29 +333,27 @@ fn longest_us(interval_us: u64, missed: u16) -> u64 {
     missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
 }
 
-fn gaps<T: Sample>(trial: &Trial, samples: &[T], defects: &mut Defects) {
-    let Some(interval_us) = interval_us(samples) else {
+fn gaps(trial: &Trial, seen: &Seen, defects: &mut Defects) {
+    let Some(interval_us) = seen.interval_us() else {
         return;
     };
-    let is_gap = |pair: &&[T]| {
-        pair[1].time_us() - pair[0].time_us() > longest_us(interval_us, pair[1].missed())
-    };
-    let gaps: Vec<_> = samples.windows(2).filter(is_gap).collect();
-    if let Some(first) = gaps.first() {
+    let is_gap = |((us, missed), _): &(&(u64, u16), _)| *us > longest_us(interval_us, *missed);
+    let gaps = || seen.steps.iter().filter(is_gap);
+    if let Some(((us, _), (_, first_us))) = gaps().min_by_key(|(_, (_, first_us))| first_us) {
         defects.lack(format!(
             "{} gaps in {} that no lost samples explain, the first of {} s at {} s",
-            gaps.len(),
+            gaps().map(|(_, (count, _))| count).sum::<u64>(),
             trial.telemetry,
-            seconds(first[1].time_us() - first[0].time_us()),
-            seconds(first[0].time_us())
+            seconds(*us),
+            seconds(*first_us)
         ));
     }
 }
 
 /// Checks that the telemetry begins and ends with the motion.
-fn covers<T: Sample>(
+fn covers(
     trial: &Trial,
-    samples: &[T],
+    seen: &Seen,
     start_us: Option<u64>,
     duration_us: u64,
     defects: &mut Defects,
@@ -338,27 +362,27 @@ fn covers<T: Sample>(
         return;
     }
     let name = &trial.telemetry;
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+    let Some((first_us, missed)) = seen.first else {
         defects.lack(format!("{name} is empty"));
         return;
     };
-    let start_us = start_us.unwrap_or(first.time_us());
-    let interval_us = interval_us(samples).unwrap_or(0);
+    let start_us = start_us.unwrap_or(first_us);
+    let interval_us = seen.interval_us().unwrap_or(0);
     let begins_us = start_us
-        .saturating_add(longest_us(interval_us, first.missed()))
+        .saturating_add(longest_us(interval_us, missed))
         .saturating_add(interval_us);
-    if first.time_us() > begins_us {
+    if first_us > begins_us {
         defects.lack(format!(
             "{name} begins {} s after the motion",
-            seconds(first.time_us() - start_us)
+            seconds(first_us - start_us)
         ));
     }
     let end_us = start_us.saturating_add(duration_us);
     // No row reports samples that the link lost after the last row.
-    if last.time_us().saturating_add(longest_us(interval_us, 2)) < end_us {
+    if seen.last_us.saturating_add(longest_us(interval_us, 2)) < end_us {
         defects.lack(format!(
             "{name} ends {} s before the motion",
-            seconds(end_us - last.time_us())
+            seconds(end_us - seen.last_us)
         ));
     }
 }

@@ -2,14 +2,15 @@
 
 use std::io::{self, Write};
 
-use client::decimal;
+use client::{decimal, plain};
 use motion::axis::{Axis, Direction};
 use motion::run::{Limits, RunError, RunPlan};
 use motion::step_times::StepTimes;
 use motion::trapezoid::MIN_INTERVAL;
 use motion::units::{TICK_HZ, TICKS_PER_US, Ticks};
-use protocol::rig::Run;
+use protocol::rig::{Run, RunTiming};
 use protocol::settings::SettingKey;
+use protocol::system::SetTelemetry;
 use serde::Serialize;
 
 use crate::trials::trial::{Achieved, Screw};
@@ -59,6 +60,37 @@ pub fn check(run: &Run) -> Result<(), RunError> {
         }
         Err(error) => Err(error),
     }
+}
+
+/// Shortest interval, ms, at which the telemetry of a run of this duration fits into a record.
+#[must_use]
+pub fn least_interval_ms(total_us: u64) -> u64 {
+    // Some samples come before the run and behind it.
+    total_us.div_ceil(1_000 * (plain::ROWS - 10_000))
+}
+
+/// Refuses a run whose telemetry would not fit into a record. A hold may still prolong it beyond that.
+///
+/// # Errors
+/// The intervals that would do.
+pub fn fits(run: &Run, telemetry_ms: u16) -> Result<(), String> {
+    let axis = &Axis::REFERENCE;
+    let total_us = match (run.timing, planning::solve(run, axis, &WIDEST_LIMITS)) {
+        (RunTiming::Total { total_us, .. }, _) => total_us,
+        (_, Ok(plan)) => planning::accepted(0, *run, &plan, axis).total_ticks / TICKS_PER_US,
+        _ => return Ok(()),
+    };
+    let least = least_interval_ms(total_us);
+    let most = SetTelemetry::PERIOD_MS.1;
+    if u64::from(telemetry_ms) >= least {
+        return Ok(());
+    }
+    let rows = plain::ROWS;
+    let why = format!("the run has more samples of {telemetry_ms} ms than the {rows} of a record");
+    Err(match least <= most.into() {
+        true => format!("{why}: use {least} to {most}"),
+        false => format!("{why}, even of {most} ms: shorten it"),
+    })
 }
 
 /// The peak speed of the run, um/s, as solved for the reference rig; none if that cannot run it.
@@ -137,7 +169,6 @@ mod tests {
     use super::*;
     use crate::trials::experiment::PAPER_RUN;
     use planning::solve;
-    use protocol::rig::RunTiming;
 
     #[test]
     fn the_papers_run_is_solved_as_the_design_says() {

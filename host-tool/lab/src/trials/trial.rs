@@ -590,6 +590,14 @@ impl Recorder {
     }
 
     fn row(&mut self, row: impl Serialize) {
+        if self.trial.samples == plain::ROWS {
+            self.failed.get_or_insert_with(|| RecordError {
+                path: self.csv_path.clone(),
+                why: format!("it has {} rows, the most of a record", plain::ROWS),
+                remedy: "take a longer interval, `--telemetry-ms`, or a shorter run",
+            });
+            return;
+        }
         self.trial.samples += 1;
         if let Err(error) = self.csv.serialize(row) {
             self.failed

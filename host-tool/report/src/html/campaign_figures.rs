@@ -4,14 +4,14 @@
 use lab::campaign::form::Form;
 use lab::campaign::plan::{Lubrication, Purpose};
 use lab::trials::check;
-use lab::trials::trial::{Action, RigSample, Screw};
+use lab::trials::trial::{Action, RigSample};
 use plotters::style::RGBColor;
 
 use crate::figures::palette::{DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
 use crate::figures::{
-    Chart, Curve, FigureError, Heading, Mark, Source, curve, figure, planned, sampled, thinned,
+    Chart, Curve, FigureError, Heading, Mark, Source, Thin, curve, figure, planned, sampled,
 };
-use crate::html::evaluation::{Evaluation, LINE, Part, deviations, run_of};
+use crate::html::evaluation::{Evaluation, LINE, Part, deviation, run_of};
 
 /// Number of time intervals for which a run's figure shows the extremes.
 const STRETCHES: usize = 250;
@@ -300,25 +300,23 @@ fn coincide(one: &[(f64, f64)], other: &[(f64, f64)]) -> bool {
     lies_on(one, other) && lies_on(other, one)
 }
 
+/// Position over time, mm and s.
 fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
-    let (samples, start_us, screw) = samples(run)?;
-    let all: Vec<_> = samples
-        .iter()
-        .map(|sample| {
-            let us = i128::from(sample.time_us) - i128::from(start_us);
-            (us as f64 * 1e-6, screw.mm(sample.position_steps.into()))
-        })
-        .collect();
-    Some(thinned(&all, STRETCHES))
-}
-
-fn samples(run: &Part) -> Option<(Vec<RigSample>, u64, Screw)> {
     let Action::Run { screw, .. } = &run.trial.action else {
         return None;
     };
-    let (samples, _) = check::read::<RigSample>(&run.sidecar, &run.trial);
     let start_us = check::run_start_us(&run.trial)?;
-    (!samples.is_empty()).then_some((samples, start_us, *screw))
+    over_time(run, |sample| {
+        let us = i128::from(sample.time_us) - i128::from(start_us);
+        (us as f64 * 1e-6, screw.mm(sample.position_steps.into()))
+    })
+}
+
+/// A curve of the run's telemetry; none without any.
+fn over_time(run: &Part, point: impl Fn(&RigSample) -> (f64, f64)) -> Option<Vec<(f64, f64)>> {
+    let mut thin = Thin::new(STRETCHES);
+    check::read(&run.sidecar, &run.trial, |sample| thin.push(point(sample)));
+    Some(thin.points()).filter(|points| !points.is_empty())
 }
 
 /// A run over its plan, and the difference; none without telemetry or plan.
@@ -332,7 +330,7 @@ pub fn run_over_plan(name: &str, run: &Part) -> Result<Option<String>, FigureErr
     else {
         return Ok(None);
     };
-    let (Some((samples, ..)), Some(positions)) = (samples(run), positions(run)) else {
+    let Some(positions) = positions(run) else {
         return Ok(None);
     };
     let measured = sampled(run.trial.device.origin);
@@ -346,8 +344,13 @@ pub fn run_over_plan(name: &str, run: &Part) -> Result<Option<String>, FigureErr
             curve(measured, MEASURED, Mark::Line(3), positions),
         ],
     }];
-    if let Some(deviations) = deviations(&run.trial, &samples) {
-        let in_um: Vec<_> = deviations.iter().map(|(s, mm)| (*s, mm * 1e3)).collect();
+    let residuals = deviation(&run.trial).and_then(|deviation| {
+        over_time(run, |sample| {
+            let (time_s, mm) = deviation(sample);
+            (time_s, mm * 1e3)
+        })
+    });
+    if let Some(residuals) = residuals {
         charts.push(Chart {
             x_label: "time / s",
             y_label: "residual / µm".to_owned(),
@@ -356,7 +359,7 @@ pub fn run_over_plan(name: &str, run: &Part) -> Result<Option<String>, FigureErr
                 format!("{measured} less planned"),
                 MEASURED,
                 Mark::Line(3),
-                thinned(&in_um, STRETCHES),
+                residuals,
             )],
         });
     }

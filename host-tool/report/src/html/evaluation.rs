@@ -274,9 +274,8 @@ pub fn run_of(parts: &[Part]) -> Option<&Part> {
         .find(|part| matches!(part.trial.action, Action::Run { .. }))
 }
 
-/// Position of each sample minus that of the plan at the same time: (s, mm). None for a run that was held or not
-/// planned.
-pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)>> {
+/// Time of a sample in s, and its position minus that of the plan, mm. None for a run that was held or not planned.
+pub fn deviation(trial: &Trial) -> Option<impl Fn(&RigSample) -> (f64, f64)> {
     let Action::Run {
         screw,
         requested,
@@ -287,16 +286,12 @@ pub fn deviations(trial: &Trial, samples: &[RigSample]) -> Option<Vec<(f64, f64)
         return None;
     };
     let start_us = check::run_start_us(trial)?;
-    if executed.holds > 0 {
-        return None;
-    }
-    let at = |sample: &RigSample| {
+    (executed.holds == 0).then_some(move |sample: &RigSample| {
         let us = i128::from(sample.time_us) - i128::from(start_us);
         let time_s = us as f64 * 1e-6;
         let planned_mm = position_at(screw, requested, achieved, time_s);
         (time_s, screw.mm(sample.position_steps.into()) - planned_mm)
-    };
-    Some(samples.iter().map(at).collect())
+    })
 }
 
 /// (a_n, mean displacement) of each clamping, mm. All trials of one clamping share its a_n and its errors, so these
@@ -432,12 +427,13 @@ impl Evaluation {
             _ => (None, None),
         };
         let deviation_mm = run.and_then(|part| {
-            let (samples, _) = check::read::<RigSample>(&part.sidecar, &part.trial);
-            let deviations = deviations(&part.trial, &samples)?;
-            deviations
-                .into_iter()
-                .map(|(_, mm)| mm.abs())
-                .reduce(f64::max)
+            let deviation = deviation(&part.trial)?;
+            let mut most: Option<f64> = None;
+            check::read(&part.sidecar, &part.trial, |sample| {
+                let mm = deviation(sample).1.abs();
+                most = Some(most.map_or(mm, |most| most.max(mm)));
+            });
+            most
         });
         let energies: Vec<u32> = parts
             .iter()

@@ -5,14 +5,12 @@ use std::path::Path;
 use client::decimal;
 use lab::trials::check::{self, Defects};
 use lab::trials::sidecar::heading;
-use lab::trials::trial::{
-    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial,
-};
+use lab::trials::trial::{Achieved, Action, Executed, Screw, Status, Trial};
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, Run, RunTiming, Stroke};
 
-use crate::figures::{FigureError, actuation_figures, planned, run_figures};
+use crate::figures::{Curves, FigureError, actuation_figures, planned, run_figures};
 use crate::html::page;
 use crate::html::remark::Remark;
 
@@ -35,16 +33,28 @@ pub(crate) fn section<'a>(
             achieved,
             executed,
         } => {
-            let (samples, defects) = check::rig(sidecar, trial);
+            let mut curves = Curves::since(check::run_start_us(trial));
+            let number = |text: &str| text.parse().unwrap_or(f64::NAN);
+            let defects = check::rig(sidecar, trial, |sample| {
+                let values = [&sample.position_mm, &sample.speed_mm_s];
+                curves.push(sample.time_us, values.map(|text| number(text)));
+            });
             let (achieved, executed) = (achieved.as_ref(), executed.as_ref());
-            let content = run(trial, &samples, screw, requested, achieved, executed)?;
+            let content = run(trial, &curves, screw, requested, achieved, executed)?;
             (defects, content)
         }
         Action::Actuation {
             actuation, record, ..
         } => {
-            let (samples, defects) = check::capsule(sidecar, trial);
-            let content = actuation_section(trial, &samples, *actuation, record.as_ref())?;
+            let mut curves = Curves::since(check::actuation_start_us(trial));
+            let mut largest_ma = None;
+            let defects = check::capsule(sidecar, trial, |sample| {
+                largest_ma = largest_ma.max(Some(sample.current_ma));
+                let thread_mm = f64::from(sample.thread_um) / 1e3;
+                curves.push(sample.time_us, [thread_mm, f64::from(sample.current_ma)]);
+            });
+            let record = record.as_ref();
+            let content = actuation_section(trial, &curves, largest_ma, *actuation, record)?;
             (defects, content)
         }
     };
@@ -83,18 +93,16 @@ pub(crate) fn reasons(defects: &[String]) -> Markup {
 
 fn run(
     trial: &Trial,
-    samples: &[RigSample],
+    curves: &Curves,
     screw: &Screw,
     requested: &Run,
     achieved: Option<&Achieved>,
     executed: Option<&Executed>,
 ) -> Result<Markup, FigureError> {
-    let figures = match (achieved, samples.first()) {
-        (Some(achieved), Some(first)) => {
-            let start_us = check::run_start_us(trial).unwrap_or(first.time_us);
+    let figures = match achieved {
+        Some(achieved) if !curves.is_empty() => {
             let plan = planned(screw, requested, achieved);
-            let origin = trial.device.origin;
-            Some(run_figures("Run", origin, plan, samples, start_us)?)
+            Some(run_figures("Run", trial.device.origin, plan, curves)?)
         }
         _ => None,
     };
@@ -180,24 +188,19 @@ fn intervals(executed: &Executed) -> String {
 
 fn actuation_section(
     trial: &Trial,
-    samples: &[CapsuleSample],
+    curves: &Curves,
+    largest_ma: Option<u16>,
     kind: ActuationKind,
     record: Option<&ActuationRecord>,
 ) -> Result<Markup, FigureError> {
-    let figures = match samples.first() {
-        Some(first) => {
-            let start_us = check::actuation_start_us(trial).unwrap_or(first.time_us);
-            let origin = trial.device.origin;
-            Some(actuation_figures(
-                &heading(trial),
-                origin,
-                samples,
-                start_us,
-            )?)
-        }
-        None => None,
+    let figures = match curves.is_empty() {
+        true => None,
+        false => Some(actuation_figures(
+            &heading(trial),
+            trial.device.origin,
+            curves,
+        )?),
     };
-    let largest_ma = samples.iter().map(|sample| sample.current_ma).max();
     let mut table = record.map_or_else(Vec::new, |record| actuation_rows(kind, record));
     if let Some(largest_ma) = largest_ma {
         let after = table.iter().position(|(name, _)| *name == AFTER_INRUSH);

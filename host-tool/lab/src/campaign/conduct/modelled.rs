@@ -8,7 +8,7 @@ use crate::campaign::form::Form;
 use crate::campaign::ledger::Source;
 use crate::campaign::order::Planned;
 use crate::campaign::plan::{CampaignPlan, Millimetres};
-use crate::trials::trial::{Action, RecordError, RigSample, Status, Trial};
+use crate::trials::trial::{Action, RecordError, Status, Trial};
 use client::plain;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
@@ -38,6 +38,13 @@ pub(super) struct Modelled {
     pub(super) text: String,
 }
 
+/// What the model needs of a row of telemetry.
+#[derive(serde::Deserialize)]
+struct Place {
+    time_us: u64,
+    position_steps: i32,
+}
+
 /// The modelled displacement of an attempt with this indentation, with the scatter that the plan declares.
 pub(super) fn displacement(
     plan: &CampaignPlan,
@@ -47,16 +54,16 @@ pub(super) fn displacement(
     sidecar: &Path,
 ) -> Result<Modelled, ModelError> {
     let run = Trial::read(sidecar)?;
-    let samples: Vec<RigSample> = run.samples(sidecar)?;
+    let samples: Vec<Place> = run.samples(sidecar)?;
     let Action::Run { screw, .. } = &run.action else {
         return Err(RecordError::read(sidecar, "it is not the record of a run").into());
     };
     let friction = planned.lubrication.friction();
-    let positions = |samples: &[RigSample]| -> Vec<f64> {
+    let positions = |samples: &[Place]| -> Vec<f64> {
         let steps = samples.iter().map(|sample| sample.position_steps);
         steps.map(|steps| screw.mm(f64::from(steps))).collect()
     };
-    let unfolded = |samples: &[RigSample]| -> Result<f64, OutOfRange> {
+    let unfolded = |samples: &[Place]| -> Result<f64, OutOfRange> {
         // At home the rollers stand as far from the body's start as the plan lets them travel.
         let mut params = roller::Params::PAPER;
         params.body.friction = friction;
@@ -67,7 +74,7 @@ pub(super) fn displacement(
         }
         Ok(body.displacement_mm())
     };
-    let folded = |samples: &[RigSample], fold: &Fold, moved_mm: f64| -> Result<f64, OutOfRange> {
+    let folded = |samples: &[Place], fold: &Fold, moved_mm: f64| -> Result<f64, OutOfRange> {
         let design = Design::paper_printed();
         let mut params = folded::Params::PAPER.folded_by(&design, fold.thread_mm - SLACK_MM)?;
         params.friction = friction;

@@ -170,3 +170,50 @@ fn a_fault_does_not_hide_that_rows_are_missing() {
         assert!(error.contains(said), "{error}");
     }
 }
+
+/// Regression: what was recorded was too long for its own reader.
+#[test]
+fn no_record_grows_beyond_what_is_read() {
+    let longest = RigSample {
+        time_us: u64::MAX,
+        state: "acknowledge".to_owned(),
+        position_mm: decimal::write_signed(i64::from(i32::MIN) * 1_000_000, 6),
+        speed_mm_s: decimal::write_signed(i32::MIN.into(), 3),
+        stroke: u32::MAX,
+        position_steps: i32::MIN,
+        commanded_steps: i32::MIN,
+        residual_steps: i32::MIN,
+        home_flag_open: false,
+        far_limit_open: false,
+        estop_loop_open: false,
+        missed: u16::MAX,
+        origin: Origin::Virtual,
+    };
+    let mut csv = csv::WriterBuilder::new()
+        .has_headers(false)
+        .from_writer(vec![]);
+    csv.serialize(&longest).expect("memory");
+    let row = csv.into_inner().expect("memory").len() as u64;
+    assert!(row <= plain::ROW, "{row}");
+
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = fold_in(folder.path());
+    let action = Action::Actuation {
+        actuation: ActuationKind::Fold,
+        accepted: None,
+        record: None,
+    };
+    let trial = Trial::new(action, device(), &recording);
+    let mut recorder = Recorder::create(trial, &recording).expect("created");
+    recorder.trial.samples = plain::ROWS - 1;
+    recorder.row(&longest);
+    assert!(recorder.news().is_none());
+    recorder.row(&longest);
+    let told = recorder.news().expect("one too many").to_string();
+    assert!(told.contains("10000000 rows"), "{told}");
+    let sidecar = recorder.sidecar().to_owned();
+    assert!(recorder.finish(Ending::Lost("gone".to_owned()), 0).is_err());
+    let read = Trial::read(&sidecar).expect("a sidecar");
+    assert_eq!(read.samples, 1);
+    assert!(read.not_whole().is_some());
+}
