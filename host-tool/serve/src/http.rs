@@ -1,10 +1,12 @@
 //! HTTP/1.1 interface with JSON. docs/serve.md describes it for people, docs/openapi.json for programs.
 
+use std::collections::VecDeque;
 use std::convert::Infallible;
 use std::future::{Future, ready};
 use std::io::Read;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, TrySendError};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -34,6 +36,7 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Map, Value, json};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::task::AbortHandle;
 use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 
@@ -43,6 +46,7 @@ use crate::answers::{Instead, answer, bad, closing, good, refused, status, typed
 use crate::board::{Board, Order};
 use crate::bodies::{LONGEST_BODY, object};
 use crate::direct::{DirectRequest, Question, Wait};
+use crate::open_files::Connections;
 use crate::orders::{self, Work};
 use crate::records::{is_record, list, open};
 
@@ -57,8 +61,6 @@ const OPENER_POLICY: HeaderName = HeaderName::from_static("cross-origin-opener-p
 const RESOURCE_POLICY: HeaderName = HeaderName::from_static("cross-origin-resource-policy");
 /// Where a request that is not known is told of the others.
 const ALL_REQUESTS: &str = "docs/serve.md and /openapi.json list all requests";
-/// Connections on which everything is answered. On further ones only stops are.
-const CONNECTIONS: usize = 256;
 /// Time limit for the head of a request on a further connection; short, so that idle ones do not use up the system's
 /// open files.
 const HEAD_OF_STOP: Duration = Duration::from_secs(1);
@@ -147,9 +149,11 @@ pub fn router(app: Arc<App>) -> Router {
         .with_state(app)
 }
 
-/// Serves connections until the task ends.
-pub async fn listen(listener: TcpListener, router: Router) {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
+/// Serves connections until the task ends. A further one that has not asked for a stop ends when it is the oldest of too
+/// many.
+pub(crate) async fn listen(listener: TcpListener, router: Router, connections: Connections) {
+    let places = Arc::new(Semaphore::new(connections.full));
+    let mut further = VecDeque::<(AbortHandle, Arc<AtomicBool>)>::new();
     loop {
         let Ok((stream, peer)) = listener.accept().await else {
             // Most likely too many open files; wait until some are closed.
@@ -162,17 +166,31 @@ pub async fn listen(listener: TcpListener, router: Router) {
         // Send at once: a stop must not wait for more data.
         let _ = stream.set_nodelay(true);
         let place = Arc::clone(&places).try_acquire_owned().ok();
-        tokio::spawn(connection(stream, peer, place, router.clone()));
+        let (is_further, stops) = (place.is_none(), Arc::<AtomicBool>::default());
+        let served = connection(stream, peer, place, Arc::clone(&stops), router.clone());
+        let task = tokio::spawn(served).abort_handle();
+        if is_further {
+            further.retain(|(task, _)| !task.is_finished());
+            further.push_back((task, stops));
+            let idle = |(_, stops): &(_, Arc<AtomicBool>)| !stops.load(Ordering::Relaxed);
+            if further.len() > connections.further
+                && let Some(oldest) = further.iter().position(idle)
+                && let Some((task, _)) = further.remove(oldest)
+            {
+                task.abort();
+            }
+        }
     }
 }
 
 type Answering = Pin<Box<dyn Future<Output = Result<Response, Infallible>> + Send>>;
 
-/// Serves one connection; without a place among [`CONNECTIONS`] it serves stops only.
+/// Serves one connection; without a place it serves stops only. Sets `stops` when one was asked for.
 async fn connection(
     stream: TcpStream,
     peer: Peer,
     place: Option<OwnedSemaphorePermit>,
+    stops: Arc<AtomicBool>,
     router: Router,
 ) {
     let has_place = place.is_some();
@@ -184,6 +202,7 @@ async fn connection(
         // When a client closes its connection, the answer is dropped, even before it was begun. A stop must be carried
         // out anyway, so it begins here.
         let answering: Answering = if is_stop {
+            stops.store(true, Ordering::Relaxed);
             let begun = tokio::spawn(answer);
             Box::pin(async { begun.await.unwrap_or_else(|_| Ok(unknown())) })
         } else if has_place {

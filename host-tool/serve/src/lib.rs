@@ -14,6 +14,7 @@
 //! * `worker`: connection, orders and telemetry of one machine; `worker::busy` while it works.
 //! * `direct`: stops and questions, which bypass the worker.
 //! * `board`: the state that all of them share, and its JSON form.
+//! * `open_files`: how many connections there may be.
 //! * `stream`: sends events to all readers.
 //!
 //! Fuzzing drives board, worker and direct requests without sockets; that is why they are public.
@@ -28,6 +29,7 @@ mod bodies;
 #[doc(hidden)]
 pub mod direct;
 pub mod http;
+mod open_files;
 #[doc(hidden)]
 pub mod orders;
 mod records;
@@ -62,6 +64,7 @@ use crate::access::{Access, LEAST_TOKEN, new_token};
 use crate::board::{Board, Machine};
 use crate::direct::DirectRequest;
 use crate::http::App;
+use crate::open_files::{Connections, LEAST};
 use crate::worker::Worker;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
@@ -116,6 +119,16 @@ pub fn serve(
         None => new_token(),
         Some(file) => token_of(file)?,
     };
+    let open_files = open_files::raised();
+    if open_files < LEAST {
+        return Err(Failure::input(
+            format!(
+                "this system gives {open_files} open files, and the server needs {LEAST}: with fewer a stop may find none"
+            ),
+            format!("`ulimit -n {LEAST}` or more, then again"),
+        ));
+    }
+    let connections = Connections::with(open_files);
     let runtime = Builder::new_multi_thread()
         .worker_threads(2)
         .max_blocking_threads(8)
@@ -143,7 +156,8 @@ pub fn serve(
         "url": url, "token": token, "instance": instance, "pid": std::process::id(),
     }))
     .map(Arc::new);
-    for text in introduction(&options.machines, at, &url, &token) {
+    let introduction = introduction(&options.machines, at, &url, &token);
+    for text in introduction.into_iter().chain(connections.remark()) {
         say(&text);
     }
     if let Err(why) = &server_file {
@@ -173,7 +187,8 @@ pub fn serve(
         thread::Builder::new()
             .spawn_scoped(scope, move || direct::run(scope, places, board, &to_do))
             .map_err(Failure::no_thread)?;
-        runtime.spawn(http::listen(listener, http::router(Arc::clone(&app))));
+        let router = http::router(Arc::clone(&app));
+        runtime.spawn(http::listen(listener, router, connections));
         runtime.spawn(tell_states(Arc::clone(&app)));
         runtime.spawn(look_at_campaign(Arc::clone(&app), options.campaign));
         if let Ok(server_file) = &server_file {

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant, UNIX_EPOCH};
 
-use crate::support::bench::{Bench, ready};
+use crate::support::bench::{Bench, limited, ready};
 use crate::support::server::{self, Killed};
 use client::identity::kind_name;
 use protocol::settings::SettingKey;
@@ -85,7 +85,10 @@ impl Server {
     }
 
     fn start_with(bench: &Bench, more: &[&str]) -> Self {
-        let (process, at, token) = server::start(bench, more);
+        Self::of(server::start(bench, more), bench)
+    }
+
+    fn of((process, at, token): (Killed, String, String), bench: &Bench) -> Self {
         let mut server = Self {
             process,
             at,
@@ -271,6 +274,23 @@ fn a_stop_passes_a_crowd_that_takes_up_every_place() {
         assert!(begin.elapsed() < SOON, "no room");
     }
     assert_eq!(server.end_of(&begun.json()["action"])["state"], "stopped");
+}
+
+/// Regression: connections that only wait took up every open file, and the stop waited until they had ended.
+#[test]
+fn a_stop_passes_a_crowd_that_takes_up_every_open_file() {
+    let bench = Bench::on_tcp(DeviceKind::Rig);
+    let command = bench.command(&["serve", "--listen", "127.0.0.1:0"]);
+    let started = server::start_of(&mut limited(&command, "ulimit -n 128"));
+    let server = Server::of(started, &bench);
+    let _crowd: Vec<_> = (0..400)
+        .map(|_| TcpStream::connect(&server.at).expect("a server"))
+        .collect();
+    let begin = Instant::now();
+    let stopped = server.ask("POST", "/api/v1/stop", &[], "").json();
+    assert_eq!(stopped["machines"][0]["outcome"], "stopped");
+    let took = begin.elapsed();
+    assert!(took < Duration::from_secs(2), "{took:?}");
 }
 
 #[test]

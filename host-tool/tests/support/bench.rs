@@ -321,10 +321,12 @@ pub fn read(output: Output) -> (Option<i32>, String, String) {
 /// The same command with a limit on file sizes: the system refuses to write more, as on a full disk.
 pub fn with_little_space(command: &Command, bytes: u32) -> Command {
     // Without the trap, the system would kill the process.
-    let script = format!(
-        "trap '' XFSZ; ulimit -f {}; exec \"$0\" \"$@\"",
-        bytes / 512
-    );
+    limited(command, &format!("trap '' XFSZ; ulimit -f {}", bytes / 512))
+}
+
+/// The same command after this of a shell.
+pub fn limited(command: &Command, limit: &str) -> Command {
+    let script = format!("{limit}; exec \"$0\" \"$@\"");
     let mut shell = Command::new("sh");
     shell.args(["-c", &script]).arg(command.get_program());
     shell

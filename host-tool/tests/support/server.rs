@@ -1,7 +1,7 @@
 //! `retrograde serve` as a process beside a bench.
 
 use std::io::{BufRead, BufReader, Read};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::thread;
 
 use super::bench::Bench;
@@ -24,7 +24,12 @@ pub fn start(bench: &Bench, more: &[&str]) -> (Killed, String, String) {
 /// The same with another place for what it says on standard error.
 pub fn start_saying(bench: &Bench, more: &[&str], stderr: Stdio) -> (Killed, String, String) {
     let args = [&["serve", "--listen", "127.0.0.1:0"], more].concat();
-    let mut child = bench.command(&args).stderr(stderr).spawn().expect("starts");
+    start_of(bench.command(&args).stderr(stderr))
+}
+
+/// The same by a command of its own.
+pub fn start_of(command: &mut Command) -> (Killed, String, String) {
+    let mut child = command.spawn().expect("starts");
     let mut said = BufReader::new(child.stdout.take().expect("piped"));
     let mut url = String::new();
     while !url.contains("#token=") {

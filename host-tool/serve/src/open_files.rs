@@ -1,0 +1,75 @@
+//! Open files of this process. Each connection takes one, and a stop needs some of its own.
+
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
+/// Connections on which everything is answered. On further ones only stops are.
+const CONNECTIONS: u64 = 256;
+/// Open files that the server asks the system for. macOS gives 256 until it is asked.
+const WANTED: u64 = 2_048;
+/// Open files that are left to the lines of the machines, to stops, and to the server's own files.
+const KEPT: u64 = 64;
+/// The server does not start with fewer.
+pub(crate) const LEAST: u64 = 2 * KEPT;
+
+/// Raises this process's limit of open files if the system allows it, and returns the limit.
+pub(crate) fn raised() -> u64 {
+    let limit = getrlimit(Resource::Nofile);
+    let now = limit.current.unwrap_or(WANTED);
+    let wanted = limit.maximum.unwrap_or(WANTED).min(WANTED);
+    let raised = Rlimit {
+        current: Some(wanted),
+        ..limit
+    };
+    match now < wanted && setrlimit(Resource::Nofile, raised).is_ok() {
+        true => wanted,
+        false => now,
+    }
+}
+
+/// Numbers of connections at once: those on which everything is answered, and further ones for stops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Connections {
+    pub(crate) full: usize,
+    pub(crate) further: usize,
+}
+
+impl Connections {
+    /// The numbers with this many open files. A connection may read a record, which is another open file.
+    pub(crate) fn with(open_files: u64) -> Self {
+        let free = open_files.saturating_sub(KEPT).min(WANTED);
+        Self {
+            full: CONNECTIONS.min(free / 4) as usize,
+            further: (free / 2) as usize,
+        }
+    }
+
+    /// What the operator has to know; none if there is room for all.
+    pub(crate) fn remark(self) -> Option<String> {
+        ((self.full as u64) < CONNECTIONS).then(|| {
+            format!(
+                "This system gives few open files: {} connections are served at once, and not {CONNECTIONS}. `ulimit -n {WANTED}` before the start gives more.",
+                self.full
+            )
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn connections_leave_open_files_to_stops() {
+        for (open_files, full, further) in [
+            (LEAST, 16, 32),
+            (256, 48, 96),
+            (WANTED, 256, 992),
+            (u64::MAX, 256, 1_024),
+        ] {
+            let connections = Connections::with(open_files);
+            assert_eq!(connections, Connections { full, further });
+            assert!(2 * full as u64 + further as u64 + KEPT <= open_files);
+            assert_eq!(connections.remark().is_none(), full == 256);
+        }
+    }
+}
