@@ -587,6 +587,40 @@ pub(crate) fn findings(folder: &Path) -> Vec<String> {
     verified.findings.iter().map(ToString::to_string).collect()
 }
 
+/// Regression: an honest ledger whose rows go back in time looked forged.
+#[test]
+fn a_jump_of_the_clock_is_noted_when_it_happens() {
+    let place = tempfile::tempdir().expect("a folder");
+    let path = place.path().join("small");
+    let mut folder = Folder::create(&path, SMALL, Path::new("small.toml")).expect("made");
+    let note = || LedgerRow::of(LedgerEvent::Note, 1, None).saying(Some("mine".to_owned()));
+    let (hour, day) = (3_600, 86_400);
+    for second in [0, -hour, 3 * day, day, day + 5] {
+        append(&mut folder, note(), second);
+    }
+    drop(folder);
+    // Time that passes between two sessions is no jump.
+    for second in [2 * day, day] {
+        let (mut folder, _) = Folder::resume(&path, at(second)).expect("free");
+        append(&mut folder, note(), second);
+    }
+    let campaign = Campaign::read(&path).expect("a campaign");
+    let said: Vec<_> = campaign
+        .rows
+        .iter()
+        .filter_map(|row| row.text.as_deref())
+        .collect();
+    let back = |by: &str| format!("the computer's clock was set back by {by}");
+    let on = "the computer's clock went on by 73 h 0 min more than passed: it was set, or the computer slept";
+    let [hour, again, last] = ["1 h 0 min", "48 h 0 min", "24 h 0 min"].map(back);
+    let expected = [
+        "mine", &hour, "mine", on, "mine", &again, "mine", "mine", "mine", &last, "mine",
+    ];
+    assert_eq!(said, expected);
+    let ledger = fs::read_to_string(path.join(TRIALS)).expect("text");
+    assert_eq!(ledger.lines().count(), 12, "{ledger}");
+}
+
 #[test]
 fn a_folder_is_read_back_as_it_was_written() {
     let place = tempfile::tempdir().expect("a folder");

@@ -1,5 +1,6 @@
 //! The capsule after a fold trial: it is unfolded whatever the answer is, or somebody is told that it is folded still.
 
+use std::fs;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -10,8 +11,10 @@ use lab::campaign::ledger::Standing;
 use lab::campaign::order::order;
 use lab::campaign::plan::CampaignPlan;
 use lab::operations::connector::Connector;
+use lab::trials::sidecar;
 use protocol::capsule::{ActuationKind, Calibrate};
 use protocol::system::DeviceKind;
+use report::html::evaluation::evaluate;
 use simulated_machines::link::Memory;
 use simulated_machines::machine::{Left, Log, Script, Shared, SimulatedMachine, link};
 
@@ -60,6 +63,29 @@ fn session(bench: &dyn Connector, code: u8, answer: &'static str) -> (String, Pl
 
 fn is_done(at: &Place) -> bool {
     at.whole().state.trial(2).expect("there").standing() == Standing::Done
+}
+
+/// Regression: a clock that was set within a trial turned the order of its records round.
+#[test]
+fn the_records_of_a_trial_are_in_the_order_of_the_machines_time() {
+    let (_, at) = session(&machines(None), 0, "-60");
+    let out = Path::new(&at.out);
+    for entry in fs::read_dir(out.join("trials/002-1")).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let name = path
+            .file_name()
+            .expect("a name")
+            .to_string_lossy()
+            .into_owned();
+        if name.starts_with("fold-") && name.ends_with(".json") {
+            let text = fs::read_to_string(&path).expect("text");
+            fs::write(&path, text.replace("1970-01-01T", "2031-01-01T")).expect("written");
+        }
+    }
+    let parts = &evaluate(out).expect("a campaign").parts[1];
+    let names = parts.iter().map(|part| sidecar::heading(&part.trial));
+    let expected = ["Fold", "Unfold", "Run, 1 cycles of 130 mm"];
+    assert_eq!(names.collect::<Vec<_>>(), expected);
 }
 
 const STILL_FOLDED: &str =

@@ -6,6 +6,7 @@
 use std::fs::{self, File};
 use std::io::{Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use client::identity::Origin;
 use client::limited;
@@ -18,7 +19,7 @@ use crate::campaign::contents::{
     Campaign, READINGS_HEADER, RESTORE, TRIALS_HEADER, in_a_line, not_a_campaign, order_text,
 };
 use crate::campaign::files::{ATTEMPTS, LOCK, ORDER, PLAN, READINGS, TRIALS};
-use crate::campaign::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow};
+use crate::campaign::ledger::{Attempt, AttemptOutcome, CampaignState, LedgerEvent, LedgerRow};
 use crate::campaign::manifest::{self, Differences, Manifest};
 use crate::campaign::order::order;
 use crate::campaign::plan::CampaignPlan;
@@ -83,7 +84,12 @@ pub struct Folder {
     manifest: Manifest,
     /// The manifest on the disk.
     sealed: Manifest,
+    /// The computer's time of the latest row, and the instant of it; none if another process wrote it.
+    latest: Option<(Timestamp, Option<Instant>)>,
 }
+
+/// Difference between the time that passed and that of the computer's clock that is a jump of the clock, s.
+const JUMP_S: f64 = 60.0;
 
 impl Folder {
     /// Creates the folder of a new campaign; its path must not exist. The folder appears as a whole or not at all.
@@ -133,9 +139,13 @@ impl Folder {
     /// Opens a folder for writing; it must match its manifest.
     fn open(folder: &Path, lock: Locked) -> Result<Self, CampaignError> {
         let manifest = manifest_of(folder)?;
+        let campaign = Campaign::read(folder)?;
+        let rows = campaign.rows.last().map(|row| row.time_utc);
+        let latest = rows.or_else(|| Some(campaign.reading_rows.last()?.time_utc));
         Ok(Self {
             _lock: lock,
-            campaign: Campaign::read(folder)?,
+            latest: latest.map(|time| (time, None)),
+            campaign,
             trials: Growing::open(folder.join(TRIALS))?,
             readings: Growing::open(folder.join(READINGS))?,
             sealed: manifest.clone(),
@@ -258,14 +268,25 @@ impl Folder {
         now: Timestamp,
         origin: Origin,
     ) -> Result<(), CampaignError> {
-        row.row = self.campaign.state.sequence.next_row();
         row.time_utc = now;
         row.origin = origin;
-        self.is_of(origin)?;
         row.text = row.text.as_deref().and_then(in_a_line);
         row.camera_file = row.camera_file.as_deref().and_then(in_a_line);
+        self.followed_by(&mut row)?;
+        self.note_jump(now, origin)?;
+        let state = self.followed_by(&mut row)?;
+        self.trials.append(&line(&row))?;
+        self.campaign.state = state;
+        self.campaign.rows.push(row);
+        Ok(())
+    }
+
+    /// Numbers a row, and gives the state after it.
+    fn followed_by(&self, row: &mut LedgerRow) -> Result<CampaignState, CampaignError> {
+        self.is_of(row.origin)?;
         let mut state = self.campaign.state.clone();
-        state.apply(&row).map_err(|error| {
+        row.row = state.sequence.next_row();
+        state.apply(row).map_err(|error| {
             CampaignError::misuse(
                 &self.trials.path,
                 error,
@@ -275,10 +296,33 @@ impl Folder {
                 ),
             )
         })?;
-        self.trials.append(&line(&row))?;
-        self.campaign.state = state;
-        self.campaign.rows.push(row);
-        Ok(())
+        Ok(state)
+    }
+
+    /// Notes in the ledger that the computer's clock has jumped since the latest row. The order of the rows is that of
+    /// the events all the same.
+    fn note_jump(&mut self, now: Timestamp, origin: Origin) -> Result<(), CampaignError> {
+        let latest = self.latest.replace((now, Some(Instant::now())));
+        let Some((before, written)) = latest else {
+            return Ok(());
+        };
+        let clock_s = now.duration_since(before).as_secs_f64();
+        // Between two sessions any time may pass.
+        let jump_s = written.map_or(clock_s.min(0.0), |at| clock_s - at.elapsed().as_secs_f64());
+        if jump_s.abs() < JUMP_S {
+            return Ok(());
+        }
+        let minutes = (jump_s.abs() / 60.0).round() as u64;
+        let by = format!("{} h {} min", minutes / 60, minutes % 60);
+        let text = match jump_s < 0.0 {
+            true => format!("the computer's clock was set back by {by}"),
+            false => format!(
+                "the computer's clock went on by {by} more than passed: it was set, or the computer slept"
+            ),
+        };
+        let mut note = LedgerRow::of(LedgerEvent::Note, 0, None);
+        note.trial = None;
+        self.append(note.saying(Some(text)), now, origin)
     }
 
     /// Adds a row to the readings. It is on the disk when this returns.
@@ -288,6 +332,7 @@ impl Folder {
         now: Timestamp,
         origin: Origin,
     ) -> Result<(), CampaignError> {
+        self.note_jump(now, origin)?;
         row.row = self.campaign.readings.sequence.next_row();
         row.time_utc = now;
         row.origin = origin;

@@ -555,6 +555,7 @@ fn provenance(evaluation: &Evaluation) -> Markup {
             ("recorded by", evaluation.tools.join(", ")),
             ("reported by", concat!("retrograde ", env!("CARGO_PKG_VERSION")).to_owned()),
         ]))
+        @for note in &evaluation.campaign.state.notes { p { "Note: " (note) } }
         @if !evaluation.devices.is_empty() {
             h3 { "Machines" }
             div.wide { table {

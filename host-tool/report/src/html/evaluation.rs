@@ -264,7 +264,9 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
             }
         })
         .collect();
-    parts.sort_by_key(|part| part.trial.started_utc);
+    // By the capsule's clock, and the run last: the computer's clock may have been set within the trial.
+    let is_run = |part: &Part| matches!(part.trial.action, Action::Run { .. });
+    parts.sort_by_key(|part| (is_run(part), check::actuation_start_us(&part.trial)));
     parts
 }
 
