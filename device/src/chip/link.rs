@@ -2,13 +2,14 @@
 
 use super::{
     channels::{BAD_FRAMES, LAST_SIGN_US, OUTBOUND, REPLIES, REQUESTS, SESSION, UART_ERRORS},
+    serial,
     watchdog::{CHECK_IN, check_in},
 };
 use crate::{
     service::{Inbound, Incoming, Service},
     supervision::Client,
 };
-use core::sync::atomic::Ordering;
+use core::{sync::atomic::Ordering, task::Poll};
 use embassy_futures::{poll_once, yield_now};
 use embassy_stm32::{
     mode::Async,
@@ -40,10 +41,14 @@ pub async fn receive(
         let count = match with_timeout(CHECK_IN, uart.read(&mut buffer)).await {
             Ok(Ok(count)) => count,
             Ok(Err(_)) => {
-                // Noise, framing, overrun: the host repeats the damaged frame. The HAL starts its ring anew and hands
-                // out what the last round left in it: old frames, an emergency stop among them. Drop all of it.
+                // Noise, framing, overrun: the host repeats the damaged frame. The HAL hands out what the last round
+                // left in its ring: old frames, an emergency stop among them. Drop all of it.
                 UART_ERRORS.fetch_add(1, Ordering::Relaxed);
-                while poll_once(uart.read(&mut buffer)).is_ready() {
+                serial::rewind();
+                while let Poll::Ready(dropped) = poll_once(uart.read(&mut buffer)) {
+                    if dropped.is_err() {
+                        serial::rewind();
+                    }
                     // Keep the watchdog fed, even if the line errs all the time.
                     check_in(Client::Link);
                     yield_now().await;

@@ -6,10 +6,17 @@ use embassy_stm32::{
     gpio::Pull,
     interrupt::{self, InterruptExt, Priority},
     mode::Async,
-    peripherals,
+    pac, peripherals,
     usart::{self, RingBufferedUartRx, Uart, UartTx},
 };
 use static_cell::StaticCell;
+
+/// Size of the ring of received bytes.
+const RECEIVED: usize = 512;
+/// The stream of DMA1 that fills it.
+const STREAM: usize = 5;
+/// Reads before giving up on a stream that should stop: it stops within some bus cycles, or never.
+const STREAM_READS: u32 = 1_000;
 
 bind_interrupts!(struct Interrupts {
     USART2 => usart::InterruptHandler<peripherals::USART2>;
@@ -25,7 +32,7 @@ pub fn open(
     tx_dma: Peri<'static, peripherals::DMA1_CH6>,
     rx_dma: Peri<'static, peripherals::DMA1_CH5>,
 ) -> (UartTx<'static, Async>, RingBufferedUartRx<'static>) {
-    static RECEIVE_BUFFER: StaticCell<[u8; 512]> = StaticCell::new();
+    static RECEIVE_BUFFER: StaticCell<[u8; RECEIVED]> = StaticCell::new();
     TIME_DRIVER_INTERRUPT.set_priority(Priority::P2);
     interrupt::USART2.set_priority(Priority::P7);
     interrupt::DMA1_STREAM5.set_priority(Priority::P7);
@@ -39,6 +46,23 @@ pub fn open(
         defmt::panic!("USART2: the clock does not divide to the baud rate")
     };
     let (transmitter, receiver) = uart.split();
-    let receiver = receiver.into_ring_buffered(RECEIVE_BUFFER.init([0; 512]));
+    let receiver = receiver.into_ring_buffered(RECEIVE_BUFFER.init([0; RECEIVED]));
     (transmitter, receiver)
+}
+
+/// Stops the reception and brings its stream back to the start of its ring; the next read of the port starts it. After
+/// an error the HAL only sets EN again, and no manual says where a stream goes on whose count and address are not
+/// written anew (AN4031 asks for both). The end of transfer that the stop raises is the HAL's, which counts it.
+pub fn rewind() {
+    pac::USART2.cr3().modify(|w| w.set_dmar(false));
+    let stream = pac::DMA1.st(STREAM);
+    stream.cr().modify(|w| w.set_en(false));
+    let _ = (0..STREAM_READS).any(|_| !stream.cr().read().en());
+    // Flags of errors that lose nothing, and that the HAL leaves: they keep a stream from starting (RM0383 9.5.5).
+    pac::DMA1.ifcr(STREAM / 4).write(|w| {
+        w.set_dmeif(STREAM % 4, true);
+        w.set_feif(STREAM % 4, true);
+    });
+    stream.m0ar().modify(|_| {});
+    stream.ndtr().write(|w| w.set_ndt(RECEIVED as u16));
 }
