@@ -94,18 +94,23 @@ pub fn die_of_a_panic(info: &PanicInfo<'_>) -> ! {
 /// The stack ends where the RAM begins. There is no memory below it, so an overflow is a fault, and the fault's own frame
 /// finds no room either (Armv7-M ARM B1.5.11).
 pub fn die_of_a_fault(frame: u32, interrupted: u32) -> ! {
-    if !RAM.contains(&frame) {
+    if !is_in_ram(frame, size_of::<ExceptionFrame>()) {
         let mut words = Draft::default();
         let frame = interrupted;
         add_callers(&mut words, "stack overflow, called from", Callers { frame });
         die(&words)
     }
-    // SAFETY: the processor has stored the frame there, in the RAM.
+    // SAFETY: as just checked; the processor has stored the frame there.
     let frame = unsafe { &*(frame as *const ExceptionFrame) };
     let (pc, lr) = (frame.pc(), frame.lr());
     let mut words = Draft::default();
     let _ = write!(words, "processor fault at {pc:#x}, called from {lr:#x}");
     die(&words)
+}
+
+/// Whether these bytes are whole words in the RAM.
+fn is_in_ram(at: u32, bytes: usize) -> bool {
+    at.is_multiple_of(4) && RAM.start <= at && at <= RAM.end - bytes as u32
 }
 
 /// Return addresses, innermost first.
@@ -119,7 +124,7 @@ impl Iterator for Callers {
     type Item = u32;
 
     fn next(&mut self) -> Option<u32> {
-        if !RAM.contains(&self.frame) || !self.frame.is_multiple_of(4) {
+        if !is_in_ram(self.frame, size_of::<[u32; 2]>()) {
             return None;
         }
         // SAFETY: two aligned words within the RAM; whatever they hold is only printed or checked as an address.

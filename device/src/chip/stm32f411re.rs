@@ -9,8 +9,8 @@ use core::ops::Range;
 use embassy_stm32::{interrupt, pac};
 use protocol::system::{Clock, ResetCause};
 
-/// Range for a stack: the RAM without its last two words.
-pub(super) const RAM: Range<u32> = 0x2000_0000..0x2001_FFF8;
+/// The RAM.
+pub(super) const RAM: Range<u32> = 0x2000_0000..0x2002_0000;
 
 /// The timer of the HAL's time driver (a feature of the HAL in this package's manifest), and its interrupt.
 pub(super) const TIME_DRIVER: pac::timer::TimGp16 = pac::TIM4;
