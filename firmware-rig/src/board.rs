@@ -1,6 +1,6 @@
 //! The rig's hardware: everything that touches registers, shares state or waits. The logic is beside this folder.
 
-mod captures;
+pub mod captures;
 pub mod channels;
 mod clock;
 pub mod pins;

@@ -94,6 +94,11 @@ pub trait Ring {
     /// Updates how far the ring has played. All other queries refer to this look.
     fn update(&mut self);
 
+    /// The ring has stopped by an error, at any slot, and its pulses were cut at the last look.
+    fn has_failed(&self) -> bool {
+        false
+    }
+
     /// Arms the outputs and starts to play.
     ///
     /// # Errors
@@ -317,6 +322,9 @@ impl Execution {
         }
         if mailbox.is_cut() {
             return Some(self.end(ring, mailbox, PathEnd::Cut));
+        }
+        if ring.has_failed() {
+            return Some(self.end(ring, mailbox, PathEnd::Underrun));
         }
         // The pulses are not cut now, so they were not cut at the update above. A cut may come later in this round:
         // then the periods play on without pulses until the ring is halted.

@@ -24,8 +24,9 @@ fn main() -> ! {
     let mut watchdog = board.watchdog;
     watchdog.unleash();
     chip::report(clock_us);
+    chip::report_guard();
 
-    let mut generator = StepGenerator::new();
+    let mut generator = StepGenerator::new(board.timers);
     chip::report_clocks();
     step_timer::report_blocked();
     step_timer::report_moe();

@@ -9,7 +9,7 @@ use crate::board::{
 use core::sync::atomic::Ordering;
 use defmt_rtt as _;
 use device::{
-    chip::{retained, start},
+    chip::{clock, retained, start},
     identity::{identity, reset_cause},
 };
 use embassy_executor::{InterruptExecutor, Spawner};
@@ -29,6 +29,8 @@ unsafe fn SPI5() {
 async fn main(spawner: Spawner) {
     pins::make_outputs_safe();
     let left = retained::start();
+    let cause = reset_cause(start::reset_cause(), &left);
+    clock::note(&left, cause);
     let board = pins::init();
     start::forget_catches();
     // No edge may come between the look and the store: its interrupt would know better.
@@ -37,13 +39,12 @@ async fn main(spawner: Spawner) {
         HOME_FLAG_OPEN.store(inputs.home_flag, Ordering::Relaxed);
         FAR_LIMIT_OPEN.store(inputs.far_limit, Ordering::Relaxed);
     });
-    let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);
     defmt::info!("rig, start {=u32}, {}", left.boot_id, cause);
     let (transmitter, receiver) = board.serial;
 
     let motion_spawner = MOTION_EXECUTOR.start(interrupt::SPI5);
-    motion_spawner.spawn(tasks::motion(StepGenerator::new()).unwrap());
+    motion_spawner.spawn(tasks::motion(StepGenerator::new(board.timers)).unwrap());
     spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
     spawner.spawn(tasks::transmit(transmitter).unwrap());
     spawner.spawn(tasks::receive(receiver, identity).unwrap());

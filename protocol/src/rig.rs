@@ -200,12 +200,13 @@ pub struct RigHardware {
     pub intervals_more: u32,
     /// How often the capture register was overwritten before DMA had fetched the instant in it.
     pub lost_captures: u32,
-    /// How often a DMA stream of the step timer or of the capture timer reported an error.
+    /// How often a DMA stream of the step timer or of the capture timer reported an error of a transfer (TEIF, DMEIF).
+    /// An underrun of its FIFO is none.
     pub dma_errors: u32,
     /// How often the step timer had to be reset because a stop found its DMA burst cut in two.
     pub timer_resets: u32,
-    /// EN was high at the start, before the firmware drove it. Low says for certain that it has no pull-up; high only
-    /// that nothing pulled it down at that moment, and nothing of the voltage.
+    /// EN was high at the start, before the firmware drove it. Low says that it has no pull-up, or one whose
+    /// supply is off; high only that nothing pulled it down at that moment, and nothing of the voltage.
     pub enable_high_at_start: bool,
 }
 
@@ -341,7 +342,7 @@ pub enum RigFault {
         /// Steps that the counter saw.
         counted: i32,
     },
-    /// The queue of timer periods ran dry and the pulses stopped.
+    /// The queue of timer periods ran dry, or its DMA stream stopped by an error, and the pulses stopped.
     Underrun,
     /// The step generator refused a step that would have left the window.
     WindowGuard,

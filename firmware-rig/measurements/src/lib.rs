@@ -141,6 +141,7 @@ measurements! {
     OptionBytes "10" "" Any(Hexadecimal), None, "FLASH_OPTCR";
     BrownOutBits "10" "" Any(Decimal), None, "BOR_LEV of FLASH_OPTCR: 3 is off, 0 the highest level";
     WatchdogBySoftware "10" "" Within(1, 1), None, "WDG_SW of FLASH_OPTCR";
+    StackGuard "18" "" Within(1, 1), None, "a store just below the RAM is a bus fault";
     TimerTicks "Beyond the errata" "ticks" Within(999_900, 1_000_100), None, "TIM5 in 1,000,000 cycles of the core (DWT)";
     WatchdogClock "14" "Hz" Within(17_000, 47_000), None, "LSI against the core's clock, by TIM5_CH4";
     BlockedCount "TIM1" "ticks" Within(0, 0), None, "TIM1_CNT 1 ms after ARR became 0 while it counted";
@@ -175,7 +176,8 @@ measurements! {
     FastLost "16" "" Within(0, 0), Jumpers, "249.7 kHz: looks at which a capture was lost";
     FastCycles "12" "cycles" Within(1, 390), Jumpers, "249.7 kHz: cycles of motion's code per step, by DWT";
     TimerResets "20" "" Within(0, 0), None, "resets of TIM1 at the end of these paths";
-    DmaErrors "16" "" Within(0, 0), None, "errors of DMA in these paths";
+    DmaErrors "16" "" Within(0, 0), None, "errors of DMA in these paths (TEIF, DMEIF)";
+    FifoErrors "16" "" Any(Decimal), None, "underruns of the streams' FIFOs in these paths, by look: any number is right";
     EraseTime "4, 14" "us" Within(100_000, 500_000), None, "the longer of two erases of a settings sector, 16 KiB";
     WordTime "4" "us" Within(1, 100), None, "a word written to flash, mean of 64";
     CutBursts "5" "" Any(Decimal), None, "bursts that a taken request cut in two, of 200 tries";

@@ -3,7 +3,7 @@
 //! Channel 2 of TIM5 requests DMA1 stream 4, channel 6 (RM0383 table 27). TIM5 has 32 bits and runs at the step timer's
 //! 100 MHz, so each interval has to equal the planned one to the tick. Another timer is the firmware's time base.
 
-use super::channels::{DMA_ERRORS, LOST_CAPTURES};
+use super::channels::{DMA_ERRORS, FIFO_ERRORS, LOST_CAPTURES};
 use core::sync::atomic::{AtomicU32, Ordering, compiler_fence};
 use embassy_stm32::pac::{self, DMA1, TIM5, timer::regs::SrGp16};
 
@@ -107,6 +107,8 @@ impl Captures {
 
 /// Begins at the start of the ring.
 fn start_stream() {
+    // They would keep it from starting (RM0383 section 9.5.5).
+    clear_flags(DMA1, STREAM);
     let stream = DMA1.st(STREAM);
     stream.par().write_value(TIM5.ccr(CHANNEL).as_ptr() as u32);
     stream.m0ar().write_value(RING.as_ptr() as u32);
@@ -134,28 +136,48 @@ struct Written {
 
 /// Looks at DMA, and counts its errors.
 fn written() -> Written {
-    let flags = DMA1.isr(STREAM / 4).read();
-    let nth = STREAM % 4;
-    let at_end = flags.tcif(nth);
-    let error = flags.teif(nth) || flags.dmeif(nth) || flags.feif(nth);
-    if at_end || error {
-        DMA1.ifcr(STREAM / 4).write(|w| {
-            w.set_tcif(nth, at_end);
-            w.set_teif(nth, error);
-            w.set_dmeif(nth, error);
-            w.set_feif(nth, error);
-        });
-    }
-    if error {
-        DMA_ERRORS.fetch_add(1, Ordering::Relaxed);
+    let flags = count_errors(DMA1, STREAM);
+    let at_end = flags.tcif(STREAM % 4);
+    if at_end {
+        DMA1.ifcr(STREAM / 4)
+            .write(|w| w.set_tcif(STREAM % 4, true));
     }
     let left = usize::from(DMA1.st(STREAM).ndtr().read().ndt());
     compiler_fence(Ordering::SeqCst);
     Written {
         end: (INSTANTS - left) % INSTANTS,
         at_end,
-        stopped: flags.teif(nth),
+        stopped: flags.teif(STREAM % 4),
     }
+}
+
+/// Counts and clears the errors of a stream. Returns its flags. In direct mode the FIFO holds one item and its errors
+/// lose nothing (RM0383 section 9.3.18), so they are counted apart.
+pub fn count_errors(controller: pac::dma::Dma, stream: usize) -> pac::dma::regs::Ixr {
+    let flags = controller.isr(stream / 4).read();
+    let nth = stream % 4;
+    let (error, fifo) = (flags.teif(nth) || flags.dmeif(nth), flags.feif(nth));
+    if error || fifo {
+        controller.ifcr(stream / 4).write(|w| {
+            w.set_teif(nth, error);
+            w.set_dmeif(nth, error);
+            w.set_feif(nth, fifo);
+        });
+        DMA_ERRORS.fetch_add(error.into(), Ordering::Relaxed);
+        FIFO_ERRORS.fetch_add(fifo.into(), Ordering::Relaxed);
+    }
+    flags
+}
+
+/// Clears all flags of a stream.
+pub fn clear_flags(controller: pac::dma::Dma, stream: usize) {
+    controller.ifcr(stream / 4).write(|w| {
+        w.set_htif(stream % 4, true);
+        w.set_tcif(stream % 4, true);
+        w.set_teif(stream % 4, true);
+        w.set_dmeif(stream % 4, true);
+        w.set_feif(stream % 4, true);
+    });
 }
 
 /// The capture register was overwritten before DMA had fetched the instant in it (CC2OF, RM0383 section 13.4.5), since

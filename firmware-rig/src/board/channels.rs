@@ -51,6 +51,8 @@ pub static INTERVALS: CapturedIntervals = CapturedIntervals::new();
 pub static LOST_CAPTURES: AtomicU32 = AtomicU32::new(0);
 /// Errors of the two DMA streams of the step timer and of its captures. Set by motion.
 pub static DMA_ERRORS: AtomicU32 = AtomicU32::new(0);
+/// Looks at which one of these streams had an underrun or overrun of its FIFO: no error. Set by motion.
+pub static FIFO_ERRORS: AtomicU32 = AtomicU32::new(0);
 /// Resets of the step timer after a burst that was cut in two. Set by motion.
 pub static TIMER_RESETS: AtomicU32 = AtomicU32::new(0);
 /// EN was high before the firmware drove it. Set at the start.

@@ -14,6 +14,8 @@ unsafe fn NonMaskableInt() -> ! {
 
 /// Switches everything off and resets the chip; the next start reports why.
 pub fn clock_failed() -> ! {
+    // It stays on after the first motion.
+    let has_moved = pins::driver_is_on();
     pins::outputs_off();
-    die_of_the_clock()
+    die_of_the_clock(has_moved)
 }

@@ -11,7 +11,7 @@ use super::channels::ENABLE_HIGH_AT_START;
 use core::sync::atomic::Ordering;
 use device::chip::{clock, flash::Sectors, serial, start};
 use embassy_stm32::{
-    Config,
+    Config, Peri,
     gpio::{Level, Output, Speed},
     interrupt::{self, InterruptExt, Priority},
     mode::Async,
@@ -41,7 +41,17 @@ pub struct Board {
     /// Not yet started.
     pub watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
     pub sectors: Sectors,
+    pub timers: Timers,
 }
+
+/// What the step generator drives by registers: nothing else can have it.
+pub type Timers = (
+    Peri<'static, peripherals::TIM1>,
+    Peri<'static, peripherals::DMA2_CH5>,
+    Peri<'static, peripherals::TIM2>,
+    Peri<'static, peripherals::TIM5>,
+    Peri<'static, peripherals::DMA1_CH4>,
+);
 
 /// Driver off and no step: EN high, DIR and STEP low. Call it before anything else. Until then the driver's own
 /// resistor decides, which on a DRV8825 means "on", and the clocks may take long to start. The HAL later enables the
@@ -53,6 +63,8 @@ pub fn make_outputs_safe() {
         w.set_gpioben(true);
     });
     start::let_clocks_come();
+    // A port whose clock has just come may still show the reset value of its inputs.
+    let _ = is_high(ENABLE);
     ENABLE_HIGH_AT_START.store(is_high(ENABLE), Ordering::Relaxed);
     // First the levels, then the modes.
     set(ENABLE, true);
@@ -79,6 +91,7 @@ pub fn init() -> Board {
         led: Output::new(p.PA5, Level::Low, Speed::Low),
         watchdog: start::watchdog(p.IWDG),
         sectors: Sectors::new(p.FLASH),
+        timers: (p.TIM1, p.DMA2_CH5, p.TIM2, p.TIM5, p.DMA1_CH4),
     }
 }
 
@@ -286,6 +299,10 @@ pub fn step_is_high() -> bool {
 /// Driver on: the motor holds.
 pub fn enable_driver() {
     set(ENABLE, false);
+}
+
+pub fn driver_is_on() -> bool {
+    port(ENABLE).odr().read().odr(ENABLE.number) == pac::gpio::vals::Odr::LOW
 }
 
 pub fn set_direction(direction: Direction) {

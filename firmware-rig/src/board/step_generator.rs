@@ -18,8 +18,8 @@
 #![allow(unsafe_code)]
 
 use super::{
-    captures::Captures,
-    channels::{self, DMA_ERRORS, INTERVALS, POSITION_SHIFT, TIMER_RESETS},
+    captures::{Captures, clear_flags, count_errors},
+    channels::{self, INTERVALS, POSITION_SHIFT, TIMER_RESETS},
     clock::clock_failed,
     pins,
 };
@@ -90,11 +90,10 @@ pub struct StepGenerator {
 
 impl StepGenerator {
     /// Sets up TIM1, its DMA stream and TIM2. Outputs stay off.
-    pub fn new() -> Self {
+    pub fn new(_: pins::Timers) -> Self {
         configure_timer();
         let stream = DMA2.st(STREAM);
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
-        stream.m0ar().write_value(RING.as_ptr() as u32);
 
         // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.3, external clock mode 2). A level
         // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320
@@ -186,9 +185,10 @@ impl Ring for StepGenerator {
         for slot in 0..SLOTS as u32 {
             RING.end(slot);
         }
-        DMA2.st(STREAM)
-            .ndtr()
-            .write(|w| w.set_ndt(RING_WORDS as u16));
+        // Both, or it might go on where the last path ended.
+        let stream = DMA2.st(STREAM);
+        stream.m0ar().write_value(RING.as_ptr() as u32);
+        stream.ndtr().write(|w| w.set_ndt(RING_WORDS as u16));
         self.line.clear();
         (self.fetched, self.read_slot) = (0, 0);
         self.captures.skip();
@@ -272,11 +272,19 @@ impl Ring for StepGenerator {
         let fetched = slot.wrapping_sub(self.read_slot) % SLOTS as u32;
         self.fetched = self.fetched.wrapping_add(fetched);
         self.read_slot = slot;
+        // TIM1 would repeat its last slot for ever.
+        if self.has_failed() {
+            pins::cut_pulses();
+        }
+    }
+
+    fn has_failed(&self) -> bool {
+        self.running && !DMA2.st(STREAM).cr().read().en()
     }
 
     fn start(&mut self) -> Result<(), StartError> {
         let stream = DMA2.st(STREAM);
-        clear_flags();
+        clear_flags(DMA2, STREAM);
         stream.cr().write(|w| {
             w.set_chsel(DMA_CHANNEL);
             w.set_dir(pac::dma::vals::Dir::MEMORY_TO_PERIPHERAL);
@@ -331,11 +339,8 @@ impl Ring for StepGenerator {
             TIMER_RESETS.fetch_add(1, Ordering::Relaxed);
             restart_timer();
         }
-        let flags = DMA2.isr(STREAM / 4).read();
-        if flags.teif(STREAM % 4) || flags.dmeif(STREAM % 4) || flags.feif(STREAM % 4) {
-            DMA_ERRORS.fetch_add(1, Ordering::Relaxed);
-        }
-        clear_flags();
+        count_errors(DMA2, STREAM);
+        clear_flags(DMA2, STREAM);
         self.running = false;
     }
 
@@ -379,17 +384,6 @@ impl Ring for StepGenerator {
             false => self.timing.timed(),
         }
     }
-}
-
-/// Clears the flags of the stream, which has to be off.
-pub fn clear_flags() {
-    DMA2.ifcr(STREAM / 4).write(|w| {
-        w.set_htif(STREAM % 4, true);
-        w.set_tcif(STREAM % 4, true);
-        w.set_teif(STREAM % 4, true);
-        w.set_dmeif(STREAM % 4, true);
-        w.set_feif(STREAM % 4, true);
-    });
 }
 
 /// Configures all registers of TIM1 that no path changes. The outputs are off.

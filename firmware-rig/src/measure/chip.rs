@@ -4,11 +4,14 @@
 
 use super::{MS, cycles_since, tell};
 use crate::board::channels::ENABLE_HIGH_AT_START;
-use core::sync::atomic::Ordering;
-use cortex_m::peripheral::DWT;
+use core::{arch::asm, sync::atomic::Ordering};
+use cortex_m::peripheral::{DWT, SCB};
 use device::chip::{start, supply};
 use embassy_stm32::pac::{self, TIM5, timer::vals::CcmrInputCcs};
 use measurements::Measurement as M;
+
+/// Below it nothing is mapped (RM0383 section 2.3).
+const RAM_BEGINS: usize = 0x2000_0000;
 
 /// TIM5_OR: connects an oscillator to channel 4, to measure it against the core's clock (RM0383 section 6.2.11).
 const TIM5_OPTIONS: *mut u32 = 0x4000_0C50 as *mut u32;
@@ -46,6 +49,26 @@ pub fn report(clock_us: u32) {
     tell(M::OptionBytes, options);
     tell(M::BrownOutBits, options >> 2 & 3);
     tell(M::WatchdogBySoftware, options >> 5 & 1);
+}
+
+/// Stores below the RAM, where an overflowing stack would. The processor ignores the bus fault and keeps its flag:
+/// BFHFNMIGN with FAULTMASK (Armv7-M ARM B3.2.8).
+pub fn report_guard() {
+    const IGNORED: u32 = 1 << 8;
+    // SAFETY: registers of the processor that nothing else uses at that time; there is no memory at the address.
+    let faults = unsafe {
+        let scb = &*SCB::PTR;
+        scb.ccr.modify(|ccr| ccr | IGNORED);
+        asm!("cpsid f");
+        (RAM_BEGINS as *mut u32).wrapping_sub(1).write_volatile(0);
+        asm!("dsb", "cpsie f");
+        scb.ccr.modify(|ccr| ccr & !IGNORED);
+        let faults = scb.cfsr.read();
+        scb.cfsr.write(faults);
+        faults
+    };
+    // PRECISERR, IMPRECISERR.
+    tell(M::StackGuard, u32::from(faults >> 9 & 3 != 0));
 }
 
 /// Reports TIM5's and the watchdog's clock against the core's. TIM5 counts.

@@ -3,8 +3,8 @@
 use super::{MS, cycles_since, tell};
 use crate::board::{
     channels::{
-        DMA_ERRORS, INTERVALS, LOST_CAPTURES, MOTION_WAKE, MotionMailbox, NOTICES, ORDERS,
-        TIMER_RESETS,
+        DMA_ERRORS, FIFO_ERRORS, INTERVALS, LOST_CAPTURES, MOTION_WAKE, MotionMailbox, NOTICES,
+        ORDERS, TIMER_RESETS,
     },
     step_generator::StepGenerator,
 };
@@ -73,6 +73,7 @@ pub fn report(generator: &mut StepGenerator, mut feed: impl FnMut()) {
     }
     tell(M::TimerResets, TIMER_RESETS.load(Ordering::Relaxed));
     tell(M::DmaErrors, DMA_ERRORS.load(Ordering::Relaxed));
+    tell(M::FifoErrors, FIFO_ERRORS.load(Ordering::Relaxed));
 }
 
 /// Plays a path as the motion task does; edges missing at the pin or too many, and cycles of the rounds. None if it

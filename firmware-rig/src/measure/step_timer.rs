@@ -4,9 +4,10 @@
 
 use super::{MS, cycles_since, tell};
 use crate::board::{
+    captures::clear_flags,
     channels::INTERVALS,
     pins,
-    step_generator::{DMA_CHANNEL, STREAM, StepGenerator, clear_flags, is_armed, rearm_loop},
+    step_generator::{DMA_CHANNEL, STREAM, StepGenerator, is_armed, rearm_loop},
 };
 use core::cell::UnsafeCell;
 use cortex_m::{asm::delay, peripheral::DWT};
@@ -141,7 +142,6 @@ static BURST: Burst = Burst(UnsafeCell::new([11, 12, 13, 14, 15]));
 pub fn report_cut_bursts() {
     const TRIES: u32 = 200;
     pins::cut_pulses();
-    DMA2.st(STREAM).m0ar().write_value(BURST.0.get() as u32);
     let (mut cut, mut shift) = (0, 0);
     for wait in 0..TRIES {
         start_burst();
@@ -171,7 +171,8 @@ fn start_burst() {
     let stream = DMA2.st(STREAM);
     stream.cr().modify(|w| w.set_en(false));
     while stream.cr().read().en() {}
-    clear_flags();
+    clear_flags(DMA2, STREAM);
+    stream.m0ar().write_value(BURST.0.get() as u32);
     stream.ndtr().write(|w| w.set_ndt(WORDS as u16));
     stream.cr().write(|w| {
         w.set_chsel(DMA_CHANNEL);

@@ -6,6 +6,7 @@ use super::super::{
 };
 use crate::retained::{Retained, keep_clock_failed, leave_again};
 use embassy_stm32::{Config, pac};
+use embassy_sync::once_lock::OnceLock;
 use protocol::system::ResetCause;
 
 /// Longest wait for the external clock before the link is served without it, ms. An ST-LINK powered from its USB has
@@ -13,6 +14,14 @@ use protocol::system::ResetCause;
 const CLOCK_MS: u32 = 300;
 /// The oscillator that runs after a reset, kHz.
 const RESET_KHZ: u32 = 16_000;
+
+/// What the previous start left, and why this one began.
+static LEFT: OnceLock<(Retained, ResetCause)> = OnceLock::new();
+
+/// Notes what the next start has to find again if the clock stops while this one has moved nothing. Call it first.
+pub fn note(left: &Retained, cause: ResetCause) {
+    let _ = LEFT.init((left.clone(), cause));
+}
 
 /// Starts the watchdog, then the HAL with `external` clocks, or with `internal` ones if the external clock does not
 /// start. It stays switched on, and [`external_clock_has_come`] tells when it starts later. A clock that stops later
@@ -22,12 +31,11 @@ const RESET_KHZ: u32 = 16_000;
 pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
     start_watchdog();
     let comes = external_clock_comes();
+    // Before the HAL waits for the clock: a stop is noticed from here on.
+    pac::RCC.cr().modify(|w| w.set_csson(comes));
     let peripherals = init_clearing_stale_flags(if comes { external } else { internal });
-    pac::RCC.cr().modify(|w| {
-        // The HAL switches off what it does not use.
-        w.set_hseon(true);
-        w.set_csson(comes);
-    });
+    // The HAL switches off what it does not use.
+    pac::RCC.cr().modify(|w| w.set_hseon(true));
     peripherals
 }
 
@@ -74,9 +82,13 @@ pub fn start_again(left: &Retained, cause: ResetCause) -> ! {
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Resets after a stop of the external clock. The outputs are off, and the chip runs on its own oscillator by now.
-pub fn die_of_the_clock() -> ! {
-    keep_clock_failed(&mut Ram);
+/// Resets after a stop of the external clock. The outputs are off, and the chip runs on its own oscillator by now. If
+/// nothing `has_moved`, nothing is lost, and the next start only replaces this one.
+pub fn die_of_the_clock(has_moved: bool) -> ! {
+    match LEFT.try_get().filter(|_| !has_moved) {
+        Some((left, cause)) => leave_again(&mut Ram, left, *cause),
+        None => keep_clock_failed(&mut Ram),
+    }
     // Clear the flag, else the NMI comes again at once.
     pac::RCC.cir().modify(|w| w.set_cssc(true));
     cortex_m::peripheral::SCB::sys_reset()
