@@ -199,7 +199,14 @@ impl<W: Wiring> Visit<'_, W> {
     /// Stops the 8 MHz clock of the ST-LINK; it returns after `back_after_ns`, or never.
     pub fn fail_hse(&mut self, back_after_ns: Option<u64>) {
         let at = self.stop.at;
-        self.session.board_mut().fail_hse(at, back_after_ns);
+        let emulator = self.session.board_mut();
+        emulator.fail_hse(at, back_after_ns, self.host);
+    }
+
+    /// Ends the step timer's DMA by an error of the bus.
+    pub fn fail_step_stream(&mut self) {
+        let at = self.stop.at;
+        self.session.board_mut().fail_step_stream(at);
     }
 
     /// Keeps the processor from executing anything for `duration_us`. Timers and DMA go on.

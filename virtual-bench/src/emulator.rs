@@ -36,7 +36,7 @@ use rigless::mcu::Mcu;
 use rigless::session::Session;
 use rigless::snapshot::Store;
 use rigless::soc::stm32f427::Stm32f427;
-use rigless::soc::stm32f427::generated::flash;
+use rigless::soc::stm32f427::generated::{flash, rcc};
 use rigless::soc::stm32f427::peripherals::gpio::{Gpio, Pin as PortPin};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::soc::stm32f427::peripherals::tim::{Advanced, General, Tim};
@@ -59,6 +59,7 @@ use enabled::Enabled;
 use exti::{Exti, Syscfg};
 pub use pads::Pads;
 use quiet::Quiet;
+pub use ring::Streams;
 pub(crate) use spare::Program;
 use timer::Watched;
 
@@ -285,9 +286,13 @@ impl<W: Wiring> Chip<W> {
         let [dma1, dma2] = map::controllers();
         part.dma = [map::hollow_controller(), map::hollow_controller()];
         let by_itself = self.options.every_event || self.options.burst.is_some();
-        let place = |place| (!by_itself).then_some(place);
-        self.dma1 = Paced::new(dma1, None).with_ring(place(map::CAPTURES));
-        self.dma2 = Paced::new(dma2, self.options.burst).with_ring(place(map::PERIODS));
+        let streams = self.options.streams;
+        let (mut dma1, mut dma2) = (Paced::new(dma1, None), Paced::new(dma2, self.options.burst));
+        if !by_itself {
+            dma1 = dma1.with_rings(&[map::CAPTURES, map::RECEIVED], streams);
+            dma2 = dma2.with_rings(&[map::PERIODS], streams);
+        }
+        (self.dma1, self.dma2) = (dma1, dma2);
         let rcc = std::mem::replace(&mut part.rcc, hollow_clocks(self.options.lsi_hz));
         let from = self.options.hse_after_ns.map(VirtualNanos);
         self.rcc = Clocked::new(rcc, from);
@@ -523,6 +528,8 @@ pub struct ChipOptions {
     pub uid: [u8; 12],
     /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
     pub burst: Option<Beats>,
+    /// How the DMA streams behave where no manual says it; not with `burst` or `every_event`.
+    pub streams: Streams,
     /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never comes.
     pub hse_after_ns: Option<u64>,
     /// The oscillator of the watchdog, Hz: 17,000 to 47,000 (DS10314 table 40).
@@ -540,6 +547,7 @@ impl Default for ChipOptions {
             instructions_per_second: 65_000_000,
             uid: *b"virtual rig\0",
             burst: None,
+            streams: Streams::default(),
             hse_after_ns: Some(0),
             lsi_hz: 32_000,
             erase_ns: 0,
@@ -671,14 +679,38 @@ impl<W: Wiring> Emulator<W> {
         supply(&mut self.chip.part, millivolts);
     }
 
-    /// Stops the 8 MHz clock; it returns after `back_after_ns`, or never.
-    pub(crate) fn fail_hse(&mut self, at: VirtualNanos, back_after_ns: Option<u64>) {
+    /// Stops the 8 MHz clock; it returns after `back_after_ns`, or never. Without the clock security system nothing is
+    /// told, and a core that runs on it stands.
+    pub(crate) fn fail_hse(
+        &mut self,
+        at: VirtualNanos,
+        back_after_ns: Option<u64>,
+        host: &mut dyn Host,
+    ) {
         let chip = &mut self.chip;
         chip.options.hse_after_ns = back_after_ns.map(|ns| at.0 + ns);
         chip.rcc
             .set_from(chip.options.hse_after_ns.map(VirtualNanos));
         let (registers, mut context) = chip.part.bus_mut().drive(at, chip.slots.rcc);
-        chip.rcc.rcc.fail_hse(registers, &mut context);
+        let cr = registers.get(rcc::Register::Cr);
+        if rcc::cr::CSSON.is_set(cr) {
+            chip.rcc.rcc.fail_hse(registers, &mut context);
+            chip.bell.raise_nmi();
+        } else if rcc::cr::PLLON.is_set(cr) && rcc::cr::HSERDY.is_set(cr) {
+            self.hold_up(at, back_after_ns.unwrap_or(u64::MAX / 2), host);
+        } else if rcc::cr::HSEON.is_set(cr) {
+            chip.rcc.pause(registers, &mut context);
+        }
+    }
+
+    /// Lets the bus refuse an access of the step timer's stream, which switches it off.
+    pub(crate) fn fail_step_stream(&mut self, at: VirtualNanos) {
+        let dma2 = &mut self.chip.dma2;
+        let (registers, mut context) = self.chip.part.bus_mut().drive(at, self.chip.slots.dma2);
+        for ring in &mut dma2.rings {
+            ring.refused(registers);
+        }
+        dma2.refresh(registers, &mut context);
     }
 
     /// Lets this share of the received bytes arrive with a framing error.

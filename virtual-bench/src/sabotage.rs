@@ -26,12 +26,16 @@ pub enum Misbehaviour {
     Overflow,
     /// Takes all of the stack but 16 bytes, and waits for an interrupt, whose frame has no room there.
     OverflowByInterrupt,
+    /// Faults with a stack whose frame reaches beyond the RAM's end.
+    FrameAtRamEnd,
     /// Sets all vector-catch bits of a debugger, once, and continues.
     SetCatches,
 }
 
 /// Where [`Misbehaviour::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
 pub const NOWHERE: u32 = 0x6000_0000;
+/// End of the RAM.
+const RAM_END: u32 = 0x2002_0000;
 /// Debug exception and monitor control (Armv7-M ARM C1.6.5).
 const DEMCR: u32 = 0xE000_EDFC;
 /// Address of the substitute: the end of the flash, which no image reaches.
@@ -103,6 +107,11 @@ impl Sabotage {
             Misbehaviour::OverflowByInterrupt => {
                 let mut code = load(1, symbol_at("_stack_end")? + 16).to_vec();
                 code.extend([0x468D, 0xE7FE]); // mov sp, r1; b .
+                code
+            }
+            Misbehaviour::FrameAtRamEnd => {
+                let mut code = load(1, RAM_END + 8).to_vec();
+                code.extend([0x468D, 0xDE00]); // mov sp, r1; udf
                 code
             }
             Misbehaviour::SetCatches => {

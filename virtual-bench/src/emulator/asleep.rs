@@ -245,7 +245,7 @@ impl<W: Wiring> Chip<W> {
             &mut context,
         );
         let (registers, mut context) = bus.drive(at, slots.dma2);
-        if let Some(periods) = &mut self.dma2.ring {
+        if let Some(periods) = self.dma2.rings.first_mut() {
             let items = asleep.course.fetched * super::course::WORDS as u64;
             periods.skip(items, asleep.course.held(), registers);
         }
@@ -256,7 +256,7 @@ impl<W: Wiring> Chip<W> {
         if let Some((after_ns, _)) = asleep.capture {
             self.capture(&asleep, after_ns, to);
             let (registers, mut context) = self.part.bus_mut().drive(at, slots.dma1);
-            if let Some(captures) = &mut self.dma1.ring {
+            if let Some(captures) = self.dma1.rings.first_mut() {
                 captures.skip(asleep.captures, None, registers);
             }
             self.dma1.refresh(registers, &mut context);
@@ -321,5 +321,5 @@ impl<W: Wiring> Chip<W> {
 
 fn rest(controller: &Paced, bus: &rigless::soc::Bus, slot: usize) -> Option<Rest> {
     let registers = bus.slots()[slot].registers();
-    controller.ring.as_ref()?.rest(registers)
+    controller.rings.first()?.rest(registers)
 }

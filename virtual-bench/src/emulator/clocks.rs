@@ -42,6 +42,14 @@ impl Clocked {
         self.from = from;
     }
 
+    /// Stops the external clock, which the firmware has switched on, while nothing watches it.
+    pub(super) fn pause(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        let value = cr::HSEON.set(registers.get(Register::Cr), 0);
+        registers.set(Register::Cr, value);
+        Device::write(&mut self.rcc, Register::Cr, value, registers, context);
+        self.awaited = true;
+    }
+
     /// Whether the firmware has switched the clock on.
     pub(super) fn is_switched_on(&self, registers: &RegisterFile) -> bool {
         self.awaited || cr::HSEON.is_set(registers.get(Register::Cr))

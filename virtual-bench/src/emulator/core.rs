@@ -4,11 +4,11 @@
 //! This wrapper therefore stands between the emulator and its processor and signals each change by an access that no
 //! program makes.
 //!
-//! It also fails accesses below the RAM, and hands the processor to the next machine when its own is dropped, see
+//! It also fails accesses beside the RAM, raises the NMI, delays the ports' inputs, and hands the processor to the next machine when its own is dropped, see
 //! [`super::spare`].
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rigless::emulator::{
     Access, AccessKind, CoreBus, CoreSpec, DataModel, Error, Exit, Processor, Queued,
@@ -50,6 +50,12 @@ pub(super) struct Bell(Arc<Asked>);
 struct Asked {
     sleeps: AtomicBool,
     wakes: AtomicBool,
+    nmi: AtomicBool,
+    /// Ports whose clock is on, and those of them whose inputs nobody has read since, by bit; and the instruction at
+    /// which the last clock came.
+    clocked: AtomicU64,
+    unread: AtomicU64,
+    since: AtomicU64,
 }
 
 impl Bell {
@@ -60,7 +66,35 @@ impl Bell {
     pub(super) fn ask_for_waking(&self, asked: bool) {
         self.0.wakes.store(asked, Ordering::Relaxed);
     }
+
+    /// Raises the NMI, which no line of the emulator leads to.
+    pub(super) fn raise_nmi(&self) {
+        self.0.nmi.store(true, Ordering::Relaxed);
+    }
+
+    /// A write to RCC_AHB1ENR.
+    fn clocks(&self, value: u64, instruction: u64) {
+        let before = self.0.clocked.swap(value, Ordering::Relaxed);
+        self.0.unread.store(value & !before, Ordering::Relaxed);
+        self.0.since.store(instruction, Ordering::Relaxed);
+    }
+
+    /// Whether this is the first read of the port's inputs since its clock came, and soon after.
+    fn is_early(&self, port: u64, instruction: u64) -> bool {
+        let unread = self.0.unread.fetch_and(!(1 << port), Ordering::Relaxed) >> port & 1 == 1;
+        unread && instruction - self.0.since.load(Ordering::Relaxed) <= SOON
+    }
 }
+
+/// RCC_AHB1ENR, and the ports' IDR (RM0383 sections 6.3.9, 8.4.5).
+const AHB1ENR: u64 = 0x4002_3830;
+const PORTS: std::ops::Range<u64> = 0x4002_0000..0x4002_2000;
+const IDR: u64 = 0x10;
+/// Instructions in which a port's inputs may still be those of the reset.
+const SOON: u64 = 8;
+/// Interrupt control and state, and its bit NMIPENDSET (DDI 0403E.e B3.2.4).
+const ICSR: u64 = 0xE000_ED04;
+const NMIPENDSET: u64 = 1 << 31;
 
 /// DEMCR, the only register in use that a reset keeps, but for the bits of the debug monitor (DDI 0403E.e C1.6.5).
 const DEMCR: u64 = 0xE000_EDFC;
@@ -160,13 +194,33 @@ impl Belled {
     }
 }
 
-/// The bus, with errors where the chip has nothing. The emulator would read 0 there.
-struct Failing<'a>(&'a mut dyn CoreBus);
+/// The bus, with errors where the chip has nothing (the emulator would read 0 there), and with ports whose first read
+/// after their clock came gives the reset value if it comes soon.
+struct Failing<'a>(&'a mut dyn CoreBus, Bell);
 
 impl CoreBus for Failing<'_> {
     fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
-        if map::BELOW_RAM.contains(&access.address) {
+        if map::BESIDE_RAM
+            .iter()
+            .any(|no| no.contains(&access.address))
+        {
             return None;
+        }
+        match access.kind {
+            AccessKind::Write if access.address == AHB1ENR => {
+                self.1.clocks(access.value, access.instruction_count);
+            }
+            AccessKind::Read
+                if PORTS.contains(&access.address)
+                    && access.address & 0x3FF == IDR
+                    && (self.1).is_early(
+                        (access.address - PORTS.start) >> 10,
+                        access.instruction_count,
+                    ) =>
+            {
+                return Some(0);
+            }
+            _ => {}
         }
         self.0.access(access, from_code)
     }
@@ -194,7 +248,11 @@ impl CoreBus for Failing<'_> {
 
 impl Processor for Belled {
     fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
-        let bus = &mut Failing(bus);
+        let bus = &mut Failing(bus, self.bell.clone());
+        if self.bell.0.nmi.swap(false, Ordering::Relaxed) {
+            self.inner_mut()
+                .debugger_access(Some(NMIPENDSET), ICSR, Width::W32, VirtualNanos(0));
+        }
         if self.inner().waiting() && self.bell.0.wakes.load(Ordering::Relaxed) {
             // With a budget of 0 it enters a pending exception, but executes nothing.
             let slept = self.inner_mut().run(0, bus);
@@ -258,6 +316,7 @@ impl Processor for Belled {
     /// The emulator's own reset drops all translations, though the program has not changed: 38 % of the tests'
     /// processor time went into making them again. Loading the state after a reset keeps them.
     fn reset(&mut self) {
+        self.bell.clocks(0, 0);
         let core = self.core.as_mut().expect("until it is dropped");
         let retired = core.inner.retired();
         let catches = debug_register(&mut *core.inner, None);

@@ -8,7 +8,7 @@ use rigless::soc::stm32f427::peripherals::dma::Dma;
 use rigless::time::{EventId, VirtualNanos};
 
 use super::forward::forward;
-use super::ring::{Place, Ring};
+use super::ring::{Place, Ring, Streams};
 
 /// Duration of a burst. The manuals give no figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,8 +33,8 @@ pub(super) struct Paced {
     /// The request is passed on to the controller.
     shown: bool,
     next_word: Option<EventId>,
-    /// The bench's own stream, if there is one.
-    pub(super) ring: Option<Ring>,
+    /// The bench's own streams. The first one is that which can skip items.
+    pub(super) rings: Vec<Ring>,
 }
 
 impl Paced {
@@ -43,7 +43,7 @@ impl Paced {
         Self {
             dma,
             beats,
-            ring: None,
+            rings: Vec::new(),
             requested: false,
             shown: false,
             next_word: None,
@@ -56,10 +56,11 @@ impl Paced {
         assert!(paced.is_some(), "bursts have to take time from the start");
     }
 
-    /// The same with a ring at `place`.
-    pub(super) fn with_ring(self, place: Option<Place>) -> Self {
-        let ring = place.map(Ring::new);
-        Self { ring, ..self }
+    /// The same with a ring at each of `places`.
+    pub(super) fn with_rings(self, places: &[Place], streams: Streams) -> Self {
+        let ring = |place: &Place| Ring::new(*place, streams);
+        let rings = places.iter().map(ring).collect();
+        Self { rings, ..self }
     }
 
     /// Makes the emulator's controller, which drives all interrupts, check its flags again: by a write that clears
@@ -69,8 +70,8 @@ impl Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        let flagged = self.ring.as_mut().map(|ring| &mut ring.flagged);
-        if flagged.is_some_and(std::mem::take) {
+        let take = |any, ring: &mut Ring| any | std::mem::take(&mut ring.flagged);
+        if self.rings.iter_mut().fold(false, take) {
             Device::write(&mut self.dma, Register::Hifcr, 0, registers, context);
         }
     }
@@ -108,8 +109,8 @@ impl Device for Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if let Some(ring) = &mut self.ring
-            && let Some(row) = ring.row(register)
+        let mut rows = (self.rings.iter_mut()).filter_map(|ring| Some((ring.row(register)?, ring)));
+        if let Some((row, ring)) = rows.next()
             && ring.write(row, registers, context)
         {
             if !ring.is_running() {
@@ -128,9 +129,7 @@ impl Device for Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if let Some(ring) = &mut self.ring
-            && ring.answers(token).is_some()
-        {
+        if let Some(ring) = (self.rings.iter_mut()).find(|ring| ring.answers(token).is_some()) {
             ring.refused(registers);
             return self.refresh(registers, context);
         }
@@ -158,8 +157,8 @@ impl Device for Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if let Some(ring) = &mut self.ring
-            && ring.hears(request.instance, request.request)
+        if let Some(ring) =
+            (self.rings.iter_mut()).find(|ring| ring.hears(request.instance, request.request))
         {
             ring.request(request.level == Level::High, registers, context);
             if ring.is_running() {
@@ -190,9 +189,9 @@ impl Device for Paced {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        if let Some(ring) = &mut self.ring
-            && let Some(stored) = ring.answers(token)
-        {
+        let mut answers =
+            (self.rings.iter_mut()).filter_map(|ring| Some((ring.answers(token)?, ring)));
+        if let Some((stored, ring)) = answers.next() {
             ring.answered(stored, value, registers, context);
             return self.refresh(registers, context);
         }
@@ -209,8 +208,6 @@ impl Device for Paced {
     fn reset(&mut self) {
         Device::reset(&mut self.dma);
         (self.requested, self.shown, self.next_word) = (false, false, None);
-        if let Some(ring) = &mut self.ring {
-            ring.reset();
-        }
+        self.rings.iter_mut().for_each(Ring::reset);
     }
 }

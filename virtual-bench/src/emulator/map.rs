@@ -55,9 +55,10 @@ pub(super) static MEMORY: [Region; 3] = [
     Region::ram("sram", RAM.start, RAM.end - RAM.start),
 ];
 
-/// Below the RAM, above the system memory: reserved but for 16 option bytes, which no firmware reads here. An access is a
-/// bus error (docs/silicon.md, item 18).
-pub(super) const BELOW_RAM: std::ops::Range<u64> = 0x1FFF_8000..0x2000_0000;
+/// Below the RAM, above the system memory: reserved but for 16 option bytes, which no firmware reads here; and above the
+/// RAM. An access is a bus error (docs/silicon.md, item 18).
+pub(super) const BESIDE_RAM: [std::ops::Range<u64>; 2] =
+    [0x1FFF_8000..0x2000_0000, RAM.end..0x2200_0000];
 
 /// Interrupt lines 0 to 85 (RM0383 table 37).
 pub(super) const INTERRUPT_LINES: u32 = 86;
@@ -113,7 +114,7 @@ static DMA2_REQUESTS: [Wire; 2] = [
     wire("TIM1", UPDATE_REQUEST, 6, &[5]),
 ];
 
-/// The rings of the step timer's periods and of the captured instants. The tables above list them, too.
+/// The rings of the step timer's periods and of the captured instants. The tables above list them, too, and that below.
 pub(super) const PERIODS: Place = Place {
     stream: 5,
     channel: 6,
@@ -125,6 +126,13 @@ pub(super) const CAPTURES: Place = Place {
     channel: 6,
     instance: "TIM5",
     request: CHANNEL_REQUESTS[1],
+};
+/// The ring of the received bytes.
+pub(super) const RECEIVED: Place = Place {
+    stream: 5,
+    channel: 4,
+    instance: "USART2",
+    request: usart::RECEIVE_REQUEST,
 };
 /// TIM5_CCR2 (RM0383 table 1 and section 13.4.14).
 pub(super) const TIM5_CCR2: u64 = 0x4000_0C38;

@@ -24,9 +24,11 @@ const FS: u64 = 7 << 3;
 const FS_EMPTY: u64 = 4;
 const FEIE: u64 = 1 << 7;
 /// Flags of a stream in HISR, before the shift to its position.
+const FEIF: u64 = 1 << 0;
 const TEIF: u64 = 1 << 3;
 const HTIF: u64 = 1 << 4;
 const TCIF: u64 = 1 << 5;
+const FLAGS: u64 = 0x3D;
 /// Bit positions of the flags of streams 4 to 7.
 const PLACES: [u32; 4] = [0, 6, 16, 22];
 /// Registers before the first stream's, and registers per stream.
@@ -63,10 +65,24 @@ pub(super) struct Place {
     pub(super) request: usize,
 }
 
+/// What the manuals leave open about a stream.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Streams {
+    /// Switched off and on again, it goes on with the number of items that were left, unless NDTR is written meanwhile.
+    pub keeps_count: bool,
+    /// Likewise, at the address that was next, unless M0AR is written meanwhile.
+    pub keeps_address: bool,
+    /// FEIF at each item: in direct mode the FIFO of one item is found empty, or full, whenever the bus is not granted.
+    pub fifo_errors: bool,
+}
+
 /// The stream.
 #[derive(Debug)]
 pub(super) struct Ring {
     place: Place,
+    streams: Streams,
+    /// Bytes left and the next address when it was switched off, until they are written.
+    left: (Option<u64>, Option<u64>),
     requested: bool,
     /// NDTR as last written: each round restarts from it.
     programmed: u64,
@@ -95,9 +111,11 @@ struct Running {
 }
 
 impl Ring {
-    pub(super) fn new(place: Place) -> Self {
+    pub(super) fn new(place: Place, streams: Streams) -> Self {
         Self {
             place,
+            streams,
+            left: (None, None),
             requested: false,
             programmed: 0,
             enabled: false,
@@ -177,6 +195,10 @@ impl Ring {
         if self.running.is_none() {
             if row == Row::Count {
                 self.programmed = self.held(registers, Row::Count) & NDT;
+                self.left.0 = None;
+            }
+            if row == Row::Memory0 {
+                self.left.1 = None;
             }
             let starts = !self.enabled && self.held(registers, Row::Control) & EN != 0;
             let is_ring = starts && self.start(registers, context);
@@ -212,20 +234,28 @@ impl Ring {
         if !is_ring {
             return false;
         }
+        // Its flags have to be cleared before (RM0383 section 9.5.5).
+        if registers.get(Register::Hisr) >> PLACES[self.place.stream - 4] & FLAGS != 0 {
+            self.set(registers, Row::Control, EN, 0);
+            return true;
+        }
         let forced = control & !(NOT_DIRECT | 3 << 13) | size << 13;
         registers.set(self.register(Row::Control), forced);
         let bytes = 1 << size;
         let total = self.programmed * bytes;
+        let (left, next) = std::mem::take(&mut self.left);
+        let left = left.filter(|_| self.streams.keeps_count).unwrap_or(total);
+        let next = next.filter(|_| self.streams.keeps_address);
         self.running = Some(Running {
             from_memory: direction == 1,
             bytes,
             total,
-            to_load: total,
-            to_store: total,
-            memory_at: self.held(registers, Row::Memory0),
+            to_load: left,
+            to_store: left,
+            memory_at: next.unwrap_or(self.held(registers, Row::Memory0)),
             held: None,
             outstanding: false,
-            halved: false,
+            halved: left * 2 <= total,
         });
         self.count(registers);
         self.report(registers);
@@ -234,7 +264,14 @@ impl Ring {
     }
 
     fn stop(&mut self, registers: &mut RegisterFile, flags: u64) {
-        self.running = None;
+        if let Some(run) = self.running.take() {
+            // An item that was read ahead is dropped; its place comes again.
+            let ahead = run
+                .held
+                .filter(|_| run.from_memory)
+                .map_or(0, |_| run.bytes);
+            self.left = (Some(run.to_store), Some(run.memory_at - ahead));
+        }
         self.flag(registers, flags);
         self.set(registers, Row::Control, EN, 0);
         self.set(registers, Row::Fifo, FS, FS_EMPTY << 3);
@@ -334,6 +371,7 @@ impl Ring {
                 (run.to_load, run.to_store, run.halved) = (run.total, run.total, false);
                 run.memory_at = self.held(registers, Row::Memory0);
             }
+            flags |= u64::from(self.streams.fifo_errors) * FEIF;
         } else {
             run.held = Some(value);
             run.to_load -= run.bytes;
@@ -347,7 +385,7 @@ impl Ring {
         self.pump(registers, context);
     }
 
-    /// The bus has refused an access.
+    /// The bus has refused an access, which switches the stream off.
     pub(super) fn refused(&mut self, registers: &mut RegisterFile) {
         self.stop(registers, TEIF);
         self.remember(registers);
@@ -355,7 +393,7 @@ impl Ring {
 
     pub(super) fn reset(&mut self) {
         let requested = self.requested;
-        *self = Self::new(self.place);
+        *self = Self::new(self.place, self.streams);
         self.requested = requested;
     }
 }
@@ -420,7 +458,7 @@ impl Ring {
         let half = all.div_ceil(2);
         let from = all - run.to_store / run.bytes;
         let to = from + items;
-        let mut flags = 0;
+        let mut flags = u64::from(self.streams.fifo_errors) * FEIF;
         if from < half && to >= half || to >= all + half {
             flags |= HTIF;
         }

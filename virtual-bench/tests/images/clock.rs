@@ -84,6 +84,42 @@ fn a_rig_whose_clock_comes_late_homes() {
     }
 }
 
+/// The clock comes and pauses for 50 ms, once in every phase of the start. The rig ends up as after a power-on.
+#[test]
+fn a_clock_that_pauses_in_the_start_needs_no_hand() {
+    for phase in 0..56 {
+        let at_us = match phase {
+            0..50 => phase * 60,
+            _ => (phase - 49) * 20_000,
+        };
+        let what = format!("pause after {at_us} us");
+        let bench = alone(Some(0));
+        bench.advance_us(at_us).expect("the bench runs");
+        bench
+            .visit(|visit| visit.fail_hse(Some(50_000_000)))
+            .expect("the bench runs");
+        bench.advance_us(1_000_000).expect("the bench runs");
+        let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
+        let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
+        let mut rig = RigRun { bench, device };
+        let status = rig.status();
+        assert_eq!(
+            (status.state, status.fault),
+            (RigState::Unhomed, None),
+            "{what}\n{}",
+            rig.log()
+        );
+        let chip = rig.device.call(GetChip).expect("it answers");
+        assert_eq!(chip.clock, Clock::External, "{what}");
+        let cause = rig.device.hello(2).expect("it answers").reset_cause;
+        assert_eq!(cause, ResetCause::PowerOn, "{what}");
+        rig.home();
+        let resets = rig.bench.bus().expect("the bench runs").resets.len();
+        eprintln!("{what}: {resets} resets");
+        rig.check_clean(resets.min(1));
+    }
+}
+
 /// Without the clock the rig reports its absence all the time, and recovers by itself when the clock appears.
 #[test]
 fn a_rig_without_its_clock_says_so_and_looks_for_it() {

@@ -22,6 +22,7 @@ use protocol::system::DeviceKind;
 use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::RigBoard;
 use virtual_bench::boards::{capsule, rig};
+use virtual_bench::emulator::Streams;
 use virtual_bench::hands::{BenchHands, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
@@ -94,9 +95,16 @@ impl Connector for Workshop {
     }
 }
 
+/// DMA streams that are hard to please are no defect.
 fn rig_bench(options: RigOptions) -> Bench<RigBoard> {
     let board = RigBoard::new(Rig::new(options));
-    Bench::start(board, BenchOptions::new(rig::image())).expect("the image boots")
+    let mut options = BenchOptions::new(rig::image());
+    options.chip.streams = Streams {
+        keeps_count: true,
+        keeps_address: true,
+        fifo_errors: true,
+    };
+    Bench::start(board, options).expect("the image boots")
 }
 
 fn act(bench: &Bench<RigBoard>, action: Action) {

@@ -18,6 +18,7 @@ use virtual_bench::{
         capsule::CapsuleBoard,
         rig::{self, RigBoard},
     },
+    emulator::Streams,
     link::VirtualLink,
     pins::EdgeLog,
     plants::rig::{Action, Rig, RigOptions, Violations},
@@ -103,6 +104,22 @@ pub fn start(rig: RigOptions, options: BenchOptions) -> RigRun {
     let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
     let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
     RigRun { bench, device }
+}
+
+/// The ways in which a DMA stream may go on that is switched off and on again and is not told where.
+pub fn ways_to_go_on() -> [Streams; 4] {
+    [(false, false), (false, true), (true, false), (true, true)].map(|(count, address)| Streams {
+        keeps_count: count,
+        keeps_address: address,
+        ..Streams::default()
+    })
+}
+
+/// A rig whose DMA streams behave like this.
+pub fn rig_with_streams(streams: Streams) -> RigRun {
+    let mut options = BenchOptions::new(rig::image());
+    options.chip.streams = streams;
+    start(RigOptions::default(), options)
 }
 
 /// A rig at position 0 that also homes quickly from now on.

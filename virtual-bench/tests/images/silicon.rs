@@ -5,7 +5,7 @@ use client::error::ClientError;
 
 use crate::common::{
     Dice, LIMIT_NS, Recorder, RigRun, exact, execute, faulted, home_quickly, homed, paper, quick,
-    quickly_homed, rig, rig_from_flash, start, trials,
+    quickly_homed, rig, rig_from_flash, rig_with_streams, start, trials, ways_to_go_on,
 };
 use protocol::{
     error::Refusal,
@@ -20,7 +20,7 @@ use protocol::{
 use virtual_bench::{
     bench::{Bench, BenchOptions},
     boards::{capsule, rig as board},
-    emulator::{Beats, ChipOptions, Wiring},
+    emulator::{Beats, ChipOptions, Streams, Wiring},
     faults::When,
     plants::{
         capsule::Parameters,
@@ -444,6 +444,70 @@ fn a_timer_that_is_reset_is_counted() {
     }
     eprintln!("a reset in {cut} stops");
     rig.check_clean_after(0, cut);
+}
+
+/// Item 22: a path that is cut leaves the step stream anywhere in its ring. The next one is exact, wherever the stream
+/// would go on by itself.
+#[test]
+fn a_path_after_a_cut_one_is_exact() {
+    for streams in ways_to_go_on() {
+        let mut rig = rig_with_streams(streams);
+        home_quickly(&mut rig);
+        rig.home();
+        let edge = When::Edge(rig.edge_count() as u64 + 20_001);
+        rig.look(move |rig| rig.plan(edge, Action::Disturb(Switch::EStop, 1_000_000)));
+        let what = format!("{streams:?}");
+        faulted(&mut rig, paper(1), RigFault::EStopLoop, &what);
+        rig.idle(5_000);
+        rig.device.acknowledge().expect(&what);
+        rig.home();
+        let first = rig.edge_count();
+        let (_, record) = execute(&mut rig, paper(1));
+        assert_eq!(record.outcome, RunOutcome::Complete, "{what}");
+        rig.is_exact(&exact(1), first);
+        rig.check_clean_after(0, 1);
+    }
+}
+
+/// Item 23: an error of the bus ends the stream, and TIM1 would repeat its last slot for ever.
+#[test]
+fn a_dead_step_stream_ends_the_run_within_4_ms() {
+    let mut rig = quickly_homed();
+    let accepted = rig.device.run(paper(1)).expect("accepted");
+    rig.idle(1_000_000);
+    rig.visit(|visit| visit.fail_step_stream());
+    let failed_ns = rig.bench.now_ns();
+    let record = rig.ended(&accepted);
+    let fault = RunOutcome::Faulted(RigFault::Underrun);
+    assert_eq!(record.outcome, fault, "{}", rig.log());
+    let late_us = (rig.last_edge_ns() - failed_ns) / 1_000;
+    assert!(late_us <= 4_100, "{late_us} us");
+    let hardware = rig.device.call(GetRigHardware).expect("counters");
+    assert_eq!(hardware.dma_errors, 1);
+    rig.device.acknowledge().expect("it is over");
+    rig.home();
+    let first = rig.edge_count();
+    execute(&mut rig, paper(1));
+    rig.is_exact(&exact(1), first);
+    rig.check_clean_after(0, 1);
+}
+
+/// Item 16: a FIFO that is found empty or full loses nothing, and is no error.
+#[test]
+fn errors_of_the_fifo_alone_are_none() {
+    let mut rig = rig_with_streams(Streams {
+        fifo_errors: true,
+        ..Streams::default()
+    });
+    rig.home();
+    for _ in 0..2 {
+        let first = rig.edge_count();
+        execute(&mut rig, paper(1));
+        rig.is_exact(&exact(1), first);
+    }
+    let hardware = rig.device.call(GetRigHardware).expect("counters");
+    assert_eq!((hardware.dma_errors, hardware.lost_captures), (0, 0));
+    rig.check_clean(0);
 }
 
 /// Item 7: the rig reports after its start whether EN is pulled up before the firmware drives it.

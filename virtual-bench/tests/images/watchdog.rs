@@ -264,6 +264,16 @@ fn a_stack_overflow_is_a_fault_with_last_words() {
     }
 }
 
+/// A stack pointer at the end of the RAM leaves a frame of which a part is nowhere: it is not read.
+#[test]
+fn a_frame_beyond_the_ram_is_not_read() {
+    let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
+    let mut ended = sabotaged(4, Misbehaviour::FrameAtRamEnd, false, cause, fault);
+    let words = ended.rig.device.last_words().expect("they are kept");
+    assert!(words.starts_with("stack overflow"), "{words:?}");
+    fixed(ended);
+}
+
 /// The same for the capsule.
 #[test]
 fn the_capsules_stack_has_a_guard_too() {

@@ -70,17 +70,20 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
     fixed(&mut rig);
 }
 
-/// Contacts that bounce for 60 us.
+/// Contacts that bounce for 60 us, and plain microswitches that bounce for 5 ms, in which the carriage makes 160 steps.
 #[test]
 fn bouncing_contacts_are_believed_once() {
-    let bounce = Some(Bounce {
-        times: 5,
-        apart_ns: 6_000,
-    });
+    for (times, apart_ns) in [(5, 6_000), (25, 100_000)] {
+        bouncing_contacts(Some(Bounce { times, apart_ns }));
+    }
+}
+
+fn bouncing_contacts(bounce: Option<Bounce>) {
     let mut rig = quickly_homed();
     for switch in [Switch::Home, Switch::Far, Switch::EStop] {
         rig.act(Action::Bounce(switch, bounce));
     }
+    rig.home();
     let (_, record) = execute(&mut rig, quick(3, 20_000, 40_000, 500_000));
     assert_eq!(
         (record.outcome, record.counted_edges, rig.carriage()),
@@ -88,7 +91,7 @@ fn bouncing_contacts_are_believed_once() {
         "{}",
         rig.log()
     );
-    // 60 us of bouncing at 40 mm/s span two steps.
+    // The first edge gives the position; 60 us at 40 mm/s are two steps.
     assert!(
         record.worst_residual_steps.abs() <= 3,
         "{} steps",
