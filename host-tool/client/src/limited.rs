@@ -38,9 +38,46 @@ pub(crate) fn too_large(limit: u64) -> io::Error {
     io::Error::new(io::ErrorKind::FileTooLarge, why)
 }
 
-pub(crate) fn text(bytes: Vec<u8>) -> io::Result<String> {
-    String::from_utf8(bytes)
-        .map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text"))
+pub(crate) fn text(mut bytes: Vec<u8>) -> io::Result<String> {
+    let mark = bytes.len() - utf8(&bytes).map_err(not_text)?.len();
+    bytes.drain(..mark);
+    String::from_utf8(bytes).map_err(|_| not_text("it is not text"))
+}
+
+fn not_text(why: impl Into<String>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, why.into())
+}
+
+/// Text without the byte order mark that some editors write before it.
+///
+/// # Errors
+/// It is UTF-16.
+pub fn utf8(bytes: &[u8]) -> Result<&[u8], &'static str> {
+    let text = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
+    match text {
+        [0xFF, 0xFE, ..] | [0xFE, 0xFF, ..] | [1..=255, 0, ..] | [0, 1..=255, ..] => {
+            Err("it is UTF-16; save it as UTF-8")
+        }
+        _ => Ok(text),
+    }
+}
+
+/// What a spreadsheet has made of a table, by its beginning; none if commas separate its columns.
+pub fn foreign_table(text: &str) -> Option<String> {
+    let header = text.lines().next()?;
+    let by = match (header.contains(';'), header.contains('\t')) {
+        (true, _) => "`;`",
+        (_, true) => "tabs",
+        _ => return None,
+    };
+    let in_number = |at: &[u8]| at[0].is_ascii_digit() && at[1] == b',' && at[2].is_ascii_digit();
+    let number = match text.as_bytes().windows(3).any(in_number) {
+        true => ", with a decimal comma in its numbers",
+        false => "",
+    };
+    Some(format!(
+        "its columns are separated by {by}{number}: a spreadsheet has saved it"
+    ))
 }
 
 /// Like [`read`], for text.
@@ -75,5 +112,14 @@ mod tests {
     fn a_limit_is_named_in_kibibytes() {
         let text = too_large(BY_HAND).to_string();
         assert_eq!(text, "more than 64 KiB, which no such file has");
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_skipped_and_utf_16_is_named() {
+        assert_eq!(text(b"\xEF\xBB\xBF{}".to_vec()).expect("UTF-8"), "{}");
+        for bytes in [&b"\xFF\xFE{\0}\0"[..], b"\xFE\xFF\0{\0}", b"{\0}\0"] {
+            let error = text(bytes.to_vec()).expect_err("no UTF-8").to_string();
+            assert!(error.contains("it is UTF-16; save it as UTF-8"), "{error}");
+        }
     }
 }

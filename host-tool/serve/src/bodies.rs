@@ -5,7 +5,7 @@ use std::time::Duration;
 use axum::body::{Body, to_bytes};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
-use client::wording;
+use client::{limited, wording};
 use serde_json::{Map, Value};
 use tokio::time::timeout;
 
@@ -35,6 +35,10 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
             ));
         }
     };
+    let bytes = limited::utf8(&bytes).map_err(|why| {
+        let why = format!("the body cannot be read: {why}; nothing was done");
+        refused(StatusCode::BAD_REQUEST, &why, "send it as UTF-8")
+    })?;
     if bytes.iter().all(u8::is_ascii_whitespace) {
         return Ok(Map::new());
     }
@@ -50,7 +54,7 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
             "send `Content-Type: application/json`",
         ));
     }
-    match serde_json::from_slice(&bytes) {
+    match serde_json::from_slice(bytes) {
         Ok(Value::Object(object)) => Ok(object),
         Ok(_) => Err(refused(
             StatusCode::BAD_REQUEST,
@@ -65,5 +69,28 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
             ),
             "send for example {\"cycles\": 5}",
         )),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use axum::response::IntoResponse;
+
+    #[test]
+    fn a_byte_order_mark_is_skipped_and_utf_16_is_named() {
+        let mut headers = HeaderMap::new();
+        headers.insert(CONTENT_TYPE, "application/json".parse().expect("a type"));
+        let mut runtime = tokio::runtime::Builder::new_current_thread();
+        let runtime = runtime.enable_time().build().expect("a runtime");
+        let read = |bytes: &'static [u8]| runtime.block_on(object(&headers, Body::from(bytes)));
+        let cycles = read(b"\xEF\xBB\xBF{\"cycles\": 5}").expect("JSON");
+        assert_eq!(cycles["cycles"], 5);
+        assert!(read(b"\xEF\xBB\xBF").expect("empty").is_empty());
+        let refused = read(b"\xFF\xFE{\0}\0").expect_err("no UTF-8");
+        let answer = to_bytes(refused.into_response().into_body(), LONGEST_BODY);
+        let answer = runtime.block_on(answer).expect("in memory");
+        let said = String::from_utf8_lossy(&answer);
+        assert!(said.contains("UTF-16"), "{said}");
     }
 }

@@ -23,6 +23,7 @@ use axum::middleware::{Next, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use client::identity::kind_name;
+use client::limited;
 use futures_util::stream::unfold;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -467,7 +468,7 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     let only = body
         .ok()
         .and_then(Result::ok)
-        .and_then(|body| serde_json::from_slice::<Value>(&body).ok())
+        .and_then(|body| serde_json::from_slice::<Value>(limited::utf8(&body).ok()?).ok())
         .and_then(|body| body["machine"].as_str().and_then(machine_of));
     let mut waiting = vec![];
     for machine in &app.board.machines {

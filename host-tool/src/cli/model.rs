@@ -1,10 +1,10 @@
 //! The model's options: `--body`, `--model`, and `--set` for the parameters in the table of the model.
 
-use std::fs;
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
 use clap::Args;
+use client::limited;
 use lab::operations::failure::Failure;
 use locomotion::model::{Model, Setting};
 use report::science::model_file::{self, Choice, Given, ModelError, ModelFile};
@@ -105,7 +105,7 @@ impl ModelArgs {
         let Some(path) = &self.file else {
             return Ok(ModelFile::default());
         };
-        let text = fs::read_to_string(path).map_err(|io| {
+        let text = limited::read_text(path, limited::BY_HAND).map_err(|io| {
             Failure::input(
                 format!("{}: {io}", path.display()),
                 "`--model FILE` takes a model as TOML, such as the `model.toml` of `retrograde simulate`",
