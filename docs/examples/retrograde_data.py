@@ -39,9 +39,12 @@ def value(text, column=None):
 
 def read_csv(path):
     """The rows of a CSV file as dictionaries. A last line without its end is no row: writing it was cut off."""
-    with open(path, newline="", encoding="utf-8") as file:
+    with open(path, newline="", encoding="utf-8-sig") as file:
         whole = (line for line in file if line.endswith("\n"))
-        return Table({name: value(cell, name) for name, cell in row.items()} for row in csv.DictReader(whole))
+        rows = csv.DictReader(whole)
+        if any(sign in name for name in rows.fieldnames or [] for sign in ";\t"):
+            raise ValueError(f"{path}: its columns are separated by `;` or tabs: a spreadsheet has saved it")
+        return Table({name: value(cell, name) for name, cell in row.items()} for row in rows)
 
 
 class Table(list):
@@ -59,7 +62,7 @@ class Trial:
 
     def __init__(self, sidecar):
         self.path = pathlib.Path(sidecar)
-        self.sidecar = json.loads(self.path.read_text(encoding="utf-8"))
+        self.sidecar = json.loads(self.path.read_text(encoding="utf-8-sig"))
         if "action" not in self.sidecar or "telemetry" not in self.sidecar:
             raise ValueError(f"{sidecar} is not the record of a trial")
 

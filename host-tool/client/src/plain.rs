@@ -129,9 +129,16 @@ pub fn open_within(path: &Path, limit: u64) -> io::Result<io::Take<File>> {
 /// Opens the rows of a table, such as telemetry, of at most [`TELEMETRY`] bytes in lines of at most [`LINE`].
 ///
 /// # Errors
-/// As [`open_within`]; reading ends with [`io::ErrorKind::FileTooLarge`] at a longer line.
+/// As [`open_within`], and another program has saved it in a form of its own; reading ends with [`io::ErrorKind::FileTooLarge`] at a longer line.
 pub fn rows(path: &Path) -> io::Result<impl Read + use<>> {
-    let file = open_within(path, TELEMETRY)?;
+    let mut file = open_within(path, TELEMETRY)?;
+    let mut head = vec![];
+    file.by_ref().take(1_024).read_to_end(&mut head)?;
+    let table = limited::utf8(&head).map_err(io::Error::other)?;
+    if let Some(why) = limited::foreign_table(&String::from_utf8_lossy(table)) {
+        return Err(io::Error::other(why));
+    }
+    let file = io::Cursor::new(table.to_vec()).chain(file);
     Ok(Rows { file, in_line: 0 })
 }
 
@@ -511,6 +518,25 @@ mod tests {
             (PART.to_owned(), None),
         ] {
             assert_eq!(of_part(&name), of, "{name}");
+        }
+    }
+
+    #[test]
+    fn rows_that_another_program_saved_are_named_and_a_mark_is_skipped() {
+        let place = tempfile::tempdir().expect("a folder");
+        let path = place.path().join("run.csv");
+        let read = |bytes: &[u8]| {
+            fs::write(&path, bytes).expect("written");
+            rows(&path).and_then(io::read_to_string)
+        };
+        assert_eq!(read(b"\xEF\xBB\xBFa,b\n1,2\n").expect("rows"), "a,b\n1,2\n");
+        for (bytes, says) in [
+            (&b"a;b\n1,5;2\n"[..], "`;`, with a decimal comma"),
+            (b"a\tb\n1.5\t2\n", "tabs: a spreadsheet"),
+            (b"\xFF\xFEa\0,\0", "UTF-16"),
+        ] {
+            let error = read(bytes).expect_err(says).to_string();
+            assert!(error.contains(says), "{error}");
         }
     }
 }

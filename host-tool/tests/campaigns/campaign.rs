@@ -587,6 +587,27 @@ pub(crate) fn findings(folder: &Path) -> Vec<String> {
     verified.findings.iter().map(ToString::to_string).collect()
 }
 
+#[test]
+fn a_table_that_another_program_saved_is_named_as_such() {
+    let (_place, path) = small();
+    let ledger = fs::read_to_string(path.join(TRIALS)).expect("text");
+    let utf16: Vec<u8> = ledger.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    for (bytes, says) in [
+        (ledger.replace(',', ";").into_bytes(), "separated by `;`"),
+        (ledger.replace(',', "\t").into_bytes(), "separated by tabs"),
+        (
+            ledger.replace(',', ";").replace('.', ",").into_bytes(),
+            "decimal comma",
+        ),
+        ([&[0xFF, 0xFE], &utf16[..]].concat(), "it is UTF-16"),
+        (utf16, "it is UTF-16"),
+    ] {
+        fs::write(path.join(TRIALS), bytes).expect("written");
+        let error = Campaign::read(&path).expect_err("no ledger");
+        assert!(error.why.contains(says), "{}: {says}", error.why);
+    }
+}
+
 /// Regression: an honest ledger whose rows go back in time looked forged.
 #[test]
 fn a_jump_of_the_clock_is_noted_when_it_happens() {

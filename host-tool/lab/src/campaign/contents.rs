@@ -53,7 +53,8 @@ impl Campaign {
         let found =
             plain::read_text(&path, limited::RECORD).map_err(|io| not_a_campaign(&path, io))?;
         if found != order_text(&order) {
-            let why = "it is not the order that the plan and its seed give";
+            let why = || "it is not the order that the plan and its seed give".to_owned();
+            let why = limited::foreign_table(&found).unwrap_or_else(why);
             return Err(CampaignError::new(&path, why, RESTORE));
         }
         let path = folder.join(TRIALS);
@@ -189,7 +190,8 @@ pub(crate) fn rows<T: DeserializeOwned>(
 
 fn parse_rows<T: DeserializeOwned>(text: &str, header: &str) -> Result<Vec<T>, String> {
     let Some(body) = text.strip_prefix(header) else {
-        return Err("its first line is not that of this format".to_owned());
+        let why = || "its first line is not that of this format".to_owned();
+        return Err(limited::foreign_table(text).unwrap_or_else(why));
     };
     let whole = body.rfind('\n').map_or(0, |end| end + 1);
     let mut reader = csv::ReaderBuilder::new()

@@ -26,7 +26,7 @@ fn written<T: Serialize>(rows: &[T], origin: Option<&str>) -> Result<Vec<u8>, cs
         }
         let cells = columns().map(|(_, value)| match value {
             Value::Null => String::new(),
-            Value::String(text) => text.clone(),
+            Value::String(text) => defused(text),
             other => other.to_string(),
         });
         writer.write_record(cells.chain(origin.map(str::to_owned)))?;
@@ -34,6 +34,16 @@ fn written<T: Serialize>(rows: &[T], origin: Option<&str>) -> Result<Vec<u8>, cs
     writer
         .into_inner()
         .map_err(|error| error.into_error().into())
+}
+
+/// The text, with an apostrophe before it where a spreadsheet would execute it. A number stays one.
+fn defused(text: &str) -> String {
+    let begins = |text: &str| text.starts_with(|char| "=+-@\t\r\n＝＋－＠".contains(char));
+    let is_number = text.parse::<f64>().is_ok() && text.ends_with(|c: char| c.is_ascii_digit());
+    match (begins(text) || begins(text.trim_start())) && !is_number {
+        true => format!("'{text}"),
+        false => text.to_owned(),
+    }
 }
 
 /// All parameters of a model with their units and sources: the rows of `parameters.csv`.
@@ -49,4 +59,33 @@ pub fn parameters(model: &Model) -> Vec<Value> {
         })
     };
     model.parameters().map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_cell_is_a_formula_and_a_number_stays_one() {
+        let cells = [
+            ("=1+1", "'=1+1"),
+            ("+cmd", "'+cmd"),
+            ("-1+1", "'-1+1"),
+            ("@SUM(A1)", "'@SUM(A1)"),
+            ("\t=1", "'\t=1"),
+            ("＝1", "'＝1"),
+            ("-4.25", "-4.25"),
+            ("-1e-9", "-1e-9"),
+            ("+3", "+3"),
+            ("a = b", "a = b"),
+            ("", "\"\""),
+        ];
+        for (text, expected) in cells {
+            let table = csv(&[json!({ "reason": text })]).expect("memory");
+            let table = String::from_utf8(table).expect("UTF-8");
+            assert_eq!(table, format!("reason\n{expected}\n"));
+        }
+        let table = csv(&[json!({ "mm": -4.25 })]).expect("memory");
+        assert_eq!(table, b"mm\n-4.25\n");
+    }
 }
