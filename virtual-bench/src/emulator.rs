@@ -287,12 +287,12 @@ impl<W: Wiring> Chip<W> {
         part.dma = [map::hollow_controller(), map::hollow_controller()];
         let by_itself = self.options.every_event || self.options.burst.is_some();
         let streams = self.options.streams;
-        let (mut dma1, mut dma2) = (Paced::new(dma1, None), Paced::new(dma2, self.options.burst));
+        self.dma1 = Paced::new(dma1, None);
+        self.dma2 = Paced::new(dma2, self.options.burst);
         if !by_itself {
-            dma1 = dma1.with_rings(&[map::CAPTURES, map::RECEIVED], streams);
-            dma2 = dma2.with_rings(&[map::PERIODS], streams);
+            (self.dma1).add_rings(&[map::CAPTURES, map::RECEIVED], streams);
+            self.dma2.add_rings(&[map::PERIODS], streams);
         }
-        (self.dma1, self.dma2) = (dma1, dma2);
         let rcc = std::mem::replace(&mut part.rcc, hollow_clocks(self.options.lsi_hz));
         let from = self.options.hse_after_ns.map(VirtualNanos);
         self.rcc = Clocked::new(rcc, from);

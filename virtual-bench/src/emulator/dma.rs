@@ -56,11 +56,10 @@ impl Paced {
         assert!(paced.is_some(), "bursts have to take time from the start");
     }
 
-    /// The same with a ring at each of `places`.
-    pub(super) fn with_rings(self, places: &[Place], streams: Streams) -> Self {
+    /// Takes over the streams at `places`.
+    pub(super) fn add_rings(&mut self, places: &[Place], streams: Streams) {
         let ring = |place: &Place| Ring::new(*place, streams);
-        let rings = places.iter().map(ring).collect();
-        Self { rings, ..self }
+        self.rings = places.iter().map(ring).collect();
     }
 
     /// Makes the emulator's controller, which drives all interrupts, check its flags again: by a write that clears
