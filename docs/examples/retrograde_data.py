@@ -80,11 +80,6 @@ class Trial:
         return device.get("origin", "unknown")
 
     @property
-    def began_us(self):
-        """Time of its first event by the machine's clock, which nobody sets; 0 without one."""
-        return next((event["time_us"] for event in self.sidecar["events"]), 0)
-
-    @property
     def whole(self):
         """Whether it has an end and all its rows, as `retrograde verify` asks. Its motion may have ended well without."""
         cut = "the telemetry was not recorded whole" in (self.sidecar["error"] or "")
@@ -193,7 +188,8 @@ class Campaign:
         """The records of the machines in the attempt that stands: the capsule's by its own clock, the run last."""
         folder = self.attempt_folder(trial)
         records = [] if folder is None else trials_in(folder)
-        return sorted(records, key=lambda record: (record.kind == "run", record.began_us))
+        times = lambda record: [event["time_us"] for event in record.sidecar["events"]]
+        return sorted(records, key=lambda record: (record.kind == "run", times(record)))
 
     def run(self, trial):
         """The run of the attempt that stands; None without one."""

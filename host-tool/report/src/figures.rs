@@ -161,45 +161,25 @@ impl Curves {
     pub fn is_empty(&self) -> bool {
         self.of[0].count == 0
     }
-
-    fn measured(&self, origin: Origin) -> [Curve; 2] {
-        [0, 1].map(|index| measured_curve(origin, self.of[index].points()))
-    }
 }
 
-/// Position and velocity against time, measured over planned.
-pub fn run_figures(
-    name: &str,
-    origin: Origin,
-    planned: Planned,
-    curves: &Curves,
-) -> Result<[String; 2], FigureError> {
-    let figure = |what, y_label, plan, measured| {
-        let heading = Heading::new(format!("{name}: {what}"), Source::Records(origin));
-        over_time(&heading, y_label, vec![plan_curve(plan), measured])
-    };
-    let [position, velocity] = curves.measured(origin);
-    Ok([
-        figure("position", "position / mm", planned.position, position)?,
-        figure("velocity", "velocity / (mm/s)", planned.velocity, velocity)?,
-    ])
-}
+/// What a figure of a record shows, the label of its axis, and the plan.
+pub type Shown = (&'static str, &'static str, Option<Vec<(f64, f64)>>);
 
-/// Thread and current against time.
-pub fn actuation_figures(
+/// Both curves of a record against time, over the plan if there is one.
+pub fn record_figures(
     name: &str,
     origin: Origin,
     curves: &Curves,
+    [one, other]: [Shown; 2],
 ) -> Result<[String; 2], FigureError> {
-    let figure = |what, y_label, measured| {
+    let figure = |(what, y_label, plan): Shown, thin: &Thin| {
         let heading = Heading::new(format!("{name}: {what}"), Source::Records(origin));
-        over_time(&heading, y_label, vec![measured])
+        let plan = plan.map(plan_curve).into_iter();
+        let measured = measured_curve(origin, thin.points());
+        over_time(&heading, y_label, plan.chain([measured]).collect())
     };
-    let [thread, current] = curves.measured(origin);
-    Ok([
-        figure("thread", "thread wound / mm", thread)?,
-        figure("motor current", "motor current / mA", current)?,
-    ])
+    Ok([figure(one, &curves.of[0])?, figure(other, &curves.of[1])?])
 }
 
 pub fn plan_figure(planned: Planned) -> Result<String, FigureError> {
@@ -228,7 +208,7 @@ fn measured_curve(origin: Origin, points: Vec<(f64, f64)>) -> Curve {
 }
 
 /// Seconds from `start_us`, negative before it.
-fn since(start_us: u64, time_us: u64) -> f64 {
+pub(crate) fn since(start_us: u64, time_us: u64) -> f64 {
     let us = i128::from(time_us) - i128::from(start_us);
     us as f64 * 1e-6
 }

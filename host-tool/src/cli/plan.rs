@@ -9,7 +9,6 @@ use lab::operations::failure::Failure;
 use lab::trials::experiment::DEFAULT_TELEMETRY_MS;
 use lab::trials::plan::{self, REFERENCE_LIMITS, Summary};
 use motion::axis::{Axis, MAX_STROKE};
-use motion::units::TICKS_PER_US;
 use report::figures;
 use serde_json::{Value, json};
 
@@ -55,11 +54,8 @@ pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Fa
     let plan = planning::solve(&run, &axis, &REFERENCE_LIMITS)?;
     let summary = plan::summary(&run, &axis, &plan);
     screen.say(&text(&summary));
-    let least_ms = plan::least_interval_ms(summary.achieved.total_ticks / TICKS_PER_US);
-    if least_ms > DEFAULT_TELEMETRY_MS.into() {
-        screen.hint(&format!(
-            "its record needs `run --telemetry-ms {least_ms}` or more"
-        ));
+    if let Err(why) = plan::fits(&run, DEFAULT_TELEMETRY_MS) {
+        screen.hint(&format!("telemetry_ms: {why}"));
     }
     if let Some(file) = edges {
         file.write(|out| plan::write_edges(&plan, out))?;

@@ -35,20 +35,18 @@ pub(crate) fn verify(args: &VerifyArgs, screen: &mut Screen<'_>) -> Result<Value
             "give the folder of a campaign, or of records",
         )));
     }
-    let records = verified.records;
-    screen.say(&match has_manifest {
-        true => format!(
-            "{}: {} files are as {} says; {records} records are whole and in order.",
-            folder.display(),
-            verified.files,
-            manifest::NAME,
-        ),
+    let compared = match has_manifest {
+        true => format!("{} files are as {} says", verified.files, manifest::NAME),
         false => format!(
-            "{}: there is no {}, so nothing shows whether files were changed; {records} records are whole and in order.",
-            folder.display(),
-            manifest::NAME,
+            "there is no {}, so nothing shows whether files were changed",
+            manifest::NAME
         ),
-    });
+    };
+    screen.say(&format!(
+        "{}: {compared}; {} records are whole and in order.",
+        folder.display(),
+        verified.records
+    ));
     Ok(json!({
         "campaign": verified.campaign,
         "manifest": has_manifest,

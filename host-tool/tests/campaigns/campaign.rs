@@ -631,11 +631,11 @@ fn a_jump_of_the_clock_is_noted_when_it_happens() {
         .iter()
         .filter_map(|row| row.text.as_deref())
         .collect();
-    let back = |by: &str| format!("the computer's clock was set back by {by}");
-    let on = "the computer's clock went on by 73 h 0 min more than passed: it was set, or the computer slept";
-    let [hour, again, last] = ["1 h 0 min", "48 h 0 min", "24 h 0 min"].map(back);
+    let jump = |by: &str| format!("the computer's clock jumped by {by}");
+    let [hour, on, again, last] =
+        ["-1 h 0 min", "73 h 0 min", "-48 h 0 min", "-24 h 0 min"].map(jump);
     let expected = [
-        "mine", &hour, "mine", on, "mine", &again, "mine", "mine", "mine", &last, "mine",
+        "mine", &hour, "mine", &on, "mine", &again, "mine", "mine", "mine", &last, "mine",
     ];
     assert_eq!(said, expected);
     let ledger = fs::read_to_string(path.join(TRIALS)).expect("text");

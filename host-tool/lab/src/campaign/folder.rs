@@ -312,14 +312,12 @@ impl Folder {
         if jump_s.abs() < JUMP_S {
             return Ok(());
         }
-        let minutes = (jump_s.abs() / 60.0).round() as u64;
-        let by = format!("{} h {} min", minutes / 60, minutes % 60);
-        let text = match jump_s < 0.0 {
-            true => format!("the computer's clock was set back by {by}"),
-            false => format!(
-                "the computer's clock went on by {by} more than passed: it was set, or the computer slept"
-            ),
-        };
+        let (sign, minutes) = (
+            if jump_s < 0.0 { "-" } else { "" },
+            (jump_s.abs() / 60.0).round() as u64,
+        );
+        let (hours, minutes) = (minutes / 60, minutes % 60);
+        let text = format!("the computer's clock jumped by {sign}{hours} h {minutes} min");
         let mut note = LedgerRow::of(LedgerEvent::Note, 0, None);
         note.trial = None;
         self.append(note.saying(Some(text)), now, origin)

@@ -107,9 +107,8 @@ impl RunArgs {
     pub fn run(&self) -> Result<Run, Failure> {
         let run = self.waves.request(self.on_link_loss);
         plan::check(&run)?;
-        plan::fits(&run, self.record.telemetry_ms).map_err(|why| {
-            Failure::input(why, "nothing moved; `--telemetry-ms` sets the interval")
-        })?;
+        plan::fits(&run, self.record.telemetry_ms)
+            .map_err(|why| Failure::input(format!("telemetry_ms: {why}"), "nothing moved"))?;
         Ok(run)
     }
 }

@@ -12,68 +12,56 @@ use client::plain;
 use protocol::capsule::CapsuleEvent;
 use protocol::rig::{RigEvent, Run};
 use protocol::system::What;
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
 
 use crate::trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Status, Trial};
 
 /// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
 const LATE_US: u64 = 10_000;
 
-/// Common fields of the telemetry rows of both machines.
-pub trait Sample: for<'de> Deserialize<'de> {
-    /// Device time, us.
-    fn time_us(&self) -> u64;
-    /// Samples lost just before.
-    fn missed(&self) -> u16;
-    /// Origin as the row states it.
-    fn origin(&self) -> Origin;
+/// A row of either machine's telemetry.
+pub trait Sample: DeserializeOwned {
+    /// Device time in us, samples lost just before, and the origin that the row states.
+    fn common(&self) -> (u64, u16, Origin);
 }
 
 impl Sample for RigSample {
-    fn time_us(&self) -> u64 {
-        self.time_us
-    }
-    fn missed(&self) -> u16 {
-        self.missed
-    }
-    fn origin(&self) -> Origin {
-        self.origin
+    fn common(&self) -> (u64, u16, Origin) {
+        (self.time_us, self.missed, self.origin)
     }
 }
 
 impl Sample for CapsuleSample {
-    fn time_us(&self) -> u64 {
-        self.time_us
-    }
-    fn missed(&self) -> u16 {
-        self.missed
-    }
-    fn origin(&self) -> Origin {
-        self.origin
+    fn common(&self) -> (u64, u16, Origin) {
+        (self.time_us, self.missed, self.origin)
     }
 }
 
-/// Reads the telemetry row by row, up to the first unreadable one; reports what is wrong with the file as defects.
-pub fn read<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -> Vec<String> {
+/// Reads the telemetry row by row, up to the first unreadable one. Returns what is wrong with the file.
+pub fn read<T: DeserializeOwned>(
+    sidecar: &Path,
+    trial: &Trial,
+    mut see: impl FnMut(T),
+) -> Option<String> {
     let path = sidecar.with_file_name(&trial.telemetry);
     let name = &trial.telemetry;
     let mut reader = match plain::rows(&path) {
         Ok(rows) => csv::Reader::from_reader(rows),
-        Err(error) => return vec![format!("{name} cannot be read: {error}")],
+        Err(error) => return Some(format!("{name} cannot be read: {error}")),
     };
     let mut row = 1_u64;
     let mut rows = reader.deserialize();
     while let Some(read) = rows.next() {
         match read {
-            Ok(sample) => see(&sample),
+            Ok(sample) => see(sample),
             // The tool was killed while it wrote it.
             Err(_) if trial.status == Status::Running && rows.next().is_none() => break,
             // Do not trust the rows after it.
-            Err(error) => return vec![format!("row {row} of {name} cannot be read: {error}")],
+            Err(error) => return Some(format!("row {row} of {name} cannot be read: {error}")),
         }
         row += 1;
     }
-    vec![]
+    None
 }
 
 /// What the checks keep of telemetry, however long that is.
@@ -94,9 +82,9 @@ pub struct Seen {
 impl Seen {
     /// Takes the next row of a trial.
     pub fn take<T: Sample>(&mut self, trial: &Trial, sample: &T) {
-        let (time_us, missed) = (sample.time_us(), sample.missed());
-        if ![Origin::Unknown, trial.device.origin].contains(&sample.origin()) {
-            self.other.get_or_insert(sample.origin());
+        let (time_us, missed, origin) = sample.common();
+        if ![Origin::Unknown, trial.device.origin].contains(&origin) {
+            self.other.get_or_insert(origin);
         }
         match self.first {
             None => self.first = Some((time_us, missed)),
@@ -167,12 +155,10 @@ impl Defects {
         }
     }
 
-    /// Puts the defects of the files first.
-    fn after(self, files: Vec<String>) -> Self {
-        Self {
-            contradictions: [files, self.contradictions].concat(),
-            ..self
-        }
+    /// Puts the defect of the file first.
+    fn after(mut self, file: Option<String>) -> Self {
+        self.contradictions.splice(0..0, file);
+        self
     }
 }
 
@@ -199,11 +185,15 @@ pub fn capsule(sidecar: &Path, trial: &Trial, see: impl FnMut(&CapsuleSample)) -
     actuation(trial, &seen).after(unreadable)
 }
 
-fn seen<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -> (Seen, Vec<String>) {
+fn seen<T: Sample>(
+    sidecar: &Path,
+    trial: &Trial,
+    mut see: impl FnMut(&T),
+) -> (Seen, Option<String>) {
     let mut seen = Seen::default();
-    let unreadable = read(sidecar, trial, |sample: &T| {
-        seen.take(trial, sample);
-        see(sample);
+    let unreadable = read(sidecar, trial, |sample| {
+        seen.take(trial, &sample);
+        see(&sample);
     });
     (seen, unreadable)
 }

@@ -62,13 +62,6 @@ pub fn check(run: &Run) -> Result<(), RunError> {
     }
 }
 
-/// Shortest interval, ms, at which the telemetry of a run of this duration fits into a record.
-#[must_use]
-pub fn least_interval_ms(total_us: u64) -> u64 {
-    // Some samples come before the run and behind it.
-    total_us.div_ceil(1_000 * (plain::ROWS - 10_000))
-}
-
 /// Refuses a run whose telemetry would not fit into a record. A hold may still prolong it beyond that.
 ///
 /// # Errors
@@ -80,17 +73,19 @@ pub fn fits(run: &Run, telemetry_ms: u16) -> Result<(), String> {
         (_, Ok(plan)) => planning::accepted(0, *run, &plan, axis).total_ticks / TICKS_PER_US,
         _ => return Ok(()),
     };
-    let least = least_interval_ms(total_us);
-    let most = SetTelemetry::PERIOD_MS.1;
-    if u64::from(telemetry_ms) >= least {
+    // Some samples come before the run and behind it.
+    let least = total_us.div_ceil(1_000 * (plain::ROWS - 10_000));
+    if least <= telemetry_ms.into() {
         return Ok(());
     }
-    let rows = plain::ROWS;
-    let why = format!("the run has more samples of {telemetry_ms} ms than the {rows} of a record");
-    Err(match least <= most.into() {
-        true => format!("{why}: use {least} to {most}"),
-        false => format!("{why}, even of {most} ms: shorten it"),
-    })
+    let (rows, most) = (plain::ROWS, SetTelemetry::PERIOD_MS.1);
+    let remedy = match least <= most.into() {
+        true => format!("use {least} to {most}"),
+        false => "shorten the run".to_owned(),
+    };
+    Err(format!(
+        "more samples of {telemetry_ms} ms than the {rows} of a record: {remedy}"
+    ))
 }
 
 /// The peak speed of the run, um/s, as solved for the reference rig; none if that cannot run it.

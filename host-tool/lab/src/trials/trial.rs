@@ -17,8 +17,10 @@ use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, Actu
 use protocol::rig::{RigStatus, Run, RunAccepted, RunOutcome, RunRecord, Stroke};
 use protocol::system::Event;
 use protocol::table::{SCHEMA_KEY, Telemetry};
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::trials::check;
 use crate::trials::cue::Coordination;
 pub use crate::trials::status::Status;
 use crate::trials::writer::{Appender, Writer};
@@ -362,29 +364,14 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Reads the telemetry beside a sidecar. Skips a last row that a crash has cut short.
+    /// Reads the telemetry beside a sidecar.
     ///
     /// # Errors
-    /// The file cannot be read, or a row other than the last is damaged.
-    pub fn samples<T: for<'de> Deserialize<'de>>(
-        &self,
-        sidecar: &Path,
-    ) -> Result<Vec<T>, RecordError> {
-        let path = sidecar.with_file_name(&self.telemetry);
-        let file = plain::rows(&path).map_err(|error| RecordError::read(&path, error))?;
-        let mut reader = csv::Reader::from_reader(file);
+    /// It cannot be read, or a row of it.
+    pub fn samples<T: DeserializeOwned>(&self, sidecar: &Path) -> Result<Vec<T>, RecordError> {
         let mut samples = vec![];
-        let mut cut = None;
-        for row in reader.deserialize() {
-            if let Some(error) = cut {
-                return Err(RecordError::read(&path, error));
-            }
-            match row {
-                Ok(sample) => samples.push(sample),
-                Err(error) => cut = Some(error),
-            }
-        }
-        Ok(samples)
+        let wrong = check::read(sidecar, self, |sample| samples.push(sample));
+        wrong.map_or(Ok(samples), |why| Err(RecordError::read(sidecar, why)))
     }
 }
 

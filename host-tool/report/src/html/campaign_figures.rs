@@ -9,7 +9,7 @@ use plotters::style::RGBColor;
 
 use crate::figures::palette::{DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
 use crate::figures::{
-    Chart, Curve, FigureError, Heading, Mark, Source, Thin, curve, figure, planned, sampled,
+    Chart, Curve, FigureError, Heading, Mark, Source, Thin, curve, figure, planned, sampled, since,
 };
 use crate::html::evaluation::{Evaluation, LINE, Part, deviation, run_of};
 
@@ -307,15 +307,15 @@ fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
     };
     let start_us = check::run_start_us(&run.trial)?;
     over_time(run, |sample| {
-        let us = i128::from(sample.time_us) - i128::from(start_us);
-        (us as f64 * 1e-6, screw.mm(sample.position_steps.into()))
+        let mm = screw.mm(sample.position_steps.into());
+        (since(start_us, sample.time_us), mm)
     })
 }
 
 /// A curve of the run's telemetry; none without any.
 fn over_time(run: &Part, point: impl Fn(&RigSample) -> (f64, f64)) -> Option<Vec<(f64, f64)>> {
     let mut thin = Thin::new(STRETCHES);
-    check::read(&run.sidecar, &run.trial, |sample| thin.push(point(sample)));
+    check::read(&run.sidecar, &run.trial, |sample| thin.push(point(&sample)));
     Some(thin.points()).filter(|points| !points.is_empty())
 }
 

@@ -21,7 +21,7 @@ use lab::trials::check::{self, Defects};
 use lab::trials::trial::{Action, RigSample, Trial};
 use serde::{Serialize, Serializer};
 
-use crate::figures::position_at;
+use crate::figures::{position_at, since};
 
 /// Why a trial does not count that nobody has begun.
 pub(crate) const NOT_DONE: &str = "not done yet";
@@ -289,8 +289,7 @@ pub fn deviation(trial: &Trial) -> Option<impl Fn(&RigSample) -> (f64, f64)> {
     };
     let start_us = check::run_start_us(trial)?;
     (executed.holds == 0).then_some(move |sample: &RigSample| {
-        let us = i128::from(sample.time_us) - i128::from(start_us);
-        let time_s = us as f64 * 1e-6;
+        let time_s = since(start_us, sample.time_us);
         let planned_mm = position_at(screw, requested, achieved, time_s);
         (time_s, screw.mm(sample.position_steps.into()) - planned_mm)
     })
@@ -432,7 +431,7 @@ impl Evaluation {
             let deviation = deviation(&part.trial)?;
             let mut most: Option<f64> = None;
             check::read(&part.sidecar, &part.trial, |sample| {
-                let mm = deviation(sample).1.abs();
+                let mm = deviation(&sample).1.abs();
                 most = Some(most.map_or(mm, |most| most.max(mm)));
             });
             most

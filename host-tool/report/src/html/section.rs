@@ -10,7 +10,7 @@ use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, Run, RunTiming, Stroke};
 
-use crate::figures::{Curves, FigureError, actuation_figures, planned, run_figures};
+use crate::figures::{Curves, FigureError, planned, record_figures};
 use crate::html::page;
 use crate::html::remark::Remark;
 
@@ -102,7 +102,11 @@ fn run(
     let figures = match achieved {
         Some(achieved) if !curves.is_empty() => {
             let plan = planned(screw, requested, achieved);
-            Some(run_figures("Run", trial.device.origin, plan, curves)?)
+            let shown = [
+                ("position", "position / mm", Some(plan.position)),
+                ("velocity", "velocity / (mm/s)", Some(plan.velocity)),
+            ];
+            Some(record_figures("Run", trial.device.origin, curves, shown)?)
         }
         _ => None,
     };
@@ -193,12 +197,17 @@ fn actuation_section(
     kind: ActuationKind,
     record: Option<&ActuationRecord>,
 ) -> Result<Markup, FigureError> {
+    let shown = [
+        ("thread", "thread wound / mm", None),
+        ("motor current", "motor current / mA", None),
+    ];
     let figures = match curves.is_empty() {
         true => None,
-        false => Some(actuation_figures(
+        false => Some(record_figures(
             &heading(trial),
             trial.device.origin,
             curves,
+            shown,
         )?),
     };
     let mut table = record.map_or_else(Vec::new, |record| actuation_rows(kind, record));
