@@ -65,11 +65,8 @@ pub fn utf8(bytes: &[u8]) -> Result<&[u8], &'static str> {
 /// What a spreadsheet has made of a table, by its beginning; none if commas separate its columns.
 pub fn foreign_table(text: &str) -> Option<String> {
     let header = text.lines().next()?;
-    let by = match (header.contains(';'), header.contains('\t')) {
-        (true, _) => "`;`",
-        (_, true) => "tabs",
-        _ => return None,
-    };
+    let mut signs = [(';', "`;`"), ('\t', "tabs")].into_iter();
+    let (_, by) = signs.find(|(sign, _)| header.contains(*sign))?;
     let in_number = |at: &[u8]| at[0].is_ascii_digit() && at[1] == b',' && at[2].is_ascii_digit();
     let number = match text.as_bytes().windows(3).any(in_number) {
         true => ", with a decimal comma in its numbers",

@@ -322,11 +322,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
         let sidecar = folder.path().join(format!("{stem}-19700101T000000Z.json"));
         let trial = Trial::read(&sidecar).expect("sidecar");
         assert_eq!(trial.status.name(), "refused", "{trial:?}");
-        let defects = match trial.device.device.as_str() {
-            "rig" => check::rig(&sidecar, &trial, |_| {}),
-            _ => check::capsule(&sidecar, &trial, |_| {}),
-        };
-        assert_eq!(defects.all(), [""; 0]);
+        assert_eq!(check::record(&sidecar, &trial).all(), [""; 0]);
         assert!(trial.error.expect("why").contains(why));
     }
     let folders = [folder.path().to_owned()];

@@ -2,7 +2,7 @@
 
 use client::Unobserved;
 use jiff::Timestamp;
-use lab::trials::trial::{Recording, Status};
+use lab::trials::trial::{Recording, RigSample, Status};
 use lab::trials::{check, experiment};
 
 use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
@@ -108,7 +108,7 @@ fn the_recording_of_a_run_that_is_cut_is_whole() {
             .expect("recorded");
         assert_eq!(run.trial.status, Status::Faulted, "{within}");
         let mut most = None;
-        let defects = check::rig(&run.sidecar, &run.trial, |sample| {
+        let defects = check::seen(&run.sidecar, &run.trial, |sample: &RigSample| {
             most = most.max(Some(sample.commanded_steps));
         });
         assert_eq!(defects.all(), [""; 0], "{within}");

@@ -312,12 +312,7 @@ impl Folder {
         if jump_s.abs() < JUMP_S {
             return Ok(());
         }
-        let (sign, minutes) = (
-            if jump_s < 0.0 { "-" } else { "" },
-            (jump_s.abs() / 60.0).round() as u64,
-        );
-        let (hours, minutes) = (minutes / 60, minutes % 60);
-        let text = format!("the computer's clock jumped by {sign}{hours} h {minutes} min");
+        let text = format!("the computer's clock jumped by {:+.0} min", jump_s / 60.0);
         let mut note = LedgerRow::of(LedgerEvent::Note, 0, None);
         note.trial = None;
         self.append(note.saying(Some(text)), now, origin)

@@ -154,48 +154,32 @@ impl Defects {
             self.say(format!("{of} and the sidecar's status differ"));
         }
     }
-
-    /// Puts the defect of the file first.
-    fn after(mut self, file: Option<String>) -> Self {
-        self.contradictions.splice(0..0, file);
-        self
-    }
 }
 
 /// The defects of a record: its sidecar, its telemetry, and the two together.
 #[must_use]
 pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
     match trial.action {
-        Action::Run { .. } => rig(sidecar, trial, |_| {}),
-        Action::Actuation { .. } => capsule(sidecar, trial, |_| {}),
+        Action::Run { .. } => seen(sidecar, trial, |_: &RigSample| {}),
+        Action::Actuation { .. } => seen(sidecar, trial, |_: &CapsuleSample| {}),
     }
 }
 
-/// The defects of a record of the rig; `see` is shown its readable telemetry.
+/// As [`record`]; `see` is shown the readable telemetry.
 #[must_use]
-pub fn rig(sidecar: &Path, trial: &Trial, see: impl FnMut(&RigSample)) -> Defects {
-    let (seen, unreadable) = seen(sidecar, trial, see);
-    run(trial, &seen).after(unreadable)
-}
-
-/// The defects of a record of the capsule; `see` is shown its readable telemetry.
-#[must_use]
-pub fn capsule(sidecar: &Path, trial: &Trial, see: impl FnMut(&CapsuleSample)) -> Defects {
-    let (seen, unreadable) = seen(sidecar, trial, see);
-    actuation(trial, &seen).after(unreadable)
-}
-
-fn seen<T: Sample>(
-    sidecar: &Path,
-    trial: &Trial,
-    mut see: impl FnMut(&T),
-) -> (Seen, Option<String>) {
-    let mut seen = Seen::default();
+pub fn seen<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -> Defects {
+    let mut all = Seen::default();
     let unreadable = read(sidecar, trial, |sample| {
-        seen.take(trial, &sample);
+        all.take(trial, &sample);
         see(&sample);
     });
-    (seen, unreadable)
+    let mut defects = match trial.action {
+        Action::Run { .. } => run(trial, &all),
+        Action::Actuation { .. } => actuation(trial, &all),
+    };
+    // The defect of the file comes first.
+    defects.contradictions.splice(0..0, unreadable);
+    defects
 }
 
 /// Defects of a rig's run.

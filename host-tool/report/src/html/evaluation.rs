@@ -33,15 +33,9 @@ pub struct Rounded<const DECIMALS: usize>(pub f64);
 impl<const DECIMALS: usize> std::fmt::Display for Rounded<DECIMALS> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let text = format!("{:.DECIMALS$}", self.0);
-        let zero = text
-            .trim_start_matches('-')
-            .chars()
-            .all(|c| "0.".contains(c));
-        f.write_str(if zero {
-            text.trim_start_matches('-')
-        } else {
-            &text
-        })
+        let size = text.trim_start_matches('-');
+        let is_zero = size.chars().all(|c| "0.".contains(c));
+        f.write_str(if is_zero { size } else { &text })
     }
 }
 

@@ -5,7 +5,9 @@ use std::path::Path;
 use client::decimal;
 use lab::trials::check::{self, Defects};
 use lab::trials::sidecar::heading;
-use lab::trials::trial::{Achieved, Action, Executed, Screw, Status, Trial};
+use lab::trials::trial::{
+    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial,
+};
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
 use protocol::rig::{LinkLossPolicy, Run, RunTiming, Stroke};
@@ -35,7 +37,7 @@ pub(crate) fn section<'a>(
         } => {
             let mut curves = Curves::since(check::run_start_us(trial));
             let number = |text: &str| text.parse().unwrap_or(f64::NAN);
-            let defects = check::rig(sidecar, trial, |sample| {
+            let defects = check::seen(sidecar, trial, |sample: &RigSample| {
                 let values = [&sample.position_mm, &sample.speed_mm_s];
                 curves.push(sample.time_us, values.map(|text| number(text)));
             });
@@ -48,7 +50,7 @@ pub(crate) fn section<'a>(
         } => {
             let mut curves = Curves::since(check::actuation_start_us(trial));
             let mut largest_ma = None;
-            let defects = check::capsule(sidecar, trial, |sample| {
+            let defects = check::seen(sidecar, trial, |sample: &CapsuleSample| {
                 largest_ma = largest_ma.max(Some(sample.current_ma));
                 let thread_mm = f64::from(sample.thread_um) / 1e3;
                 curves.push(sample.time_us, [thread_mm, f64::from(sample.current_ma)]);
