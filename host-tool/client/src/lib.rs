@@ -11,7 +11,7 @@
 //! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.
 //! * [`decimal`]: decimal numbers as people write them, exact.
-//! * [`limited`]: reads files up to a size limit.
+//! * [`limited`]: reads files up to a size limit. [`named`]: files that the user names. [`plain`]: files of a folder.
 #![forbid(unsafe_code)]
 
 pub mod address;
@@ -24,6 +24,7 @@ pub mod exit;
 pub mod identity;
 pub mod limited;
 pub mod link;
+pub mod named;
 pub mod plain;
 pub mod subject;
 pub mod visible;

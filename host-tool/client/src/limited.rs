@@ -1,9 +1,11 @@
 //! Reads whole files that the user names, up to a size limit: an endless one would take all memory. Files that are
 //! found in a folder are read by [`crate::plain`].
 
-use std::fs::File;
 use std::io::{self, Read};
+use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
+
+use crate::named;
 
 /// Limit for settings and other files that people write by hand, bytes.
 pub const BY_HAND: u64 = 64 << 10;
@@ -19,7 +21,12 @@ pub const IMAGE: u64 = 256 << 20;
 /// # Errors
 /// Those of the file, and [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    read_from(File::open(path)?, limit)
+    let file = named::open_to_read(path)?;
+    let bytes = read_from(&file, limit)?;
+    if bytes.is_empty() && file.metadata()?.file_type().is_fifo() {
+        return Err(named::unattended());
+    }
+    Ok(bytes)
 }
 
 pub(crate) fn read_from(file: impl Read, limit: u64) -> io::Result<Vec<u8>> {

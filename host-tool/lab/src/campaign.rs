@@ -27,8 +27,10 @@ pub mod remaining;
 pub mod statistics;
 pub mod verify;
 
+use std::io;
 use std::path::{Path, PathBuf};
 
+use client::named;
 use client::wording::word;
 use miette::Diagnostic;
 
@@ -44,7 +46,11 @@ pub struct CampaignError {
 }
 
 /// Remedy for a folder that cannot be written. A campaign has one folder, so there is no other to choose.
-pub const MAKE_ROOM: &str = "nothing that was entered before is lost: make the folder writable, with free space, and `retrograde campaign run DIR` with its folder";
+pub fn make_room(remedy: &str) -> String {
+    format!(
+        "nothing that was entered before is lost: {remedy}, then `retrograde campaign run DIR` with its folder"
+    )
+}
 
 /// The command that goes on with the campaign of a folder, as a person copies it.
 pub fn resumption(folder: &Path) -> String {
@@ -70,7 +76,9 @@ impl CampaignError {
         }
     }
 
-    pub(crate) fn write(path: &Path, why: impl ToString) -> Self {
-        Self::new(path, why, MAKE_ROOM)
+    pub(crate) fn write(path: &Path, why: impl Into<io::Error>) -> Self {
+        let why = why.into();
+        let remedy = make_room(named::remedy(&why));
+        Self::new(path, why, remedy)
     }
 }

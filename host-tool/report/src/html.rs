@@ -13,7 +13,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use client::identity::Origin;
-use client::plain;
+use client::named;
 use lab::campaign::files::is_record;
 use lab::trials::sidecar::{heading, other};
 use lab::trials::trial::{RecordError, Status, Trial};
@@ -30,11 +30,12 @@ pub enum ReportError {
     #[diagnostic(transparent)]
     Record(#[from] RecordError),
     #[error("{path}: {why}", path = path.display())]
-    #[diagnostic(
-        code(retrograde::report),
-        help("it needs a folder that can be written, with free space; then again")
-    )]
-    Unwritten { path: PathBuf, why: String },
+    #[diagnostic(code(retrograde::report), help("{remedy}, then again"))]
+    Unwritten {
+        path: PathBuf,
+        why: String,
+        remedy: &'static str,
+    },
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
@@ -209,7 +210,7 @@ pub fn write(
     existing: Existing,
 ) -> Result<Report, ReportError> {
     // Check before the work; `put` checks again at the end, in case a file appears meanwhile.
-    if existing == Existing::Keep && out.exists() {
+    if existing == Existing::Keep && out.exists() && !named::is_device(out) {
         return Err(ReportError::Exists {
             path: out.to_owned(),
         });
@@ -237,17 +238,17 @@ fn put(path: &Path, bytes: &[u8], existing: Existing) -> Result<(), ReportError>
     {
         fs::create_dir_all(folder).map_err(|io| unwritten(folder, &io))?;
     }
-    let written = match existing {
-        Existing::Replace => plain::replace(path, bytes),
-        Existing::Keep => plain::create(path, bytes),
-    };
-    written.map_err(|io| not_written(path, &io))
+    named::write(path, existing == Existing::Replace, |out| {
+        out.write_all(bytes)
+    })
+    .map_err(|io| not_written(path, &io))
 }
 
-pub(crate) fn unwritten(path: &Path, why: &dyn ToString) -> ReportError {
+pub(crate) fn unwritten(path: &Path, why: &std::io::Error) -> ReportError {
     ReportError::Unwritten {
         path: path.to_owned(),
         why: why.to_string(),
+        remedy: named::remedy(why),
     }
 }
 

@@ -384,10 +384,14 @@ impl ServerFile {
             .map_err(|why| format!("{}: {why}", self.file.display()))
     }
 
+    fn read(&self) -> io::Result<String> {
+        plain::read_text(&self.file, limited::BY_HAND)
+    }
+
     /// Renews the modification times of file and lock: systems delete old files from folders of temporary files.
     fn renew(&self) {
         // Another server may have replaced the file.
-        if fs::read_to_string(&self.file).is_ok_and(|text| text != self.text) {
+        if self.read().is_ok_and(|text| text != self.text) {
             return;
         }
         let _ = self.lock.set_modified(SystemTime::now());
@@ -398,7 +402,7 @@ impl ServerFile {
 impl Drop for ServerFile {
     fn drop(&mut self) {
         // Another server may have replaced the file.
-        if fs::read_to_string(&self.file).is_ok_and(|text| text == self.text) {
+        if self.read().is_ok_and(|text| text == self.text) {
             let _ = fs::remove_file(&self.file);
         }
     }

@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use client::identity::Origin;
 use client::limited;
+use client::named;
 use client::wording::word;
 use desk::{Counter, Who};
 use lab::campaign::conduct::{Broken, Conduct, Ending, Machines};
@@ -16,7 +17,7 @@ use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, Standing, TrialState
 use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::readings::Summary;
 use lab::campaign::remaining::{remaining_s, text as time_text};
-use lab::campaign::{MAKE_ROOM, resumption};
+use lab::campaign::{make_room, resumption};
 use lab::commissioning::warning;
 use lab::operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
 use lab::operations::connector::Purpose;
@@ -24,7 +25,7 @@ use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use lab::trials::experiment::ExperimentError;
 use lab::trials::plan::REFERENCE_LIMITS;
-use lab::trials::trial::RecordError;
+use lab::trials::trial::{ELSEWHERE, RecordError};
 use motion::axis::Axis;
 use protocol::system::DeviceKind;
 use report::html::campaign::{Present, present, report_folder};
@@ -266,7 +267,7 @@ fn create(
         std::fs::create_dir_all(parent).map_err(|io| {
             Failure::input(
                 format!("{}: {io}", parent.display()),
-                "choose a folder that can be made, with free space: `--out DIR`",
+                format!("{}{ELSEWHERE}", named::remedy(&io)),
             )
         })?;
     }
@@ -450,7 +451,7 @@ fn broken_off(broken: Broken, again: &str) -> Failure {
     }
 }
 
-/// Replaces an error's remedy, which is to choose another folder: a campaign has only one.
+/// Takes the choice of another folder from an error's remedy: a campaign has only one.
 fn within_campaign(error: ExperimentError) -> ExperimentError {
     let (record, why) = match error {
         ExperimentError::Record(record) => {
@@ -463,10 +464,11 @@ fn within_campaign(error: ExperimentError) -> ExperimentError {
         }
         error => return error,
     };
+    let remedy = make_room(record.remedy.trim_end_matches(ELSEWHERE));
     ExperimentError::Record(RecordError {
         path: record.path,
         why,
-        remedy: MAKE_ROOM,
+        remedy,
     })
 }
 
@@ -691,7 +693,7 @@ mod tests {
     /// Regression: on a full disk a campaign advised `--out DIR`, which it refuses.
     #[test]
     fn a_full_disk_within_a_campaign_has_a_remedy_for_a_campaign() {
-        let record = || RecordError::write(Path::new("run-1.csv"), "no space");
+        let record = || RecordError::write(Path::new("run-1.csv"), std::io::ErrorKind::StorageFull);
         for error in [
             ExperimentError::Record(record()),
             ExperimentError::Unrecorded {
@@ -706,7 +708,7 @@ mod tests {
                 !text.contains("--out") && text.contains("free space"),
                 "{text}"
             );
-            assert!(text.contains("run-1.csv: no space"), "{text}");
+            assert!(text.contains("run-1.csv: no storage space"), "{text}");
             assert_eq!(
                 text.contains("the run ended as Complete"),
                 is_ended,

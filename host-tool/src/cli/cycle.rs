@@ -103,7 +103,7 @@ pub(crate) fn cycle(
         let fold = motion(ActuationKind::Fold, &mut capsule)?;
         let unfold = motion(ActuationKind::Unfold, &mut capsule)?;
         let row = Cycle::of(number, &fold, &unfold);
-        write(&mut rows, &row).map_err(|error| RecordError::write(&path, error))?;
+        write(&mut rows, &row).map_err(|error| RecordError::rows(&path, error))?;
         screen.say(&text(&row, args.count));
     }
     Ok(json!({ "cycles": args.count, "csv": path.display().to_string() }))

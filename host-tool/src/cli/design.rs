@@ -87,7 +87,7 @@ fn asked(args: &DesignArgs) -> Result<Design<f64>, Failure> {
 
 pub(crate) fn design(args: &DesignArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
     let design = asked(args)?;
-    let [drawn, map] = Named::all([args.svg.as_ref(), args.map.as_ref()], args.force)?;
+    let [drawn, map] = Named::all([args.svg.as_deref(), args.map.as_deref()], args.force)?;
     let report = design::report(&design, args.indentation_mm, args.least_alpha_deg)?;
     screen.say(&design_text(&report));
     if let Some(file) = drawn {

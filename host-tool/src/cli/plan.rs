@@ -43,7 +43,7 @@ pub struct PlanArgs {
 }
 
 pub(crate) fn plan(args: &PlanArgs, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let [edges, plot] = Named::all([args.edges.as_ref(), args.plot.as_ref()], args.force)?;
+    let [edges, plot] = Named::all([args.edges.as_deref(), args.plot.as_deref()], args.force)?;
     let run = args.waves.request(OnLinkLoss::Stop);
     let axis = Axis::new(
         args.lead_mm.0,

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use clap::{Args, Subcommand};
+use client::plain;
 use lab::operations::failure::Failure;
 use lab::operations::output::{ERASE, Stream};
 use lab::trials::progress;
@@ -443,7 +444,7 @@ impl Session<'_, '_> {
     fn file(&mut self, name: &str, bytes: &(impl AsRef<[u8]> + ?Sized)) -> Result<(), Failure> {
         let path = self.args.out.join(name);
         fs::create_dir_all(&self.args.out).map_err(Failure::file(&self.args.out))?;
-        fs::write(&path, bytes).map_err(Failure::file(&path))?;
+        plain::replace(&path, bytes.as_ref()).map_err(Failure::file(&path))?;
         self.files.push(path.display().to_string());
         Ok(())
     }

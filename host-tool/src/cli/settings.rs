@@ -4,11 +4,9 @@ mod import;
 mod values;
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use client::{Device, identity, plain};
+use client::{Device, identity};
 use lab::operations::arguments::MachineKind;
 use lab::operations::connector::Purpose;
 use lab::operations::failure::Failure;
@@ -18,6 +16,7 @@ use protocol::system::DeviceKind;
 use serde::Serialize;
 use serde_json::{Value, json};
 
+use crate::cli::calculation::Named;
 use crate::cli::screen::Screen;
 use crate::cli::settings::values::{Key, checked_name, value_of};
 
@@ -199,27 +198,12 @@ fn export(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let exists = || {
-        Failure::refused(
-            format!("{} exists already", file.display()),
-            "choose another name, or replace it with `--force`",
-        )
-    };
-    if !force && file.exists() {
-        return Err(exists());
-    }
+    let [named] = Named::all([Some(file)], force)?;
     let exported = exported(&mut places.connect(kind, Purpose::Look)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
-    let written = match (force, file.exists()) {
-        // A terminal or a device is written to, not replaced.
-        (true, true) if !plain::is_file(file) => fs::write(file, &text),
-        (true, _) => plain::replace(file, text.as_bytes()),
-        (false, _) => plain::create(file, text.as_bytes()),
-    };
-    written.map_err(|io| match io.kind() {
-        ErrorKind::AlreadyExists => exists(),
-        _ => Failure::file(file)(io),
-    })?;
+    if let Some(named) = named {
+        named.write(|out| out.write_all(text.as_bytes()))?;
+    }
     screen.say(&format!(
         "{} settings in {}",
         exported.settings.len(),

@@ -4,6 +4,7 @@ use std::fs::{self, OpenOptions};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use client::named;
 use client::{Device, Recorded};
 use lab::operations::arguments::DATA_FOLDER;
 use lab::operations::connector::Purpose;
@@ -39,7 +40,7 @@ pub(crate) fn trace(
     let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let (csv, file) = create_new(&args.out, &format!("trace-{}-{stamp}", recorded.actuation))?;
     force::write(file, &recorded.points, no_load_ma, capsule.origin())
-        .map_err(|error| RecordError::write(&csv, error))?;
+        .map_err(|error| RecordError::rows(&csv, error))?;
     screen.say(&format!(
         "Actuation {}, its last {} ms.\n  {}",
         recorded.actuation,
@@ -71,7 +72,7 @@ impl TraceFile {
             file: opened.map_err(|io| {
                 Failure::input(
                     format!("--trace {}: {io}; nothing moved", path.display()),
-                    "name a new file in a folder that can be written",
+                    format!("{}, or name a new file", named::remedy(&io)),
                 )
             })?,
         })
@@ -110,7 +111,7 @@ impl TraceFile {
             ));
         }
         force::write(&self.file, &recorded.points, no_load_ma, capsule.origin())
-            .map_err(|error| RecordError::write(&self.path, error))?;
+            .map_err(|error| RecordError::rows(&self.path, error))?;
         Ok(recorded.points.len())
     }
 }

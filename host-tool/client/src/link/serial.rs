@@ -7,6 +7,7 @@ use serialport::{ClearBuffer, ErrorKind, SerialPortType};
 
 use crate::link::halves::{Halves, READ, WRITE};
 use crate::link::{OpenError, Reason};
+use crate::named;
 
 /// Baud rate of both firmwares.
 pub const DEFAULT_BAUD: u32 = 115_200;
@@ -128,7 +129,7 @@ fn is_a_device(path: &str) -> bool {
     use std::os::unix::fs::FileTypeExt;
     let device = fs::metadata(path).is_ok_and(|found| found.file_type().is_char_device());
     // A device that cannot be opened may still be a port.
-    device && fs::File::open(path).map_or(true, |file| file.is_terminal())
+    device && named::open_to_read(path.as_ref()).map_or(true, |file| file.is_terminal())
 }
 
 /// Name of the group that owns a file.

@@ -10,6 +10,7 @@ use std::time::Instant;
 
 use client::identity::Origin;
 use client::limited;
+use client::named;
 use client::plain::{self, Locked};
 use client::wording::word;
 use jiff::Timestamp;
@@ -25,6 +26,7 @@ use crate::campaign::order::order;
 use crate::campaign::plan::CampaignPlan;
 use crate::campaign::readings::ReadingRow;
 use crate::campaign::{CampaignError, resumption};
+use crate::trials::trial::ELSEWHERE;
 
 /// Formats a row as a line.
 fn line(row: &impl Serialize) -> Vec<u8> {
@@ -127,11 +129,8 @@ impl Folder {
             if fs::symlink_metadata(folder).is_ok() {
                 return exists(folder);
             }
-            CampaignError::new(
-                folder,
-                io,
-                "choose a folder that can be written, with free space: `--out DIR`",
-            )
+            let remedy = format!("{}{ELSEWHERE}", named::remedy(&io));
+            CampaignError::new(folder, io, remedy)
         })?;
         Self::open(folder, lock)
     }

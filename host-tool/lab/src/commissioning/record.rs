@@ -8,6 +8,7 @@ use std::path::Path;
 
 use crate::trials::trial::{RecordError, json};
 use client::identity::{Origin, kind_name};
+use client::named;
 use client::plain::{self, replace};
 use client::subject::Subject;
 use client::{limited, wording};
@@ -95,10 +96,12 @@ impl Commissioning {
     }
 
     pub fn read(path: &Path) -> Result<Option<Self>, RecordError> {
-        let error = |why: String| RecordError {
+        let error = |why: String| {
+            RecordError {
             path: path.to_owned(),
             why,
-            remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`",
+            remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`".to_owned(),
+        }
         };
         let text = match plain::read_text(path, limited::RECORD) {
             Ok(text) => text,
@@ -130,7 +133,9 @@ impl Commissioning {
                     kind_name(subject.machine),
                     subject.uid
                 ),
-                remedy: "each board has a record of its own: leave `--record` out, or give another file",
+                remedy:
+                    "each board has a record of its own: leave `--record` out, or give another file"
+                        .to_owned(),
             });
         }
         Ok(record)
@@ -150,7 +155,10 @@ impl Commissioning {
             .map_err(|io| RecordError {
                 path: path.to_owned(),
                 why: io.to_string(),
-                remedy: "choose a file in a folder that can be written, with free space: `--record FILE`",
+                remedy: format!(
+                    "{}, or choose another file: `--record FILE`",
+                    named::remedy(&io)
+                ),
             })
     }
 }

@@ -11,6 +11,7 @@ use client::error::ClientError;
 pub use client::exit::*;
 use client::identity::kind_name;
 use client::link::{LinkError, OpenError};
+use client::named;
 use locomotion::range::OutOfRange;
 use miette::Diagnostic;
 use motion::axis::AxisError;
@@ -281,12 +282,10 @@ impl Failure {
     /// Turns an error of writing this file into a failure.
     pub fn file<E: Into<io::Error>>(path: &Path) -> impl FnOnce(E) -> Self {
         move |error| {
-            Self::said(
-                "retrograde::file",
-                FAILED,
-                format!("{}: {}", path.display(), error.into()),
-                "choose a file in a folder that can be written, with free space",
-            )
+            let io = error.into();
+            let why = format!("{}: {io}", path.display());
+            let help = format!("{}, or choose another file", named::remedy(&io));
+            Self::said("retrograde::file", FAILED, why, help)
         }
     }
 
@@ -296,7 +295,10 @@ impl Failure {
             "retrograde::output",
             FAILED,
             format!("standard output: {io}; the command was carried out, its result is lost"),
-            "write to a device with free space; do not repeat a command that moves without looking",
+            format!(
+                "{}; do not repeat a command that moves without looking",
+                named::remedy(io)
+            ),
         )
     }
 

@@ -16,7 +16,7 @@ const WAITING: usize = 16 << 20;
 pub const ERASE: &str = "\r\x1b[2K";
 
 /// A standard stream. A write never waits. A flush waits until all is written, and returns the first error of standard
-/// output since the last one.
+/// output so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
     Out,
@@ -127,8 +127,14 @@ impl Queue {
     }
 
     fn wait(&self) -> io::Result<()> {
-        let mut state = self.until(|state| state.texts.is_empty() && !state.writes);
-        state.failed.take().map_or(Ok(()), Err)
+        let state = self.until(|state| state.texts.is_empty() && !state.writes);
+        match &state.failed {
+            None => Ok(()),
+            Some(io) => Err(match io.raw_os_error() {
+                Some(code) => io::Error::from_raw_os_error(code),
+                None => io.kind().into(),
+            }),
+        }
     }
 
     fn work(&self, write: impl Fn(Stream, &[u8]) -> io::Result<()>) {

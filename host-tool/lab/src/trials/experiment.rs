@@ -57,7 +57,8 @@ pub enum ExperimentError {
     #[diagnostic(
         code(retrograde::record),
         help(
-            "the machine is well, what it did is said above; what was recorded until then is kept. Free space, or choose another folder: `--out DIR`"
+            "the machine is well, what it did is said above; what was recorded until then is kept: {}",
+            record.remedy
         )
     )]
     Unrecorded {

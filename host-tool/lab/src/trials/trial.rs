@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use client::identity::{IdentityRecord, Origin};
 use client::plain::{self, replace};
-use client::{Begun, Observer, Progress, decimal, limited, wording};
+use client::{Begun, Observer, Progress, decimal, limited, named, wording};
 use jiff::Timestamp;
 use miette::Diagnostic;
 use protocol::capsule::{ActuationAccepted, ActuationKind, ActuationOutcome, ActuationRecord};
@@ -41,16 +41,28 @@ pub struct RecordError {
     /// The reason.
     pub why: String,
     /// Advice to the user.
-    pub remedy: &'static str,
+    pub remedy: String,
 }
+
+/// The end of a remedy, for records outside of a campaign.
+pub const ELSEWHERE: &str = ", or choose another folder: `--out DIR`";
 
 impl RecordError {
     /// A record that could not be written.
-    pub fn write(path: &Path, why: impl ToString) -> Self {
+    pub fn write(path: &Path, why: impl Into<io::Error>) -> Self {
+        let why = why.into();
         Self {
             path: path.to_owned(),
             why: why.to_string(),
-            remedy: "choose a folder that can be written, with free space: `--out DIR`",
+            remedy: format!("{}{ELSEWHERE}", named::remedy(&why)),
+        }
+    }
+
+    /// Rows that could not be written.
+    pub fn rows(path: &Path, why: csv::Error) -> Self {
+        match why.into_kind() {
+            csv::ErrorKind::Io(io) => Self::write(path, io),
+            kind => Self::write(path, io::Error::other(format!("{kind:?}"))),
         }
     }
 
@@ -59,7 +71,7 @@ impl RecordError {
         Self {
             path: path.to_owned(),
             why: why.to_string(),
-            remedy: "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file",
+            remedy: "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file".to_owned(),
         }
     }
 }
@@ -534,11 +546,9 @@ impl Recorder {
 
     /// The first error in writing so far.
     fn failure(&self) -> Option<RecordError> {
-        let writing = || {
-            let failed = self.writer.failure()?;
-            Some(RecordError::write(&failed.path, &failed.why))
-        };
-        self.failed.clone().or_else(writing)
+        (self.failed.as_ref())
+            .or_else(|| self.writer.failure())
+            .cloned()
     }
 
     /// Completes the record: the end of the trial and the device's record of it.
@@ -554,10 +564,7 @@ impl Recorder {
         self.trial.lost_events = lost_events;
         self.flush();
         drop(self.csv);
-        let written = self
-            .writer
-            .finish()
-            .map_err(|error| RecordError::write(&error.path, error.why));
+        let written = self.writer.finish();
         let failure = self.failed.or(written.err());
         if let Some(failure) = &failure {
             self.trial.samples = keep_whole_rows(&self.csv_path).unwrap_or(0);
@@ -581,14 +588,14 @@ impl Recorder {
             self.failed.get_or_insert_with(|| RecordError {
                 path: self.csv_path.clone(),
                 why: format!("it has {} rows, the most of a record", plain::ROWS),
-                remedy: "take a longer interval, `--telemetry-ms`, or a shorter run",
+                remedy: "take a longer interval, `--telemetry-ms`, or a shorter run".to_owned(),
             });
             return;
         }
         self.trial.samples += 1;
         if let Err(error) = self.csv.serialize(row) {
             self.failed
-                .get_or_insert(RecordError::write(&self.csv_path, error));
+                .get_or_insert(RecordError::rows(&self.csv_path, error));
         }
     }
 
@@ -612,7 +619,7 @@ impl Recorder {
 
 /// Truncates an incomplete last row of a file that could not be written to its end. Returns the number of rows left.
 fn keep_whole_rows(csv: &Path) -> io::Result<u64> {
-    let file = OpenOptions::new().read(true).write(true).open(csv)?;
+    let file = plain::open_to_write(csv)?;
     let mut reader = io::BufReader::new(&file);
     let (mut line, mut lines, mut whole) = (vec![], 0_u64, 0);
     loop {
@@ -728,7 +735,7 @@ pub fn create_new(folder: &Path, name: &str) -> Result<(PathBuf, File), RecordEr
     }
     Err(RecordError::write(
         folder,
-        "too many trials started in this second",
+        io::Error::other("too many trials started in this second"),
     ))
 }
 

@@ -9,6 +9,8 @@ use std::thread::{self, JoinHandle};
 
 use client::plain::replace;
 
+use crate::trials::trial::RecordError;
+
 /// A task of the writing thread; tasks run in order.
 enum Job {
     Append(Vec<u8>),
@@ -31,15 +33,6 @@ impl Sink for File {
     }
 }
 
-/// A failed write.
-#[derive(Clone, Debug)]
-pub(crate) struct WriteError {
-    /// The file.
-    pub(crate) path: PathBuf,
-    /// Why.
-    pub(crate) why: String,
-}
-
 /// A file that grows, and others that are replaced meanwhile.
 ///
 /// Pending writes wait in memory, so no caller waits for the disk before [`Writer::finish`].
@@ -48,7 +41,7 @@ pub(crate) struct Writer {
     jobs: Sender<Job>,
     thread: JoinHandle<()>,
     /// The first failure.
-    failed: Arc<OnceLock<WriteError>>,
+    failed: Arc<OnceLock<RecordError>>,
 }
 
 impl Writer {
@@ -68,7 +61,7 @@ impl Writer {
     }
 
     /// The first failed write so far. Does not wait.
-    pub(crate) fn failure(&self) -> Option<&WriteError> {
+    pub(crate) fn failure(&self) -> Option<&RecordError> {
         self.failed.get()
     }
 
@@ -87,7 +80,7 @@ impl Writer {
     ///
     /// # Errors
     /// The first failed write. After a failed append, nothing more is appended to that file.
-    pub(crate) fn finish(self) -> Result<(), WriteError> {
+    pub(crate) fn finish(self) -> Result<(), RecordError> {
         drop(self.jobs);
         self.thread.join().expect("it does not panic");
         match self.failed.get() {
@@ -113,12 +106,11 @@ impl Write for Appender {
     }
 }
 
-fn write(path: &Path, mut file: impl Sink, jobs: Receiver<Job>, failed: &OnceLock<WriteError>) {
+fn write(path: &Path, mut file: impl Sink, jobs: Receiver<Job>, failed: &OnceLock<RecordError>) {
     let mut appends = true;
-    let fail = |path: PathBuf, io: io::Error| {
-        let why = io.to_string();
+    let fail = |path: &Path, io: io::Error| {
         // Keep the first failure only: it is the cause.
-        let _ = failed.set(WriteError { path, why });
+        let _ = failed.set(RecordError::write(path, io));
     };
     for job in jobs {
         let written = match job {
@@ -133,11 +125,11 @@ fn write(path: &Path, mut file: impl Sink, jobs: Receiver<Job>, failed: &OnceLoc
             Job::Replace(path, bytes) => replace(&path, &bytes).map_err(|io| (path, io)),
         };
         if let Err((path, io)) = written {
-            fail(path, io);
+            fail(&path, io);
         }
     }
     if let Err(io) = file.sync() {
-        fail(path.to_owned(), io);
+        fail(path, io);
     }
 }
 

@@ -153,7 +153,7 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         ("lines.csv", table::csv(&lines)),
         ("readings.csv", table::csv(&evaluation.readings)),
     ] {
-        let bytes = bytes.map_err(|error| unwritten(&into.join(name), &error))?;
+        let bytes = bytes.map_err(|error| unwritten(&into.join(name), &error.into()))?;
         keep(name, &bytes)?;
     }
     match existing {

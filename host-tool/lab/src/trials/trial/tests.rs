@@ -159,14 +159,21 @@ fn a_fault_does_not_hide_that_rows_are_missing() {
     let trial = Trial::new(action, device(), &recording);
     let mut recorder = Recorder::create(trial, &recording).expect("created");
     let sidecar = recorder.sidecar().to_owned();
-    recorder.failed = Some(RecordError::write(recorder.csv(), "no space"));
+    recorder.failed = Some(RecordError::write(
+        recorder.csv(),
+        io::ErrorKind::StorageFull,
+    ));
     let lost = Ending::Lost("gone".to_owned());
     assert!(recorder.finish(lost, 0).is_err());
     let error = Trial::read(&sidecar)
         .expect("a sidecar")
         .error
         .expect("two");
-    for said in ["gone; ", "the telemetry was not recorded whole", "no space"] {
+    for said in [
+        "gone; ",
+        "the telemetry was not recorded whole",
+        "no storage space",
+    ] {
         assert!(error.contains(said), "{error}");
     }
 }
