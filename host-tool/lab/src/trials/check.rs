@@ -196,13 +196,7 @@ fn run(trial: &Trial, seen: &Seen) -> Defects {
     };
     if let (Some(achieved), Some(executed)) = (achieved, executed) {
         planned_and_done(trial, requested, achieved, executed, &mut defects);
-        covers(
-            trial,
-            seen,
-            run_start_us(trial),
-            executed.ticks / 100,
-            &mut defects,
-        );
+        covers(trial, seen, executed.ticks / 100, &mut defects);
     } else if trial.status == Status::Complete {
         defects.say("it is called complete, without what was planned or executed");
     }
@@ -238,30 +232,22 @@ fn actuation(trial: &Trial, seen: &Seen) -> Defects {
         accepted.is_none_or(|accepted| accepted.actuation == record.actuation),
         "the record is that of another actuation than was accepted",
     );
-    covers(
-        trial,
-        seen,
-        actuation_start_us(trial),
-        u64::from(record.duration_ms) * 1_000,
-        &mut defects,
-    );
+    let duration_us = u64::from(record.duration_ms) * 1_000;
+    covers(trial, seen, duration_us, &mut defects);
     defects
 }
 
-/// Start of a run according to its event, device time.
+/// Start of the motion according to its event, device time.
 #[must_use]
-pub fn run_start_us(trial: &Trial) -> Option<u64> {
-    let started = |what: &What| matches!(what, What::Rig(RigEvent::RunStarted { .. }));
-    let event = trial.events.iter().find(|event| started(&event.what))?;
-    Some(event.time_us)
-}
-
-/// Start of an actuation according to its event, device time.
-#[must_use]
-pub fn actuation_start_us(trial: &Trial) -> Option<u64> {
-    let started = |what: &What| matches!(what, What::Capsule(CapsuleEvent::Started { .. }));
-    let event = trial.events.iter().find(|event| started(&event.what))?;
-    Some(event.time_us)
+pub fn start_us(trial: &Trial) -> Option<u64> {
+    let mut events = trial.events.iter();
+    let started = events.find(|event| {
+        matches!(
+            event.what,
+            What::Rig(RigEvent::RunStarted { .. }) | What::Capsule(CapsuleEvent::Started { .. })
+        )
+    })?;
+    Some(started.time_us)
 }
 
 /// Checks that apply to the telemetry of both machines.
@@ -325,13 +311,7 @@ fn gaps(trial: &Trial, seen: &Seen, defects: &mut Defects) {
 }
 
 /// Checks that the telemetry begins and ends with the motion.
-fn covers(
-    trial: &Trial,
-    seen: &Seen,
-    start_us: Option<u64>,
-    duration_us: u64,
-    defects: &mut Defects,
-) {
+fn covers(trial: &Trial, seen: &Seen, duration_us: u64, defects: &mut Defects) {
     if trial.status != Status::Complete {
         return;
     }
@@ -340,7 +320,7 @@ fn covers(
         defects.lack(format!("{name} is empty"));
         return;
     };
-    let start_us = start_us.unwrap_or(first_us);
+    let start_us = start_us(trial).unwrap_or(first_us);
     let interval_us = seen.interval_us().unwrap_or(0);
     let begins_us = start_us
         .saturating_add(longest_us(interval_us, missed))

@@ -305,7 +305,7 @@ fn positions(run: &Part) -> Option<Vec<(f64, f64)>> {
     let Action::Run { screw, .. } = &run.trial.action else {
         return None;
     };
-    let start_us = check::run_start_us(&run.trial)?;
+    let start_us = check::start_us(&run.trial)?;
     over_time(run, |sample| {
         let mm = screw.mm(sample.position_steps.into());
         (since(start_us, sample.time_us), mm)

@@ -260,7 +260,7 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
         .collect();
     // By the capsule's clock, and the run last: the computer's clock may have been set within the trial.
     let is_run = |part: &Part| matches!(part.trial.action, Action::Run { .. });
-    parts.sort_by_key(|part| (is_run(part), check::actuation_start_us(&part.trial)));
+    parts.sort_by_key(|part| (is_run(part), check::start_us(&part.trial)));
     parts
 }
 
@@ -281,7 +281,7 @@ pub fn deviation(trial: &Trial) -> Option<impl Fn(&RigSample) -> (f64, f64)> {
     else {
         return None;
     };
-    let start_us = check::run_start_us(trial)?;
+    let start_us = check::start_us(trial)?;
     (executed.holds == 0).then_some(move |sample: &RigSample| {
         let time_s = since(start_us, sample.time_us);
         let planned_mm = position_at(screw, requested, achieved, time_s);

@@ -28,6 +28,7 @@ pub(crate) fn section<'a>(
     trial: &Trial,
     remarks: impl Iterator<Item = &'a Remark>,
 ) -> Result<Section, FigureError> {
+    let mut curves = Curves::since(check::start_us(trial));
     let (defects, content) = match &trial.action {
         Action::Run {
             screw,
@@ -35,7 +36,6 @@ pub(crate) fn section<'a>(
             achieved,
             executed,
         } => {
-            let mut curves = Curves::since(check::run_start_us(trial));
             let number = |text: &str| text.parse().unwrap_or(f64::NAN);
             let defects = check::seen(sidecar, trial, |sample: &RigSample| {
                 let values = [&sample.position_mm, &sample.speed_mm_s];
@@ -48,7 +48,6 @@ pub(crate) fn section<'a>(
         Action::Actuation {
             actuation, record, ..
         } => {
-            let mut curves = Curves::since(check::actuation_start_us(trial));
             let mut largest_ma = None;
             let defects = check::seen(sidecar, trial, |sample: &CapsuleSample| {
                 largest_ma = largest_ma.max(Some(sample.current_ma));
@@ -163,7 +162,7 @@ fn run(
 
 /// Where the time of a run's figures begins.
 fn time_0(trial: &Trial, requested: &Run) -> String {
-    if check::run_start_us(trial).is_none() {
+    if check::start_us(trial).is_none() {
         return "Time 0 is the first sample: the record does not say when the run began."
             .to_owned();
     }
@@ -228,7 +227,7 @@ fn actuation_section(
                 (PreEscaped(thread)) (PreEscaped(current))
                 figcaption {
                     "Thread wound up by the encoder, and motor current as sampled, with the inrush. Time 0 is the first "
-                    @if check::actuation_start_us(trial).is_some() { "drive." }
+                    @if check::start_us(trial).is_some() { "drive." }
                     @else { "sample: the record does not say when the motor was first driven." }
                 }
             }
