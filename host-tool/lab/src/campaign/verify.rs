@@ -49,7 +49,7 @@ pub struct Verified {
     pub records: usize,
     /// What differs from what was written.
     pub findings: Vec<Finding>,
-    /// Records that are as they were written, but not whole. The ledger of a campaign counts none of them.
+    /// Records that are as they were written, but not whole. No trial of a campaign counts by one of them.
     pub not_whole: Vec<Finding>,
 }
 

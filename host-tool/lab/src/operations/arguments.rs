@@ -332,6 +332,24 @@ mod tests {
 
     use super::*;
 
+    /// Regression: its telemetry was recorded, and then refused by its own reader.
+    #[test]
+    fn a_run_that_no_record_takes_up_is_refused_with_the_interval_that_does() {
+        let run = |args: &str| {
+            let command = RunArgs::augment_args(Command::new("run").no_binary_name(true));
+            let matches = command
+                .try_get_matches_from(args.split(' '))
+                .expect("words");
+            let run = RunArgs::from_arg_matches(&matches).expect("a run").run();
+            run.map_err(|failure| failure.to_string()).err()
+        };
+        let long = "--cycles 10000 --duration-s 200000";
+        let why = run(long).expect("20 million rows");
+        assert!(why.contains("use 21 to 1000"), "{why}");
+        assert_eq!(run(&format!("{long} --telemetry-ms 21")), None);
+        assert_eq!(run("--cycles 1000 --duration-s 36000"), None);
+    }
+
     /// Regression: a slack without an indentation was dropped, and the capsule folded to its end.
     #[test]
     fn a_slack_is_refused_without_its_indentation() {
