@@ -11,6 +11,7 @@
 //! * [`subject`]: the machine that results are about.
 //! * [`wording`]: refusals in people's units.
 //! * [`decimal`]: decimal numbers as people write them, exact.
+//! * [`pairs`]: JSON objects whose names may be repeated.
 //! * [`limited`]: reads files up to a size limit. [`named`]: files that the user names. [`plain`]: files of a folder.
 #![forbid(unsafe_code)]
 
@@ -25,6 +26,7 @@ pub mod identity;
 pub mod limited;
 pub mod link;
 pub mod named;
+pub mod pairs;
 pub mod plain;
 pub mod subject;
 pub mod visible;

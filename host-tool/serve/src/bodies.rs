@@ -5,6 +5,7 @@ use std::time::Duration;
 use axum::body::{Body, to_bytes};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
+use client::pairs::Pairs;
 use client::{limited, wording};
 use serde_json::{Map, Value};
 use tokio::time::timeout;
@@ -54,22 +55,22 @@ pub async fn object(headers: &HeaderMap, body: Body) -> Result<Map<String, Value
             "send `Content-Type: application/json`",
         ));
     }
-    match serde_json::from_slice(bytes) {
-        Ok(Value::Object(object)) => Ok(object),
-        Ok(_) => Err(refused(
+    fields(bytes).map_err(|why| {
+        let why = format!("the body cannot be read: {why}; nothing was done");
+        refused(
             StatusCode::BAD_REQUEST,
-            "the body is no JSON object; nothing was done",
+            &why,
             "send for example {\"cycles\": 5}",
-        )),
-        Err(why) => Err(refused(
-            StatusCode::BAD_REQUEST,
-            &format!(
-                "the body cannot be read: {}; nothing was done",
-                wording::unreadable(&why)
-            ),
-            "send for example {\"cycles\": 5}",
-        )),
-    }
+        )
+    })
+}
+
+/// The fields of a JSON object, or why there are none.
+pub fn fields(bytes: &[u8]) -> Result<Map<String, Value>, String> {
+    let pairs: Pairs = serde_json::from_slice(bytes).map_err(|why| wording::unreadable(&why))?;
+    pairs
+        .once()
+        .map_err(|name| format!("{name} is there twice"))
 }
 
 #[cfg(test)]

@@ -45,7 +45,7 @@ use crate::access::{Access, Demand, Peer, demand};
 use crate::actions::{Action, Arrival, RequestedAction, Standing};
 use crate::answers::{Instead, answer, bad, closing, good, refused, status, typed};
 use crate::board::{Board, Order};
-use crate::bodies::{LONGEST_BODY, object};
+use crate::bodies::{LONGEST_BODY, fields, object};
 use crate::direct::{DirectRequest, Question, Wait};
 use crate::open_files::Connections;
 use crate::orders::{self, Work};
@@ -345,18 +345,21 @@ async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answ
 }
 
 fn wait_s(query: &str) -> Result<u64, String> {
-    let mut wait_s = 0;
+    let mut given = None;
     for pair in query.split('&').filter(|pair| !pair.is_empty()) {
         let value = pair
             .strip_prefix("wait_s=")
             .ok_or("the only parameter is `wait_s`")?;
-        wait_s = value
+        let wait_s = value
             .parse()
             .ok()
             .filter(|wait_s| *wait_s <= LONGEST_WAIT_S)
             .ok_or_else(|| format!("wait_s is a whole number from 0 to {LONGEST_WAIT_S}"))?;
+        if given.replace(wait_s).is_some() {
+            return Err("`wait_s` is there twice".to_owned());
+        }
     }
-    Ok(wait_s)
+    Ok(given.unwrap_or(0))
 }
 
 /// Waits until an action meets the condition; `None` if the action is unknown.
@@ -468,8 +471,8 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
     let only = body
         .ok()
         .and_then(Result::ok)
-        .and_then(|body| serde_json::from_slice::<Value>(limited::utf8(&body).ok()?).ok())
-        .and_then(|body| body["machine"].as_str().and_then(machine_of));
+        .and_then(|body| fields(limited::utf8(&body).ok()?).ok())
+        .and_then(|body| machine_of(body.get("machine")?.as_str()?));
     let mut waiting = vec![];
     for machine in &app.board.machines {
         if only.is_some_and(|only| only != machine.kind) {
@@ -544,8 +547,9 @@ fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
             "send `Idempotency-Key: INSTANCE-ANYTHING`: INSTANCE is in `GET /api/v1/state`, ANYTHING is new for each command, so that none is executed twice",
         )
     };
-    let Some(key) = headers.get("idempotency-key") else {
-        return Err(denied("the command has no key; nothing was done"));
+    let mut keys = headers.get_all("idempotency-key").iter();
+    let (Some(key), None) = (keys.next(), keys.next()) else {
+        return Err(denied("the command has not one key; nothing was done"));
     };
     let key = key.to_str().unwrap_or_default();
     let own = |c: char| c.is_ascii_alphanumeric() || c == '-';
@@ -565,7 +569,7 @@ fn key(headers: &HeaderMap, instance: &str) -> Result<String, Instead> {
 
 /// Whether an order says that it was given long ago, by this computer's clock, or says it unreadably.
 fn is_late(headers: &HeaderMap) -> bool {
-    headers.get("retrograde-sent").is_some_and(|sent| {
+    headers.get_all("retrograde-sent").iter().any(|sent| {
         let sent_ms: Option<i64> = sent.to_str().ok().and_then(|text| text.parse().ok());
         let now_ms = Timestamp::now().as_millisecond();
         sent_ms.is_none_or(|sent_ms| now_ms.saturating_sub(sent_ms) > LATE_MS)

@@ -432,6 +432,11 @@ fn a_run_says_that_its_board_was_not_commissioned() {
         err.contains("warning: this board has no commissioning record"),
         "{err}"
     );
+    // The bench's machines are no boards.
+    let mut script = ready(DeviceKind::Rig);
+    script.uid = *b"virtual rig1";
+    let (code, _, err) = Memory::with(vec![script]).run(&run);
+    assert_eq!((code, err.as_str()), (0, ""));
 
     // A complete record gives no warning. One of another image, or a damaged one, does.
     let mut subject = subject();

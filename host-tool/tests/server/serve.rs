@@ -446,7 +446,13 @@ fn bad_input_is_refused_and_moves_nothing() {
         ("rig/jog/renew", r#"{"action":"x","n":1}"#, 409, "has ended"),
         ("rig/jog/renew", r#"{"n":1}"#, 400, "fields `action`"),
         ("rig/run", "{", 400, "cannot be read"),
-        ("rig/run", "[]", 400, "no JSON object"),
+        ("rig/run", "[]", 400, "expected a JSON object"),
+        (
+            "rig/run",
+            "{\"cycles\": 5, \"cycles\": 1}",
+            400,
+            "cycles is there twice",
+        ),
         ("rig/run", &long, 413, "longer than 16 KiB"),
     ] {
         let (bearer, key) = (server.bearer(), server.key());

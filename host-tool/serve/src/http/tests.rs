@@ -23,6 +23,7 @@ fn a_wait_is_zero_seconds_to_a_minute() {
         ("wait_s=60", Some(LONGEST_WAIT_S)),
         ("wait_s=61", None),
         ("wait_s=-1", None),
+        ("wait_s=1&wait_s=1", None),
         ("wait_s=", None),
         ("wait=1", None),
     ] {

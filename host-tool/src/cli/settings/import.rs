@@ -2,17 +2,16 @@
 //! knows which values are valid together.
 
 use std::collections::BTreeSet;
-use std::fmt;
 use std::path::Path;
 
 use client::error::ClientError;
 use client::limited::{self, BY_HAND};
+use client::pairs::Pairs;
 use client::wording::word;
 use client::{Device, identity, wording};
 use lab::operations::failure::Failure;
 use protocol::settings::{GetName, GetSetting, MAX_NAME, Name, Setting};
 use protocol::system::DeviceKind;
-use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
 use serde_json::Value;
 
 use crate::cli::settings::values::{Key, checked_name, value_of};
@@ -23,29 +22,6 @@ use crate::cli::settings::values::{Key, checked_name, value_of};
 struct File {
     name: Value,
     settings: Pairs,
-}
-
-/// The members of an object, including repeated ones, which a map would drop.
-struct Pairs(Vec<(String, Value)>);
-
-impl<'de> Deserialize<'de> for Pairs {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct Members;
-        impl<'de> Visitor<'de> for Members {
-            type Value = Pairs;
-            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("the object `settings` of names and whole numbers")
-            }
-            fn visit_map<M: MapAccess<'de>>(self, mut map: M) -> Result<Pairs, M::Error> {
-                let mut pairs = vec![];
-                while let Some(pair) = map.next_entry()? {
-                    pairs.push(pair);
-                }
-                Ok(Pairs(pairs))
-            }
-        }
-        deserializer.deserialize_map(Members)
-    }
 }
 
 /// Settings requested by a file.
