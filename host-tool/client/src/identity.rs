@@ -83,16 +83,6 @@ impl Origin {
         }
     }
 
-    /// Name as in records.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Board => "board",
-            Self::Unknown => "unknown",
-            Self::Virtual => "virtual",
-        }
-    }
-
     /// Meaning, for people.
     #[must_use]
     pub const fn meaning(self) -> &'static str {
@@ -108,7 +98,12 @@ impl Origin {
 
 impl std::fmt::Display for Origin {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.name())
+        // As in records.
+        f.write_str(match self {
+            Self::Board => "board",
+            Self::Unknown => "unknown",
+            Self::Virtual => "virtual",
+        })
     }
 }
 

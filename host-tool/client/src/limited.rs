@@ -106,7 +106,6 @@ mod tests {
         assert_eq!(error.kind(), io::ErrorKind::FileTooLarge);
     }
 
-    #[cfg(unix)]
     #[test]
     fn a_file_without_an_end_is_refused() {
         assert!(read(Path::new("/dev/zero"), 1_000).is_err());

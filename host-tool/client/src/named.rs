@@ -75,7 +75,7 @@ pub fn write(
     force: bool,
     fill: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<()> {
-    let filled = |file: File| {
+    let filled = |file: &File| {
         let mut out = BufWriter::new(file);
         fill(&mut out)?;
         out.flush()
@@ -84,19 +84,12 @@ pub fn write(
     let is_link = fs::symlink_metadata(path).is_ok() && !plain::is_file(path);
     if is_device(path) || (force && is_link) {
         let file = open(path, OpenOptions::new().write(true).truncate(true))?;
-        return match filled(file) {
+        return match filled(&file) {
             Err(io) if io.kind() == ErrorKind::BrokenPipe => Ok(()),
             written => written,
         };
     }
-    let part = plain::part_of(path)?;
-    filled(part.reopen()?)?;
-    part.as_file().sync_all()?;
-    match force {
-        true => part.persist(path)?,
-        false => part.persist_noclobber(path)?,
-    };
-    plain::sync_folder_of(path)
+    plain::put(path, force, filled)
 }
 
 #[cfg(test)]

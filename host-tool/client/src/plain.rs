@@ -262,11 +262,20 @@ pub fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-fn filled(path: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
-    let mut part = part_of(path)?;
-    part.write_all(bytes)?;
+/// Writes a file wholly or not at all, in place of an old one or only if there is none.
+pub(crate) fn put(
+    path: &Path,
+    replaces: bool,
+    fill: impl FnOnce(&File) -> io::Result<()>,
+) -> io::Result<()> {
+    let part = part_of(path)?;
+    fill(part.as_file())?;
     part.as_file().sync_all()?;
-    Ok(part)
+    match replaces {
+        true => part.persist(path)?,
+        false => part.persist_noclobber(path)?,
+    };
+    sync_folder_of(path)
 }
 
 /// Replaces a file by renaming: a reader finds the old one or the new one, never a part of it. A link of the target's own
@@ -275,8 +284,7 @@ fn filled(path: &Path, bytes: &[u8]) -> io::Result<NamedTempFile> {
 /// # Errors
 /// It cannot be written; the old one is still there.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    filled(path, bytes)?.persist(path)?;
-    sync_folder_of(path)
+    put(path, true, |mut file| file.write_all(bytes))
 }
 
 /// As [`replace`], for a file that must not exist yet.
@@ -284,8 +292,7 @@ pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// # Errors
 /// As [`replace`]; with [`io::ErrorKind::AlreadyExists`] the existing file is unchanged.
 pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    filled(path, bytes)?.persist_noclobber(path)?;
-    sync_folder_of(path)
+    put(path, false, |mut file| file.write_all(bytes))
 }
 
 /// Brings the names in the folder of this path to the disk: without this a power cut may undo a rename.

@@ -7,6 +7,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use client::identity::kind_name;
 use jiff::Timestamp;
 use protocol::system::DeviceKind;
+use serde::Serialize;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
@@ -16,7 +17,8 @@ use lab::operations::failure::{FAULT, Failure, NO_DEVICE, REFUSED, STOPPED, UNKN
 pub const KEPT: usize = 512;
 
 /// State of an action.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Standing {
     /// The machine has not answered yet.
     Starting,
@@ -41,20 +43,6 @@ pub enum Standing {
 impl Standing {
     pub fn is_over(self) -> bool {
         !matches!(self, Self::Starting | Self::UnderWay)
-    }
-
-    fn name(self) -> &'static str {
-        match self {
-            Self::Starting => "starting",
-            Self::UnderWay => "under_way",
-            Self::Complete => "complete",
-            Self::Stopped => "stopped",
-            Self::LinkLost => "link_lost",
-            Self::Faulted => "faulted",
-            Self::Refused => "refused",
-            Self::Failed => "failed",
-            Self::Unknown => "unknown",
-        }
     }
 
     /// State of an action that ended with this failure.
@@ -237,7 +225,7 @@ impl Actions {
             "id": format!("{}-{}", self.instance, action.number),
             "machine": kind_name(action.command.machine),
             "kind": action.command.kind,
-            "state": action.standing.name(),
+            "state": action.standing,
             "requested": action.command.requested,
             "accepted": action.accepted,
             "progress": action.progress,
@@ -371,9 +359,9 @@ mod tests {
                 reason: None,
                 help: String::new(),
             };
-            assert_eq!(Standing::of(&failure).name(), standing, "{failure}");
+            assert_eq!(json!(Standing::of(&failure)), standing, "{failure}");
         }
         let input = Failure::input("no", "mend it");
-        assert_eq!(Standing::of(&input).name(), "failed");
+        assert_eq!(json!(Standing::of(&input)), "failed");
     }
 }

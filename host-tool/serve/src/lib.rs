@@ -40,6 +40,7 @@ pub mod worker;
 use std::fs::{self, OpenOptions, TryLockError};
 use std::io::{self, Write};
 use std::net::SocketAddr;
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::panic::resume_unwind;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -240,8 +241,6 @@ fn bind(runtime: &Runtime, at: SocketAddr) -> io::Result<TcpListener> {
         SocketAddr::V4(_) => TcpSocket::new_v4()?,
         SocketAddr::V6(_) => TcpSocket::new_v6()?,
     };
-    // On Windows this option would let another program take over the port.
-    #[cfg(unix)]
     socket.set_reuseaddr(true)?;
     socket.set_send_buffer_size(SEND_BUFFER)?;
     socket.bind(at)?;
@@ -326,24 +325,13 @@ fn token_of(file: &Path) -> Result<String, Failure> {
 
 /// Whether other users can read or change a file.
 fn is_open_to_others(file: &Path) -> io::Result<bool> {
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::MetadataExt;
-        Ok(fs::metadata(file)?.mode() & 0o077 != 0)
-    }
-    #[cfg(not(unix))]
-    fs::metadata(file).map(|_| false)
+    Ok(fs::metadata(file)?.mode() & 0o077 != 0)
 }
 
 /// Creates a file that only this user can read.
 fn private(file: &Path, text: &str) -> io::Result<()> {
     let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::OpenOptionsExt;
-        options.mode(0o600);
-    }
+    options.write(true).create_new(true).mode(0o600);
     options.open(file)?.write_all(text.as_bytes())
 }
 
@@ -450,7 +438,6 @@ mod tests {
         let token = token_of(&file).expect("made");
         assert_eq!(token_of(&file).expect("read"), token);
         assert!(!is_open_to_others(&file).expect("there"));
-        #[cfg(unix)]
         for mode in [0o640, 0o604, 0o620, 0o602] {
             use std::os::unix::fs::PermissionsExt;
             fs::set_permissions(&file, fs::Permissions::from_mode(mode)).expect("mine");

@@ -25,7 +25,7 @@ use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use lab::trials::experiment::ExperimentError;
 use lab::trials::plan::REFERENCE_LIMITS;
-use lab::trials::trial::{ELSEWHERE, RecordError};
+use lab::trials::trial::ELSEWHERE;
 use motion::axis::Axis;
 use protocol::system::DeviceKind;
 use report::html::campaign::{Present, present, report_folder};
@@ -453,23 +453,14 @@ fn broken_off(broken: Broken, again: &str) -> Failure {
 
 /// Takes the choice of another folder from an error's remedy: a campaign has only one.
 fn within_campaign(error: ExperimentError) -> ExperimentError {
-    let (record, why) = match error {
-        ExperimentError::Record(record) => {
-            let why = record.why.clone();
-            (record, why)
-        }
-        ExperimentError::Unrecorded { ended, record } => {
-            let why = format!("{}; {ended}", record.why);
-            (record, why)
-        }
+    let (mut record, ended) = match error {
+        ExperimentError::Record(record) => (record, String::new()),
+        ExperimentError::Unrecorded { ended, record } => (record, format!("; {ended}")),
         error => return error,
     };
-    let remedy = make_room(record.remedy.trim_end_matches(ELSEWHERE));
-    ExperimentError::Record(RecordError {
-        path: record.path,
-        why,
-        remedy,
-    })
+    record.why += &ended;
+    record.remedy = make_room(record.remedy.trim_end_matches(ELSEWHERE));
+    ExperimentError::Record(record)
 }
 
 // Status.
@@ -688,6 +679,8 @@ fn edited(edit: &Edit, campaign: &Campaign, origin: Origin) -> Result<LedgerRow,
 
 #[cfg(test)]
 mod tests {
+    use lab::trials::trial::RecordError;
+
     use super::*;
 
     /// Regression: on a full disk a campaign advised `--out DIR`, which it refuses.

@@ -457,19 +457,18 @@ impl Session<'_, '_> {
     ) -> Result<Vec<R>, Failure> {
         let (terminal, total) = (self.screen.terminal, cases.len() as u64);
         let (begin, done) = (Instant::now(), AtomicU64::new(0));
-        let show = |text: &str| {
-            if terminal {
-                let _ = Stream::Err.write_all(text.as_bytes());
-            }
-        };
         let count = || {
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
             let left_s = begin.elapsed().as_secs() * (total - done) / done;
             let message = format!("{done} of {total} runs, {left_s} s left");
-            show(&progress::bar(done, total, &message));
+            let bar = match done == total {
+                true => ERASE.to_owned(),
+                false => progress::bar(done, total, &message),
+            };
+            if terminal {
+                let _ = Stream::Err.write_all(bar.as_bytes());
+            }
         };
-        let results = self.workers.map(cases, &count, work);
-        show(ERASE);
-        Ok(results?)
+        Ok(self.workers.map(cases, &count, work)?)
     }
 }

@@ -97,11 +97,8 @@ impl Commissioning {
 
     pub fn read(path: &Path) -> Result<Option<Self>, RecordError> {
         let error = |why: String| {
-            RecordError {
-            path: path.to_owned(),
-            why,
-            remedy: "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`".to_owned(),
-        }
+            let remedy = "give the file that `retrograde commission` wrote for this board, or another name: `--record FILE`";
+            RecordError::new(path, why, remedy)
         };
         let text = match plain::read_text(path, limited::RECORD) {
             Ok(text) => text,
@@ -124,19 +121,16 @@ impl Commissioning {
             return Ok(Self::new(subject, now));
         };
         if record.board_uid != subject.uid || record.machine != kind_name(subject.machine) {
-            return Err(RecordError {
-                path: path.to_owned(),
-                why: format!(
-                    "this is the record of the {} with board {}, not of the {} with board {}",
-                    record.machine,
-                    record.board_uid,
-                    kind_name(subject.machine),
-                    subject.uid
-                ),
-                remedy:
-                    "each board has a record of its own: leave `--record` out, or give another file"
-                        .to_owned(),
-            });
+            let why = format!(
+                "this is the record of the {} with board {}, not of the {} with board {}",
+                record.machine,
+                record.board_uid,
+                kind_name(subject.machine),
+                subject.uid
+            );
+            let remedy =
+                "each board has a record of its own: leave `--record` out, or give another file";
+            return Err(RecordError::new(path, why, remedy));
         }
         Ok(record)
     }
@@ -152,13 +146,9 @@ impl Commissioning {
             .map_or(Ok(()), fs::create_dir_all)
             .and_then(|()| json(self))
             .and_then(|bytes| replace(path, &bytes))
-            .map_err(|io| RecordError {
-                path: path.to_owned(),
-                why: io.to_string(),
-                remedy: format!(
-                    "{}, or choose another file: `--record FILE`",
-                    named::remedy(&io)
-                ),
+            .map_err(|io| {
+                let other = ", or choose another file: `--record FILE`";
+                RecordError::new(path, &io, format!("{}{other}", named::remedy(&io)))
             })
     }
 }

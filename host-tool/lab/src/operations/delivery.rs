@@ -1,27 +1,19 @@
 //! Results of a stop, machine by machine.
 
 use protocol::system::Urgent;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 /// The advice when a machine may not have been stopped.
 pub const DO_NOW: &str = "press the emergency stop button or cut the motor supply NOW; or press Ctrl-C twice in the terminal whose `retrograde` moves the machine";
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Delivery {
     Stopped,
     /// It was sent, but the machine did not confirm it.
     NotConfirmed,
     NotDelivered,
-}
-
-impl Delivery {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Stopped => "stopped",
-            Self::NotConfirmed => "not_confirmed",
-            Self::NotDelivered => "not_delivered",
-        }
-    }
 }
 
 #[derive(Clone, Debug)]
@@ -51,7 +43,7 @@ impl Told {
     pub fn json(&self) -> Value {
         json!({
             "machine": self.machine,
-            "outcome": self.delivery.name(),
+            "outcome": self.delivery,
             "why": self.why,
         })
     }

@@ -37,7 +37,7 @@ impl Stream {
 
 impl Write for Stream {
     fn write(&mut self, text: &[u8]) -> io::Result<usize> {
-        match *HAS_THREAD {
+        match QUEUE.has_thread {
             true => QUEUE.put(*self, text),
             false => self.write_now(text)?,
         }
@@ -55,14 +55,15 @@ pub fn columns() -> usize {
     if columns == 0 { 80 } else { columns.into() }
 }
 
-static QUEUE: Queue = Queue::new();
-
-/// Whether the system had a thread for the output. Without one, a write may wait.
-static HAS_THREAD: LazyLock<bool> = LazyLock::new(|| {
-    let thread = thread::Builder::new();
-    thread.spawn(|| QUEUE.work(Stream::write_now)).is_ok()
+static QUEUE: LazyLock<Queue> = LazyLock::new(|| {
+    let thread = thread::Builder::new().spawn(|| QUEUE.work(Stream::write_now));
+    Queue {
+        has_thread: thread.is_ok(),
+        ..Queue::default()
+    }
 });
 
+#[derive(Default)]
 struct State {
     texts: VecDeque<(Stream, Vec<u8>)>,
     /// Size of all these texts.
@@ -74,25 +75,15 @@ struct State {
     failed: Option<io::Error>,
 }
 
+#[derive(Default)]
 struct Queue {
+    /// Whether the system had a thread for the output. Without one, a write may wait.
+    has_thread: bool,
     state: Mutex<State>,
     changed: Condvar,
 }
 
 impl Queue {
-    const fn new() -> Self {
-        Self {
-            state: Mutex::new(State {
-                texts: VecDeque::new(),
-                bytes: 0,
-                dropped: 0,
-                writes: false,
-                failed: None,
-            }),
-            changed: Condvar::new(),
-        }
-    }
-
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -170,7 +161,7 @@ mod tests {
 
     #[test]
     fn a_reader_that_does_not_read_holds_up_no_writer_and_gets_the_newest_lines_in_order() {
-        static QUEUE: Queue = Queue::new();
+        static QUEUE: LazyLock<Queue> = LazyLock::new(Queue::default);
         let line = |number: usize| format!("{number}: {}\n", "x".repeat(10_000));
         for number in 0..2_000 {
             QUEUE.put(Stream::Out, line(number).as_bytes());

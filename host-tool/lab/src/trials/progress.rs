@@ -14,33 +14,20 @@ use crate::operations::output::{ERASE, columns};
 /// Interval between two plain lines, us of the machine's time.
 const LINE_US: u64 = 5_000_000;
 
-/// A bar and a message in place of the present line, in ASCII where the terminal shows nothing else. Cut off at the width
-/// of the terminal, for a bar of two lines would erase text above it; of 80 columns it leaves 61 for the message.
+/// A bar and a message in place of the present line. Cut off at the width of the terminal, for a bar of two lines would
+/// erase text above it; of 80 columns it leaves 61 for the message.
 #[must_use]
 pub fn bar(done: u64, total: u64, message: &str) -> String {
     let part = |of: u64| done.min(total) * of / total.max(1);
-    let (full, empty) = match is_unicode() {
-        true => ("█", "░"),
-        false => ("#", "."),
-    };
     let tenths = part(10) as usize;
     let line = format!(
         "  {}{} {:>3} % {message}",
-        full.repeat(tenths),
-        empty.repeat(10 - tenths),
+        "#".repeat(tenths),
+        ".".repeat(10 - tenths),
         part(100)
     );
     let shown: String = line.chars().take(columns()).collect();
     format!("{ERASE}{shown}")
-}
-
-/// Whether the user's environment says that the terminal shows characters beyond ASCII.
-#[must_use]
-pub fn is_unicode() -> bool {
-    let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
-    let locale = set("LC_ALL").or(set("LC_CTYPE")).or(set("LANG"));
-    let locale = locale.unwrap_or_default().to_lowercase();
-    locale.contains("utf-8") || locale.contains("utf8")
 }
 
 /// Prints the progress of an action. All times are the machine's, so they mean the same on the virtual bench.

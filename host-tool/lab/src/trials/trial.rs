@@ -48,14 +48,19 @@ pub struct RecordError {
 pub const ELSEWHERE: &str = ", or choose another folder: `--out DIR`";
 
 impl RecordError {
-    /// A record that could not be written.
-    pub fn write(path: &Path, why: impl Into<io::Error>) -> Self {
-        let why = why.into();
+    /// Any error of a record.
+    pub fn new(path: &Path, why: impl ToString, remedy: impl ToString) -> Self {
         Self {
             path: path.to_owned(),
             why: why.to_string(),
-            remedy: format!("{}{ELSEWHERE}", named::remedy(&why)),
+            remedy: remedy.to_string(),
         }
+    }
+
+    /// A record that could not be written.
+    pub fn write(path: &Path, why: impl Into<io::Error>) -> Self {
+        let why = why.into();
+        Self::new(path, &why, format!("{}{ELSEWHERE}", named::remedy(&why)))
     }
 
     /// Rows that could not be written.
@@ -68,11 +73,8 @@ impl RecordError {
 
     /// A record that could not be read.
     pub fn read(path: &Path, why: impl ToString) -> Self {
-        Self {
-            path: path.to_owned(),
-            why: why.to_string(),
-            remedy: "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file".to_owned(),
-        }
+        let remedy = "give the JSON file of a trial that `retrograde run` or `retrograde fold` wrote, beside its CSV file";
+        Self::new(path, why, remedy)
     }
 }
 
@@ -585,11 +587,10 @@ impl Recorder {
 
     fn row(&mut self, row: impl Serialize) {
         if self.trial.samples == plain::ROWS {
-            self.failed.get_or_insert_with(|| RecordError {
-                path: self.csv_path.clone(),
-                why: format!("it has {} rows, the most of a record", plain::ROWS),
-                remedy: "take a longer interval, `--telemetry-ms`, or a shorter run".to_owned(),
-            });
+            let why = format!("it has {} rows, the most of a record", plain::ROWS);
+            let remedy = "take a longer interval, `--telemetry-ms`, or a shorter run";
+            self.failed
+                .get_or_insert_with(|| RecordError::new(&self.csv_path, why, remedy));
             return;
         }
         self.trial.samples += 1;

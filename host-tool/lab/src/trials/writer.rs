@@ -192,7 +192,6 @@ mod tests {
     }
 
     /// A pipe whose reader does not read acts as a disk that does not write.
-    #[cfg(unix)]
     #[test]
     fn a_disk_that_stands_delays_nobody() {
         let (reader, pipe) = io::pipe().expect("a pipe");
