@@ -75,7 +75,10 @@ impl Values {
 }
 
 /// A record as it is written to flash, without its number.
-pub type Record = heapless::Vec<u8, MAX_NAME>;
+pub type Record = heapless::Vec<u8, MAX_RECORD>;
+/// The longest of them. A name is the longest of the settings.
+const MAX_RECORD: usize = 27;
+const _: () = assert!(MAX_NAME <= MAX_RECORD);
 
 /// Records that a machine keeps in the log besides its settings and its name.
 pub trait Records: Clone + Default {
@@ -141,12 +144,11 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     ///
     /// Without a log the other records are dropped too: those that could be read may be years old.
     pub fn load_with(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
-        let mut store = Store::new(flash);
         let (mut values, mut name) = (Values::DEFAULT, String::new());
         let mut records = R::default();
         // Whether the last record of each setting could not be used; a later record overrides an earlier one.
         let mut passed_over = [false; SettingKey::ALL.len()];
-        let loaded = store.load(|number, record| match number {
+        let (store, loaded) = Store::new(flash).load(|number, record| match number {
             NAME_RECORD => name = name_in(record),
             DEFAULTS_RECORD => {
                 (values, name) = (Values::DEFAULT, name_in(record));
@@ -241,6 +243,36 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
+    /// Like [`Self::keep`] while something moves: writes the record and nothing else, and erases nothing.
+    ///
+    /// # Errors
+    /// There is no room: [`Self::make_room`] was not called. Or the flash is worn out.
+    pub fn keep_moving(&mut self, number: u8, records: R) -> Result<(), StorageFailed> {
+        let record = records.record(number).ok_or(StorageFailed)?;
+        if self.found != Found::Settings && self.found != Found::Unread || self.store.room() == 0 {
+            return Err(StorageFailed);
+        }
+        self.store.save(number, &record)?;
+        self.records = records;
+        Ok(())
+    }
+
+    /// Makes room for this many records that are written while something moves: if the sector has less, fills it up, and
+    /// the next one is erased now. Takes up to a second then.
+    ///
+    /// # Errors
+    /// The flash is worn out.
+    pub fn make_room(&mut self, records: u32) -> Result<(), StorageFailed> {
+        let Some(&number) = R::NUMBERS.first() else {
+            return Ok(());
+        };
+        self.renew()?;
+        while self.store.room() < records {
+            self.keep(number, self.records.clone())?;
+        }
+        Ok(())
+    }
+
     /// Restores the defaults of all values and of the name, with one record: a power cut leaves all of them as they
     /// were, or none. The other records stay.
     ///
@@ -297,18 +329,24 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         }
     }
 
-    /// Writes a record. First rewrites each one that the log may drop soon with its oldest sector.
+    /// Writes a record.
     fn save(&mut self, number: u8, content: &[u8]) -> Result<(), StorageFailed> {
         if self.found == Found::Noise {
             // The next start would not reach this record.
             return Err(StorageFailed);
         }
+        self.renew()?;
+        self.store.save(number, content)
+    }
+
+    /// Rewrites each record that the log may drop soon with its oldest sector.
+    fn renew(&mut self) -> Result<(), StorageFailed> {
         while let Some(overdue) = self.store.overdue() {
             // Replace a record of another firmware by an empty one, which no firmware reads.
             let record = self.record(overdue).unwrap_or_default();
             self.store.save(overdue, &record)?;
         }
-        self.store.save(number, content)
+        Ok(())
     }
 
     /// The record in force under a number.

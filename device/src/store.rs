@@ -10,7 +10,7 @@ use embassy_futures::block_on;
 use embedded_storage_async::nor_flash::{ErrorType, NorFlash, ReadNorFlash};
 use protocol::settings::SettingKey;
 use sequential_storage::{
-    cache::{Cache, Uncached},
+    cache::{Cache, Uncached, page_pointers::ArrayPagePointers},
     queue::{QueueConfig, QueueStorage},
 };
 
@@ -32,6 +32,8 @@ const _: () = assert!((SECTOR as usize).is_multiple_of(LOOK));
 const RECORD: usize = 28;
 /// `RECORD` in whole write units; the largest unit is a double word.
 const LONGEST_READ: usize = RECORD.next_multiple_of(8);
+/// Length of the longest record in the log, with its head.
+const LONGEST_IN_LOG: u32 = LONGEST_READ as u32 + 8;
 /// Minimum records per sector for a given write size. Each record has 8 bytes of head, the sector two marks.
 const fn in_a_sector(write_size: usize) -> u32 {
     (SECTOR - 2 * write_size as u32) / (RECORD.next_multiple_of(write_size) as u32 + 8)
@@ -97,6 +99,8 @@ struct Checked<F> {
     flash: F,
     /// A sector whose erasure was interrupted and could not be repeated yet. It reads as blank, whatever it contains.
     half_erased: Option<u32>,
+    /// Bytes left in the sector that was written last, behind the last byte written.
+    room: u32,
 }
 
 impl<F: NorFlash> Checked<F> {
@@ -203,7 +207,9 @@ impl<F: NorFlash> NorFlash for Checked<F> {
         if offset.is_multiple_of(SECTOR) && !self.is_blank(offset).await? {
             self.erase(offset, offset + SECTOR).await?;
         }
-        self.flash.write(offset, bytes).await
+        self.flash.write(offset, bytes).await?;
+        self.room = (SECTOR - 1) - (offset + bytes.len() as u32 - 1) % SECTOR;
+        Ok(())
     }
 }
 
@@ -217,9 +223,23 @@ impl<E> From<sequential_storage::Error<E>> for StorageFailed {
     }
 }
 
+/// Most records that are written while something moves, when none is written again.
+pub const MOST_AT_ONCE: u32 = 120;
+/// Number of sectors.
+const COUNT: usize = ((SECTORS.end - SECTORS.start) / SECTOR) as usize;
+
+/// The queue. It remembers where its next record goes: to find that takes tens of milliseconds at 16 MHz, and a capsule
+/// writes while its motor turns.
+type Log<F> = QueueStorage<Checked<F>, Cache<Uncached, ArrayPagePointers<COUNT>, Uncached>>;
+
+fn log<F: NorFlash>(flash: Checked<F>) -> Log<F> {
+    let cache = Cache::new(Uncached, ArrayPagePointers::new(), Uncached);
+    QueueStorage::new(flash, const { QueueConfig::new(SECTORS) }, cache)
+}
+
 /// The log, on a flash that never really waits.
 pub struct Store<F: NorFlash> {
-    log: QueueStorage<Checked<F>, Cache<Uncached, Uncached, Uncached>>,
+    log: Log<F>,
     ages: Ages,
 }
 
@@ -229,7 +249,7 @@ impl<F: NorFlash> Store<F> {
     const FITS: () = assert!(
         Self::READ <= LONGEST_READ
             // With one more, for the defaults may come before the old records.
-            && Ages::OLDEST + (Ages::NUMBERS as u32) < in_a_sector(F::WRITE_SIZE)
+            && Ages::OLDEST + (Ages::NUMBERS as u32) + MOST_AT_ONCE < in_a_sector(F::WRITE_SIZE)
     );
 
     /// The log in [`SECTORS`] of `flash`. Repeats an erasure that a power cut has interrupted, which takes up to half a
@@ -239,16 +259,13 @@ impl<F: NorFlash> Store<F> {
         let mut flash = Checked {
             flash,
             half_erased: None,
+            room: 0,
         };
         // With two sectors in use the log would read or write the wrong one. Ignore read errors here: the log reports
         // them later.
         let _ = block_on(flash.erase_oldest(false));
         Self {
-            log: QueueStorage::new(
-                flash,
-                const { QueueConfig::new(SECTORS) },
-                Cache::new_uncached(),
-            ),
+            log: log(flash),
             ages: Ages::new(),
         }
     }
@@ -258,12 +275,14 @@ impl<F: NorFlash> Store<F> {
     ///
     /// # Errors
     /// The sectors cannot be read as records; what was read before stands.
-    pub fn load(&mut self, mut record: impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
-        let read = self.read(&mut record);
-        if read.is_ok() || !block_on(self.log.flash().erase_oldest(true)).unwrap_or(false) {
-            return read;
+    pub fn load(mut self, mut record: impl FnMut(u8, &[u8])) -> (Self, Result<(), StorageFailed>) {
+        let mut read = self.read(&mut record);
+        if read.is_err() && block_on(self.log.flash().erase_oldest(true)).unwrap_or(false) {
+            // What the queue remembers of that sector is no longer so.
+            self.log = log(self.log.destroy().0);
+            read = self.read(&mut record);
         }
-        self.read(&mut record)
+        (self, read)
     }
 
     fn read(&mut self, record: &mut impl FnMut(u8, &[u8])) -> Result<(), StorageFailed> {
@@ -307,6 +326,11 @@ impl<F: NorFlash> Store<F> {
         block_on(self.log.erase_all())?;
         self.ages = Ages::new();
         Ok(())
+    }
+
+    /// Records of any length that can be written before a sector is erased; 0 before the first is written.
+    pub fn room(&mut self) -> u32 {
+        self.log.flash().room.saturating_sub(F::WRITE_SIZE as u32) / LONGEST_IN_LOG
     }
 
     /// Number of the next record that must be written again.

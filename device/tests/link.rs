@@ -413,7 +413,7 @@ fn answer(
 /// the name is refused while it may not.
 #[test]
 fn common_requests_have_one_answer_for_all_devices() {
-    let (key, other) = (SettingKey::LeadUm, SettingKey::NoLoadMa);
+    let (key, other) = (SettingKey::LeadUm, SettingKey::MotorMohm);
     let set = |key, value| Request::SetSetting(Setting { key, value });
     let name = |name: &str| {
         let name = name.try_into().unwrap();

@@ -1,11 +1,11 @@
 //! Executes requests: the only place where the protocol's messages meet the state machine.
 
 use crate::{
-    fold::{Actions, Capsule, Command, Drive, Event},
-    kept::Totals,
-    mechanics::Thread,
+    control::flash::Totals,
+    machine::{Actions, Capsule, Command, Drive, Event},
+    record::trace::Recording,
     settings::Settings,
-    trace::Recording,
+    units::Thread,
 };
 use device::common::{About, Effect, Executed};
 use protocol::{
@@ -104,22 +104,24 @@ fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {
     CapsuleTotals {
         actuations: totals.actuations,
         energy_mj: totals.energy_mj,
-        calibration: capsule.calibration().map(|calibration| CapsuleCalibration {
+        calibration: (capsule.known().calibration).map(|calibration| CapsuleCalibration {
             folded_um: calibration.folded.0,
-            rise_um: calibration.rise.0,
             no_load_ma: calibration.no_load_ma,
-            tension_ma: calibration.tension_ma,
+            pull_ma: calibration.pull_ma,
         }),
     }
 }
 
 fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {
+    let known = capsule.known();
     CapsuleStatus {
         time_us,
         state: capsule.state(),
         fault: capsule.fault(),
-        referenced: capsule.referenced(),
+        referenced: known.is_certain(),
         thread_um: capsule.thread().0,
+        doubt_um: known.doubt.map(|doubt| doubt.0.unsigned_abs()),
+        left_um: known.left.0.unsigned_abs(),
         current_ma: capsule.sample().magnitude_ma(),
         battery_mv: capsule.sample().battery_mv,
         actuation: capsule.actuation(),

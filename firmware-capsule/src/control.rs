@@ -1,24 +1,26 @@
 //! All decisions of control: takes readings, requests and the clock; returns drive, replies and events. Pure: a trait
 //! stands for the rest of the capsule, so that host tests run the same code as the control task.
 
-use crate::calibration::Calibration;
+pub mod flash;
+
 use crate::commands::Context;
-use crate::fold::{Actions, Command, Drive, Event};
-use crate::kept::{CALIBRATION, Kept, TOTALS, Totals};
-use crate::mechanics::Counts;
+use crate::known::Known;
+use crate::machine::{Actions, Command, Drive, Event};
+use crate::record::trace::Recording;
 use crate::sample::Sample;
 use crate::settings::Settings;
-use crate::trace::Recording;
-use crate::{commands, fold};
+use crate::units::Counts;
+use crate::{commands, machine};
 use device::retained::{EStop, Retained};
 use device::{
     common::{About, Change, Effect, Surroundings},
     last_words::LastWords,
     service::Answers,
     settings::SettingsStore,
-    store::StorageFailed,
+    store::{MOST_AT_ONCE, StorageFailed},
 };
 use embedded_storage_async::nor_flash::NorFlash;
+use flash::{KNOWN, Kept, TOTALS, Totals};
 use protocol::{
     capsule::{CapsuleEvent, CapsuleFault, CapsuleTelemetry},
     error::Refusal,
@@ -48,7 +50,7 @@ pub trait Capsule {
 /// Owns the state machine, the events, the recording, and the data kept in flash.
 pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     capsule: C,
-    machine: fold::Capsule,
+    machine: machine::Capsule,
     store: SettingsStore<F, Kept>,
     /// Number and energy of the motions that are not in the totals yet.
     ended: (u32, u64),
@@ -56,7 +58,6 @@ pub struct Control<C: Capsule + Surroundings, F: NorFlash> {
     again_us: u64,
     /// Last position, and the time since which it is unchanged with the bridge asleep.
     resting: (Counts, u64),
-    calibrated: Option<Calibration>,
     /// End of the last write before a motion, in which no host was heard.
     deaf_until_us: Option<u64>,
     recording: Recording,
@@ -70,10 +71,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         let (store, usable) =
             SettingsStore::<F, Kept>::load_with(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
-        let Kept {
-            calibration,
-            totals,
-        } = *store.records();
+        let known = store.records().known;
         let fault = match (reset_cause, left.latched) {
             (ResetCause::Panic, _) => Some(CapsuleFault::Panic),
             (ResetCause::Watchdog, _) => Some(CapsuleFault::Watchdog),
@@ -82,12 +80,11 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         };
         let mut control = Self {
             capsule,
-            machine: fold::Capsule::new(fault, calibration, totals.folded, settings),
+            machine: machine::Capsule::new(fault, known, settings),
             store,
             ended: (0, 0),
             again_us: 0,
             resting: (Counts(0), 0),
-            calibrated: None,
             deaf_until_us: None,
             recording: Recording::new(),
             events: EventRing::new(),
@@ -113,6 +110,9 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         let actions = self.machine.step(at_us, Event::Sample(sample));
         // Set the bridge first: the motor keeps its old drive until then.
         self.perform(&actions);
+        if let Some(known) = actions.keep {
+            self.keep_moving(known);
+        }
         if recorded {
             let actuation = self.machine.actuation();
             self.recording.take(actuation, &sample, actions.drive);
@@ -126,7 +126,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     fn keep(&mut self, at_us: u64, counts: Counts) {
         let (rests_at, since_us) = self.resting;
         let driven = self.machine.is_moving() || self.machine.drive() != Drive::Off;
-        let moved = counts.since(rests_at).0.unsigned_abs() > FLICKER;
+        let moved = (counts - rests_at).0.unsigned_abs() > FLICKER;
         if driven || moved {
             self.resting = (counts, at_us);
             return;
@@ -135,7 +135,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             return;
         }
         // Both are tried, whatever becomes of the first.
-        let kept = [self.keep_calibration(), self.keep_totals()];
+        let kept = [self.keep_known(self.machine.resting()), self.keep_totals()];
         let failed = kept.contains(&Err(StorageFailed));
         if failed && self.again_us == 0 {
             self.emit(What::Capsule(CapsuleEvent::NotKept));
@@ -147,64 +147,66 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         };
     }
 
-    /// Writes the calibration in force, unless flash has it.
-    fn keep_calibration(&mut self) -> Result<(), StorageFailed> {
-        let Some(calibration) = self.calibrated else {
+    /// Writes what a start has to find, unless flash has it.
+    fn keep_known(&mut self, known: Known) -> Result<(), StorageFailed> {
+        let before = *self.store.records();
+        if known.is_like(&before.known) {
             return Ok(());
-        };
-        let kept = Kept {
-            calibration: Some(calibration),
-            ..*self.store.records()
-        };
-        self.store.keep(CALIBRATION, kept)?;
-        self.calibrated = None;
-        Ok(())
+        }
+        self.store.keep(KNOWN, Kept { known, ..before })
     }
 
-    /// Writes the motions that have ended and whether the capsule is folded, unless flash has it. A fault at rest may
-    /// have withdrawn the fold; an end that has wandered costs the reference, but the capsule is still folded.
+    /// Writes the motions that have ended, unless flash has them.
     fn keep_totals(&mut self) -> Result<(), StorageFailed> {
         let (actuations, energy_mj) = self.ended;
-        let before = self.store.records().totals;
-        self.write_totals(Totals {
-            actuations: before.actuations.saturating_add(actuations),
-            energy_mj: before.energy_mj.saturating_add(energy_mj),
-            folded: self.machine.is_folded().then(|| self.machine.margin()),
-        })?;
+        if actuations == 0 {
+            return Ok(());
+        }
+        let before = *self.store.records();
+        let totals = Totals {
+            actuations: before.totals.actuations.saturating_add(actuations),
+            energy_mj: before.totals.energy_mj.saturating_add(energy_mj),
+        };
+        self.store.keep(TOTALS, Kept { totals, ..before })?;
         self.ended = (0, 0);
         Ok(())
     }
 
-    fn write_totals(&mut self, totals: Totals) -> Result<(), StorageFailed> {
-        let before = *self.store.records();
-        if totals == before.totals {
-            return Ok(());
-        }
-        self.store.keep(TOTALS, Kept { totals, ..before })
-    }
-
-    /// Before the motor is driven: a power cut during the motion must find the calibration in force, and no "folded".
-    /// The bridge sleeps or shorts the motor meanwhile, so nothing has to be watched.
-    fn begin_motion(&mut self, ordered_us: u64, actions: &Actions) {
-        let starts = |event: &CapsuleEvent| matches!(event, CapsuleEvent::Started { .. });
-        if !actions.events.iter().any(starts) {
-            return;
-        }
-        // If it fails, it stays pending, and `keep` tells it.
-        let _ = self.keep_calibration();
-        let left = Totals {
-            folded: None,
-            ..self.store.records().totals
-        };
-        if self.write_totals(left).is_err() {
-            self.emit(What::Capsule(CapsuleEvent::NotKept));
-        }
+    /// Before the motor is driven: a power cut during the motion must find how far it may have come, and nothing may be
+    /// erased on the way. The bridge sleeps or shorts the motor meanwhile, so nothing has to be watched.
+    ///
+    /// # Errors
+    /// The flash cannot be written: the motion must not begin.
+    fn begin_motion(&mut self, ordered_us: u64, known: Known) -> Result<(), StorageFailed> {
+        self.store.make_room(MOST_AT_ONCE)?;
+        self.keep_known(known)?;
         let now_us = self.capsule.now_us();
         if now_us > ordered_us {
             // An erasure takes up to half a second, in which the motor was not driven and no host was heard.
             self.deaf_until_us = Some(now_us);
             self.machine.begin_late(now_us);
         }
+        Ok(())
+    }
+
+    /// Writes how far the motion may come before the next record. If that fails the motion ends: a cut would leave a place
+    /// in flash where the thread is not.
+    fn keep_moving(&mut self, known: Known) {
+        let before = *self.store.records();
+        if self
+            .store
+            .keep_moving(KNOWN, Kept { known, ..before })
+            .is_ok()
+        {
+            return;
+        }
+        self.emit(What::Capsule(CapsuleEvent::NotKept));
+        let event = match self.capsule.chip().supply_low {
+            true => Event::SupplyLow,
+            false => Event::Command(Command::Stop),
+        };
+        let actions = self.machine.step(self.capsule.now_us(), event);
+        self.perform(&actions);
     }
 
     fn watch_link(&mut self) {
@@ -227,7 +229,6 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         self.capsule.drive(actions.drive);
         let telemetry = commands::telemetry(&self.machine, self.capsule.now_us());
         self.capsule.show(telemetry);
-        self.calibrated = actions.calibrated.or(self.calibrated);
         for event in &actions.events {
             if let CapsuleEvent::Ended { .. } = event {
                 let (actuations, energy_mj) = self.ended;
@@ -284,9 +285,15 @@ impl<C: Capsule + Surroundings, F: NorFlash> Answers for Control<C, F> {
             },
         };
         let ordered_us = context.now_us;
+        let before = self.machine.clone();
         let executed = commands::execute(request, &mut self.machine, &context);
         if let Some(actions) = &executed.actions {
-            self.begin_motion(ordered_us, actions);
+            if let Some(known) = actions.keep
+                && self.begin_motion(ordered_us, known).is_err()
+            {
+                self.machine = before;
+                return Reply::Refused(Refusal::StorageFailed);
+            }
             self.perform(actions);
         }
         match executed.effect {

@@ -1,7 +1,10 @@
-//! Keeps the record of the present or last actuation: duration, currents, energy, how it ended.
+//! Keeps the record of the present or last actuation: duration, currents, energy, how it ended. [`trace`] has its
+//! readings.
 
-use crate::mechanics::Thread;
+pub mod trace;
+
 use crate::sample::Sample;
+use crate::units::Thread;
 use protocol::capsule::{ActuationKind, ActuationOutcome, ActuationRecord};
 
 /// Unit of the energy counter, fJ: fine enough to need no division per reading. A fold has 2.4e14 of them.
@@ -129,14 +132,6 @@ impl Recorder {
     pub(crate) fn engaged(&mut self, thread: Thread) {
         if self.record.engaged_um == 0 {
             self.record.engaged_um = thread.0;
-        }
-    }
-
-    /// Moves the thread's zero back by `distance`, which adds that much to the engagement.
-    pub(crate) fn zero_moved(&mut self, distance: Thread) {
-        // 0 means that it never engaged.
-        if self.record.engaged_um != 0 {
-            self.record.engaged_um = self.record.engaged_um.saturating_add(distance.0);
         }
     }
 

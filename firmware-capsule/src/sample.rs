@@ -1,6 +1,6 @@
 //! One reading of the sensors, and the directions of the spool.
 
-use crate::{mechanics::Counts, sense::ma};
+use crate::{sense::ma, units::Counts};
 
 /// One reading of the sensors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -22,11 +22,6 @@ impl Sample {
     pub fn magnitude_ma(&self) -> u16 {
         ma(self.current_ua).unsigned_abs()
     }
-
-    /// Current that drives the motor in this direction; negative if it brakes.
-    pub fn along_ma(&self, spooling: Spooling) -> i16 {
-        ma(spooling.along(self.current_ua))
-    }
 }
 
 /// Direction of the spool.
@@ -39,11 +34,11 @@ pub enum Spooling {
 }
 
 impl Spooling {
-    /// A distance or speed in counts, positive in this direction.
-    pub fn along(self, counts: i32) -> i32 {
+    /// A distance, a speed or a current, positive in this direction.
+    pub fn along(self, value: i32) -> i32 {
         match self {
-            Spooling::Wind => counts,
-            Spooling::PayOut => counts.saturating_neg(),
+            Spooling::Wind => value,
+            Spooling::PayOut => value.saturating_neg(),
         }
     }
 }

@@ -22,8 +22,6 @@ fn number(value: u32) -> String {
 fn every_fault_is_in_the_manual() {
     for fault in [
         CapsuleFault::Jam { thread_um: 1 },
-        CapsuleFault::ThreadBroken,
-        CapsuleFault::SpoolSlip,
         CapsuleFault::SlipOrBreak,
         CapsuleFault::EncoderLost,
         CapsuleFault::BridgeSilent,

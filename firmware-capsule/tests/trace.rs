@@ -1,17 +1,17 @@
 //! The recording of a motion: which readings it keeps, in which order, and counted from where.
 
 use firmware_capsule::{
-    fold::Drive,
-    mechanics::{Counts, Thread},
+    machine::Drive,
+    record::trace::Recording,
     sample::Sample,
-    trace::Recording,
+    units::{Counts, Thread},
 };
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, TracePoint};
 
-/// The reading with this number: five counts of thread further than the one before.
+/// The reading with this number: three counts of thread further than the one before.
 fn take(recording: &mut Recording, actuation: u32, number: i32) {
     let sample = Sample {
-        counts: Counts(1_000 + 5 * number),
+        counts: Counts(1_000 + 3 * number),
         current_ua: -(number % 200) * 1_000,
         battery_mv: 3_000 + 10 * (number % 90) as u16,
         ..Sample::default()
@@ -49,7 +49,7 @@ fn the_last_readings_are_kept_in_their_order_and_counted_from_zero() {
         let points = points(&recording, zero);
         assert_eq!(points.len() as i32, readings.min(kept));
         for (number, point) in ((readings - kept).max(0)..readings).zip(&points) {
-            let Thread(thread_um) = Counts(1_000 + 5 * number).since(zero).thread();
+            let Thread(thread_um) = (Counts(1_000 + 3 * number) - zero).thread();
             assert_eq!(point.thread_um, thread_um, "{number}");
             assert_eq!(i32::from(point.current_ma), number % 200);
             let off_mv = point.battery_mv.abs_diff(3_000 + 10 * (number % 90) as u16);

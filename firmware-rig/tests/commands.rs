@@ -151,7 +151,7 @@ fn requests() -> Vec<Request> {
             request => request,
         })
         .collect();
-    let key = SettingKey::NoLoadMa;
+    let key = SettingKey::MotorMohm;
     requests.push(Request::GetSetting(GetSetting { key }));
     requests
 }

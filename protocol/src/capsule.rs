@@ -4,16 +4,16 @@ use crate::settings::SettingKey;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Finds the thread's zero: winds slowly to the end force, then pays out the length of the calibration. Without one
-/// it is a [`Calibrate`].
+/// Finds the folded end by the pull of the thread, where the count has become uncertain, and unfolds. Without a
+/// calibration it is a [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Reference;
 
-/// Winds the thread until the force (motor current) at the calibrated end shows that the origami is folded.
+/// Winds the thread to the folded end by count, then feels whether it pulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Fold;
 
-/// Pays the thread out to the referenced zero by encoder count, and never past it.
+/// Pays the thread out to zero by count, and never past it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Unfold;
 
@@ -21,8 +21,7 @@ pub struct Unfold;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Calibrate;
 
-/// Confirms that the capsule is folded, and leaves it so: winds gently to the end force, or, if it is known to be
-/// folded, feels whether its thread pulls.
+/// Feels whether the thread pulls where the capsule is folded, and leaves it so; elsewhere it folds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CheckFolded;
 
@@ -60,9 +59,7 @@ pub enum CapsuleState {
     /// At rest between the ends after a stop; the worm holds.
     Stopped,
     Faulted,
-    /// At rest after a reset or an emergency stop. The last motion before it ended folded; nothing has confirmed that since.
-    WasFolded,
-    /// Winding gently to confirm that it is folded.
+    /// Feeling whether it is folded.
     Checking,
 }
 
@@ -70,13 +67,11 @@ pub enum CapsuleState {
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleFault {
-    /// The end force was reached before the calibrated end: something blocks the fold.
+    /// The motor stands before its target, with all its current: something holds the thread.
     Jam {
-        /// Thread wound up to there.
+        /// Thread on the spool there.
         thread_um: i32,
     },
-    /// The calibrated end was passed at no-load current.
-    ThreadBroken,
     /// The motor turned and the encoder did not count, or counted the wrong way.
     EncoderLost,
     /// Current above the driver's limit.
@@ -93,9 +88,7 @@ pub enum CapsuleFault {
     Watchdog,
     /// The firmware panicked or hit a processor fault; the device was reset.
     Panic,
-    /// The thread was wound past its calibrated end and pulled with less than the end force.
-    SpoolSlip,
-    /// The thread of a folded capsule does not pull: it has slipped on its spool, or is broken.
+    /// At the folded end the thread does not pull as it did at the calibration: it has slipped, or is broken.
     SlipOrBreak,
     /// The bridge was driven, no current flowed, and the motor stood or ran out.
     BridgeSilent,
@@ -120,10 +113,14 @@ pub struct CapsuleStatus {
     pub state: CapsuleState,
     /// The latched fault, if there is one.
     pub fault: Option<CapsuleFault>,
-    /// The thread position can be trusted.
+    /// The thread position is known to 0.25 mm, and the capsule is calibrated.
     pub referenced: bool,
-    /// Thread wound up, by the encoder.
+    /// Thread on the spool at least, by the encoder.
     pub thread_um: i32,
+    /// How much more there may be; none if nothing is known, and only a hand can help.
+    pub doubt_um: Option<u32>,
+    /// Thread that stays on the spool when it is unfolded, as the last reference has found.
+    pub left_um: u32,
     pub current_ma: u16,
     pub battery_mv: u16,
     /// Number of the present or last actuation.
@@ -202,7 +199,7 @@ pub const MAX_TRACE_POINTS: usize = 13;
 
 /// Readings of an actuation that the capsule keeps, 1 ms apart: those of a whole fold at the default speed, with a
 /// margin.
-pub const KEPT_TRACE_POINTS: usize = 2_800;
+pub const KEPT_TRACE_POINTS: usize = 4_200;
 
 /// One reading of a recording; 1 ms apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -243,14 +240,12 @@ pub struct CapsuleTotals {
 /// Properties of one capsule, as measured by [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CapsuleCalibration {
-    /// Thread from the unfolded end to the end force.
+    /// Thread from the unfolded end to the folded one.
     pub folded_um: i32,
-    /// Thread from half of the end force to the end force.
-    pub rise_um: i32,
     /// Current of the motor with a slack thread.
     pub no_load_ma: u16,
     /// Current of winding the folded thread less that of paying it out.
-    pub tension_ma: u16,
+    pub pull_ma: u16,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
@@ -270,12 +265,6 @@ pub enum CapsuleEvent {
     /// The flash could not be written. At rest it is tried again every 10 s; until that succeeds a reset loses totals or
     /// calibration.
     NotKept,
-    /// The folded end has wandered since the reference, by more than [`crate::settings::SettingKey::DriftUm`]. The
-    /// reference is taken away.
-    Drifted {
-        /// How far it lies beyond that of the first fold.
-        by_um: i32,
-    },
     /// A setting has another value.
     SettingChanged(SettingKey),
     /// All settings are at their defaults, and the name is cleared.

@@ -98,6 +98,8 @@ pub enum Refusal {
     /// A name has a character that cannot be printed.
     NameNotPrintable,
     NotCalibrated,
+    /// Too little is known of the thread's position to move it.
+    UnfoldByHand,
 }
 
 /// The values that a request checks against a range.
@@ -227,37 +229,31 @@ impl fmt::Display for CapsuleFault {
         match self {
             CapsuleFault::Jam { thread_um } => write!(
                 f,
-                "the thread met an obstacle at {}.{:03} mm of thread: free the origami, acknowledge, unfold or reference",
+                "something held the thread at {}.{:03} mm of thread: free the origami, acknowledge, unfold",
                 thread_um / 1000,
                 (thread_um % 1000).unsigned_abs()
             ),
-            CapsuleFault::ThreadBroken => f.write_str(
-                "the thread was wound past its end without load: check the thread, acknowledge, reference",
-            ),
             CapsuleFault::EncoderLost => f.write_str(
-                "the motor turned and the encoder did not count: check the encoder's wires, acknowledge, reference",
+                "the motor turned and the encoder did not count: check the encoder's wires, acknowledge, unfold by hand, calibrate",
             ),
             CapsuleFault::OverCurrent { current_ma } => {
-                write!(f, "motor current {current_ma} mA: check for a short circuit, acknowledge, reference")
+                write!(f, "motor current {current_ma} mA: check for a short circuit, acknowledge, unfold")
             }
             CapsuleFault::LowBattery { battery_mv } => {
                 write!(f, "battery at {battery_mv} mV: charge or change it, then acknowledge")
             }
-            CapsuleFault::Timeout => f.write_str("the actuation did not end in time: acknowledge, reference"),
-            CapsuleFault::DriverFault => f.write_str("the motor driver reports a fault: check motor and supply, acknowledge, reference"),
-            CapsuleFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then reference"),
-            CapsuleFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then reference"),
-            CapsuleFault::SpoolSlip => f.write_str(
-                "the thread was wound past its end and pulled too little: it slips on its spool; check spool and knot, acknowledge, calibrate",
-            ),
+            CapsuleFault::Timeout => f.write_str("the actuation did not end in time: acknowledge, unfold"),
+            CapsuleFault::DriverFault => f.write_str("the motor driver reports a fault: check motor and supply, acknowledge, unfold"),
+            CapsuleFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then unfold"),
+            CapsuleFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then `retrograde info` says what is known of the thread"),
             CapsuleFault::SlipOrBreak => f.write_str(
-                "the folded thread does not pull: it has slipped on its spool or is broken; check it, acknowledge, calibrate",
+                "the thread does not pull as it did at the calibration: it has slipped or is broken; acknowledge, unfold, check thread, knot and spool, calibrate",
             ),
             CapsuleFault::BridgeSilent => f.write_str(
-                "the motor was driven and drew no current: check its wires and the bridge's supply, acknowledge, reference",
+                "the motor was driven and drew no current: check its wires and the bridge's supply, acknowledge, unfold",
             ),
             CapsuleFault::SenseLost => f.write_str(
-                "the motor ran and no current was measured: check the shunt amplifier and its wire, acknowledge, reference",
+                "the motor ran and no current was measured: check the shunt amplifier and its wire, acknowledge, unfold",
             ),
             CapsuleFault::NotUnfolded { wound_um } => write!(
                 f,
@@ -266,9 +262,9 @@ impl fmt::Display for CapsuleFault {
                 (wound_um % 1000).unsigned_abs()
             ),
             CapsuleFault::SenseOrEncoder => f.write_str(
-                "voltage, current and counts of the motor do not agree: the encoder loses counts or the current amplifier is wrong; check both, acknowledge, reference",
+                "voltage, current and counts of the motor do not agree: the encoder loses counts or the current amplifier is wrong; check both, acknowledge, unfold by hand, calibrate",
             ),
-            CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then reference"),
+            CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then `retrograde info` says what is known of the thread"),
         }
     }
 }
@@ -284,7 +280,7 @@ impl fmt::Display for Refusal {
             Refusal::NothingToAcknowledge => f.write_str("no fault is latched"),
             Refusal::AcknowledgeFirst => f.write_str("the device restarted after a failure: read its last words, then acknowledge"),
             Refusal::NotHomed => f.write_str("the position is unknown: home first"),
-            Refusal::NotReferenced => f.write_str("the thread position is unknown: reference first"),
+            Refusal::NotReferenced => f.write_str("the thread position is uncertain: reference first"),
             Refusal::RigBusy(state) => write!(f, "not possible while the rig is {}", match state {
                 RigState::Unhomed => "not homed",
                 RigState::Homing => "homing",
@@ -304,7 +300,6 @@ impl fmt::Display for Refusal {
                 CapsuleState::Unfolding => "unfolding",
                 CapsuleState::Stopped => concat!("stopped between its ends", " and has moved within the last half second: again in a second"),
                 CapsuleState::Faulted => concat!("faulted", " and has moved within the last half second: again in a second"),
-                CapsuleState::WasFolded => concat!("not referenced, folded when it was last known", " and has moved within the last half second: again in a second"),
                 CapsuleState::Checking => "checking that it is folded",
             }),
             Refusal::OutOfRange { field, requested, min, max } => {
@@ -339,7 +334,7 @@ impl fmt::Display for Refusal {
             Refusal::SettingRule { key, rule } => {
                 write!(f, "{} cannot have this value: {}", key.name(), rule.text())
             }
-            Refusal::StorageFailed => f.write_str("the flash could not be written; the old value stands. Try again; if it happens twice, set everything back to the defaults; if that fails too, replace the board"),
+            Refusal::StorageFailed => f.write_str("the flash could not be written, so nothing has changed. Try again; if it happens twice, set everything back to the defaults; if that fails too, replace the board"),
             Refusal::NothingToHold => f.write_str("no run is moving that could be held"),
             Refusal::NothingToResume => f.write_str("no run is held"),
             Refusal::LoopOpen => f.write_str("the E-stop / end-of-travel loop is open: release the button, or fix the loop"),
@@ -347,6 +342,7 @@ impl fmt::Display for Refusal {
             Refusal::FarLimitOpen => f.write_str("the far limit is open: check its switch and its wire, or move the carriage off it by hand"),
             Refusal::SupplyLow => f.write_str("the supply is below 2.7 V: nothing is stored, and no motion of the rig begins; check the supply, then try again"),
             Refusal::NotCalibrated => f.write_str("this capsule has no calibration: unfold it, then `retrograde capsule calibrate`"),
+            Refusal::UnfoldByHand => f.write_str("too little is known of the thread's position: unfold the origami by hand, the thread slack by 1 mm, then `retrograde capsule calibrate`"),
             Refusal::NameNotPrintable => f.write_str("the name has a character that cannot be printed: use letters, digits, spaces and signs"),
         }
     }

@@ -55,4 +55,4 @@ pub mod system;
 pub mod table;
 
 /// The protocol's version; see the compatibility rules in the crate documentation.
-pub const VERSION: system::Version = system::Version { major: 3, minor: 3 };
+pub const VERSION: system::Version = system::Version { major: 4, minor: 0 };

@@ -77,21 +77,15 @@ settings! {
     ButtonStrokeUm of Rig: "button_stroke_um", "um", 1..=130_000, 130_000, "Run of the start button: stroke.";
     ButtonTotalMs of Rig: "button_total_ms", "ms", 100..=86_400_000, 40_000, "Run of the start button: total duration.";
     ButtonAccelUmS2 of Rig: "button_accel_um_s2", "um/s2", 1..=10_000_000, 100_000, "Run of the start button: acceleration.";
-    EndForceMa of Capsule: "end_force_ma", "mA", 60..=160, 132, "Current above the no-load current at which the thread counts as wound to its end.";
-    FoldUmS of Capsule: "fold_um_s", "um/s", 7_000..=11_450, 11_450, "Winding over the long way of a fold. No faster: a thread that catches has to stop the motor's momentum.";
-    UnfoldUmS of Capsule: "unfold_um_s", "um/s", 7_000..=20_985, 20_985, "Paying out, at most; slower where the motor must stop before zero by friction alone.";
-    SlowUmS of Capsule: "slow_um_s", "um/s", 5_500..=6_995, 6_995, "Winding where force ends it: calibrate, reference, check, and the last of a fold.";
+    EndForceMa of Capsule: "end_force_ma", "mA", 60..=160, 132, "Current above the no-load current at which a calibration finds the folded end.";
+    FoldUmS of Capsule: "fold_um_s", "um/s", 5_000..=11_000, 7_000, "Winding over the long way of a fold. No faster: a thread that catches has to stop the motor's momentum.";
+    UnfoldUmS of Capsule: "unfold_um_s", "um/s", 5_000..=10_000, 10_000, "Paying out. No faster: without power the motor must stop within its last, slow millimetre.";
     LeastBatteryMv of Capsule: "least_battery_mv", "mV", 2_900..=4_000, 3_000, "Battery at rest below which a motion is refused.";
     LoadedBatteryMv of Capsule: "loaded_battery_mv", "mV", 2_400..=3_500, 2_700, "Battery under load below which a motion ends with LowBattery.";
     MotorMohm of Capsule: "motor_mohm", "mohm", 2_000..=20_000, 6_500, "Winding, both switches of the bridge, and cell: what bounds the current.";
     BackEmfUvCps of Capsule: "back_emf_uv_cps", "uV/cps", 50..=1_000, 207, "Back-EMF of the motor per encoder count per second.";
-    NoLoadMa of Capsule: "no_load_ma", "mA", 8..=30, 16, "Current of the motor with a slack thread, until a calibration has measured it.";
-    SpeedGainUaCps of Capsule: "speed_gain_ua_cps", "uA/cps", 5..=25, 15, "Speed loop: proportional part.";
     ShortestFoldUm of Capsule: "shortest_fold_um", "um", 8_000..=24_000, 16_000, "A calibration that finds the end force before this was not unfolded.";
     LongestFoldUm of Capsule: "longest_fold_um", "um", 9_000..=28_000, 24_500, "A calibration that has not found the end force by then has no thread to wind.";
-    EndToleranceUm of Capsule: "end_tolerance_um", "um", 100..=250, 250, "An end force at most this far before the calibrated end is the folded end; earlier it is a jam.";
-    EndOverrunUm of Capsule: "end_overrun_um", "um", 200..=1_000, 400, "How far beyond the calibrated end the thread is wound if it does not reach the end force.";
-    DriftUm of Capsule: "drift_um", "um", 100..=400, 300, "Folded ends that have wandered by more since the reference, over four folds, take the reference away.";
     FoldTimeoutMs of Capsule: "fold_timeout_ms", "ms", 2_000..=20_000, 8_000, "A fold that takes longer is a fault.";
     UnfoldTimeoutMs of Capsule: "unfold_timeout_ms", "ms", 2_000..=20_000, 4_000, "An unfolding that takes longer is a fault.";
 }

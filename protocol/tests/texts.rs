@@ -46,9 +46,8 @@ fn faults_of_the_rig() -> Vec<RigFault> {
     faults
 }
 
-const FAULTS_OF_THE_CAPSULE: [CapsuleFault; 16] = [
+const FAULTS_OF_THE_CAPSULE: [CapsuleFault; 14] = [
     CapsuleFault::Jam { thread_um: 12_034 },
-    CapsuleFault::ThreadBroken,
     CapsuleFault::EncoderLost,
     CapsuleFault::OverCurrent { current_ma: 900 },
     CapsuleFault::LowBattery { battery_mv: 2_600 },
@@ -57,7 +56,6 @@ const FAULTS_OF_THE_CAPSULE: [CapsuleFault; 16] = [
     CapsuleFault::EStopFrame,
     CapsuleFault::Watchdog,
     CapsuleFault::Panic,
-    CapsuleFault::SpoolSlip,
     CapsuleFault::SlipOrBreak,
     CapsuleFault::BridgeSilent,
     CapsuleFault::SenseLost,

@@ -4,13 +4,13 @@ pub mod board;
 pub mod cases;
 
 use board::{Board, PERIODS_PER_MS};
-use capsule_plant::Parameters;
+use capsule_plant::{Bridge, Parameters};
 use core::ops::{Deref, DerefMut};
-use firmware_capsule::calibration::Calibration;
-use firmware_capsule::fold::{Actions, Capsule, Command, Drive, Event};
+use firmware_capsule::known::{Calibration, Known};
+use firmware_capsule::machine::{Actions, Capsule, Command, Drive, Event};
 use firmware_capsule::sample::Sample;
 use firmware_capsule::settings::Settings;
-use protocol::capsule::CapsuleEvent;
+use protocol::capsule::{CapsuleEvent, CapsuleFault};
 
 /// Delay from a reading to the resulting duty, us, as measured on the image (`virtual-bench bench`). Without it a jam
 /// pulls 1.5 N less than on the image.
@@ -27,8 +27,10 @@ pub struct Simulation {
     pub now_us: u64,
     /// Events that the firmware has reported.
     pub events: Vec<CapsuleEvent>,
-    /// Calibration that the firmware has asked to keep in flash.
-    pub kept: Option<Calibration>,
+    /// What the flash has, and how often a motion has written it.
+    pub kept: Known,
+    /// Records written within motions.
+    pub writes: u32,
     /// Drive before the last decision; the bridge keeps it until control has judged the reading.
     before: Drive,
 }
@@ -52,15 +54,14 @@ impl Simulation {
     pub fn new(parameters: Parameters, seed: u64) -> Self {
         let mut sim = Self {
             board: Board::new(parameters, seed),
-            capsule: Capsule::new(None, None, None, Settings::REFERENCE),
+            capsule: Capsule::new(None, Known::default(), Settings::REFERENCE),
             now_us: 0,
             events: Vec::new(),
-            kept: None,
+            kept: Known::default(),
+            writes: 0,
             before: Drive::Off,
         };
-        for _ in 0..100 {
-            sim.tick();
-        }
+        sim.wait(100);
         sim
     }
 
@@ -81,11 +82,21 @@ impl Simulation {
         (sample, self.give(Event::Sample(sample)).drive)
     }
 
+    /// Lets this many milliseconds pass.
+    pub fn wait(&mut self, ms: u32) {
+        for _ in 0..ms {
+            self.tick();
+        }
+    }
+
     /// Passes an event to the firmware.
     pub fn give(&mut self, event: Event) -> Actions {
         let actions = self.capsule.step(self.now_us, event);
         self.events.extend(actions.events.iter().copied());
-        self.kept = actions.calibrated.or(self.kept);
+        if let Some(known) = actions.keep {
+            self.kept = known;
+            self.writes += 1;
+        }
         actions
     }
 
@@ -95,9 +106,10 @@ impl Simulation {
         assert_eq!(actions.refusal, None, "{command:?} refused");
     }
 
-    /// Runs until the capsule rests, the bridge sleeps and the motor stands; at most 20 s.
+    /// Runs until the capsule rests, the bridge sleeps and the motor stands; at most a minute. Then the flash knows the
+    /// place.
     pub fn settle(&mut self) {
-        for _ in 0..20_000 {
+        for _ in 0..60_000 {
             self.tick();
             if !self.capsule.is_moving() && self.capsule.drive() == Drive::Off {
                 break;
@@ -108,9 +120,8 @@ impl Simulation {
             "still moving: {:?}",
             self.capsule
         );
-        for _ in 0..100 {
-            self.tick();
-        }
+        self.wait(100);
+        self.kept = self.capsule.resting();
     }
 
     /// Gives a command and runs until everything rests.
@@ -127,14 +138,27 @@ impl Simulation {
         sim
     }
 
-    /// Resets the firmware at rest: it loses the position, the worm holds. Also clears extremes and events.
-    pub fn reset(&mut self, was_folded: bool) {
-        let folded = was_folded.then(|| self.capsule.margin());
-        self.capsule = Capsule::new(None, self.kept, folded, Settings::REFERENCE);
-        self.forget();
-        for _ in 0..100 {
-            self.tick();
-        }
+    /// The calibration. Panics without one.
+    pub fn calibration(&self) -> Calibration {
+        self.capsule.known().calibration.expect("it is calibrated")
+    }
+
+    /// Thread at the folded end of the calibration, mm.
+    pub fn folded_mm(&self) -> f64 {
+        f64::from(self.calibration().folded.0) / 1e3
+    }
+
+    /// Cuts the power, or lets a `fault` reset the chip: the motor runs down, and the firmware starts with what the flash
+    /// has.
+    pub fn restart(&mut self, fault: Option<CapsuleFault>) {
+        self.plant.set_bridge(Bridge::Coast);
+        self.plant.advance(2.0, |_| ());
+        assert!(self.plant.is_quiet(), "it still moves");
+        let kept = self.kept;
+        self.capsule = Capsule::new(fault, kept, Settings::REFERENCE);
+        self.before = Drive::Off;
+        self.board.restart();
+        self.wait(100);
     }
 
     /// Clears extremes and events.

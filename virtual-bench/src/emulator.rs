@@ -145,8 +145,8 @@ pub trait Wiring: fmt::Debug + Send + 'static {
     /// The chip was reset or powered up: no pin is driven any more.
     fn restarted(&mut self);
 
-    /// A store into the flash or an erase has begun: no instruction is executed until it ends.
-    fn flash_began(&mut self);
+    /// A store into the flash has begun, or an erasure: no instruction is executed until it ends.
+    fn flash_began(&mut self, erases: bool);
 
     /// The supply was cut: the chip drives no pin until [`Wiring::restarted`].
     fn powered_off(&mut self);
@@ -752,10 +752,10 @@ impl<W: Wiring> Emulator<W> {
 
     /// Stalls the core: it cannot fetch code while the flash is busy (RM0383 section 3.5). Time, peripherals and DMA go
     /// on.
-    fn stall(&mut self, host: &mut dyn Host) {
+    fn stall(&mut self, erases: bool, host: &mut dyn Host) {
         self.stalled = true;
         host.hold(true);
-        self.wiring().flash_began();
+        self.wiring().flash_began(erases);
     }
 
     /// Marks the flash as busy until `until`, and schedules a stop there.
@@ -823,11 +823,11 @@ impl<W: Wiring> Emulator<W> {
             Touched::Nothing => {}
             Touched::Stored => {
                 self.busy_until(VirtualNanos(now.0 + STORE_NS), now);
-                self.stall(host);
+                self.stall(false, host);
             }
             Touched::EraseBegan => {
                 self.busy_until(VirtualNanos(now.0 + self.options.erase_ns), now);
-                self.stall(host);
+                self.stall(true, host);
             }
             Touched::Refused => self.flash_refused += 1,
         }

@@ -1,4 +1,4 @@
-//! Tries the capsule's image on the seeded capsules of `capsule-plant`, one after the other on the same board.
+//! Tries the capsule's image on the seeded capsules of `capsule-plant`, each on a new board.
 
 use capsule_plant::cases::{Course, Kind, Motion};
 use capsule_plant::verdict::{Verdict, name};
@@ -13,73 +13,52 @@ use protocol::system::DeviceKind;
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::{self, CapsuleBoard};
 use crate::link::VirtualLink;
-use crate::plants::capsule::{Capsule, Parameters};
+use crate::plants::capsule::Capsule;
 
 /// Time from the request to the motor's first drive: the frame, the answer, a control period, ms.
 const START_MS: f64 = 5.0;
-/// Time from a reset to the first use of the link, us.
-const START_US: u64 = 20_000;
 /// Rest before a capsule is checked, so that the motor has run down and the bridge sleeps.
 const REST_US: u64 = 300_000;
 
-/// A board on which capsules are tried one after the other.
-pub struct Workbench {
+/// A board with one capsule.
+struct Workbench {
     bench: Bench<CapsuleBoard>,
     device: Device,
-    resets: usize,
+}
+
+/// Tries one capsule with one defect. Returns the verdict of the image.
+///
+/// # Errors
+/// The bench fails, or the image does what is wrong for every capsule: drives at rest, forgets a fault, moves with
+/// one, writes flash while the motor turns, accesses what the chip does not have.
+pub fn try_case(kind: Kind, seed: u64) -> Result<Verdict, BenchError> {
+    let parameters = kind.parameters(seed);
+    let bench = capsule::start(parameters)?;
+    let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
+    let device = Device::connect(link, DeviceKind::Capsule, 1)?;
+    let mut workbench = Workbench { bench, device };
+    workbench.device.idle(REST_US, &mut Unobserved)?;
+    let mut end_mm = 0.0;
+    if kind.course(seed, end_mm).motion != Motion::Calibrate {
+        let calibrated = workbench.calibrate()?;
+        if calibrated.name() != "Complete" {
+            return Ok(Verdict {
+                name: calibrated.name(),
+                took_ms: None,
+                peak_n: workbench.look(|capsule| capsule.peak_force_n())?,
+                short_mm: None,
+            });
+        }
+        end_mm = workbench.folded_mm()? - parameters.slack_mm;
+    }
+    let mut verdict = workbench.follow(&kind.course(seed, end_mm), end_mm)?;
+    match workbench.check(kind, &mut verdict)? {
+        Ok(()) => Ok(verdict),
+        Err(what) => Err(BenchError::Wrong(format!("{kind:?}, seed {seed}: {what}"))),
+    }
 }
 
 impl Workbench {
-    /// Powers the board up.
-    ///
-    /// # Errors
-    /// The image is missing or does not answer.
-    pub fn new() -> Result<Self, BenchError> {
-        let bench = capsule::start(Parameters::nominal())?;
-        let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
-        let device = Device::connect(link, DeviceKind::Capsule, 1)?;
-        Ok(Self {
-            bench,
-            device,
-            resets: 0,
-        })
-    }
-
-    /// Tries one capsule with one defect, after a reset of the board. Returns the verdict of the image.
-    ///
-    /// # Errors
-    /// The bench fails, or the image does what is wrong for every capsule: drives at rest, forgets a fault, moves with
-    /// one, writes flash while the motor turns, accesses what the chip does not have.
-    pub fn try_case(&mut self, kind: Kind, seed: u64) -> Result<Verdict, BenchError> {
-        let parameters = kind.parameters(seed);
-        self.bench.visit(move |visit| {
-            visit.board().capsule.exchange(parameters);
-            visit.reset();
-        })?;
-        self.resets += 1;
-        self.device.fall_silent(START_US)?;
-        self.device.hello(self.resets as u32 + 1)?;
-        self.device.idle(REST_US, &mut Unobserved)?;
-        let mut end_mm = 0.0;
-        if kind.course(seed, end_mm).motion != Motion::Calibrate {
-            let calibrated = self.calibrate()?;
-            if calibrated.name() != "Complete" {
-                return Ok(Verdict {
-                    name: calibrated.name(),
-                    took_ms: None,
-                    peak_n: self.look(|capsule| capsule.peak_force_n())?,
-                    short_mm: None,
-                });
-            }
-            end_mm = self.folded_mm()? - parameters.slack_mm;
-        }
-        let mut verdict = self.follow(&kind.course(seed, end_mm), end_mm)?;
-        match self.check(kind, &mut verdict)? {
-            Ok(()) => Ok(verdict),
-            Err(what) => Err(BenchError::Wrong(format!("{kind:?}, seed {seed}: {what}"))),
-        }
-    }
-
     fn look<T: Send + 'static>(
         &self,
         look: impl FnOnce(&mut Capsule) -> T + Send + 'static,
@@ -220,7 +199,7 @@ impl Workbench {
                 "the flash was written while the motor turned".to_owned()
             ));
         }
-        Ok(self.bench.bus()?.check(self.resets))
+        Ok(self.bench.bus()?.check(0))
     }
 }
 

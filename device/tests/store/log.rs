@@ -396,8 +396,8 @@ const OUT_OF_RANGE: [SettingKey; 2] = [SettingKey::FlagUm, SettingKey::PullOffUm
 /// A flash with values that only a newer firmware takes.
 fn out_of_range() -> Flash {
     let flash = Flash::holding(young());
-    let mut log = Log::new(flash.clone());
-    log.load(|_, _| {}).unwrap();
+    let (mut log, loaded) = Log::new(flash.clone()).load(|_, _| {});
+    loaded.unwrap();
     for key in OUT_OF_RANGE {
         let record = Values::record(key.range().max + 1);
         log.save(key as u8, &record).unwrap();
@@ -435,8 +435,8 @@ fn a_reset_ends_a_value_out_of_range() {
     let (mut store, _) = Store::load(flash.clone(), |_| true);
     store.reset().unwrap();
     let mut last = None;
-    let mut log = Log::new(Flash::holding(flash.bytes()));
-    let read = log.load(|number, record| last = Some((number, record.to_vec())));
+    let log = Log::new(Flash::holding(flash.bytes()));
+    let (_, read) = log.load(|number, record| last = Some((number, record.to_vec())));
     assert_eq!((read, last), (Ok(()), Some((DEFAULTS_RECORD, vec![]))));
     assert_eq!(Content::of(&start(&flash)), Content::default());
 }
@@ -445,8 +445,8 @@ fn a_reset_ends_a_value_out_of_range() {
 #[test]
 fn an_empty_record_is_none() {
     let flash = Flash::holding(young());
-    let mut log = Log::new(flash.clone());
-    log.load(|_, _| {}).unwrap();
+    let (mut log, loaded) = Log::new(flash.clone()).load(|_, _| {});
+    loaded.unwrap();
     log.save(SettingKey::FlagUm as u8, &[]).unwrap();
     let default = SettingKey::FlagUm.range().default;
     let store = start(&Flash::holding(flash.bytes()));
@@ -525,7 +525,7 @@ fn a_record_that_is_too_long_is_not_written() {
     log.save(NAME_RECORD, &[7; 27]).unwrap();
     let mut records = Vec::new();
     let note = |number, record: &[u8]| records.push((number, record.to_vec()));
-    Log::new(flash).load(note).unwrap();
+    Log::new(flash).load(note).1.unwrap();
     assert_eq!(records, [(NAME_RECORD, vec![7; 27])]);
 }
 

@@ -6,10 +6,10 @@ use super::{
 };
 use embassy_time::Duration;
 use firmware_capsule::{
-    fold::Drive,
-    mechanics::Counts,
+    machine::Drive,
     sample::Sample,
     sense::{FINE, Reference, Zero, millivolts},
+    units::Counts,
 };
 
 /// The battery's divider is 1/2.

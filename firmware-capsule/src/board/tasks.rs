@@ -27,7 +27,7 @@ use embassy_stm32::{
 use embassy_time::{Duration, Instant, Timer};
 use firmware_capsule::{
     control::{self, Control},
-    fold::Drive,
+    machine::Drive,
     sense::SETTLED_US,
 };
 use protocol::{

@@ -1,7 +1,7 @@
 //! The record of an actuation: energy, currents, duration.
 
 use super::*;
-use crate::mechanics::Counts;
+use crate::units::Counts;
 
 fn sample(current_ma: i32, battery_mv: u16) -> Sample {
     Sample {
@@ -85,13 +85,9 @@ fn a_record_has_the_last_current_the_largest_one_and_the_lowest_voltage() {
 }
 
 #[test]
-fn the_first_engagement_counts_and_moves_with_the_zero() {
+fn the_first_engagement_counts() {
     let mut recorder = Recorder::new();
-    recorder.zero_moved(Thread(500));
-    assert_eq!(recorder.record().engaged_um, 0, "it never engaged");
     recorder.engaged(Thread(3_000));
     recorder.engaged(Thread(4_000));
     assert_eq!(recorder.record().engaged_um, 3_000);
-    recorder.zero_moved(Thread(-700));
-    assert_eq!(recorder.record().engaged_um, 2_300);
 }

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use client::Device;
+use client::{Device, decimal};
 use lab::operations::arguments::RecordArgs;
 use lab::operations::connector::Purpose;
 use lab::operations::ending::completed;
@@ -64,14 +64,6 @@ pub(crate) fn actuate(
     for (name, value) in actuation_rows(kind, &trial.record) {
         screen.say(&format!("  {name}: {value}"));
     }
-    // A fold whose end has wandered may be complete, but costs the reference.
-    let state = capsule.capsule_status().map(|status| status.state);
-    if kind == ActuationKind::Fold && state.is_ok_and(|state| state == CapsuleState::WasFolded) {
-        screen.hint(
-            "it is folded, but the folded end has wandered, and the reference is gone: `retrograde capsule check` finds \
-             it again without unfolding. Should it wander again, a thread slips or stretches, or the origami has changed",
-        );
-    }
     screen.say(&format!(
         "  {}\n  {}",
         trial.csv.display(),
@@ -123,10 +115,16 @@ fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> R
         ActuationKind::Reference if capsule.call(GetCapsuleTotals)?.calibration.is_none() => {
             screen.hint("there is no calibration, so this is one: is the origami unfolded, the thread slack?");
         }
-        ActuationKind::Calibrate if capsule.capsule_status()?.referenced => screen.hint(
-            "NOTE: if a reference run came before, and the origami was not unfolded by hand since then, the thread that it \
-             has left on the spool becomes permanent",
-        ),
+        ActuationKind::Calibrate => {
+            let left_um = capsule.capsule_status()?.left_um;
+            if left_um > 0 {
+                screen.hint(&format!(
+                    "NOTE: {} mm of thread are left on the spool: unless the origami was unfolded by hand since then, they \
+                     become permanent",
+                    decimal::write(left_um.into(), 3)
+                ));
+            }
+        }
         _ => {}
     }
     Ok(())
@@ -136,19 +134,19 @@ fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> R
 const fn words(kind: ActuationKind) -> (&'static str, &'static str) {
     match kind {
         ActuationKind::Reference => (
-            "Reference: wind slowly to the end force, then pay out to zero.",
+            "Reference: wind until the thread pulls as at the folded end, then pay out what is counted.",
             "it is unfolded",
         ),
         ActuationKind::Calibrate => (
-            "Calibrate: what is now is unfolded. Wind slowly to the end force, pay out again, and keep how far that was.",
+            "Calibrate: what is now is unfolded. Wind slowly to the end force, feel the thread, fold once, pay out again.",
             "it is unfolded",
         ),
         ActuationKind::CheckFolded => (
-            "Check: wind gently to the end force, and stay folded.",
+            "Check: feel whether the thread pulls, and stay folded.",
             "it is folded, and the thread pulls",
         ),
         ActuationKind::Fold => (
-            "Fold: wind the thread until the motor current at the calibrated end says that the origami is folded.",
+            "Fold: wind the thread to the folded end by count, then feel whether it pulls.",
             "it is folded",
         ),
         ActuationKind::Unfold => ("Unfold: pay the thread out to its zero.", "it is unfolded"),

@@ -14,11 +14,11 @@ use crate::cli::trace::{TraceArgs, trace};
 /// The capsule's own commands.
 #[derive(Debug, clap::Subcommand)]
 pub enum CapsuleSubcommand {
-    /// Find the thread's zero, recorded. Required before folding. Without a calibration this is one: begin unfolded.
+    /// Find the folded end where the count has become uncertain, and unfold; recorded. Without a calibration this is one: begin unfolded.
     Reference(RecordArgs),
     /// "This is unfolded": measure how far it is to the end force, and keep it in the capsule's flash. Once per capsule.
     Calibrate(RecordArgs),
-    /// Wind gently to the end force, and stay folded. A folded one may pay out up to 2 mm first; one that was reset does not.
+    /// Feel whether the thread pulls, and stay folded: it pays out 0.85 mm and winds it again. Elsewhere it folds.
     Check(RecordArgs),
     /// Fetch the recording of the last actuation, one reading per millisecond, also after a fault: a CSV file.
     Trace(TraceArgs),

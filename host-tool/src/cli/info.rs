@@ -62,7 +62,7 @@ pub(crate) fn info(
             screen.say(&capsule_text(&status));
             let found = device.call(GetCapsuleTotals)?.calibration;
             screen.say(&calibration_text(found.as_ref()));
-            if let Some(next) = way_out(status.state, found.is_some()) {
+            if let Some(next) = way_out(&status, found.is_some()) {
                 screen.say(&format!("  next: {next}"));
             }
             calibration = json!(found);
@@ -146,7 +146,7 @@ fn rig_text(status: &RigStatus) -> String {
 
 fn capsule_text(status: &CapsuleStatus) -> String {
     let mut text = format!(
-        "  {:?}, {}, {} mm of thread wound, {} mA, battery {} V",
+        "  {:?}, {}, {} mm of thread wound{}, {} mA, battery {} V",
         status.state,
         if status.referenced {
             "referenced"
@@ -154,24 +154,46 @@ fn capsule_text(status: &CapsuleStatus) -> String {
             "not referenced"
         },
         decimal::write_signed(status.thread_um.into(), 3),
+        match status.doubt_um {
+            Some(0) => String::new(),
+            Some(doubt_um) => format!(" and up to {} mm more", decimal::write(doubt_um.into(), 3)),
+            None => ", or any other length".to_owned(),
+        },
         status.current_ma,
         decimal::write(status.battery_mv.into(), 3),
     );
+    if status.left_um > 0 {
+        let left_mm = decimal::write(status.left_um.into(), 3);
+        text.push_str(&format!(
+            "\n  {left_mm} mm of thread stay on the spool when it unfolds"
+        ));
+    }
     if let Some(fault) = status.fault {
         text.push_str(&format!("\n  fault: {fault}"));
     }
     text
 }
 
+/// Thread that only a hand can find, um, and thread on the spool that matters, um.
+const LOST_UM: u32 = 3_000;
+const LEFT_UM: u32 = 300;
+
 /// The command that leads on, as in the table "The way out" of docs/capsule.md.
-const fn way_out(state: CapsuleState, is_calibrated: bool) -> Option<&'static str> {
-    match state {
+fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> {
+    let is_lost = status.doubt_um.is_none_or(|doubt_um| doubt_um > LOST_UM);
+    match status.state {
         CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is gone"),
-        CapsuleState::Unreferenced if is_calibrated => Some("`retrograde capsule reference`"),
-        CapsuleState::WasFolded => Some("`retrograde capsule check`, then `retrograde unfold`"),
-        CapsuleState::Stopped if !is_calibrated => {
+        CapsuleState::Unreferenced if !is_calibrated && !is_lost && status.thread_um > 1_000 => {
             Some("`retrograde unfold` instead of a hand: it knows what it has wound")
         }
+        CapsuleState::Unreferenced if !is_calibrated => None,
+        CapsuleState::Unreferenced if is_lost => {
+            Some("unfold it by hand, then `retrograde capsule calibrate`")
+        }
+        CapsuleState::Unreferenced => Some("`retrograde capsule reference`"),
+        CapsuleState::Unfolded if status.left_um > LEFT_UM => Some(
+            "to fold and unfold whole again: unfold it by hand, then `retrograde capsule calibrate`",
+        ),
         _ => None,
     }
 }
@@ -232,22 +254,50 @@ mod tests {
 
     #[test]
     fn a_capsule_that_cannot_fold_is_told_its_next_command() {
-        for (state, is_calibrated, next) in [
-            (CapsuleState::Faulted, true, "`retrograde ack capsule`"),
+        use CapsuleState::{Faulted, Unfolded, Unreferenced};
+        use protocol::capsule::CapsuleStatus;
+        for (state, is_calibrated, doubt_um, left_um, next) in [
+            (Faulted, true, Some(0), 0, "`retrograde ack capsule`"),
             (
-                CapsuleState::Unreferenced,
+                Unreferenced,
                 true,
+                Some(2_300),
+                0,
                 "`retrograde capsule reference`",
             ),
-            (CapsuleState::WasFolded, true, "`retrograde capsule check`"),
-            (CapsuleState::Stopped, false, "`retrograde unfold`"),
+            (Unreferenced, true, Some(3_001), 0, "unfold it by hand"),
+            (Unreferenced, true, None, 0, "unfold it by hand"),
+            (Unreferenced, false, Some(0), 0, "`retrograde unfold`"),
+            // The line before says what a hand has to do.
+            (Unreferenced, false, None, 0, ""),
+            (Unfolded, true, Some(0), 300, ""),
+            (
+                Unfolded,
+                true,
+                Some(0),
+                301,
+                "to fold and unfold whole again",
+            ),
         ] {
-            let told = way_out(state, is_calibrated).unwrap_or_default();
-            assert!(told.starts_with(next), "{state:?}: {told}");
+            let status = CapsuleStatus {
+                time_us: 0,
+                state,
+                fault: None,
+                referenced: false,
+                thread_um: 9_000,
+                doubt_um,
+                left_um,
+                current_ma: 0,
+                battery_mv: 3_700,
+                actuation: 1,
+                needs_acknowledge: false,
+            };
+            let told = way_out(&status, is_calibrated).unwrap_or_default();
+            assert!(
+                told.starts_with(next) && (told.is_empty() == next.is_empty()),
+                "{state:?}: {told}"
+            );
         }
-        // The line before says what a hand has to do.
-        assert_eq!(way_out(CapsuleState::Unreferenced, false), None);
-        assert_eq!(way_out(CapsuleState::Unfolded, true), None);
     }
 
     #[test]

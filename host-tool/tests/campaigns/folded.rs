@@ -12,11 +12,11 @@ use lab::campaign::order::order;
 use lab::campaign::plan::CampaignPlan;
 use lab::operations::connector::Connector;
 use lab::trials::sidecar;
-use protocol::capsule::{ActuationKind, Calibrate};
+use protocol::capsule::ActuationKind;
 use protocol::system::DeviceKind;
 use report::html::evaluation::evaluate;
 use simulated_machines::link::Memory;
-use simulated_machines::machine::{Left, Log, Script, Shared, SimulatedMachine, link};
+use simulated_machines::machine::{Log, Script, SimulatedMachine, link};
 
 use crate::campaign_run::{Place, file_of, machines};
 use crate::support::mishap::{Line, Mishap, Opened};
@@ -130,47 +130,6 @@ fn a_capsule_that_stays_folded_is_told_with_the_command_that_unfolds_it() {
     let (shown, _) = session(&memory, 130, "q");
     assert!(!memory.heard().contains(&"Unfold"), "{shown}");
     assert!(shown.contains(STILL_FOLDED), "{shown}");
-}
-
-/// State of a capsule that was calibrated, folded and switched off.
-fn switched_off() -> Left {
-    let machine = SimulatedMachine::new(Script::new(DeviceKind::Capsule)).0;
-    let shared = Arc::new(Mutex::new(machine));
-    let line = Box::new(Memory::new("bench", Shared(Arc::clone(&shared))));
-    let mut host = Device::connect(line, DeviceKind::Capsule, 1).expect("a capsule");
-    let motions = [
-        |host: &mut Device| host.reference(),
-        |host: &mut Device| host.call(Calibrate),
-        |host: &mut Device| host.fold(),
-    ];
-    for begin in motions {
-        let accepted = begin(&mut host).expect("accepted");
-        let ended = host.wait_actuation(&accepted, &mut Unobserved);
-        ended.expect("to its end");
-        // Until it is in the flash.
-        host.idle(2_000_000, &mut Unobserved).expect("there");
-    }
-    drop(host);
-    let machine = Arc::into_inner(shared).expect("the host is gone");
-    machine.into_inner().expect("in order").switch_off()
-}
-
-/// It knows that it was folded, and not how far: the way to unfold it begins with a check.
-#[test]
-fn a_capsule_that_was_folded_is_told_with_the_check_before_the_command() {
-    let mut capsule = Script::new(DeviceKind::Capsule);
-    capsule.left = Some(Arc::new(switched_off()));
-    let memory = tool::Memory::with(vec![Script::new(DeviceKind::Rig), capsule]);
-    let at = Place::of(&fold_test());
-    let lines = UP_TO_THE_FOLDED_ONE[..5].to_vec();
-    let shown = at.answered(&memory, 3, lines);
-    let told = "The capsule is folded still, and its thread pulls: `retrograde capsule check`, then `retrograde unfold`.";
-    assert!(shown.contains(told), "{shown}");
-    let heard = memory.heard();
-    assert!(
-        !heard.contains(&"Unfold") && !heard.contains(&"Run"),
-        "{heard:?}"
-    );
 }
 
 /// The body of the present trial is still to be measured, in the folded shape.

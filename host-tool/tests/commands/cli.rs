@@ -146,7 +146,8 @@ fn a_motion_of_the_capsule_says_what_it_takes_for_granted_and_what_it_reached() 
         ),
         (
             Script {
-                failing_writes: 0..1_000,
+                // Those before are the places of the motion; it would end without them.
+                failing_writes: 148..1_000,
                 ..new()
             },
             &["capsule", "calibrate"],
@@ -163,7 +164,7 @@ fn a_motion_of_the_capsule_says_what_it_takes_for_granted_and_what_it_reached() 
             ready(DeviceKind::Capsule),
             &["capsule", "calibrate"],
             "complete: it is unfolded",
-            "becomes permanent",
+            "",
         ),
         (
             ready(DeviceKind::Capsule),
@@ -181,10 +182,8 @@ fn a_motion_of_the_capsule_says_what_it_takes_for_granted_and_what_it_reached() 
         let (code, out, err) = run(script, words);
         assert_eq!(code, 0, "{words:?}: {out}{err}");
         assert!(out.contains(reached), "{words:?}: {out}");
-        let warns = ["there is no calibration", "becomes permanent"];
-        for warning in warns {
-            assert_eq!(err.contains(warning), warning == warned, "{words:?}: {err}");
-        }
+        let warns = err.contains("there is no calibration");
+        assert_eq!(warns, !warned.is_empty(), "{words:?}: {err}");
     }
 }
 

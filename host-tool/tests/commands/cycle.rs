@@ -48,8 +48,8 @@ fn it_ends_with_the_first_thing_that_is_wrong() {
         world: vec![(at_us, world)],
         ..ready(DeviceKind::Capsule)
     };
-    // A cycle takes 3.7 s, so this is in the second one.
-    let second = 6_000_000;
+    // A cycle takes 6.7 s, so this is in the second one.
+    let second = 9_000_000;
     let unreferenced = Script::new(DeviceKind::Capsule);
     for (script, codes, done, says) in [
         (at(second, World::StopFrame), &[130][..], 1, "1 of 5 cycles"),

@@ -105,11 +105,11 @@ fn the_capsule_is_referenced_folded_and_unfolded() {
     assert!(matches!(
         capsule.fold(),
         Err(ClientError::Refused {
-            refusal: Refusal::NotReferenced,
+            refusal: Refusal::NotCalibrated,
             ..
         })
     ));
-    // Unfolded means at zero or up to half a tenth before it. Folded means where the thread pulls with the end force,
+    // Unfolded means at zero or up to half a tenth before it. Folded means at the folded end by count,
     // within 0.15 mm of the estimate.
     let unfolded = 0..=60;
     let folded = FOLDED_UM - 150..=FOLDED_UM + 150;

@@ -313,10 +313,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     let run = experiment::run(&mut rig, SHORT_RUN, &recording("run"), seen).map(drop);
     let kind = ActuationKind::Fold;
     let fold = experiment::actuate(&mut capsule, kind, &recording("fold"), seen).map(drop);
-    for (stem, result, why) in [
-        ("run", run, "home first"),
-        ("fold", fold, "reference first"),
-    ] {
+    for (stem, result, why) in [("run", run, "home first"), ("fold", fold, "no calibration")] {
         let error = result.expect_err(stem).to_string();
         assert!(error.contains(why), "{error}");
         let sidecar = folder.path().join(format!("{stem}-19700101T000000Z.json"));

@@ -58,7 +58,7 @@ fn a_recording_that_does_not_fit_leaves_no_part_of_its_file() {
     let bench = Bench::on_tcp(DeviceKind::Capsule);
     let file = bench.folder.path().join("force.csv");
     let path = file.to_str().expect("UTF-8");
-    // A few samples fit, and 2,800 readings do not.
+    // A few samples fit, and 4,200 readings do not.
     let fold = ["fold", "--telemetry-ms", "1000", "--trace", path];
     let (code, out, err) = read(
         with_little_space(&bench.command(&fold), 8_192)

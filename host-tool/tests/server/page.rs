@@ -73,7 +73,8 @@ fn rig_in(state: RigState) -> Device {
 
 fn capsule_in(state: CapsuleState) -> Device {
     let mut script = Script::new(DeviceKind::Capsule);
-    script.ready = true;
+    // A new one is unreferenced.
+    script.ready = state != CapsuleState::Unreferenced;
     let mut capsule = Device::connect(link(script).0, DeviceKind::Capsule, 1).expect("a capsule");
     match state {
         CapsuleState::Folding | CapsuleState::Folded => {
@@ -82,11 +83,6 @@ fn capsule_in(state: CapsuleState) -> Device {
                 let ended = capsule.wait_actuation(&accepted, &mut Unobserved);
                 ended.expect("folded");
             }
-        }
-        // A calibrated capsule after its fault was acknowledged.
-        CapsuleState::Unreferenced => {
-            capsule.urgent(Urgent::EStop).expect("stopped");
-            capsule.acknowledge().expect("acknowledged");
         }
         CapsuleState::Faulted => capsule.urgent(Urgent::EStop).expect("stopped"),
         _ => {}

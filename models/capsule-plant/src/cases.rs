@@ -106,12 +106,9 @@ impl Kind {
         match self {
             Self::Healthy => &["Complete"],
             Self::Jam | Self::LateJam => &["Jam"],
-            Self::Snap => &["ThreadBroken"],
-            // A thread that has slipped far enough pulls as little as a broken one; one that has slipped little is felt
-            // where it is folded.
-            Self::Slip => &["SpoolSlip", "ThreadBroken", "SlipOrBreak"],
-            Self::Clutch => &["SpoolSlip"],
-            Self::SnapFolded | Self::SlipFolded => &["SlipOrBreak"],
+            Self::Snap | Self::Slip | Self::Clutch | Self::SnapFolded | Self::SlipFolded => {
+                &["SlipOrBreak"]
+            }
             Self::Encoder | Self::Channel | Self::Swapped => &["EncoderLost"],
             Self::LosesCounts => &["EncoderLost", "SenseOrEncoder"],
             Self::SilentBridge => &["BridgeSilent"],

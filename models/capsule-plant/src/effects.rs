@@ -1,8 +1,8 @@
 //! Effects of a real capsule beyond the plain model: variable friction, a plastic origami, play in the gears, an
 //! imperfect encoder and amplifier, a cell that polarises. Each can be switched off or scaled.
 //!
-//! `docs/capsule-figures.md`, "Effects", gives the source of each range. The ranges were chosen before any firmware was
-//! tested against them.
+//! **None is measured**: copper's and the magnet's coefficients are of the material, all other ranges are assumed. They were
+//! chosen before any firmware was tested against them.
 
 use crate::random::Random;
 

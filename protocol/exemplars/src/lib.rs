@@ -143,7 +143,6 @@ pub fn events() -> std::vec::Vec<Event> {
         },
         CapsuleEvent::Faulted(CapsuleFault::Jam { thread_um: 12_000 }),
         CapsuleEvent::NotKept,
-        CapsuleEvent::Drifted { by_um: -180 },
         CapsuleEvent::SettingChanged(SettingKey::EndForceMa),
         CapsuleEvent::SettingsReset,
         CapsuleEvent::SettingsUnusable,
@@ -233,6 +232,8 @@ const CAPSULE_STATUS: CapsuleStatus = CapsuleStatus {
     fault: Some(CapsuleFault::OverCurrent { current_ma: 900 }),
     referenced: true,
     thread_um: 21_000,
+    doubt_um: Some(2_300),
+    left_um: 400,
     current_ma: 160,
     battery_mv: 3_700,
     actuation: 4,
@@ -278,9 +279,8 @@ const CAPSULE_TOTALS: CapsuleTotals = CapsuleTotals {
     energy_mj: 185_000,
     calibration: Some(CapsuleCalibration {
         folded_um: 21_700,
-        rise_um: 1_600,
         no_load_ma: 16,
-        tension_ma: 22,
+        pull_ma: 62,
     }),
 };
 
@@ -440,6 +440,7 @@ pub fn replies() -> std::vec::Vec<Reply> {
         Refusal::SupplyLow,
         Refusal::NameNotPrintable,
         Refusal::NotCalibrated,
+        Refusal::UnfoldByHand,
     ];
     let wire = [
         WireError::NoSession,

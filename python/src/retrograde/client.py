@@ -777,7 +777,7 @@ class Capsule(_Machine):
         return self.start("calibrate", note=note).wait()
 
     def check(self, note: Optional[str] = None) -> ActuationRecord:
-        """Winds gently to the end force and stays folded."""
+        """Feels whether the thread pulls, and stays folded."""
         return self.start("check", note=note).wait()
 
     def fold(self, note: Optional[str] = None, thread_mm: Optional[Number] = None) -> ActuationRecord:

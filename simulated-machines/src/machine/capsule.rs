@@ -7,7 +7,7 @@ use device::retained::Retained;
 use device::service::Answers;
 use device::service::Inbound;
 use firmware_capsule::control::{self, Control};
-use firmware_capsule::fold::Drive;
+use firmware_capsule::machine::Drive;
 use protocol::capsule::CapsuleTelemetry;
 use protocol::system::ResetCause;
 use protocol::table::{Reply, Telemetry};
@@ -22,8 +22,8 @@ const ASLEEP_US: u64 = 100_000;
 /// Longest time that a motor coasts, us.
 const COASTS_US: u64 = 500_000;
 
-/// Thread length of the folded capsule, um: 6 N at 20.7 mm of travel (docs/capsule.md) plus 1 mm of slack.
-pub const FOLDED_UM: i32 = 21_510;
+/// Thread length of the folded capsule, um: 5.6 N at 20.5 mm of travel plus 1 mm of slack.
+pub const FOLDED_UM: i32 = 21_470;
 
 /// A capsule.
 pub struct Capsule {

@@ -2,10 +2,10 @@
 //! encoder's counter.
 
 use capsule_plant::{Bridge, Parameters, Plant, Random};
-use firmware_capsule::fold::Drive;
-use firmware_capsule::mechanics::Counts;
+use firmware_capsule::machine::Drive;
 use firmware_capsule::sample::Sample;
 use firmware_capsule::sense::{FINE, Zero};
+use firmware_capsule::units::Counts;
 
 /// Ticks of a PWM period and its length, as on the board.
 const PWM_TICKS: u32 = 200;
@@ -55,6 +55,13 @@ impl Board {
             battery_mv: 0,
             counter: 0,
         }
+    }
+
+    /// The chip has started again: its counter begins at 0, and it has not measured the amplifier's zero.
+    pub fn restart(&mut self) {
+        self.counter = 0;
+        self.encoder = self.plant.encoder();
+        self.zero = Zero::default();
     }
 
     /// Adds a counting error once: positive makes the thread read longer than it is.

@@ -226,8 +226,8 @@ impl Wiring for CapsuleBoard {
         }
     }
 
-    fn flash_began(&mut self) {
-        self.capsule.flash_began();
+    fn flash_began(&mut self, erases: bool) {
+        self.capsule.flash_began(erases);
     }
 
     /// The bridge pulls its inputs low, so the motor coasts.

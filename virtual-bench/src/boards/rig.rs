@@ -257,7 +257,7 @@ impl Wiring for RigBoard {
         self.captured = Some(leads.captured && high);
     }
 
-    fn flash_began(&mut self) {
+    fn flash_began(&mut self, _: bool) {
         self.rig.flash_began();
     }
 

@@ -50,14 +50,6 @@ impl Capsule {
         }
     }
 
-    /// Replaces it by another capsule, at rest, now.
-    pub fn exchange(&mut self, parameters: Parameters) {
-        *self = Self {
-            now_ns: self.now_ns,
-            ..Self::new(parameters)
-        };
-    }
-
     /// Its mechanics.
     #[must_use]
     pub fn plant(&self) -> &Plant {
@@ -134,7 +126,7 @@ impl Capsule {
         self.driven_ns = None;
     }
 
-    /// Number of flash operations begun while the motor turned.
+    /// Number of erasures begun while the motor turned. A record of the position is written meanwhile.
     #[must_use]
     pub fn flash_moving(&self) -> u64 {
         self.flash_moving
@@ -254,8 +246,8 @@ impl Capsule {
     }
 
     /// The chip has begun a flash operation.
-    pub fn flash_began(&mut self) {
-        self.flash_moving += u64::from(self.is_moving());
+    pub fn flash_began(&mut self, erases: bool) {
+        self.flash_moving += u64::from(erases && self.is_moving());
     }
 }
 

@@ -80,7 +80,7 @@ fn settings_count_at_once_and_after_the_next_start() {
     assert_eq!(capsule.unfold().outcome, ActuationOutcome::Complete);
     capsule.rest();
     let (end, speed) = (SettingKey::EndForceMa, SettingKey::FoldUmS);
-    for (key, value) in [(end, 110), (speed, 9_000)] {
+    for (key, value) in [(end, 110), (speed, 5_500)] {
         assert_eq!(set(&mut capsule, key, value), Ok(Setting { key, value }));
         assert_eq!(get(&mut capsule, key), value);
     }
@@ -146,14 +146,14 @@ fn settings_count_at_once_and_after_the_next_start() {
     capsule.power_cycle(2);
     assert_eq!(
         (get(&mut capsule, end), get(&mut capsule, speed)),
-        (110, 9_000)
+        (110, 5_500)
     );
     assert_eq!(name(&mut capsule), "c-1");
     capsule.rest();
     capsule.device.call(FactoryReset).expect("a reset");
     assert_eq!(
         (get(&mut capsule, end), get(&mut capsule, speed)),
-        (132, 11_450)
+        (132, 7_000)
     );
     capsule.power_cycle(3);
     assert_eq!(
@@ -165,7 +165,7 @@ fn settings_count_at_once_and_after_the_next_start() {
     capsule.check_clean();
 }
 
-/// A host test tries every operation (`firmware-capsule/tests/kept.rs`).
+/// A host test tries every operation (`firmware-capsule/tests/known.rs`).
 #[test]
 fn a_cut_within_a_change_leaves_the_old_setting_or_the_new_one() {
     let mut capsule = referenced();
@@ -247,8 +247,7 @@ fn a_partial_fold_stops_where_it_was_told() {
     capsule.check_clean();
 }
 
-/// A thread that slips a little in each cycle looks like falling friction or creep. The capsule follows it until it
-/// pulls too little.
+/// A thread that slips a little in each cycle looks like falling friction or creep, until it pulls too little.
 #[test]
 fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     let mut capsule = referenced();

@@ -28,7 +28,7 @@ const OVERDUE_US: u64 = 3_000_000;
 /// it; a clock that is slower still has stopped.
 const SLOWEST: u64 = 20;
 
-/// Upper limit of the readings in a recording. A capsule keeps the last 2,800, so a longer recording than this limit
+/// Upper limit of the readings in a recording. A capsule keeps the last 4,200, so a longer recording than this limit
 /// is not from a capsule.
 const MOST_POINTS: usize = 10_000;
 

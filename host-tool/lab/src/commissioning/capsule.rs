@@ -212,26 +212,33 @@ fn held(work: &mut Work<'_>) -> Result<(), Halt> {
 
 /// Averages the readings of a standing motor, for each third of the duty range.
 fn thirds(points: &[TracePoint]) -> Result<[Standing; 3], Halt> {
-    let mut standing = standing(points);
-    standing.sort_unstable_by_key(|point| point.duty_percent);
-    let (count, third) = (standing.len(), standing.len() / 3);
-    let of = |range: std::ops::Range<usize>| standing.get(range).and_then(mean);
-    match (of(0..third), of(third..count - third), of(count - third..count)) {
-        (Some(low), Some(middle), Some(high)) => Ok([low, middle, high]),
-        _ => Err(Halt::NotShown(
+    let standing = standing(points);
+    let duties = || standing.iter().map(|point| point.duty_percent);
+    let (Some(least), Some(most)) = (duties().min(), duties().max()) else {
+        return Err(Halt::NotShown(
             "the motor was not seen standing under voltage: hold its shaft, and see that the bridge drives it"
                 .to_owned(),
-        )),
+        ));
+    };
+    let of = |third| {
+        let is_in =
+            |point: &&Standing| (point.duty_percent - least) * 3 / (most - least + 1) == third;
+        mean(&standing.iter().filter(is_in).copied().collect::<Vec<_>>())
+    };
+    match (of(0), of(1), of(2)) {
+        (Some(low), Some(middle), Some(high)) => Ok([low, middle, high]),
+        _ => Err(too_narrow(least, most)),
     }
+}
+
+fn too_narrow(least: u32, most: u32) -> Halt {
+    Halt::NotShown(format!("the duty went from {least} to {most} % only"))
 }
 
 /// Checks that voltage and current have the same ratio at all three duties.
 fn in_proportion([low, middle, high]: [Standing; 3]) -> Result<(), Halt> {
     if high.duty_percent * 100 < HELD_SPAN_PERCENT * low.duty_percent {
-        return Err(Halt::NotShown(format!(
-            "the duty went from {} to {} % only",
-            low.duty_percent, high.duty_percent
-        )));
+        return Err(too_narrow(low.duty_percent, high.duty_percent));
     }
     for other in [low, middle] {
         let most = u64::from(high.milliohm().max(other.milliohm()));

@@ -208,7 +208,8 @@ fn ended(status: Status) -> &'static str {
 }
 
 /// The commands that find the thread of a capsule that is not referenced.
-pub const FIND_THREAD: &str = "folded when it was reset: `retrograde capsule check`; else `retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`";
+pub const FIND_THREAD: &str =
+    "`retrograde capsule reference`; a new capsule, unfolded: `retrograde capsule calibrate`";
 
 /// The commands that lead on from a refusal.
 fn way_on(refusal: &Refusal) -> Option<&'static str> {
@@ -225,9 +226,7 @@ fn way_on(refusal: &Refusal) -> Option<&'static str> {
             field: Field::ThreadUm,
             min: 0,
             ..
-        } => {
-            "`retrograde unfold`, or `retrograde capsule reference` after a stop: a calibration begins unfolded"
-        }
+        } => "`retrograde unfold`: a calibration begins unfolded",
         _ => return None,
     })
 }

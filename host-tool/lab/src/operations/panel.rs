@@ -312,10 +312,6 @@ pub fn event_text(event: &Event) -> String {
         }
         What::Capsule(CapsuleEvent::Faulted(fault)) => format!("fault: {fault}"),
         What::Capsule(CapsuleEvent::NotKept) => "the flash could not be written".to_owned(),
-        What::Capsule(CapsuleEvent::Drifted { by_um }) => format!(
-            "the folded end has wandered by {} mm: check or reference the capsule",
-            decimal::fixed(by_um.into(), 3)
-        ),
         What::Capsule(CapsuleEvent::SettingChanged(key)) => setting_changed(key),
         What::Capsule(CapsuleEvent::SettingsReset) => SETTINGS_RESET.to_owned(),
         What::Capsule(CapsuleEvent::SettingsUnusable) => SETTINGS_UNUSABLE.to_owned(),

@@ -177,9 +177,6 @@ impl Conduct<'_> {
             CapsuleState::Folded => {
                 "The capsule is folded still, and its thread pulls: `retrograde unfold`."
             }
-            CapsuleState::WasFolded => {
-                "The capsule is folded still, and its thread pulls: `retrograde capsule check`, then `retrograde unfold`."
-            }
             CapsuleState::Stopped => {
                 "The capsule stands between its ends, and its thread may pull: `retrograde unfold`."
             }

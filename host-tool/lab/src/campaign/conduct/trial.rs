@@ -311,9 +311,6 @@ impl Conduct<'_> {
             CapsuleState::Unreferenced => steps.push(ActuationKind::Reference),
             CapsuleState::Unfolded => {}
             CapsuleState::Folded | CapsuleState::Stopped => steps.push(ActuationKind::Unfold),
-            CapsuleState::WasFolded => {
-                return not_ready("`retrograde capsule check`, `retrograde unfold`");
-            }
             CapsuleState::Faulted => {
                 return not_ready("`retrograde info capsule`, `retrograde ack capsule`");
             }

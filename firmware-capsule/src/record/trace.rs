@@ -1,8 +1,8 @@
-//! Recording of the present or last motion at 1 kHz: its last 2.8 s, so that a fault keeps the readings before it.
+//! Recording of the present or last motion at 1 kHz: its last 4.2 s, so that a fault keeps the readings before it.
 
-use crate::fold::Drive;
-use crate::mechanics::{Counts, Thread};
+use crate::machine::Drive;
 use crate::sample::Sample;
+use crate::units::Counts;
 use protocol::capsule::{GetTrace, KEPT_TRACE_POINTS, MAX_TRACE_POINTS, Trace, TracePoint};
 
 /// Resolution and origin of the recorded battery voltage, mV.
@@ -55,7 +55,7 @@ impl Recording {
             self.origin = sample.counts;
             (self.count, self.next) = (0, 0);
         }
-        let from_origin = sample.counts.since(self.origin).0;
+        let from_origin = (sample.counts - self.origin).0;
         let battery = sample.battery_mv.saturating_sub(BATTERY_FROM_MV) / BATTERY_STEP_MV;
         let drive_mv = match drive {
             Drive::Millivolts(millivolts) => millivolts,
@@ -78,11 +78,9 @@ impl Recording {
         let oldest = self.next + KEPT_TRACE_POINTS - self.count;
         let points = (from..last).map(|index| {
             let packed = &self.points[(oldest + index) % KEPT_TRACE_POINTS];
-            let Thread(thread_um) = Counts(self.origin.0.wrapping_add(packed.counts.into()))
-                .since(zero)
-                .thread();
+            let counts = self.origin + Counts(packed.counts.into());
             TracePoint {
-                thread_um,
+                thread_um: (counts - zero).thread().0,
                 current_ma: packed.current_ma,
                 battery_mv: BATTERY_FROM_MV + u16::from(packed.battery) * BATTERY_STEP_MV,
                 drive_mv: i16::from(packed.drive) * DRIVE_STEP_MV,
@@ -90,7 +88,7 @@ impl Recording {
         });
         Trace {
             actuation: self.actuation,
-            // At most 2,800.
+            // At most 4,200.
             total: self.count as u16,
             points: points.collect(),
         }
