@@ -248,8 +248,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>, connector: &dyn Connector) 
     let terminal = io::stderr().is_terminal();
     let at = At {
         terminal,
-        single_keys: true,
-        environment: true,
+        is_process: true,
         keyboard: keyboard::standard(),
     };
     let code = run_in(args, connector, &mut out, &mut err, at);
@@ -276,8 +275,7 @@ pub fn run_on(
 ) -> u8 {
     let at = At {
         terminal: false,
-        single_keys: false,
-        environment: false,
+        is_process: false,
         keyboard,
     };
     run_in(args, connector, out, err, at)
@@ -287,10 +285,8 @@ pub fn run_on(
 struct At {
     /// Standard error is a terminal.
     terminal: bool,
-    /// The keyboard belongs to the process's terminal, so single keys can be read.
-    single_keys: bool,
-    /// Variables may name machines.
-    environment: bool,
+    /// Variables may name machines, and the keyboard is that of the process's terminal, so single keys can be read.
+    is_process: bool,
     keyboard: Option<Keyboard>,
 }
 
@@ -326,7 +322,7 @@ fn run_in(
 ) -> u8 {
     let beginning = Beginning::now();
     let args: Vec<OsString> = args.into_iter().collect();
-    let cli = match parsed(&args, at.environment) {
+    let cli = match parsed(&args, at.is_process) {
         Ok(cli) => cli,
         Err(error) => {
             let error = without_variables(error, &args);
@@ -349,7 +345,7 @@ fn run_in(
         err,
         json: cli.json,
         terminal: at.terminal,
-        single_keys: at.single_keys,
+        single_keys: at.is_process,
         keyboard: at.keyboard.filter(|_| !cli.json),
         failed: None,
     };

@@ -19,19 +19,14 @@ pub(crate) fn hint(single: bool) -> &'static str {
     }
 }
 
-/// Standard input, if it is a terminal with this process in the foreground.
+/// Standard input, if it is a terminal with this process in the foreground. If a background job read from the terminal,
+/// the shell would suspend it, and the run with it.
 pub(crate) fn standard() -> Option<Keyboard> {
-    is_there().then(|| Box::new(BufReader::new(io::stdin())) as Keyboard)
-}
-
-pub(crate) fn is_there() -> bool {
     let input = io::stdin();
-    input.is_terminal() && in_foreground(&input)
-}
-
-/// Checks for a background job: if it read from the terminal, the shell would suspend it, and the run with it.
-fn in_foreground(input: &io::Stdin) -> bool {
-    rustix::termios::tcgetpgrp(input).is_ok_and(|group| group == rustix::process::getpgrp())
+    let is_there = input.is_terminal()
+        && rustix::termios::tcgetpgrp(&input)
+            .is_ok_and(|group| group == rustix::process::getpgrp());
+    is_there.then(|| Box::new(BufReader::new(input)) as Keyboard)
 }
 
 /// An Enter sooner than this after a question is a second one for the question before, or the bounce of the key: nobody

@@ -44,16 +44,6 @@ impl Screen<'_> {
         }
     }
 
-    /// Prints a line and waits until it is written; false if no reader is left.
-    pub(crate) fn tell(&mut self, text: &str) -> bool {
-        let written = line(self.stream(), text).and_then(|()| self.stream().flush());
-        let taken = written.is_ok();
-        if !self.json {
-            self.note(written);
-        }
-        taken
-    }
-
     pub(crate) fn print(&mut self, text: &[u8]) {
         let written = self.out.write_all(text);
         self.note(written);

@@ -111,8 +111,11 @@ pub(crate) fn watch(
             };
             rest_until(next, is_over);
             next += LINE;
-            let mut lines = machines.iter().map(|one| line(&one.panel(), in_json));
-            if !lines.all(|line| screen.tell(&line)) || is_over() {
+            for machine in &machines {
+                let text = line(&machine.panel(), in_json);
+                screen.say(&text);
+            }
+            if screen.out.flush().is_err() || is_over() {
                 break;
             }
         }
