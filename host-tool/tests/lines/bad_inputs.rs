@@ -81,7 +81,7 @@ const INPUTS: &str = r#"
 2 | settings --rig RIG import /dev/zero | more than 64 KiB | settings export
 2 | settings --rig RIG import /etc/passwd | line 1 column 1 | settings export
 2 | settings --rig RIG import / | Is a directory | settings export
-1 | settings --rig RIG export /no/such/folder/file | No such file | choose a file in a folder
+1 | settings --rig RIG export /no/such/folder/file | No such file | make its folder
 3 | settings --rig RIG export /etc/passwd | exists already | --force
 3 | settings --rig RIG reset | was not confirmed | settings reset --yes
 3 | commission --rig RIG rig | somebody at a terminal | --yes
@@ -90,7 +90,7 @@ const INPUTS: &str = r#"
 2 | commission --rig RIG rig --yes --hands 127.0.0.1:1 | no hands at 127.0.0.1:1 | virtual-bench serve
 3 | plan --microsteps 3 | 3 microsteps | use 1, 2, 4
 3 | plan --lead-mm 0 | a lead of 0 mm | 0.5 to 50 mm
-1 | plan --edges /no/such/folder/e.csv | No such file | choose a file in a folder
+1 | plan --edges /no/such/folder/e.csv | No such file | make its folder
 2 | design --alpha-deg 40 | alpha = 40 deg is not usable | below 33.69 deg
 2 | design --crescents 33 | 33 is not in 1 to 32 | --help
 2 | simulate sweep --frictions 1e12 --pressures-pa 3000 | "1e12": has an exponent | write all digits

@@ -20,7 +20,7 @@ $ campaign new @bare.toml --out @d
 ! campaign new @plan.toml --out @other | `--out DIR` names another folder
 $ campaign new @plan.toml --out @c
 ! campaign new @plan.toml --out @c | `retrograde campaign run @c` goes on
-! campaign new @plan.toml --out /dev/null/x/y | choose a folder | `--out DIR`",
+! campaign new @plan.toml --out /dev/null/x/y | take another path | `--out DIR`",
     r"
 $ campaign run @plan.toml --out @c --yes --trials 1 AT
 ! campaign edit @c include 1 | `retrograde campaign status @c`
