@@ -4,8 +4,12 @@
 #![allow(clippy::print_stdout)]
 
 use capsule_plant::{Parameters, cases::Kind, verdict};
-use simulated_machines::plant::cases::{self, Life};
+use cases::Life;
 use std::collections::BTreeMap;
+
+#[path = "../tests/cases.rs"]
+#[allow(dead_code)] // the tests use more of it
+mod cases;
 
 /// The names with how often each came.
 fn counted<'a>(names: impl Iterator<Item = &'a String>) -> String {

@@ -1,5 +1,6 @@
 //! All tests of the crate in one program: each program more takes seconds to build and link.
 
+mod cases;
 mod control;
 mod known;
 mod manual;

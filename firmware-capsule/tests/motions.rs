@@ -4,7 +4,9 @@ use capsule_plant::{Defect, Parameters, Random, cases::Kind, verdict};
 use firmware_capsule::machine::{Command, Drive, Event};
 use firmware_capsule::units::Thread;
 use protocol::capsule::{ActuationOutcome, CapsuleFault, CapsuleState};
-use simulated_machines::plant::{Simulation, cases};
+use simulated_machines::plant::Simulation;
+
+use crate::cases;
 
 #[test]
 fn the_nominal_capsule_folds_within_its_time_and_energy() {
@@ -124,6 +126,23 @@ fn a_check_feels_the_thread_and_stays_folded() {
         assert_eq!(folded, outcome == ActuationOutcome::Complete);
         assert!((sim.plant.wound_mm() - wound_mm).abs() < 0.1);
     }
+}
+
+/// A thread that slips a little in each cycle looks like falling friction or creep, until it pulls too little.
+#[test]
+fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
+    let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
+    let mut cycles = 0;
+    // A fold that pulls too little is felt and named; else the unfolding behind it finds the thread slack.
+    while sim.capsule.fault().is_none() && cycles < 9 {
+        cases::run(&mut sim, Command::Fold);
+        cases::run(&mut sim, Command::Unfold);
+        sim.plant.suffer(Defect::Slip(0.25));
+        cycles += 1;
+    }
+    let fault = sim.capsule.fault();
+    assert_eq!(fault, Some(CapsuleFault::SlipOrBreak), "{cycles} cycles");
+    assert!(cycles > 2 && sim.plant.extremes_mm().0 >= 0.0);
 }
 
 /// A calibration that does not begin unfolded finds the end too early, and the calibration before stays.

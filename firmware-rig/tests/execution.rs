@@ -478,7 +478,7 @@ fn a_last_step_without_an_edge_is_told_of_a_whole_path() {
         while bench.trace().len() < bench.plan.len() - 2 {
             bench.step();
         }
-        bench.carriage.ring.captures = false;
+        bench.carriage.ring.capture_cut = true;
         if cut {
             bench.carriage.cut();
         }

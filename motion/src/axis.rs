@@ -265,11 +265,12 @@ impl From<Position> for StepPosition {
 }
 
 /// Direction of travel.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Direction {
     /// Away from home: to the left, positions grow. The forward stroke.
     Away,
     /// Toward home: to the right, positions shrink. The return stroke.
+    #[default]
     Home,
 }
 

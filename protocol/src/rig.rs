@@ -150,7 +150,7 @@ pub struct MoveAccepted {
 pub struct GetRigHealth;
 
 /// False pulses on a switch: too short to count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Glitches {
     /// Number since the start.
     pub count: u32,
@@ -161,7 +161,7 @@ pub struct Glitches {
 }
 
 /// Health counters since the start of the device.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigHealth {
     pub home_flag: Glitches,
     pub far_limit: Glitches,
@@ -188,7 +188,7 @@ pub struct RigHealth {
 pub struct GetRigHardware;
 
 /// Counts of step timer, capture timer and pins since the start of the device. They wrap.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigHardware {
     /// Intervals between two steps, captured at the pin, that were the planned ones.
     pub intervals_exact: u32,

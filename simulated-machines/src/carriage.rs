@@ -167,7 +167,7 @@ impl Carriage {
             mounted,
             motion: MotionTask::default(),
             mail: Mail::default(),
-            ring: Slots::new(),
+            ring: Slots::default(),
             next_round: u64::MAX,
             round_end: None,
             place,

@@ -56,50 +56,23 @@ pub enum Operation {
 }
 
 /// The flash's supply: when it fails, and which operations fail.
-#[derive(Debug)]
-pub struct Supply {
+#[derive(Debug, Default)]
+struct Supply {
     /// Operations since the start.
-    pub operations: Vec<Operation>,
+    operations: Vec<Operation>,
     /// The operation in which the supply fails, counted from the start, and where in it.
     cut: Option<(usize, Cut)>,
-    powered: bool,
+    failed: bool,
     /// Operations requested since `fail`, and the range of them that fails.
     asked: usize,
     failing: Range<usize>,
-    pub noise: Dice,
-}
-
-impl Default for Supply {
-    fn default() -> Self {
-        Self::new()
-    }
+    /// What a cut operation leaves.
+    noise: Dice,
 }
 
 impl Supply {
-    pub fn new() -> Self {
-        Self {
-            operations: Vec::new(),
-            cut: None,
-            powered: true,
-            asked: 0,
-            failing: 0..0,
-            noise: Dice(1),
-        }
-    }
-
-    /// Makes the supply fail after `after` more operations.
-    pub fn cut(&mut self, after: usize, cut: Cut, seed: u64) {
-        self.cut = Some((self.operations.len() + after, cut));
-        self.noise = Dice(seed);
-    }
-
-    /// Makes these operations fail, counted from now on.
-    pub fn fail(&mut self, failing: Range<usize>) {
-        (self.asked, self.failing) = (0, failing);
-    }
-
     /// Begins an operation; returns where it will be cut.
-    pub fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
+    fn begin(&mut self, operation: Operation) -> Result<Cut, Error> {
         self.end()?;
         self.asked += 1;
         if self.failing.contains(&(self.asked - 1)) {
@@ -108,7 +81,7 @@ impl Supply {
         self.operations.push(operation);
         match self.cut {
             Some((number, cut)) if number + 1 == self.operations.len() => {
-                self.powered = false;
+                self.failed = true;
                 Ok(cut)
             }
             _ => Ok(Cut::After),
@@ -116,12 +89,8 @@ impl Supply {
     }
 
     /// An error if the supply failed during the operation.
-    pub fn end(&self) -> Result<(), Error> {
-        if self.powered {
-            Ok(())
-        } else {
-            Err(Error::Off)
-        }
+    fn end(&self) -> Result<(), Error> {
+        if self.failed { Err(Error::Off) } else { Ok(()) }
     }
 }
 
@@ -158,7 +127,7 @@ impl Flash {
         assert_eq!(bytes.len(), SECTORS.end as usize);
         Self(Arc::new(Mutex::new(Array {
             bytes,
-            supply: Supply::new(),
+            supply: Supply::default(),
         })))
     }
 
@@ -177,7 +146,9 @@ impl Flash {
 
     /// Makes the supply fail after `after` more operations.
     pub fn cut(&self, after: usize, cut: Cut, seed: u64) {
-        self.array().supply.cut(after, cut, seed);
+        let supply = &mut self.array().supply;
+        supply.cut = Some((supply.operations.len() + after, cut));
+        supply.noise = Dice(seed);
     }
 
     pub fn wear(&self) {
@@ -186,7 +157,8 @@ impl Flash {
 
     /// Makes these operations fail, counted from now on.
     pub fn fail(&self, failing: Range<usize>) {
-        self.array().supply.fail(failing);
+        let supply = &mut self.array().supply;
+        (supply.asked, supply.failing) = (0, failing);
     }
 }
 

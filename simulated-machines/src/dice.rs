@@ -1,7 +1,7 @@
 //! Random choices of the tests, from a seed.
 
 /// SplitMix64 (Steele, Lea, Flood 2014), written out again: the tests do not draw from the code that they test.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Dice(pub u64);
 
 impl Dice {

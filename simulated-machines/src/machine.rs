@@ -66,15 +66,6 @@ pub struct Script {
     pub failing_writes: Range<usize>,
     /// A rig with 80 steps in its stroke, so that many motions cost little time.
     pub few_steps: bool,
-    /// State of a capsule that was switched off before, if it was.
-    pub left: Option<Arc<Left>>,
-}
-
-/// State of a capsule that survives a power cut.
-#[derive(Debug)]
-pub struct Left {
-    flash: Vec<u8>,
-    mechanics: capsule::Mechanics,
 }
 
 impl Script {
@@ -95,7 +86,6 @@ impl Script {
             settings: vec![],
             failing_writes: 0..0,
             few_steps: false,
-            left: None,
         }
     }
 }
@@ -121,16 +111,16 @@ pub enum World {
 
 /// A press of the start button.
 pub fn button(at_us: u64) -> Vec<(u64, World)> {
-    [(0, true), (PRESS_US, false)]
-        .map(|(later_us, down)| (at_us + later_us, World::Button { down }))
-        .to_vec()
+    for_a_moment(at_us, |down| World::Button { down })
 }
 
 /// The E-stop loop opens for a moment.
 pub fn estop(at_us: u64) -> Vec<(u64, World)> {
-    [(0, true), (PRESS_US, false)]
-        .map(|(later_us, open)| (at_us + later_us, World::EStopLoop { open }))
-        .to_vec()
+    for_a_moment(at_us, |open| World::EStopLoop { open })
+}
+
+fn for_a_moment(at_us: u64, event: fn(bool) -> World) -> Vec<(u64, World)> {
+    vec![(at_us, event(true)), (at_us + PRESS_US, event(false))]
 }
 
 /// The machine's log since the host connected.
@@ -215,10 +205,6 @@ trait Device: Send {
     fn is_driven(&mut self) -> bool;
     /// Pulses so far on a rig; readings with the bridge awake on a capsule.
     fn work(&mut self) -> u64;
-    /// The capsule's mechanics; none on a rig.
-    fn mechanics(&mut self) -> Option<capsule::Mechanics> {
-        None
-    }
 }
 
 /// A machine and the line to it.
@@ -254,10 +240,9 @@ impl SimulatedMachine {
     /// A machine to which a host has just connected, and its log from that moment.
     pub fn new(script: Script) -> (Self, Arc<Mutex<Log>>) {
         let port = Port::new();
-        let flash = match &script.left {
-            None if script.few_steps => Flash::holding(few_steps().to_vec()),
-            None => Flash::blank(),
-            Some(left) => Flash::holding(left.flash.clone()),
+        let flash = match script.few_steps {
+            true => Flash::holding(few_steps().to_vec()),
+            false => Flash::blank(),
         };
         for (key, value) in &script.settings {
             stored(&flash).set(*key, *value).expect("a good flash");
@@ -266,10 +251,7 @@ impl SimulatedMachine {
         let service = service(&script, left.boot_id, ResetCause::PowerOn);
         let device: Box<dyn Device> = match script.kind {
             DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left, script.few_steps)),
-            DeviceKind::Capsule => {
-                let mechanics = script.left.as_ref().map(|left| left.mechanics.clone());
-                Box::new(capsule::Capsule::new(&port, &flash, left, mechanics))
-            }
+            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, &flash, left)),
         };
         let log = Arc::new(Mutex::new(Log::new(&flash)));
         let mut machine = Self {
@@ -345,14 +327,6 @@ impl SimulatedMachine {
     pub fn suffer(&mut self, event: World) {
         self.happen(event);
         self.send();
-    }
-
-    /// Switches a capsule off; returns the state that survives.
-    pub fn switch_off(mut self) -> Left {
-        Left {
-            mechanics: self.device.mechanics().expect("a capsule"),
-            flash: self.log().flash.bytes(),
-        }
     }
 
     /// When it was last seen driven, us on the link's clock.

@@ -1,7 +1,6 @@
 //! The capsule's state machine in closed loop with the model of its mechanics, in virtual time.
 
 pub mod board;
-pub mod cases;
 
 use board::{Board, PERIODS_PER_MS};
 use capsule_plant::{Bridge, Parameters};

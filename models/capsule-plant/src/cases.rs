@@ -1,4 +1,4 @@
-//! Seeded capsules with one defect each: the population that tests the firmware, both as a library and as an image.
+//! Seeded capsules with one defect each: the population that tests the firmware as a library.
 
 use std::str::FromStr;
 

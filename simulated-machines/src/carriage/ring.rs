@@ -15,9 +15,10 @@ use motion::{
 use std::{collections::VecDeque, sync::atomic::AtomicU32};
 
 /// How far the ring queues ahead.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Ahead {
     /// No period ahead: asks for each one when it is due, so that a test can act between any two.
+    #[default]
     Nothing,
     /// By slots, as on the board.
     Slots,
@@ -29,7 +30,7 @@ const SPARE: u64 = 4;
 const TAKEN: u64 = 2;
 
 /// Ring, read-back counter and DIR.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Slots {
     pub ahead: Ahead,
     /// Queued periods. The first one is playing if the ring runs.
@@ -52,8 +53,8 @@ pub struct Slots {
     pub cut: u64,
     /// Pulses that were queued after the playing period when the ring was halted.
     queued_at_halt: u32,
-    /// The jumper to the capture input is fitted.
-    pub captures: bool,
+    /// The jumper to the capture input is missing.
+    pub capture_cut: bool,
     captured: Vec<AtomicU32>,
     line: Timeline,
     timing: EdgeTiming,
@@ -68,39 +69,10 @@ pub struct Round {
     pub sync: bool,
 }
 
-impl Default for Slots {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
 impl Slots {
-    pub fn new() -> Self {
-        Self {
-            ahead: Ahead::Nothing,
-            periods: VecDeque::new(),
-            begun: 0,
-            running: false,
-            ticks: 0,
-            pulses: 0,
-            direction: Direction::Home,
-            counted: 0,
-            loop_open: false,
-            armed: false,
-            pulse_ticks: 0,
-            driver_on: false,
-            cut: 0,
-            queued_at_halt: 0,
-            captures: true,
-            captured: Vec::new(),
-            line: Timeline::default(),
-            timing: EdgeTiming::default(),
-        }
-    }
-
     /// Captures a pulse at the pin, if the jumper is fitted.
     pub fn capture(&mut self, at: u64) {
-        if self.captures {
+        if !self.capture_cut {
             self.captured.push(AtomicU32::new(at as u32));
         }
     }

@@ -1,7 +1,6 @@
 //! The capsule in virtual time: the firmware's control on the simulated board.
 
-pub use crate::plant::board::Board as Mechanics;
-use crate::plant::board::TWO_PERIODS_US;
+use crate::plant::board::{Board as Mechanics, TWO_PERIODS_US};
 use capsule_plant::{Defect, Parameters};
 use device::retained::Retained;
 use device::service::Answers;
@@ -70,9 +69,9 @@ impl control::Capsule for At<Board> {
 }
 
 impl Capsule {
-    /// A capsule that has just been switched on: unfolded, or with the `mechanics` that were left.
-    pub fn new(port: &Port, flash: &Flash, left: Retained, mechanics: Option<Mechanics>) -> Self {
-        let mechanics = mechanics.unwrap_or_else(|| Mechanics::new(Parameters::nominal(), 0));
+    /// A capsule that has just been switched on, unfolded.
+    pub fn new(port: &Port, flash: &Flash, left: Retained) -> Self {
+        let mechanics = Mechanics::new(Parameters::nominal(), 0);
         Self::start(port, flash, left, ResetCause::PowerOn, mechanics)
     }
 
@@ -161,10 +160,6 @@ impl Device for Capsule {
 
     fn work(&mut self) -> u64 {
         self.awake
-    }
-
-    fn mechanics(&mut self) -> Option<Mechanics> {
-        Some(self.control.capsule().board.mechanics.clone())
     }
 
     fn world(&mut self, event: World) {

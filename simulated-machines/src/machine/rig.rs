@@ -11,7 +11,7 @@ use firmware_rig::execution::Order;
 use firmware_rig::machine::{Command, Event, Now};
 use firmware_rig::settings::Settings;
 use motion::units::StepPosition;
-use protocol::rig::{GetRigStatus, Glitches, RigHardware, RigHealth, RigTelemetry};
+use protocol::rig::{GetRigStatus, RigHardware, RigHealth, RigTelemetry};
 use protocol::system::{ResetCause, Urgent};
 use protocol::table::{Endpoint, Reply, Response, Telemetry};
 
@@ -57,35 +57,13 @@ impl control::Rig for At<Board> {
     }
 
     fn health(&self) -> RigHealth {
-        let glitches = Glitches {
-            count: 0,
-            last_us: 0,
-            masked: 0,
-        };
-        RigHealth {
-            home_flag: glitches,
-            far_limit: glitches,
-            uart_errors: 0,
-            bad_frames: 0,
-            unsent_frames: 0,
-            stack_used: 0,
-            stack_size: 0,
-            underruns: 0,
-            control_late_us: 0,
-            image_hash: 0,
-        }
+        RigHealth::default()
     }
 
     fn hardware(&self) -> RigHardware {
         RigHardware {
-            intervals_exact: 0,
-            intervals_1_tick: 0,
-            intervals_2_ticks: 0,
-            intervals_more: 0,
-            lost_captures: 0,
-            dma_errors: 0,
-            timer_resets: 0,
             enable_high_at_start: true,
+            ..RigHardware::default()
         }
     }
 

@@ -64,11 +64,6 @@ impl Board {
         self.zero = Zero::default();
     }
 
-    /// Adds a counting error once: positive makes the thread read longer than it is.
-    pub fn miscount(&mut self, counts: i32) {
-        self.counter += counts;
-    }
-
     /// Runs the bridge for this many PWM periods.
     pub fn run(&mut self, drive: Drive, periods: u64) {
         let (bridge, ticks) = match drive {

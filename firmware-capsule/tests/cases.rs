@@ -1,6 +1,5 @@
-//! Seeded capsules and what becomes of them: healthy lives, one defect each, something in the way, a cut of the power.
+//! For the tests and the example: seeded capsules and what becomes of them: healthy lives, one defect each, something in the way, a cut of the power.
 
-use super::Simulation;
 use capsule_plant::{
     Defect, Parameters, Random,
     cases::{Kind, Motion},
@@ -12,6 +11,7 @@ use protocol::{
     capsule::{ActuationOutcome, CapsuleFault, CapsuleState},
     error::Refusal,
 };
+use simulated_machines::plant::Simulation;
 
 /// Largest thread that is told as left on the spool without a hand, mm.
 const LEFT_MM: f64 = 0.3;
@@ -24,7 +24,7 @@ fn name_of(outcome: ActuationOutcome) -> String {
 }
 
 /// Gives a command and waits for its end. Returns the outcome or the refusal.
-pub fn run(sim: &mut Simulation, command: Command) -> String {
+pub(crate) fn run(sim: &mut Simulation, command: Command) -> String {
     if let Some(refusal) = sim.give(Event::Command(command)).refusal {
         return name(&refusal);
     }
@@ -34,28 +34,28 @@ pub fn run(sim: &mut Simulation, command: Command) -> String {
 
 /// Cycles of a healthy capsule.
 #[derive(Clone, Debug, Default)]
-pub struct Life {
+pub(crate) struct Life {
     /// The first outcome that is not `Complete`.
-    pub name: String,
+    pub(crate) name: String,
     /// Least thread on the spool, and most at an unfolded end, mm.
-    pub least_mm: f64,
+    pub(crate) least_mm: f64,
     /// See `least_mm`.
-    pub left_mm: f64,
+    pub(crate) left_mm: f64,
     /// Largest force, N.
-    pub peak_n: f64,
+    pub(crate) peak_n: f64,
     /// Most by which a fold was shorter than the calibrated one, mm.
-    pub short_mm: f64,
+    pub(crate) short_mm: f64,
     /// Longest fold and unfolding, ms.
-    pub longest_ms: [u32; 2],
+    pub(crate) longest_ms: [u32; 2],
     /// Most energy of a fold, mJ.
-    pub energy_mj: f64,
+    pub(crate) energy_mj: f64,
     /// Recorded energy of a fold over its true energy, less 1: the worst.
-    pub energy_error: f64,
+    pub(crate) energy_error: f64,
 }
 
 /// Calibrates at room temperature, then changes the friction and folds and unfolds three times, each motion at a random
 /// temperature of 22 to 40 degrees if `warm`.
-pub fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool) -> Life {
+pub(crate) fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool) -> Life {
     let mut random = Random::new(seed ^ 0xDA15);
     let mut sim = Simulation::new(parameters, seed);
     let mut life = Life {
@@ -98,7 +98,7 @@ pub fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool) -> Lif
 
 /// The firmware's verdict on a seeded capsule with one defect, and the least thread on its spool, mm. A thread that does
 /// not hold counts as 20 mm short.
-pub fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
+pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
     let parameters = kind.parameters(seed);
     let mut sim = Simulation::new(parameters, seed);
     let calibrates = kind.course(seed, 0.0).motion == Motion::Calibrate;
@@ -191,7 +191,7 @@ fn with_defect(
 
 /// Folds with something of 0.3 to 300 N/mm in the way at a random place, then acknowledges and unfolds. Returns the
 /// verdict on the fold, the outcome of the unfolding, and the least thread on the spool, mm.
-pub fn obstacle(seed: u64) -> (Verdict, String, f64) {
+pub(crate) fn obstacle(seed: u64) -> (Verdict, String, f64) {
     let mut random = Random::new(seed ^ 0x0B5A);
     let mut sim = Simulation::calibrated(Parameters::lifelike(seed), seed);
     let end_mm = sim.folded_mm() - sim.plant.parameters.slack_mm;
@@ -217,7 +217,7 @@ pub fn obstacle(seed: u64) -> (Verdict, String, f64) {
 
 /// Cuts the power at a random instant of a random motion, or lets the watchdog reset the chip, then follows the manual's
 /// way out. Returns its end, the least thread on the spool and the thread left on it, mm.
-pub fn cut(seed: u64) -> (String, f64, f64) {
+pub(crate) fn cut(seed: u64) -> (String, f64, f64) {
     let mut random = Random::new(seed ^ 0xC077);
     let unit = random.unit();
     let mut sim = Simulation::new(Parameters::lifelike(seed), seed);
@@ -258,7 +258,7 @@ pub fn cut(seed: u64) -> (String, f64, f64) {
 ///
 /// # Panics
 /// It leads round in a circle.
-pub fn way_out(sim: &mut Simulation) -> String {
+pub(crate) fn way_out(sim: &mut Simulation) -> String {
     for _ in 0..12 {
         let state = sim.capsule.state();
         let command = match state {
