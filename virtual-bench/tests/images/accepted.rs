@@ -7,12 +7,12 @@ use std::iter::from_fn;
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::thread;
 
-use crate::common::{Dice, home_quickly, quick, rig_as_quick_as, trials};
+use crate::common::{Dice, home_quickly, quick, run_of, start, trials, with_chip};
 use protocol::{
-    rig::{GetRigHealth, Run, RunOutcome, Stroke},
-    settings::{Setting, SettingKey},
+    rig::{GetRigHealth, Run, RunOutcome},
+    settings::SettingKey,
 };
-use virtual_bench::{plants::rig::RigOptions, verdicts};
+use virtual_bench::plants::rig::RigOptions;
 
 const CLAIMED: u64 = 65_000_000;
 const SEED: u64 = 0xACCE_97ED;
@@ -43,7 +43,8 @@ impl Trial {
             RigOptions::REFERENCE
         };
         let options = options.with_steps_per_mm(self.steps_per_mm() as i64);
-        let mut rig = rig_as_quick_as(options, CLAIMED);
+        let slow = with_chip(|chip| chip.instructions_per_second = CLAIMED);
+        let mut rig = start(options, slow);
         home_quickly(&mut rig);
         for (key, value) in [
             // 205 kHz on the finest screw: homing has to stay below the highest step rate, too.
@@ -54,7 +55,7 @@ impl Trial {
             (SettingKey::MaxSpeedUmS, 200_000),
             (SettingKey::MaxAccelUmS2, 10_000_000),
         ] {
-            rig.device.call(Setting { key, value }).expect(what);
+            rig.set(key, value);
         }
         rig.home();
         rig.device.set_telemetry(5).expect(what);
@@ -63,39 +64,20 @@ impl Trial {
         let health = rig.device.call(GetRigHealth).expect(what);
         let what = format!("{what}: {self:?}\n{accepted:?}\n{record:?}\n{health:?}");
         assert_eq!(record.outcome, RunOutcome::Complete, "{what}");
-        let stroke = |stroke: Stroke| verdicts::Stroke {
-            steps: stroke.steps.into(),
-            duration_ticks: stroke.duration_ticks,
-            ramp_ticks: stroke.ramp_ticks,
-        };
-        let exact = verdicts::Run {
-            cycles: self.run.cycles.into(),
-            forward: stroke(accepted.forward),
-            back: stroke(accepted.back),
-            far_dwell_ticks: u64::from(self.run.far_dwell_us) * 100,
-            home_dwell_ticks: 0,
-        };
-        rig.is_exact(&exact, first);
-        let timed = if self.capture {
-            record.commanded_edges
-        } else {
-            0
-        };
-        assert_eq!(
-            (record.edges_timed, record.worst_interval_error_ticks),
-            (timed, 0),
-            "{what}"
-        );
+        rig.is_exact(&run_of(&self.run, &accepted), first);
+        let timed = u64::from(self.capture) * record.commanded_edges;
+        let found = (record.edges_timed, record.worst_interval_error_ticks);
+        assert_eq!(found, (timed, 0), "{what}");
         rig.check_clean(0);
     }
 }
 
 /// 20 mm there and back on a screw of 2 mm with 64 microsteps.
-fn fine(speed_um_s: u32, capture: bool) -> Trial {
+fn fine(speed_um_s: u32) -> Trial {
     Trial {
         lead_um: 2_000,
         microsteps: 64,
-        capture,
+        capture: true,
         run: Run {
             far_dwell_us: 1_000,
             ..quick(1, 20_000, speed_um_s, 2_000_000)
@@ -144,8 +126,7 @@ const LEADS_UM: [u64; 6] = [1_000, 2_000, 4_000, 5_000, 8_000, 10_000];
 #[test]
 fn the_hardest_runs_are_carried() {
     for speed_um_s in [39_014, 39_040] {
-        fine(speed_um_s, false).check("without the jumper");
-        fine(speed_um_s, true).check("each step timed");
+        fine(speed_um_s).check("each step timed");
     }
     trial(164).check("run 164");
 }

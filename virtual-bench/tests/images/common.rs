@@ -1,12 +1,18 @@
 //! Helpers shared by the tests on the images.
 #![allow(missing_docs, dead_code, unreachable_pub)]
 
+use std::fmt::Debug;
+use std::path::Path;
+
+use client::error::ClientError;
 use client::link::Link;
 use client::{Device, Observer, Unobserved};
 use protocol::{
+    error::Refusal,
     frame::{Header, Kind, encode},
     rig::{
-        LinkLossPolicy, RigFault, RigStatus, Run, RunAccepted, RunOutcome, RunRecord, RunTiming,
+        LinkLossPolicy, RigFault, RigStatus, RigTelemetry, Run, RunAccepted, RunOutcome, RunRecord,
+        RunTiming, Stroke,
     },
     settings::{Setting, SettingKey},
     system::DeviceKind,
@@ -14,14 +20,13 @@ use protocol::{
 };
 use virtual_bench::{
     bench::{Bench, BenchOptions, Visit},
-    boards::{
-        capsule::CapsuleBoard,
-        rig::{self, RigBoard},
-    },
-    emulator::Streams,
+    boards::rig::{self, RigBoard},
+    emulator::{ChipOptions, Streams, Wiring},
+    faults::When,
     link::VirtualLink,
     pins::EdgeLog,
     plants::rig::{Action, Rig, RigOptions, Violations},
+    sabotage::{Misbehaviour, Sabotage},
     verdicts,
 };
 
@@ -68,6 +73,33 @@ impl Endpoint for Any {
     }
 }
 
+/// The refusal of a request that must be refused.
+pub fn refusal<T: Debug>(answer: Result<T, ClientError>) -> Refusal {
+    match answer {
+        Err(ClientError::Refused { refusal, .. }) => refusal,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// The firmware's log, for failures.
+pub fn log_of<W: Wiring>(bench: &Bench<W>) -> String {
+    bench.log().expect("the bench runs").to_string()
+}
+
+/// Operations of the flash since the start.
+pub fn flash_operations<W: Wiring>(bench: &Bench<W>) -> u64 {
+    let counted = bench.visit(|visit| visit.flash_operations());
+    counted.expect("the bench runs")
+}
+
+/// Makes a client of the watchdog misbehave. Returns the instant, ns.
+pub fn sabotage<W: Wiring>(bench: &Bench<W>, image: &Path, client: u8, deed: Misbehaviour) -> u64 {
+    let sabotage = Sabotage::new(image, client, deed).expect("an image with its symbols");
+    let applied = bench.visit(move |visit| sabotage.apply(visit));
+    applied.expect("the bench runs");
+    bench.now_ns()
+}
+
 pub struct RigRun {
     pub bench: Bench<RigBoard>,
     pub device: Device,
@@ -82,11 +114,16 @@ pub fn rig_with(options: RigOptions) -> RigRun {
     start(options, BenchOptions::new(rig::image()))
 }
 
-/// The same with a processor of this speed.
-pub fn rig_as_quick_as(options: RigOptions, instructions_per_second: u64) -> RigRun {
-    let mut bench = BenchOptions::new(rig::image());
-    bench.chip.instructions_per_second = instructions_per_second;
-    start(options, bench)
+/// A rig whose chip is changed.
+pub fn rig_with_chip(change: impl FnOnce(&mut ChipOptions)) -> RigRun {
+    start(RigOptions::default(), with_chip(change))
+}
+
+/// The rig's image on a chip that is changed.
+pub fn with_chip(change: impl FnOnce(&mut ChipOptions)) -> BenchOptions {
+    let mut options = BenchOptions::new(rig::image());
+    change(&mut options.chip);
+    options
 }
 
 /// A rig whose flash holds this.
@@ -100,7 +137,11 @@ pub fn rig_from_flash(flash: Vec<u8>) -> RigRun {
 
 pub fn start(rig: RigOptions, options: BenchOptions) -> RigRun {
     let board = RigBoard::new(Rig::new(rig));
-    let bench = Bench::start(board, options).expect("the image boots");
+    connected(Bench::start(board, options).expect("the image boots"))
+}
+
+/// A host at a rig that runs.
+pub fn connected(bench: Bench<RigBoard>) -> RigRun {
     let link = Box::new(VirtualLink::new(&bench, "virtual rig"));
     let device = Device::connect(link, DeviceKind::Rig, 1).expect("the rig answers");
     RigRun { bench, device }
@@ -115,19 +156,9 @@ pub fn ways_to_go_on() -> [Streams; 4] {
     })
 }
 
-/// A rig whose DMA streams behave like this.
-pub fn rig_with_streams(streams: Streams) -> RigRun {
-    let mut options = BenchOptions::new(rig::image());
-    options.chip.streams = streams;
-    start(RigOptions::default(), options)
-}
-
 /// A rig at position 0 that also homes quickly from now on.
 pub fn quickly_homed() -> RigRun {
-    let mut rig = rig();
-    home_quickly(&mut rig);
-    rig.home();
-    rig
+    rig().quickly_homed()
 }
 
 /// A rig at position 0.
@@ -138,6 +169,38 @@ pub fn homed() -> RigRun {
 }
 
 impl RigRun {
+    /// The same at position 0; it homes quickly from now on.
+    pub fn quickly_homed(mut self) -> Self {
+        home_quickly(&mut self);
+        self.home();
+        self
+    }
+
+    pub fn set(&mut self, key: SettingKey, value: u32) {
+        let set = self.device.call(Setting { key, value });
+        set.unwrap_or_else(|error| panic!("{}: {error}", key.name()));
+    }
+
+    /// Resets it by its pin, and opens a new session.
+    pub fn reset(&mut self, nonce: u32) {
+        self.bench.reset().expect("the bench runs");
+        self.pass(500_000);
+        self.device.hello(nonce).expect("it answers again");
+    }
+
+    /// Cuts the supply for a second, and opens a new session.
+    pub fn power_cycle(&mut self, nonce: u32) {
+        self.bench.power_cycle(1_000_000).expect("the bench runs");
+        self.pass(300_000);
+        self.device.hello(nonce).expect("it answers again");
+    }
+
+    /// Clears the fault and homes.
+    pub fn recover(&mut self, what: &str) {
+        self.device.acknowledge().expect(what);
+        self.home();
+    }
+
     pub fn home(&mut self) {
         let accepted = self.device.home().expect("homing is accepted");
         let homed = self.device.wait_homing(&accepted, &mut Unobserved);
@@ -179,6 +242,17 @@ impl RigRun {
     /// Lets time pass without a host.
     pub fn pass(&self, us: u64) {
         self.bench.advance_us(us).expect("the bench runs");
+    }
+
+    pub fn plan(&self, when: When, action: Action) {
+        self.look(move |rig| rig.plan(when, action));
+    }
+
+    /// Plans `action` for an edge from now on, counted from 1. Returns its number.
+    pub fn plan_at(&self, within: u64, action: Action) -> u64 {
+        let number = self.edge_count() as u64 + within;
+        self.plan(When::Edge(number), action);
+        number
     }
 
     /// Applies `action` to the machine at once.
@@ -233,11 +307,7 @@ impl RigRun {
 
     /// The firmware's log, for failures.
     pub fn log(&self) -> String {
-        let log = self.bench.log().expect("the bench runs");
-        log.lines()
-            .iter()
-            .map(|line| format!("{:>12} ns {}\n", line.at_ns, line.text))
-            .collect()
+        log_of(&self.bench)
     }
 
     /// Checks that nothing absent was accessed and that no driver rule was broken. A reset may have cut the pulse in
@@ -283,11 +353,37 @@ pub fn exact(cycles: u16) -> verdicts::Run {
     }
 }
 
+/// An accepted run, as the bench computes it.
+pub fn run_of(run: &Run, accepted: &RunAccepted) -> verdicts::Run {
+    let stroke = |stroke: Stroke| verdicts::Stroke {
+        steps: stroke.steps.into(),
+        duration_ticks: stroke.duration_ticks,
+        ramp_ticks: stroke.ramp_ticks,
+    };
+    verdicts::Run {
+        cycles: run.cycles.into(),
+        forward: stroke(accepted.forward),
+        back: stroke(accepted.back),
+        far_dwell_ticks: u64::from(run.far_dwell_us) * 100,
+        home_dwell_ticks: u64::from(run.home_dwell_us) * 100,
+    }
+}
+
 /// Keeps the telemetry as received.
 #[derive(Default)]
 pub struct Recorder {
     pub samples: Vec<Telemetry>,
     pub missed: u32,
+}
+
+impl Recorder {
+    /// The samples, all of them a rig's.
+    pub fn rigs(&self) -> impl Iterator<Item = &RigTelemetry> {
+        self.samples.iter().map(|sample| match sample {
+            Telemetry::Rig(sample) => sample,
+            Telemetry::Capsule(_) => panic!("a capsule's sample"),
+        })
+    }
 }
 
 impl Observer for Recorder {
@@ -313,8 +409,6 @@ pub fn faulted(rig: &mut RigRun, run: Run, fault: RigFault, what: &str) -> RunRe
     record
 }
 
-pub type Capsule = Bench<CapsuleBoard>;
-
 /// Sets `rig` up to home in a fraction of a second, for tests that home often.
 pub fn home_quickly(rig: &mut RigRun) {
     for (key, value) in [
@@ -323,9 +417,7 @@ pub fn home_quickly(rig: &mut RigRun) {
         (SettingKey::HomingAccelUmS2, 1_000_000),
         (SettingKey::PullOffUm, 1_000),
     ] {
-        rig.device
-            .call(Setting { key, value })
-            .unwrap_or_else(|error| panic!("{}: {error}", key.name()));
+        rig.set(key, value);
     }
 }
 

@@ -1,6 +1,6 @@
 //! Both images together: a fold at a place in a run, from the rig's STEP pin to the capsule's bridge.
 
-use client::{Clock, Device, Observer, Unobserved};
+use client::{Clock, Observer, Unobserved};
 use jiff::Timestamp;
 use lab::trials::check;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
@@ -8,13 +8,11 @@ use lab::trials::cue::Cue;
 use lab::trials::experiment::PAPER_RUN;
 use lab::trials::trial::{Recording, Status};
 use protocol::rig::{Run, RunTiming};
-use protocol::system::DeviceKind;
 use virtual_bench::bench::Bench;
-use virtual_bench::boards::capsule::{self, CapsuleBoard};
+use virtual_bench::boards::capsule::CapsuleBoard;
 use virtual_bench::boards::rig::RigBoard;
-use virtual_bench::link::VirtualLink;
-use virtual_bench::plants::capsule::Parameters;
 
+use crate::capsule::CapsuleRun;
 use crate::common::{quickly_homed, trials};
 
 /// Three cycles of 20 mm, 2 s each.
@@ -49,12 +47,10 @@ impl Observer for Clocks {
 #[test]
 fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
     let mut rig = quickly_homed();
-    let bench = capsule::start(Parameters::nominal()).expect("the image boots");
-    let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
-    let mut capsule = Device::connect(link, DeviceKind::Capsule, 1).expect("the capsule answers");
-    let accepted = capsule.reference().expect("referencing is accepted");
-    let ended = capsule.wait_actuation(&accepted, &mut Unobserved);
-    ended.expect("it is referenced");
+    let CapsuleRun {
+        bench,
+        device: mut capsule,
+    } = crate::capsule::referenced();
     let folder = tempfile::tempdir().expect("a folder");
     let recording = |stem: &str| Recording {
         folder: folder.path().to_owned(),
@@ -72,7 +68,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         (2, Some(10_000), 7_777),
     ]
     .into_iter()
-    .take(trials(3, 6))
+    .take(trials(2, 6))
     .enumerate()
     {
         let what = format!("cycle {cycle}, {at_um:?} um");
@@ -134,7 +130,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
             told.contains(&took_ms),
             "{what}: {took_ms:.1} ms, told {told:?}"
         );
-        if number + 1 < trials(3, 6) {
+        if number + 1 < trials(2, 6) {
             let accepted = capsule.unfold().expect("it is folded");
             capsule
                 .wait_actuation(&accepted, &mut Unobserved)

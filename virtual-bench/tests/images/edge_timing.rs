@@ -1,17 +1,15 @@
 //! The rig times its own steps through the second jumper, and finds each step that is not where it was planned.
 
-use crate::common::{RigRun, execute, home_quickly, paper, quick, rig_with};
-use crate::speed::{quick_rig_on, quick_run};
+use crate::common::{RigRun, execute, paper, quick, rig_with};
+use crate::speed::{quick_rig, quick_run};
 use protocol::{
     rig::{
-        GetRigHardware, Hold, Resume, RigFault, RigHardware, RigState, Run, RunOutcome, RunRecord,
-        RunTiming,
+        GetRigHardware, GetRigHealth, Hold, Resume, RigFault, RigHardware, RigState, Run,
+        RunOutcome, RunRecord, RunTiming,
     },
     system::Urgent,
 };
 use virtual_bench::{
-    bench::BenchOptions,
-    boards::rig as board,
     faults::When,
     plants::{
         rig::{Action, RigOptions},
@@ -21,10 +19,7 @@ use virtual_bench::{
 
 /// A rig with the jumper, at position 0.
 fn timed_rig() -> RigRun {
-    let mut rig = rig_with(RigOptions::WITH_BOTH_JUMPERS);
-    home_quickly(&mut rig);
-    rig.home();
-    rig
+    rig_with(RigOptions::WITH_BOTH_JUMPERS).quickly_homed()
 }
 
 /// 16,000 steps.
@@ -66,14 +61,14 @@ fn every_step_of_a_run_is_timed_and_right() {
 /// Up to the highest step rate that the settings allow, on steep ramps too.
 #[test]
 fn every_step_at_the_highest_rate_is_timed() {
-    let mut rig = quick_rig_on(
-        RigOptions::WITH_BOTH_JUMPERS,
-        BenchOptions::new(board::image()),
-    );
+    let mut rig = quick_rig(RigOptions::WITH_BOTH_JUMPERS, 65_000_000);
     let first = rig.edge_count();
     let (request, exact) = quick_run();
-    let (_, record) = execute(&mut rig, request);
+    let (accepted, record) = execute(&mut rig, request);
+    assert!(accepted.forward.peak_um_s > 156_150, "{accepted:?}");
     rig.is_exact(&exact, first);
+    let health = rig.device.call(GetRigHealth).expect("it answers");
+    assert_eq!(health.underruns, 0, "{health:?}");
     assert_eq!(record.outcome, RunOutcome::Complete, "{record:?}");
     assert_eq!(found(&record), (192_000, 0), "{record:?}");
     rig.check_clean(0);
@@ -112,17 +107,15 @@ fn a_run_that_is_cut_is_timed_up_to_the_cut() {
         // The cut pulse may be too short for one of the two filters.
         assert!(timed.abs_diff(record.counted_edges) <= 1, "{record:?}");
         assert!(timed > 100, "{record:?}");
-        rig.device.acknowledge().expect("acknowledged");
-        rig.home();
+        rig.recover("the cause is gone");
     }
 }
 
 /// A run in which `fault` hits the pulse of step `number` on the wire; the steps themselves stay right.
 fn with_at(number: u64, fault: Fault) -> RunRecord {
     let mut rig = timed_rig();
-    let at = rig.edge_count() as u64 + number;
     // Trigger it at the step before.
-    rig.look(move |rig| rig.plan(When::Edge(at - 1), Action::Capture(fault)));
+    rig.plan_at(number - 1, Action::Capture(fault));
     let (_, record) = execute(&mut rig, short());
     assert_eq!(record.outcome, RunOutcome::Complete);
     assert_eq!(record.counted_edges, 16_000);
@@ -170,20 +163,13 @@ fn jitter_is_counted_by_ticks() {
                 counts.intervals_more,
             ]
         };
-        let (before, after) = (of(&before), of(&after));
-        let counts: Vec<u32> = after
-            .iter()
-            .zip(before)
-            .map(|(now, was)| now - was)
-            .collect();
+        let pairs = of(&after).into_iter().zip(of(&before));
+        let counts: Vec<u32> = pairs.map(|(now, was)| now - was).collect();
         assert_eq!(counts.iter().sum::<u32>(), 15_999, "{ns} ns: {counts:?}");
         // Jitter hits each edge at random, so half of the intervals keep their length.
         assert!((7_000..9_000).contains(&counts[0]), "{ns} ns: {counts:?}");
-        assert_eq!(
-            counts[worst as usize],
-            15_999 - counts[0],
-            "{ns} ns: {counts:?}"
-        );
+        let others = 15_999 - counts[0];
+        assert_eq!(counts[worst as usize], others, "{ns} ns: {counts:?}");
     }
     rig.check_clean(0);
 }
@@ -194,8 +180,7 @@ fn jitter_is_counted_by_ticks() {
 fn a_lost_capture_is_told_as_one() {
     let mut rig = timed_rig();
     let before = hardware(&mut rig);
-    let at = rig.edge_count() as u64 + 5_000;
-    rig.look(move |rig| rig.plan(When::Edge(at - 1), Action::Capture(Fault::Lose)));
+    rig.plan_at(4_999, Action::Capture(Fault::Lose));
     let (_, record) = execute(&mut rig, short());
     assert_eq!(record.outcome, RunOutcome::Complete);
     let (timed, worst) = found(&record);
@@ -220,10 +205,8 @@ fn with_a_spike(width_ns: u64) -> RunRecord {
     let interval_ns = last_ns - before_ns;
     assert_eq!(interval_ns, u64::from(INTERVAL) * 10, "it cruises");
     let between = last_ns + 100 * interval_ns + interval_ns / 2;
-    rig.look(move |rig| {
-        let spike = Action::Capture(Fault::Spike(width_ns));
-        rig.plan(When::At(between), spike);
-    });
+    let spike = Action::Capture(Fault::Spike(width_ns));
+    rig.plan(When::At(between), spike);
     let record = rig.ended(&accepted);
     assert_eq!(record.outcome, RunOutcome::Complete);
     assert_eq!(record.counted_edges, 16_000);
@@ -232,9 +215,7 @@ fn with_a_spike(width_ns: u64) -> RunRecord {
 
 #[test]
 fn without_the_jumper_the_record_says_not_timed() {
-    let mut rig = rig_with(RigOptions::REFERENCE);
-    home_quickly(&mut rig);
-    rig.home();
+    let mut rig = rig_with(RigOptions::REFERENCE).quickly_homed();
     let (_, record) = execute(&mut rig, short());
     assert_eq!(found(&record), (0, 0), "{record:?}");
 }

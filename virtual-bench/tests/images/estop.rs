@@ -5,15 +5,12 @@ use jiff::Timestamp;
 use lab::trials::trial::{Recording, RigSample, Status};
 use lab::trials::{check, experiment};
 
-use crate::common::{Dice, faulted, home_quickly, paper, quick, quickly_homed, rig};
-use protocol::rig::{RigFault, RigState, RunOutcome};
+use crate::common::{Dice, faulted, paper, quick, quickly_homed};
+use protocol::rig::{RigFault, RigState};
 use protocol::system::Urgent;
-use virtual_bench::{
-    faults::When,
-    plants::{
-        contact::TO_PIN_NS,
-        rig::{Action, Switch},
-    },
+use virtual_bench::plants::{
+    contact::TO_PIN_NS,
+    rig::{Action, Switch},
 };
 
 const SEED: u64 = 0x5EED_E570;
@@ -22,9 +19,7 @@ const TRIALS: u64 = 200;
 #[test]
 fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
     let mut dice = Dice(SEED);
-    let mut rig = rig();
-    home_quickly(&mut rig);
-    rig.home();
+    let mut rig = quickly_homed();
     let mut places = std::collections::BTreeSet::new();
     let mut short = 0;
     for trial in 0..TRIALS {
@@ -48,8 +43,10 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
         let what =
             format!("seed {SEED:#x}, trial {trial}: {after_ns} ns after edge {within} of {run:?}");
         let first = rig.edge_count() as u64;
-        let press = Action::Later(after_ns, Box::new(Action::EStop(true)));
-        rig.look(move |rig| rig.plan(When::Edge(first + within), press));
+        rig.plan_at(
+            within,
+            Action::Later(after_ns, Box::new(Action::EStop(true))),
+        );
         let record = faulted(&mut rig, run, RigFault::EStopLoop, &what);
         let number = rig.edge_count() as u64;
         let left = number - first;
@@ -94,8 +91,7 @@ fn the_recording_of_a_run_that_is_cut_is_whole() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut ahead = 0;
     for within in [2_111, 4_777, 7_003, 9_500, 12_345] {
-        let number = rig.edge_count() as u64 + within;
-        rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
+        rig.plan_at(within, Action::EStop(true));
         let recording = Recording {
             folder: folder.path().to_owned(),
             stem: format!("run-{within}"),
@@ -115,8 +111,7 @@ fn the_recording_of_a_run_that_is_cut_is_whole() {
         ahead += u32::from(most > Some(run.record.max_steps));
         rig.act(Action::EStop(false));
         rig.pass(30_000);
-        rig.device.acknowledge().expect("the cause is gone");
-        rig.home();
+        rig.recover("the cause is gone");
     }
     assert!(ahead > 0, "no sample was ahead of its record");
 }
@@ -124,18 +119,12 @@ fn the_recording_of_a_run_that_is_cut_is_whole() {
 /// An unacknowledged E-stop stays latched over a reset, whether the button is released or not.
 #[test]
 fn an_estop_outlives_a_reset() {
-    let mut rig = rig();
-    home_quickly(&mut rig);
-    rig.home();
-    let number = rig.edge_count() as u64 + 3_000;
-    rig.look(move |rig| rig.plan(When::Edge(number), Action::EStop(true)));
-    let (_, record) = crate::common::execute(&mut rig, quick(1, 8_000, 20_000, 500_000));
+    let mut rig = quickly_homed();
+    let number = rig.plan_at(3_000, Action::EStop(true));
     let fault = RigFault::EStopLoop;
-    assert_eq!(record.outcome, RunOutcome::Faulted(fault));
+    faulted(&mut rig, quick(1, 8_000, 20_000, 500_000), fault, "pressed");
     rig.act(Action::EStop(false));
-    rig.bench.reset().expect("the bench runs");
-    rig.pass(500_000);
-    rig.device.hello(2).expect("it answers again");
+    rig.reset(2);
     let status = rig.status();
     assert_eq!(
         (status.state, status.fault),
@@ -143,8 +132,7 @@ fn an_estop_outlives_a_reset() {
     );
     assert!(rig.device.home().is_err(), "it has to be acknowledged");
     assert_eq!(rig.edge_count() as u64, number, "it moved");
-    rig.device.acknowledge().expect("the cause is gone");
-    rig.home();
+    rig.recover("the cause is gone");
     rig.check_clean(1);
 }
 
@@ -155,8 +143,7 @@ fn an_estop_in_another_fault_outlives_a_reset() {
     for by_frame in [true, false] {
         let what = format!("by frame: {by_frame}");
         let mut rig = quickly_homed();
-        let number = rig.edge_count() as u64 + 3_000;
-        rig.look(move |rig| rig.plan(When::Edge(number), Action::Stick(Switch::Far, Some(true))));
+        rig.plan_at(3_000, Action::Stick(Switch::Far, Some(true)));
         faulted(&mut rig, paper(1), RigFault::FarLimit, &what);
         rig.act(Action::Stick(Switch::Far, None));
         let fault = if by_frame {
@@ -170,13 +157,10 @@ fn an_estop_in_another_fault_outlives_a_reset() {
             RigFault::EStopLoop
         };
         assert_eq!(rig.status().fault, Some(RigFault::FarLimit), "{what}");
-        rig.bench.reset().expect(&what);
-        rig.pass(500_000);
-        rig.device.hello(2).expect(&what);
+        rig.reset(2);
         assert_eq!(rig.status().fault, Some(fault), "{what}");
         assert!(rig.device.home().is_err(), "it has to be acknowledged");
-        rig.device.acknowledge().expect(&what);
-        rig.home();
+        rig.recover(&what);
         rig.check_clean(1);
     }
 }

@@ -4,24 +4,22 @@ use std::sync::mpsc::channel;
 use std::thread;
 use std::time::Duration;
 
-use client::error::ClientError;
 use client::link::halves::Direct;
 use client::link::tcp;
 use client::{Device, Unobserved};
 
 use crate::common::{
-    Dice, Recorder, execute, home_quickly, homed, paper, quick, rig_from_flash, rig_with, trials,
+    Dice, Recorder, execute, homed, paper, quick, quickly_homed, refusal, rig, rig_from_flash,
+    trials,
 };
 use protocol::{
     error::Refusal,
     rig::{MoveTo, RigFault, RigState, Run, RunOutcome, RunTiming},
     settings::{FactoryReset, GetSetting, Setting, SettingKey},
     system::{DeviceKind, ResetCause, Urgent},
-    table::Telemetry,
 };
 use virtual_bench::bench::{Bench, BenchOptions};
-use virtual_bench::boards::rig::{self as board, RigBoard};
-use virtual_bench::faults::When;
+use virtual_bench::boards::rig::{RigBoard, image};
 use virtual_bench::hands::Plug;
 use virtual_bench::plants::rig::{Action, Rig, RigOptions};
 use virtual_bench::plants::wire::Fault;
@@ -39,56 +37,45 @@ fn short(cycles: u16) -> Run {
     }
 }
 
-/// Interrupts a run with `interrupt`. Afterwards the rig has stopped, reports that its position is lost, and can be
-/// homed.
-fn restarted(cause: ResetCause, resets: usize, interrupt: impl FnOnce(&crate::common::RigRun)) {
+/// Afterwards the rig has stopped, reports that its position is lost, and can be homed.
+#[test]
+fn a_reset_or_a_power_cut_moves_nothing_and_forgets_the_position() {
     let mut rig = homed();
-    rig.device.run(short(1)).expect("the run is accepted");
-    rig.idle(500_000);
-    assert!(rig.carriage() > 1_000, "it is on its way");
-    // A reset releases DIR at once, so wait until no pulse is in progress.
-    while rig.bench.now_ns() < rig.last_edge_ns() + 5_000 {
-        rig.pass(1);
+    for (nonce, cause) in [(2, ResetCause::Pin), (3, ResetCause::PowerOn)] {
+        rig.device.run(short(1)).expect("the run is accepted");
+        rig.idle(500_000);
+        assert!(rig.carriage() > 1_000, "it is on its way");
+        // A reset releases DIR at once, so wait until no pulse is in progress.
+        while rig.bench.now_ns() < rig.last_edge_ns() + 5_000 {
+            rig.pass(1);
+        }
+        let (edges, before_ns) = (rig.edge_count(), rig.bench.now_ns());
+        if cause == ResetCause::Pin {
+            rig.reset(nonce);
+        } else {
+            rig.power_cycle(nonce);
+            assert!(rig.bench.now_ns() > before_ns + 1_000_000_000);
+        }
+        assert_eq!(rig.edge_count(), edges, "it moved by itself\n{}", rig.log());
+        let identity = rig.device.identity().expect("a session");
+        assert_eq!(identity.reset_cause, cause);
+        let status = rig.status();
+        assert_eq!((status.state, status.homed), (RigState::Unhomed, false));
+        rig.home();
     }
-    interrupt(&rig);
-    let edges = rig.edge_count();
-    rig.pass(300_000);
-    assert_eq!(rig.edge_count(), edges, "it moved by itself\n{}", rig.log());
-    let identity = rig.device.hello(2).expect("it answers again");
-    assert_eq!(identity.reset_cause, cause);
-    let status = rig.status();
-    assert_eq!((status.state, status.homed), (RigState::Unhomed, false));
-    rig.home();
-    rig.check_clean(resets);
-}
-
-#[test]
-fn a_reset_moves_nothing_and_forgets_the_position() {
-    restarted(ResetCause::Pin, 1, |rig| {
-        rig.bench.reset().expect("the bench runs");
-    });
-}
-
-#[test]
-fn a_power_cut_moves_nothing_and_forgets_the_position() {
-    restarted(ResetCause::PowerOn, 0, |rig| {
-        let before_ns = rig.bench.now_ns();
-        rig.bench.power_cycle(2_000_000).expect("the bench runs");
-        assert_eq!(rig.bench.now_ns(), before_ns + 2_000_000_000);
-    });
+    rig.check_clean(1);
 }
 
 /// A machine that is served runs in real time and does not pause for whoever cuts its supply.
 #[test]
 fn a_served_rig_comes_back_after_a_power_cut() {
-    let bench = rig_with(RigOptions::default()).bench;
+    let bench = rig().bench;
     let server = Server::listen(0).expect("a free port");
     let address = format!("127.0.0.1:{}", server.port());
     let served = bench.clone();
     thread::spawn(move || server.serve(&served, "rig", &Plug::default()));
     let halves = tcp::open(&address, Duration::from_secs(5)).expect("it listens");
-    let link = Direct::new(address.clone(), halves);
-    let link = Box::new(link);
+    let link = Box::new(Direct::new(address.clone(), halves));
     let mut device = Device::connect(link, DeviceKind::Rig, 1).expect("it is served");
     let (cut, answered) = channel();
     thread::spawn(move || cut.send(bench.power_cycle(100_000)));
@@ -104,7 +91,7 @@ fn a_served_rig_comes_back_after_a_power_cut() {
 #[test]
 fn ram_holds_noise_after_power_up() {
     // Nothing is executed before time passes.
-    let options = BenchOptions::new(board::image());
+    let options = BenchOptions::new(image());
     let board = RigBoard::new(Rig::new(RigOptions::default()));
     let bench = Bench::start(board, options).expect("the image boots");
     let look = |bench: &Bench<RigBoard>| {
@@ -133,10 +120,8 @@ fn ram_holds_noise_after_power_up() {
 #[test]
 fn lost_steps_are_counted_and_beyond_the_limit_end_the_run() {
     let limit = u64::from(SettingKey::LedgerLimitSteps.range().default);
-    let mut rig = rig_with(RigOptions::default());
-    home_quickly(&mut rig);
+    let mut rig = quickly_homed();
     rig.device.set_telemetry(5).expect("telemetry");
-    rig.home();
     for lost in [1, 2, limit - 1, limit, limit + 1, 16, 64] {
         for homewards in [false, true] {
             lose(&mut rig, lost, homewards, lost > limit);
@@ -153,53 +138,36 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
     const STOP: i64 = 160 + 160 + 5;
     let what = format!("{lost} lost, homewards: {homewards}");
     let place = 1_000 + if homewards { STROKE } else { 0 };
-    let before = rig.look(move |rig| {
-        let edge = rig.edges().len() as u64 + place;
-        rig.plan(When::Edge(edge), Action::LoseSteps(lost));
-        rig.lost()
-    });
+    let before = rig.look(|rig| rig.lost());
+    rig.plan_at(place, Action::LoseSteps(lost));
     // After a loss on the way out the carriage meets the flag early; after one on the way back, late.
     let residual = lost as i32 * if homewards { -1 } else { 1 };
     let (_, record) = execute(rig, quick(2, 4_000, 20_000, 500_000));
     let status = rig.device.rig_status().expect(&what);
     let mut recorder = Recorder::default();
     rig.device.idle(20_000, &mut recorder).expect(&what);
-    let Some(Telemetry::Rig(telemetry)) = recorder.samples.last() else {
-        panic!("{what}: no telemetry");
-    };
-    assert_eq!(
-        (record.worst_residual_steps, telemetry.residual_steps),
-        (residual, residual),
-        "{what}"
-    );
+    let told = recorder.rigs().last().map(|sample| sample.residual_steps);
+    assert_eq!(told, Some(residual), "{what}");
+    assert_eq!(record.worst_residual_steps, residual, "{what}");
     assert_eq!(rig.look(|rig| rig.lost()) - before, lost, "{what}");
     if beyond {
         let fault = RigFault::LostSteps {
             residual_steps: residual,
         };
-        assert_eq!(
-            (status.fault, status.homed, record.outcome, record.strokes),
-            (Some(fault), false, RunOutcome::Faulted(fault), 1),
-            "{what}"
-        );
-        let past_the_flag = 800 - rig.carriage();
+        assert_eq!((status.fault, status.homed), (Some(fault), false), "{what}");
+        let ended = (record.outcome, record.strokes);
+        assert_eq!(ended, (RunOutcome::Faulted(fault), 1), "{what}");
+        let past = 800 - rig.carriage();
         assert!(
-            (0..=STOP).contains(&past_the_flag),
-            "{what}: it went {past_the_flag} steps past the flag"
+            (0..=STOP).contains(&past),
+            "{what}: {past} steps past the flag"
         );
-        rig.device.acknowledge().expect(&what);
-        return rig.home();
+        return rig.recover(&what);
     }
-    assert_eq!(
-        (status.fault, record.outcome, record.strokes),
-        (None, RunOutcome::Complete, 4),
-        "{what}"
-    );
-    assert_eq!(
-        (record.counted_edges, rig.carriage()),
-        (4 * STROKE, i64::from(-residual)),
-        "{what}"
-    );
+    let ended = (record.outcome, record.strokes);
+    assert_eq!(ended, (RunOutcome::Complete, 4), "{what}");
+    assert_eq!((status.fault, record.counted_edges), (None, 4 * STROKE));
+    assert_eq!(rig.carriage(), i64::from(-residual), "{what}");
     // Homing finds the reference displaced by the same number of steps, and corrects it.
     let accepted = rig.device.home().expect(&what);
     let homed = rig.device.wait_homing(&accepted, &mut Unobserved);
@@ -210,12 +178,9 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
 /// The flag opens while the rig brakes for a stop: the count is wrong all the same.
 #[test]
 fn steps_that_were_lost_before_a_stop_are_found() {
-    let mut rig = rig_with(RigOptions::default());
-    home_quickly(&mut rig);
-    rig.home();
+    let mut rig = quickly_homed();
     let before = rig.edge_count();
-    let lost_at = before as u64 + 1_000;
-    rig.look(move |rig| rig.plan(When::Edge(lost_at), Action::LoseSteps(64)));
+    rig.plan_at(1_000, Action::LoseSteps(64));
     let run = quick(1, 4_000, 20_000, 500_000);
     rig.device.run(run).expect("the run is accepted");
     // Step 1,000 of 3,200 on the way home. It brakes over 160 steps, begins within 150, and meets the flag at 864.
@@ -245,18 +210,12 @@ fn a_count_that_noise_has_moved_at_rest_is_a_fault_before_anything_moves() {
     };
     let (commanded, counted) = (0, -9);
     let fault = RigFault::ReadBack { commanded, counted };
-    match rig.device.call(to) {
-        Err(ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::RigFaulted(fault));
-        }
-        other => panic!("{other:?}"),
-    }
+    assert_eq!(refusal(rig.device.call(to)), Refusal::RigFaulted(fault));
     let status = rig.status();
     assert_eq!((status.fault, status.homed), (Some(fault), false));
     rig.pass(100_000);
     assert_eq!(rig.edge_count(), first);
-    rig.device.acknowledge().expect("acknowledged");
-    rig.home();
+    rig.recover("the count is known");
     rig.check_clean(0);
 }
 
@@ -270,28 +229,24 @@ fn a_cut_jumper_is_found_within_a_few_hundred_steps() {
     for (cut, counted) in [(0, 0), (5_000, 4_999), (11_000, 5_001)] {
         let mut rig = homed();
         let first = rig.edge_count() as u64;
-        rig.look(move |rig| match cut {
-            0 => rig.act(Action::ReadBack(Fault::Whole(false)), 0),
-            _ => rig.plan(
-                When::Edge(first + cut),
-                Action::ReadBack(Fault::Whole(false)),
-            ),
-        });
+        let jumper = Action::ReadBack(Fault::Whole(false));
+        if cut == 0 {
+            rig.act(jumper);
+        } else {
+            rig.plan_at(cut, jumper);
+        }
         let (_, record) = execute(&mut rig, short(2));
         let status = rig.status();
         let fault = RigFault::ReadBack {
             commanded: rig.carriage() as i32,
             counted,
         };
-        assert_eq!(
-            (status.fault, status.homed, record.outcome),
-            (Some(fault), false, RunOutcome::Faulted(fault)),
-            "cut at edge {cut}"
-        );
+        assert_eq!((status.fault, status.homed), (Some(fault), false), "{cut}");
+        assert_eq!(record.outcome, RunOutcome::Faulted(fault), "{cut}");
         let edges = rig.edge_count() as u64 - first;
         assert!(
             edges <= cut + NOTICED,
-            "cut at edge {cut}, stopped at edge {edges}"
+            "cut at edge {cut}, stopped at {edges}"
         );
         rig.check_clean(0);
     }
@@ -305,10 +260,7 @@ fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
     const CRUISE_NS: u64 = 35_040;
     let mut rig = homed();
     let first = rig.edge_count();
-    rig.look(move |rig| {
-        let edge = When::Edge((first + CUT) as u64);
-        rig.plan(edge, Action::ReadBack(Fault::Whole(false)));
-    });
+    rig.plan_at(CUT as u64, Action::ReadBack(Fault::Whole(false)));
     let (_, record) = execute(&mut rig, paper(1));
     assert!(matches!(
         record.outcome,
@@ -316,10 +268,9 @@ fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
     ));
     let edges: Vec<u64> = rig.edges(first).iter().map(|edge| edge.at_ns).collect();
     let after = &edges[CUT - 1..];
-    let braking = after
-        .windows(2)
-        .find(|pair| pair[1] - pair[0] > CRUISE_NS)
-        .expect("it stops before the end");
+    let mut pairs = after.windows(2);
+    let braking = pairs.find(|pair| pair[1] - pair[0] > CRUISE_NS);
+    let braking = braking.expect("it stops before the end");
     let waited_ns = braking[0] - after[0];
     assert!(waited_ns <= 20_000_000, "{waited_ns} ns");
     // Braking from 35.7 mm/s takes 0.64 mm: 510 steps, rounded up.
@@ -334,10 +285,7 @@ fn a_cut_jumper_brakes_the_papers_run_within_20_ms() {
 fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
     const SETTINGS: std::ops::Range<usize> = 0x4000..0x1_0000;
     const ERASE_NS: u64 = 250_000_000;
-    let blank = rig_with(RigOptions::default())
-        .bench
-        .visit(|visit| visit.flash())
-        .expect("the bench runs");
+    let blank = rig().visit(|visit| visit.flash());
     let mut resets = Vec::new();
     for seed in 0..trials(4, 12) {
         let mut flash = blank.clone();
@@ -349,32 +297,23 @@ fn a_flash_full_of_noise_starts_with_the_defaults_and_is_erased() {
             assert_eq!(found.value, key.range().default, "{}", key.name());
         }
         let (key, value) = (SettingKey::SeekUmS, 15_000);
-        match rig.device.call(Setting { key, value }) {
-            Ok(_) => {}
-            Err(ClientError::Refused {
-                refusal: Refusal::StorageFailed,
-                ..
-            }) => {
-                rig.device.call(FactoryReset).expect("it erases");
-                rig.device.call(Setting { key, value }).expect("accepted");
-                resets.push(seed);
-            }
-            Err(error) => panic!("seed {seed}: {error}"),
+        let answer = rig.device.call(Setting { key, value });
+        if answer.is_err() {
+            assert_eq!(refusal(answer), Refusal::StorageFailed, "seed {seed}");
+            rig.device.call(FactoryReset).expect("it erases");
+            rig.set(key, value);
+            resets.push(seed);
         }
-        let instructions = rig.bench.visit(|visit| visit.instructions());
-        let (ns, instructions) = (rig.bench.now_ns(), instructions.expect("the bench runs"));
-        assert!(
-            ns >= ERASE_NS,
-            "changed within {ns} ns, and nothing was erased"
-        );
+        let instructions = rig.visit(|visit| visit.instructions());
+        let ns = rig.bench.now_ns();
+        assert!(ns >= ERASE_NS, "nothing was erased within {ns} ns");
         // A polling core would execute 65 instructions per microsecond.
+        let most = ns / 1_000 * 65 / 2;
         assert!(
-            instructions < ns / 1_000 * 65 / 2,
+            instructions < most,
             "{instructions} instructions in {ns} ns"
         );
-        rig.bench.power_cycle(1_000_000).expect("the bench runs");
-        rig.pass(300_000);
-        rig.device.hello(9).expect("it answers again");
+        rig.power_cycle(9);
         let kept = rig.device.call(GetSetting { key }).expect("it answers");
         assert_eq!(kept.value, value, "seed {seed}");
         rig.home();

@@ -1,6 +1,6 @@
 //! The rig's limit switches: a real opening stops the rig, a disturbance does not.
 
-use crate::common::{Dice, exact, faulted, paper, quick, quickly_homed, trials};
+use crate::common::{Dice, RigRun, exact, faulted, paper, quick, quickly_homed, trials};
 use protocol::rig::{GetRigHealth, RigFault, RunOutcome};
 use virtual_bench::{
     faults::When,
@@ -10,30 +10,31 @@ use virtual_bench::{
 /// 50 us from the contact, plus the step in progress (at most 35 us at the paper's speed).
 const STOP_LIMIT_NS: u64 = 50_000 + 35_100;
 
+const OPENS: Action = Action::Stick(Switch::Far, Some(true));
+
 #[test]
 fn the_far_limit_ends_the_pulses_within_50_us() {
     let mut dice = Dice(0x5EED_0004);
     let mut rig = quickly_homed();
     for trial in 0..10 {
-        let number = rig.edge_count() as u64 + dice.roll(1_000..103_000);
-        rig.look(move |rig| rig.plan(When::Edge(number), Action::Stick(Switch::Far, Some(true))));
+        let number = rig.plan_at(dice.roll(1_000..103_000), OPENS);
         let what = format!("trial {trial}");
-        faulted(&mut rig, paper(1), RigFault::FarLimit, &what);
-        let edges = rig.edges(number as usize - 1);
-        let opened = edges.iter().next().expect("the edge of the fault").at_ns;
-        let last = edges.iter().next_back().expect("the last edge").at_ns;
-        assert!(
-            last - opened <= STOP_LIMIT_NS,
-            "trial {trial}: {} ns",
-            last - opened
-        );
+        let took_ns = runs_on_ns(&mut rig, number, &what);
+        assert!(took_ns <= STOP_LIMIT_NS, "{what}: {took_ns} ns");
         // The read-back counter knows where it stopped, to the step.
         rig.position_is_right_but_not_trusted(&what);
         rig.act(Action::Stick(Switch::Far, None));
-        rig.device.acknowledge().expect("it can be acknowledged");
-        rig.home();
+        rig.recover(&what);
     }
     rig.check_clean(0);
+}
+
+/// A run in which the far limit opens at this edge: the time from there to its last step, ns.
+fn runs_on_ns(rig: &mut RigRun, number: u64, what: &str) -> u64 {
+    faulted(rig, paper(1), RigFault::FarLimit, what);
+    let edges = rig.edges(number as usize - 1);
+    let opened = edges.iter().next().expect("the edge of the fault");
+    rig.last_edge_ns() - opened.at_ns
 }
 
 /// Nothing is wrong with an open far limit while the carriage goes home: it comes from there. Where it turns it is.
@@ -41,8 +42,7 @@ fn the_far_limit_ends_the_pulses_within_50_us() {
 fn a_far_limit_that_opens_on_the_way_home_ends_the_run_at_the_turn() {
     let mut rig = quickly_homed();
     let first = rig.edge_count() as u64;
-    let edge = When::Edge(first + 12_000);
-    rig.look(move |rig| rig.plan(edge, Action::Stick(Switch::Far, Some(true))));
+    rig.plan_at(12_000, OPENS);
     let run = quick(2, 10_000, 20_000, 500_000);
     faulted(&mut rig, run, RigFault::FarLimit, "at the turn");
     assert_eq!(rig.edge_count() as u64, first + 16_000, "it went on");
@@ -57,35 +57,17 @@ fn a_masked_far_limit_ends_the_pulses_within_2_ms() {
     let mut longest_ns = 0;
     for trial in 0..10 {
         // In the cruise, where motion has the least to do.
-        let number = rig.edge_count() as u64 + dice.roll(20_000..80_000);
-        rig.look(move |rig| {
-            for noise in 0..6 {
-                let edge = When::Edge(number + noise * 2);
-                rig.plan(edge, Action::Disturb(Switch::Far, 5_000));
-            }
-            rig.plan(
-                When::Edge(number + 12),
-                Action::Stick(Switch::Far, Some(true)),
-            );
-        });
-        faulted(
-            &mut rig,
-            paper(1),
-            RigFault::FarLimit,
-            &format!("trial {trial}"),
-        );
-        let edges = rig.edges(number as usize + 11);
-        let opened = edges.iter().next().expect("the edge of the fault").at_ns;
-        let last = edges.iter().next_back().expect("the last edge").at_ns;
-        longest_ns = longest_ns.max(last - opened);
+        let within = dice.roll(20_000..80_000);
+        for noise in 0..6 {
+            rig.plan_at(within + noise * 2, Action::Disturb(Switch::Far, 5_000));
+        }
+        let number = rig.plan_at(within + 12, OPENS);
+        let what = format!("trial {trial}");
+        longest_ns = longest_ns.max(runs_on_ns(&mut rig, number, &what));
         rig.act(Action::Stick(Switch::Far, None));
-        rig.device.acknowledge().expect("it can be acknowledged");
-        rig.home();
+        rig.recover(&what);
     }
-    assert!(
-        longest_ns > STOP_LIMIT_NS,
-        "it was never masked: {longest_ns}"
-    );
+    assert!(longest_ns > STOP_LIMIT_NS, "never masked: {longest_ns} ns");
     assert!(longest_ns < 2_000_000, "{longest_ns} ns");
 }
 
@@ -93,7 +75,7 @@ fn a_masked_far_limit_ends_the_pulses_within_2_ms() {
 /// firmware's millisecond drifts, so other interrupts fall into every part of them.
 #[test]
 fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
-    let cycles: u16 = trials(2, 5);
+    let cycles: u16 = trials(1, 5);
     let each = u64::from(cycles) * 7_900;
     let mut rig = quickly_homed();
     let first = rig.edge_count();
@@ -101,11 +83,9 @@ fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
     rig.look(move |rig| {
         for number in 0..each {
             let at = start_ns + number * 1_000_370;
-            rig.plan(When::At(at), Action::Disturb(Switch::Far, 19_000));
-            rig.plan(
-                When::At(at + 500_000),
-                Action::Disturb(Switch::Home, 19_000),
-            );
+            let [far, home] = [Switch::Far, Switch::Home].map(|at| Action::Disturb(at, 19_000));
+            rig.plan(When::At(at), far);
+            rig.plan(When::At(at + 500_000), home);
         }
     });
     let accepted = rig.device.run(paper(cycles)).expect("the run is accepted");

@@ -6,13 +6,12 @@ use client::{Device, Unobserved};
 
 use crate::capsule::CapsuleRun;
 use crate::common::{
-    Any, Dice, Recorder, exact, home_quickly, paper, quick, quickly_homed, rig, rig_with_streams,
-    ways_to_go_on,
+    Any, Dice, Recorder, exact, paper, quick, quickly_homed, rig, rig_with_chip, ways_to_go_on,
 };
 use protocol::{
     frame::{Header, Kind, encode},
     rig::{Direction, GetRigHealth, Home, Jog, LinkLossPolicy, RigState, Run, RunOutcome},
-    settings::{Setting, SettingKey},
+    settings::SettingKey,
     system::{Acknowledge, DeviceKind, KeepAlive, Urgent},
     table::Request,
 };
@@ -24,7 +23,7 @@ use virtual_bench::{bench::Bench, emulator::Wiring, link::VirtualLink, serial::B
 fn a_framing_error_brings_no_old_frame_back() {
     for streams in ways_to_go_on() {
         eprintln!("{streams:?}");
-        let mut rig = rig_with_streams(streams);
+        let mut rig = rig_with_chip(|chip| chip.streams = streams);
         err(&rig.bench, &mut rig.device, |device| {
             device.rig_status().map(|status| status.fault.is_some())
         });
@@ -99,18 +98,11 @@ fn a_byte_in_a_thousand_is_garbled_and_the_run_is_executed_once() {
         .device
         .wait_run(&accepted, &mut recorder)
         .unwrap_or_else(|error| panic!("seed {seed:#x}: {error}\n{}", rig.log()));
-    assert_eq!(
-        (accepted.run, record.run, record.outcome),
-        (1, 1, RunOutcome::Complete),
-        "seed {seed:#x}"
-    );
+    assert_eq!((accepted.run, record.run), (1, 1), "seed {seed:#x}");
+    assert_eq!(record.outcome, RunOutcome::Complete, "seed {seed:#x}");
     rig.is_exact(&exact(2), first);
     assert!(rig.device.rejected_frames() > 5, "the faults were not met");
-    assert!(
-        recorder.samples.len() > 600,
-        "{} samples",
-        recorder.samples.len()
-    );
+    assert!(recorder.samples.len() > 600, "{}", recorder.samples.len());
     rig.check_clean(0);
 }
 
@@ -137,8 +129,7 @@ fn silence_ends_a_motion_and_reconnecting_moves_nothing() {
         let mut rig = if homes { rig() } else { quickly_homed() };
         if homes {
             // Slow enough to be still moving when the silence is noticed.
-            let key = SettingKey::SeekUmS;
-            rig.device.call(Setting { key, value: 5_000 }).expect("set");
+            rig.set(SettingKey::SeekUmS, 5_000);
         }
         rig.device.call(Any(request.clone())).expect("accepted");
         let silent = rig.edge_count();
@@ -150,16 +141,9 @@ fn silence_ends_a_motion_and_reconnecting_moves_nothing() {
         rig.idle(500_000);
         assert_eq!(rig.edge_count(), edges, "{request:?}: it moved");
         let status = rig.status();
-        let expected = if homes {
-            RigState::Unhomed
-        } else {
-            RigState::Ready
-        };
-        assert_eq!(
-            (status.state, status.fault),
-            (expected, None),
-            "{request:?}"
-        );
+        let expected = [RigState::Ready, RigState::Unhomed][usize::from(homes)];
+        let found = (status.state, status.fault);
+        assert_eq!(found, (expected, None), "{request:?}");
         if status.homed {
             let position = i64::from(status.position_steps);
             assert_eq!(position, rig.carriage(), "{request:?}");
@@ -170,11 +154,8 @@ fn silence_ends_a_motion_and_reconnecting_moves_nothing() {
         }
         if let Request::Jog(_) = request {
             // 300 ms of dead-man time, and braking.
-            assert!(
-                (1..=8_000).contains(&rig.carriage()),
-                "{} steps",
-                rig.carriage()
-            );
+            let place = rig.carriage();
+            assert!((1..=8_000).contains(&place), "{place} steps");
         }
         rig.check_clean(0);
     }
@@ -196,20 +177,14 @@ enum Heard {
 /// Only a request of the session, or a stop, shows that the host is there.
 #[test]
 fn what_is_no_host_does_not_keep_a_run_going() {
-    for heard in [
-        Heard::Echo,
-        Heard::OldSession,
-        Heard::Nonsense,
-        Heard::Replies,
-    ] {
-        let mut rig = rig();
-        home_quickly(&mut rig);
-        rig.home();
+    use Heard::{Echo, Nonsense, OldSession, Replies};
+    for heard in [Echo, OldSession, Nonsense, Replies] {
+        let mut rig = quickly_homed();
         let session = rig.device.identity().expect("connected").session;
         let (kind, session) = match heard {
-            Heard::Echo | Heard::Nonsense => (Kind::Request, session),
-            Heard::OldSession => (Kind::Request, session.wrapping_sub(1)),
-            Heard::Replies => (Kind::Reply, session),
+            Echo | Nonsense => (Kind::Request, session),
+            OldSession => (Kind::Request, session.wrapping_sub(1)),
+            Replies => (Kind::Reply, session),
         };
         rig.device.set_telemetry(5).expect("telemetry");
         let run = Run {
@@ -217,7 +192,7 @@ fn what_is_no_host_does_not_keep_a_run_going() {
             ..quick(200, 20_000, 40_000, 500_000)
         };
         rig.device.run(run).expect("accepted");
-        let echo = matches!(heard, Heard::Echo);
+        let echo = matches!(heard, Echo);
         rig.visit(move |visit| visit.serial().echo = echo);
         let mut line = VirtualLink::new(&rig.bench, "somebody else");
         // The time-out is 1 s.
@@ -229,7 +204,7 @@ fn what_is_no_host_does_not_keep_a_run_going() {
                     seq: 1_000 + seq,
                 };
                 let frame = match heard {
-                    Heard::OldSession => encode(header, &Request::KeepAlive(KeepAlive)),
+                    OldSession => encode(header, &Request::KeepAlive(KeepAlive)),
                     _ => encode(header, &[0xFF_u8; 3]),
                 };
                 line.send(&frame.expect("fits")).expect("sent");
@@ -239,11 +214,7 @@ fn what_is_no_host_does_not_keep_a_run_going() {
         let edges = rig.edge_count();
         rig.visit(|visit| visit.serial().echo = false);
         rig.pass(200_000);
-        assert_eq!(
-            rig.edge_count(),
-            edges,
-            "{heard:?}: it goes on without its host"
-        );
+        assert_eq!(rig.edge_count(), edges, "{heard:?}: it goes on");
         rig.device.hello(77).expect("it answers");
         let record = rig.device.run_record().expect("a record");
         assert_eq!(record.outcome, RunOutcome::LinkLost, "{heard:?}");

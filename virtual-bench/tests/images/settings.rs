@@ -1,8 +1,8 @@
 //! The rig's settings on the image: persistent, checked, and safe against a power cut at every flash operation.
 
-use client::error::ClientError;
+use std::sync::OnceLock;
 
-use crate::common::{RigRun, is_made, rig};
+use crate::common::{RigRun, flash_operations, is_made, rig, rig_from_flash};
 use protocol::{
     settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey},
     system::DeviceKind,
@@ -14,10 +14,6 @@ fn get(rig: &mut RigRun, key: SettingKey) -> u32 {
     let got = rig.device.call(GetSetting { key }).expect("it answers");
     assert_eq!(got.key, key);
     got.value
-}
-
-fn set(rig: &mut RigRun, key: SettingKey, value: u32) -> Result<Setting, ClientError> {
-    rig.device.call(Setting { key, value })
 }
 
 /// Sends the request and lets it be executed, to its end or to the cut.
@@ -33,45 +29,31 @@ fn begin(rig: &RigRun, request: Request) {
     panic!("the operation was never reached\n{}", rig.log());
 }
 
-fn power_cycle(rig: &mut RigRun) {
-    rig.bench.power_cycle(1_000_000).expect("the bench runs");
-    rig.pass(300_000);
-    rig.device.hello(9).expect("it answers again");
-}
-
-fn operations(rig: &RigRun) -> u64 {
-    rig.visit(|visit| visit.flash_operations())
-}
-
 #[test]
 fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
     let mut rig = rig();
     for key in SettingKey::of(DeviceKind::Rig) {
         assert_eq!(get(&mut rig, key), key.range().default, "{}", key.name());
     }
-    assert_eq!(operations(&rig), 0, "a start writes nothing");
-    set(&mut rig, SettingKey::SeekUmS, 15_000).expect("accepted");
-    set(&mut rig, SettingKey::SeekUmS, 12_000).expect("accepted");
+    assert_eq!(flash_operations(&rig.bench), 0, "a start writes nothing");
+    rig.set(SettingKey::SeekUmS, 15_000);
+    rig.set(SettingKey::SeekUmS, 12_000);
     let name = Name {
         name: "bench 3".try_into().expect("short"),
     };
     assert_eq!(rig.device.call(name.clone()).expect("accepted"), name);
-    rig.bench.reset().expect("the bench runs");
-    rig.pass(300_000);
-    rig.device.hello(2).expect("it answers again");
+    rig.reset(2);
     assert_eq!(get(&mut rig, SettingKey::SeekUmS), 12_000);
-    power_cycle(&mut rig);
+    rig.power_cycle(9);
     assert_eq!(get(&mut rig, SettingKey::SeekUmS), 12_000);
     assert_eq!(rig.device.call(GetName).expect("a name"), name);
     let accepted = rig.device.home().expect("homing is accepted");
     assert_eq!(accepted.seek_um_s, 12_000, "the setting is in force");
     rig.device.call(FactoryReset).expect_err("it moves");
-    let _ = rig
-        .device
-        .wait_homing(&accepted, &mut client::Unobserved)
-        .expect("homed");
+    let homed = rig.device.wait_homing(&accepted, &mut client::Unobserved);
+    homed.expect("homed");
     rig.device.call(FactoryReset).expect("accepted");
-    power_cycle(&mut rig);
+    rig.power_cycle(9);
     for key in SettingKey::of(DeviceKind::Rig) {
         assert_eq!(get(&mut rig, key), key.range().default, "{}", key.name());
     }
@@ -84,10 +66,10 @@ fn settings_are_the_defaults_at_first_and_survive_reset_and_power() {
 fn a_cut_at_every_store_leaves_the_old_value_or_the_new_one() {
     let mut rig = rig();
     let key = SettingKey::PullOffUm;
-    set(&mut rig, key, 2_000).expect("accepted");
-    let before = operations(&rig);
-    set(&mut rig, key, 2_001).expect("accepted");
-    let stores = operations(&rig) - before;
+    rig.set(key, 2_000);
+    let before = flash_operations(&rig.bench);
+    rig.set(key, 2_001);
+    let stores = flash_operations(&rig.bench) - before;
     assert!((3..40).contains(&stores), "{stores} stores per change");
     let (mut old, mut new, mut value) = (0, 0, 2_001);
     for number in 0..stores {
@@ -115,7 +97,7 @@ fn cut_within_a_change(
     });
     let change = Setting { key, value: wanted };
     begin(rig, change.into_request());
-    power_cycle(rig);
+    rig.power_cycle(9);
     let found = get(rig, key);
     assert!(
         found == *value || found == wanted,
@@ -125,7 +107,7 @@ fn cut_within_a_change(
     *(if found == wanted { new } else { old }) += 1;
     // Nothing else has changed, and the store still works.
     assert_eq!(get(rig, SettingKey::SeekUmS), 20_000);
-    set(rig, key, wanted + 1).expect("it still can be set");
+    rig.set(key, wanted + 1);
     assert_eq!(get(rig, key), wanted + 1);
     *value = wanted + 1;
 }
@@ -143,9 +125,9 @@ fn a_cut_within_a_reset_leaves_all_values_or_none() {
     let cuts = [CutAt::Before, CutAt::Within, CutAt::After];
     for (number, at) in (0..).flat_map(|number| cuts.map(|at| (number, at))) {
         for (key, value) in values {
-            set(&mut rig, key, value).expect("accepted");
+            rig.set(key, value);
         }
-        let done = operations(&rig);
+        let done = flash_operations(&rig.bench);
         rig.visit(move |visit| visit.cut_flash(at, done + number));
         rig.send(&FactoryReset.into_request(), 0);
         rig.pass(300_000);
@@ -153,7 +135,7 @@ fn a_cut_within_a_reset_leaves_all_values_or_none() {
         if !cut.expect("the bench runs") {
             break;
         }
-        power_cycle(&mut rig);
+        rig.power_cycle(9);
         let found = values.map(|(key, _)| get(&mut rig, key));
         let defaults = values.map(|(key, _)| key.range().default);
         assert!(
@@ -167,7 +149,7 @@ fn a_cut_within_a_reset_leaves_all_values_or_none() {
 }
 
 /// A name that takes as much flash as the longest record.
-fn long_name(number: u32) -> Name {
+pub(crate) fn long_name(number: u32) -> Name {
     let name = format!("{number:024}").as_str().try_into();
     Name {
         name: name.expect("it has 24 bytes"),
@@ -176,10 +158,6 @@ fn long_name(number: u32) -> Name {
 
 fn name(rig: &mut RigRun) -> Name {
     rig.device.call(GetName).expect("a name")
-}
-
-fn flash(rig: &RigRun) -> Vec<u8> {
-    rig.visit(|visit| visit.flash())
 }
 
 /// Settings set once at the start, before everything else.
@@ -193,25 +171,39 @@ const KEPT: [(SettingKey, u32); 2] = [
 fn until_a_sector_is_erased(erasures: u32) -> (Vec<u8>, u32, u64) {
     let mut rig = rig();
     for (key, value) in KEPT {
-        set(&mut rig, key, value).expect("accepted");
+        rig.set(key, value);
     }
-    let mut before = flash(&rig);
+    let mut before = rig.visit(|visit| visit.flash());
     let mut found = 0;
     for number in 1..5_000 {
-        let operations_before = operations(&rig);
+        let before_operations = flash_operations(&rig.bench);
         let given = rig.device.call(long_name(number));
         given.unwrap_or_else(|error| panic!("name {number}: {error}\n{}", rig.log()));
-        let after = flash(&rig);
+        let after = rig.visit(|visit| visit.flash());
         // A store only clears bits, so a bit that was set shows an erase.
         if before.iter().zip(&after).any(|(old, new)| new & !old != 0) {
             found += 1;
             if found == erasures {
-                return (before, number, operations(&rig) - operations_before);
+                return (
+                    before,
+                    number,
+                    flash_operations(&rig.bench) - before_operations,
+                );
             }
         }
         before = after;
     }
     panic!("no sector was erased");
+}
+
+/// The first time, which several tests begin with: the flash before the naming, and its number.
+pub(crate) fn about_to_erase() -> (Vec<u8>, u32) {
+    static FIRST: OnceLock<(Vec<u8>, u32)> = OnceLock::new();
+    let first = FIRST.get_or_init(|| {
+        let (flash, number, _) = until_a_sector_is_erased(1);
+        (flash, number)
+    });
+    first.clone()
 }
 
 /// Cuts the supply within each operation of the naming that erases a sector. Settings made once at the start must
@@ -229,10 +221,10 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
         if !is_made(trial, 5) {
             continue;
         }
-        let mut rig = crate::common::rig_from_flash(flash.clone());
+        let mut rig = rig_from_flash(flash.clone());
         rig.visit(move |visit| visit.cut_flash(at, operation));
         begin(&rig, new.clone().into_request());
-        power_cycle(&mut rig);
+        rig.power_cycle(9);
         let found = name(&mut rig);
         assert!(
             found == old || found == new,
@@ -243,8 +235,8 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
         for (key, value) in KEPT {
             assert_eq!(get(&mut rig, key), value, "{operation} {at:?}");
         }
-        set(&mut rig, SettingKey::PullOffUm, 999).expect("it still can be set");
-        power_cycle(&mut rig);
+        rig.set(SettingKey::PullOffUm, 999);
+        rig.power_cycle(9);
         assert_eq!(get(&mut rig, SettingKey::PullOffUm), 999);
         assert_eq!(name(&mut rig), found);
     }
@@ -256,13 +248,13 @@ fn a_cut_within_a_change_that_erases_a_sector_loses_nothing() {
 fn a_sector_that_only_looks_blank_is_erased_before_it_is_used() {
     const SECTOR: usize = 16 * 1024;
     // All three sectors are full; the first is the next to be erased.
-    let (mut flash, number, _) = until_a_sector_is_erased(1);
+    let (mut flash, number) = about_to_erase();
     let words = &mut flash[SECTOR..2 * SECTOR];
     words[..4].fill(0xFF);
     words[SECTOR - 4..].fill(0xFF);
-    let mut rig = crate::common::rig_from_flash(flash);
+    let mut rig = rig_from_flash(flash);
     assert_eq!(name(&mut rig), long_name(number - 1));
     rig.device.call(long_name(number)).expect("accepted");
-    power_cycle(&mut rig);
+    rig.power_cycle(9);
     assert_eq!(name(&mut rig), long_name(number));
 }

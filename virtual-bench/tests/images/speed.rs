@@ -2,21 +2,15 @@
 
 use client::Unobserved;
 
-use crate::common::{RigRun, is_made, paper, quick, start, trials};
+use crate::common::{RigRun, is_made, paper, quick, start, trials, with_chip};
 use protocol::{
-    rig::{GetRigHealth, RigFault, Run, RunOutcome, RunTiming},
-    settings::{Setting, SettingKey},
+    rig::{RigFault, Run, RunOutcome, RunTiming},
+    settings::SettingKey,
 };
 use virtual_bench::{
-    bench::BenchOptions,
-    boards::rig as board,
     plants::rig::RigOptions,
     verdicts::{self, Stroke, Verdict},
 };
-
-fn set(rig: &mut RigRun, key: SettingKey, value: u32) {
-    rig.device.call(Setting { key, value }).expect("accepted");
-}
 
 /// 1/32 microsteps at 156.2 mm/s are 249.9 kHz, with telemetry at 200 Hz.
 const STEPS_PER_MM: i64 = 1_600;
@@ -25,16 +19,11 @@ const STROKE_US: u64 = 462_230;
 const DWELL_US: u32 = 1_000;
 
 /// A homed rig with a screw and a driver for that rate.
-fn quick_rig(instructions_per_second: u64) -> RigRun {
-    let mut options = BenchOptions::new(board::image());
-    options.chip.instructions_per_second = instructions_per_second;
-    quick_rig_on(RigOptions::REFERENCE, options)
-}
-
-pub fn quick_rig_on(rig: RigOptions, bench: BenchOptions) -> RigRun {
+pub fn quick_rig(rig: RigOptions, instructions_per_second: u64) -> RigRun {
+    let bench = with_chip(|chip| chip.instructions_per_second = instructions_per_second);
     let mut rig = start(rig.with_steps_per_mm(STEPS_PER_MM), bench);
-    set(&mut rig, SettingKey::Microsteps, 32);
-    set(&mut rig, SettingKey::MaxSpeedUmS, 156_250);
+    rig.set(SettingKey::Microsteps, 32);
+    rig.set(SettingKey::MaxSpeedUmS, 156_250);
     rig.home();
     rig.device.set_telemetry(5).expect("telemetry");
     rig
@@ -62,23 +51,6 @@ pub fn quick_run() -> (Run, verdicts::Run) {
     (request, exact)
 }
 
-#[test]
-fn the_highest_step_rate_is_sustained() {
-    let mut rig = quick_rig(65_000_000);
-    let first = rig.edge_count();
-    let (request, exact) = quick_run();
-    let (accepted, _) = crate::common::execute(&mut rig, request);
-    assert!(
-        accepted.forward.peak_um_s > 156_150,
-        "{} um/s",
-        accepted.forward.peak_um_s
-    );
-    rig.is_exact(&exact, first);
-    let health = rig.device.call(GetRigHealth).expect("it answers");
-    assert_eq!(health.underruns, 0, "{health:?}");
-    rig.check_clean(0);
-}
-
 /// A processor that cannot keep up: the ring runs empty at some step of a ramp. Every edge before that is right, none
 /// follows, and the position is known.
 #[test]
@@ -87,7 +59,7 @@ fn a_ring_that_runs_dry_emits_no_wrong_edge() {
     let speeds = (8..20).step_by(trials(3, 1));
     let tried = speeds.clone().count();
     for million in speeds {
-        let mut rig = quick_rig(million * 1_000_000);
+        let mut rig = quick_rig(RigOptions::REFERENCE, million * 1_000_000);
         let first = rig.edge_count();
         let (request, exact) = quick_run();
         let accepted = rig.device.run(request).expect("accepted");
@@ -143,8 +115,7 @@ fn a_processor_that_is_held_up_at_the_end_of_a_stroke_leaves_no_run_without_an_e
             RunOutcome::Complete => {}
             RunOutcome::Faulted(RigFault::Underrun) => {
                 rig.position_is_right_but_not_trusted(&what);
-                rig.device.acknowledge().expect("it can be acknowledged");
-                rig.home();
+                rig.recover(&what);
             }
             other => panic!("{what}: {other:?}"),
         }
@@ -159,8 +130,8 @@ fn a_processor_that_is_held_up_at_the_end_of_a_stroke_leaves_no_run_without_an_e
 fn a_processor_that_is_held_up_at_a_short_turn_still_takes_it() {
     const STEPS: usize = 800;
     let mut rig = crate::common::quickly_homed();
-    set(&mut rig, SettingKey::TurnaroundUs, 400);
-    set(&mut rig, SettingKey::MaxAccelUmS2, 10_000_000);
+    rig.set(SettingKey::TurnaroundUs, 400);
+    rig.set(SettingKey::MaxAccelUmS2, 10_000_000);
     let short = quick(1, 1_000, 10_000, 10_000_000);
     for held_up_us in [200, 250, 300, 340] {
         let before = rig.edge_count();

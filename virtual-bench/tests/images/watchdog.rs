@@ -1,18 +1,16 @@
 //! Hanging tasks and processor faults, each triggered where a task checks in with the watchdog.
 
-use client::error::ClientError;
-
-use crate::common::{RigRun, homed, is_made, paper, start};
+use crate::capsule::CapsuleRun;
+use crate::common::{RigRun, homed, is_made, paper, refusal, rig_with_chip, sabotage};
 use protocol::{
+    capsule::CapsuleFault,
     error::Refusal,
     rig::{RigFault, RigState},
     system::ResetCause,
 };
 use virtual_bench::{
-    bench::BenchOptions,
-    boards::rig::image,
-    plants::rig::RigOptions,
-    sabotage::{Misbehaviour, NOWHERE, Sabotage},
+    boards::{capsule, rig::image},
+    sabotage::{Misbehaviour, NOWHERE},
 };
 
 /// Clients of the watchdog, with the value that each passes to `check_in`.
@@ -26,7 +24,6 @@ struct Ended {
     rig: RigRun,
     armed_ns: u64,
     reset_ns: u64,
-    edges: usize,
 }
 
 /// Lets `client` misbehave at rest or 1 s into a run until the device has restarted. Checks the rules for every such
@@ -44,10 +41,7 @@ fn sabotaged(
     }
     rig.idle(1_000_000);
     assert_eq!(rig.carriage() > 10_000, moving);
-    let sabotage =
-        Sabotage::new(&image(), client, misbehaviour).expect("an image with its symbols");
-    rig.visit(move |visit| sabotage.apply(visit));
-    let armed_ns = rig.bench.now_ns();
+    let armed_ns = sabotage(&rig.bench, &image(), client, misbehaviour);
     rig.pass(1_500_000);
     let resets = rig.bench.bus().expect("the bench runs").resets;
     assert_eq!(resets.len(), 1, "{resets:?}\n{}", rig.log());
@@ -58,8 +52,8 @@ fn sabotaged(
     });
     // A watchdog's reset switches the driver off itself; every other end does so before it resets.
     if moving && cause != ResetCause::Watchdog {
-        let off = rig.bench.visit(|visit| visit.board().switched_off_ns());
-        let off_ns = off.expect("the bench runs").expect("it was on");
+        let off = rig.visit(|visit| visit.board().switched_off_ns());
+        let off_ns = off.expect("it was on");
         assert!(off_ns < reset_ns, "off {off_ns} ns, reset {reset_ns} ns");
     }
     assert_eq!((late, enabled), (0, false), "{}", rig.log());
@@ -72,45 +66,28 @@ fn sabotaged(
         (RigState::Faulted, Some(fault), false)
     );
     assert!(status.needs_acknowledge);
-    match rig.device.home() {
-        Err(ClientError::Refused { refusal, .. }) => assert!(
-            [Refusal::RigFaulted(fault), Refusal::AcknowledgeFirst].contains(&refusal),
-            "{refusal:?}"
-        ),
-        other => panic!("{other:?}"),
-    }
+    let refused = refusal(rig.device.home());
+    assert!([Refusal::RigFaulted(fault), Refusal::AcknowledgeFirst].contains(&refused));
     rig.idle(500_000);
     assert_eq!(rig.edge_count(), edges, "it moved by itself");
     Ended {
         rig,
         armed_ns,
         reset_ns,
-        edges,
     }
-}
-
-fn last_edge_ns(ended: &Ended) -> u64 {
-    let edges = ended.rig.edges(ended.edges - 1);
-    edges.iter().next().map_or(0, |edge| edge.at_ns)
-}
-
-fn fixed(mut ended: Ended) {
-    ended.rig.device.acknowledge().expect("the cause is gone");
-    ended.rig.home();
 }
 
 /// The watchdog resets a rig with this client, in its time and with no edge after it.
 fn ended_by_the_watchdog(client: u8, name: &str, misbehaviour: Misbehaviour, moving: bool) {
     let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
-    let ended = sabotaged(client, misbehaviour, moving, cause, fault);
+    let mut ended = sabotaged(client, misbehaviour, moving, cause, fault);
     let took_ns = ended.reset_ns - ended.armed_ns;
     assert!(
         (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
         "{name}, moving {moving}: reset after {took_ns} ns"
     );
-    assert!(last_edge_ns(&ended) <= ended.reset_ns);
     ended.rig.check_clean(1);
-    fixed(ended);
+    ended.rig.recover(name);
 }
 
 /// Whichever task hangs, at rest or during a run: nothing moves after the watchdog's period.
@@ -132,19 +109,14 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
 fn a_slow_watchdog_ends_a_task_that_hangs_too() {
     const SLOWEST_HZ: u64 = 17_000;
     const PERIOD_NS: u64 = WATCHDOG_NS * 32_000 / SLOWEST_HZ;
-    let mut options = BenchOptions::new(image());
-    options.chip.lsi_hz = SLOWEST_HZ;
-    let mut rig = start(RigOptions::default(), options);
+    let mut rig = rig_with_chip(|chip| chip.lsi_hz = SLOWEST_HZ);
     // The second time after a reset, which must not change the oscillator.
     for nth in 0..2 {
         rig.device.hello(2 + nth as u32).expect("it answers");
         rig.home();
         rig.device.run(paper(1)).expect("the run is accepted");
         rig.idle(1_000_000);
-        let sabotage =
-            Sabotage::new(&image(), 1, Misbehaviour::Hang).expect("an image with its symbols");
-        rig.visit(move |visit| sabotage.apply(visit));
-        let armed_ns = rig.bench.now_ns();
+        let armed_ns = sabotage(&rig.bench, &image(), 1, Misbehaviour::Hang);
         rig.pass(2_500_000);
         let resets = rig.bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), nth + 1, "{resets:?}\n{}", rig.log());
@@ -190,7 +162,7 @@ fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str
             assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
             let words = ended.rig.device.last_words().expect("they are kept");
             look(name, &words, &ended);
-            fixed(ended);
+            ended.rig.recover(name);
         }
     }
 }
@@ -207,7 +179,8 @@ fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
 }
 
 /// What a panic at the bench's place leaves, up to the first caller.
-const A_PANIC: &str = "panic at bench.rs:1: attempt to add with overflow, called from 0x";
+pub(crate) const A_PANIC: &str =
+    "panic at bench.rs:1: attempt to add with overflow, called from 0x";
 
 /// The last words tell place and message, and list the callers, innermost first.
 #[test]
@@ -237,7 +210,7 @@ fn a_panic_within_the_log_ends_at_once_with_its_words() {
         // A second panic would have replaced the words by those of the log.
         assert!(words.starts_with(A_PANIC), "{name}: {words:?}");
         ended.rig.check_clean(1);
-        fixed(ended);
+        ended.rig.recover(name);
     }
 }
 
@@ -259,7 +232,7 @@ fn a_stack_overflow_is_a_fault_with_last_words() {
                 .split(" 0x")
                 .filter(|caller| caller.starts_with("80"));
             assert!(code.count() >= 2, "{name}: {words:?}");
-            fixed(ended);
+            ended.rig.recover(name);
         }
     }
 }
@@ -271,30 +244,20 @@ fn a_frame_beyond_the_ram_is_not_read() {
     let mut ended = sabotaged(4, Misbehaviour::FrameAtRamEnd, false, cause, fault);
     let words = ended.rig.device.last_words().expect("they are kept");
     assert!(words.starts_with("stack overflow"), "{words:?}");
-    fixed(ended);
+    ended.rig.recover("control");
 }
 
 /// The same for the capsule.
 #[test]
 fn the_capsules_stack_has_a_guard_too() {
-    use client::Device;
-    use protocol::{capsule::CapsuleFault, system::DeviceKind};
-    use virtual_bench::{boards::capsule, link::VirtualLink, plants::capsule::Parameters};
+    let overflow = "stack overflow, called from 0x";
     for (misbehaviour, expected) in [
-        (Misbehaviour::Overflow, "stack overflow, called from 0x"),
-        (
-            Misbehaviour::OverflowByInterrupt,
-            "stack overflow, called from 0x",
-        ),
+        (Misbehaviour::Overflow, overflow),
+        (Misbehaviour::OverflowByInterrupt, overflow),
         (Misbehaviour::PanicInLog, A_PANIC),
     ] {
-        let bench = capsule::start(Parameters::nominal()).expect("the image boots");
-        let link = Box::new(VirtualLink::new(&bench, "virtual capsule"));
-        let mut device = Device::connect(link, DeviceKind::Capsule, 1).expect("it answers");
-        let sabotage = Sabotage::new(&capsule::image(), 4, misbehaviour).expect("an image");
-        bench
-            .visit(move |visit| sabotage.apply(visit))
-            .expect("the bench runs");
+        let CapsuleRun { bench, mut device } = crate::capsule::start();
+        sabotage(&bench, &capsule::image(), 4, misbehaviour);
         bench.advance_us(500_000).expect("the bench runs");
         let resets = bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), 1, "{resets:?}");
@@ -312,19 +275,13 @@ fn the_capsules_stack_has_a_guard_too() {
 #[test]
 fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     let mut rig = homed();
-    let sabotage =
-        Sabotage::new(&image(), 4, Misbehaviour::SetCatches).expect("an image with its symbols");
-    rig.visit(move |visit| sabotage.apply(visit));
+    sabotage(&rig.bench, &image(), 4, Misbehaviour::SetCatches);
     rig.idle(50_000);
-    let found = |rig: &RigRun| rig.log().matches("left catch bits: 0x7f1").count();
-    for expected in [1, 1] {
-        rig.bench.reset().expect("the bench runs");
-        rig.pass(500_000);
-        rig.device
-            .hello(2 + expected as u32)
-            .expect("it answers again");
-        // The first start finds them set, the second one clear.
-        assert_eq!(found(&rig), expected, "{}", rig.log());
+    // The first start finds them set, the second one clear.
+    for nonce in [2, 3] {
+        rig.reset(nonce);
+        let found = rig.log().matches("left catch bits: 0x7f1").count();
+        assert_eq!(found, 1, "{}", rig.log());
     }
     rig.check_clean(2);
 }

@@ -1,19 +1,14 @@
 //! A cut loop, bouncing contacts, and the start button.
 
-use client::error::ClientError;
-
-use crate::common::{RigRun, execute, home_quickly, quick, quickly_homed, rig};
+use crate::common::{RigRun, execute, home_quickly, quick, quickly_homed, refusal, rig};
 use protocol::{
     error::Refusal,
     rig::{RigFault, RigState, RunOutcome, RunRecord},
-    settings::{Setting, SettingKey},
+    settings::SettingKey,
 };
-use virtual_bench::{
-    faults::When,
-    plants::{
-        contact::Bounce,
-        rig::{Action, Switch},
-    },
+use virtual_bench::plants::{
+    contact::Bounce,
+    rig::{Action, Switch},
 };
 
 /// Steps of a stroke of the run below: 20 mm.
@@ -22,11 +17,10 @@ const STROKE: u64 = 16_000;
 /// Makes two cycles of 20 mm, with `action` at edge `within`. Returns the record, and the number of edges after the
 /// action.
 fn run_with(rig: &mut RigRun, within: u64, action: Action) -> (RunRecord, u64) {
-    let edges = rig.edge_count() as u64;
-    rig.look(move |rig| rig.plan(When::Edge(edges + within), action));
+    let number = rig.plan_at(within, action);
     let (_, record) = execute(rig, quick(2, 20_000, 40_000, 500_000));
     rig.idle(200_000);
-    (record, rig.edge_count() as u64 - edges - within)
+    (record, rig.edge_count() as u64 - number)
 }
 
 /// Checks that the rig is at rest with the fault latched, then repairs the loop.
@@ -39,8 +33,7 @@ fn fixed(rig: &mut RigRun) {
     assert_eq!((status.state, status.homed), (RigState::Faulted, false));
     assert_eq!(i64::from(status.position_steps), rig.carriage());
     assert_eq!(rig.edge_count(), edges, "it moved by itself");
-    rig.device.acknowledge().expect("the cause is gone");
-    rig.home();
+    rig.recover("the cause is gone");
     // The loop cuts the pulse in progress.
     rig.check_clean_after(0, 1);
 }
@@ -51,22 +44,14 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
     let cut = Action::Stick(Switch::EStop, Some(true));
     let (record, after) = run_with(&mut rig, STROKE + 100, cut.clone());
     let fault = RigFault::EStopLoop;
-    assert_eq!(
-        (record.outcome, after),
-        (RunOutcome::Faulted(fault), 0),
-        "{}",
-        rig.log()
-    );
+    let ended = (record.outcome, after);
+    assert_eq!(ended, (RunOutcome::Faulted(fault), 0), "{}", rig.log());
     fixed(&mut rig);
     rig.act(cut);
     rig.idle(50_000);
     assert_eq!(rig.status().fault, Some(fault));
-    match rig.device.acknowledge() {
-        Err(ClientError::Refused { refusal, .. }) => {
-            assert_eq!(refusal, Refusal::CauseStillPresent);
-        }
-        other => panic!("{other:?}"),
-    }
+    let refused = refusal(rig.device.acknowledge());
+    assert_eq!(refused, Refusal::CauseStillPresent);
     fixed(&mut rig);
 }
 
@@ -74,41 +59,29 @@ fn a_cut_wire_of_the_loop_stops_everything_also_at_rest() {
 #[test]
 fn bouncing_contacts_are_believed_once() {
     for (times, apart_ns) in [(5, 6_000), (25, 100_000)] {
-        bouncing_contacts(Some(Bounce { times, apart_ns }));
+        let rig = quickly_homed();
+        for switch in [Switch::Home, Switch::Far, Switch::EStop] {
+            rig.act(Action::Bounce(switch, Some(Bounce { times, apart_ns })));
+        }
+        are_believed_once(rig);
     }
 }
 
-fn bouncing_contacts(bounce: Option<Bounce>) {
-    let mut rig = quickly_homed();
-    for switch in [Switch::Home, Switch::Far, Switch::EStop] {
-        rig.act(Action::Bounce(switch, bounce));
-    }
+fn are_believed_once(mut rig: RigRun) {
     rig.home();
     let (_, record) = execute(&mut rig, quick(3, 20_000, 40_000, 500_000));
-    assert_eq!(
-        (record.outcome, record.counted_edges, rig.carriage()),
-        (RunOutcome::Complete, 6 * STROKE, 0),
-        "{}",
-        rig.log()
-    );
+    assert_eq!(record.outcome, RunOutcome::Complete, "{}", rig.log());
+    assert_eq!((record.counted_edges, rig.carriage()), (6 * STROKE, 0));
     // The first edge gives the position; 60 us at 40 mm/s are two steps.
-    assert!(
-        record.worst_residual_steps.abs() <= 3,
-        "{} steps",
-        record.worst_residual_steps
-    );
+    assert!(record.worst_residual_steps.abs() <= 3, "{record:?}");
     let (record, after) = run_with(&mut rig, 5_000, Action::EStop(true));
     let expected = RunOutcome::Faulted(RigFault::EStopLoop);
     assert_eq!((record.outcome, after), (expected, 0), "{}", rig.log());
     let events = rig.device.take_events().expect("events");
-    assert!(
-        events.len() <= 1,
-        "one fault, one event at most is left: {events:?}"
-    );
+    assert!(events.len() <= 1, "one fault, one event: {events:?}");
     rig.act(Action::EStop(false));
     rig.idle(50_000);
-    rig.device.acknowledge().expect("the cause is gone");
-    rig.home();
+    rig.recover("the cause is gone");
     rig.check_clean_after(0, 1);
 }
 
@@ -123,8 +96,7 @@ fn the_button_homes_and_runs_and_a_stuck_one_does_nothing_more() {
         (SettingKey::ButtonTotalMs, 2_000),
         (SettingKey::ButtonAccelUmS2, 500_000),
     ] {
-        let setting = Setting { key, value };
-        rig.device.call(setting).expect("accepted");
+        rig.set(key, value);
     }
     let press = |rig: &mut RigRun, us| {
         rig.act(Action::Button(true));
