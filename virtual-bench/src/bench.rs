@@ -54,9 +54,6 @@ pub enum BenchError {
     /// The emulator could not start or failed.
     #[error("the emulator ended: {0}")]
     Ended(String),
-    /// The image did what no machine may do.
-    #[error("{0}")]
-    Wrong(String),
     /// A server could not be opened.
     #[error("cannot listen on {address}: {why}; `--rig 0 --capsule 0` takes free ports")]
     Listen {

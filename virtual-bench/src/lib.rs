@@ -22,7 +22,6 @@ pub mod log;
 mod pace;
 pub mod pins;
 pub mod plants;
-pub mod population;
 pub mod sabotage;
 pub mod serial;
 pub mod serve;

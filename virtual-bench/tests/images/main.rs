@@ -6,7 +6,6 @@ mod common;
 mod accepted;
 mod campaign;
 mod capsule;
-mod capsule_ends;
 mod capsule_settings;
 mod clock;
 mod commission;
