@@ -27,8 +27,6 @@ pub struct Capsule {
     flash_moving: u64,
     /// When the motor was first driven since [`Capsule::forget_drive`].
     driven_ns: Option<u64>,
-    /// See [`Capsule::is_pierced`].
-    pierced: bool,
     faults: Faults<Defect>,
 }
 
@@ -45,7 +43,6 @@ impl Capsule {
             supply_mv: REGULATED_MV,
             flash_moving: 0,
             driven_ns: None,
-            pierced: false,
             faults: Faults::default(),
         }
     }
@@ -89,12 +86,6 @@ impl Capsule {
     #[must_use]
     pub fn extremes_mm(&self) -> (f64, f64) {
         self.plant.extremes_mm()
-    }
-
-    /// Whether something hard was put where the fold already was. That is impossible, so the force on it means nothing.
-    #[must_use]
-    pub fn is_pierced(&self) -> bool {
-        self.pierced
     }
 
     /// Energy that the motor has taken from the battery so far, J.
@@ -206,10 +197,6 @@ impl Capsule {
         loop {
             // Include defects due at the very end, because the next call only asks for later ones.
             for defect in self.faults.due_by(self.now_ns) {
-                self.pierced |= matches!(
-                    defect,
-                    Defect::Jam(at_mm) | Defect::Obstacle { at_mm, .. } if at_mm < self.travel_mm()
-                );
                 self.plant.suffer(defect);
             }
             if self.now_ns >= until_ns {
