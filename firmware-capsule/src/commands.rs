@@ -94,7 +94,7 @@ fn respond(
 /// Refuses unless the motor is at rest: the chip executes nothing while it writes its flash.
 fn may_write(capsule: &Capsule, context: &Context<'_>) -> Result<(), Refusal> {
     // Check motion and bridge too: a motion may have been accepted since the last reading, and stopped.
-    if capsule.is_moving() || capsule.drive() != Drive::Off || !context.rests {
+    if capsule.is_moving() || capsule.drive != Drive::Off || !context.rests {
         return Err(Refusal::CapsuleBusy(capsule.state()));
     }
     Ok(())
@@ -104,7 +104,7 @@ fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {
     CapsuleTotals {
         actuations: totals.actuations,
         energy_mj: totals.energy_mj,
-        calibration: (capsule.known().calibration).map(|calibration| CapsuleCalibration {
+        calibration: (capsule.known.calibration).map(|calibration| CapsuleCalibration {
             folded_um: calibration.folded.0,
             no_load_ma: calibration.no_load_ma,
             pull_ma: calibration.pull_ma,
@@ -113,20 +113,20 @@ fn totals(capsule: &Capsule, totals: &Totals) -> CapsuleTotals {
 }
 
 fn status(capsule: &Capsule, time_us: u64) -> CapsuleStatus {
-    let known = capsule.known();
+    let known = &capsule.known;
     CapsuleStatus {
         time_us,
         state: capsule.state(),
-        fault: capsule.fault(),
+        fault: capsule.fault,
         referenced: known.is_certain(),
         thread_um: capsule.thread().0,
         doubt_um: known.doubt.map(|doubt| doubt.0.unsigned_abs()),
         left_um: known.left.0.unsigned_abs(),
-        current_ma: capsule.sample().magnitude_ma(),
-        battery_mv: capsule.sample().battery_mv,
+        current_ma: capsule.sample.magnitude_ma(),
+        battery_mv: capsule.sample.battery_mv,
         actuation: capsule.actuation(),
         needs_acknowledge: matches!(
-            capsule.fault(),
+            capsule.fault,
             Some(CapsuleFault::Watchdog | CapsuleFault::Panic)
         ),
     }
@@ -138,9 +138,9 @@ pub fn telemetry(capsule: &Capsule, time_us: u64) -> CapsuleTelemetry {
         time_us,
         state: capsule.state(),
         thread_um: capsule.thread().0,
-        current_ma: capsule.sample().magnitude_ma(),
-        battery_mv: capsule.sample().battery_mv,
-        drive_mv: match capsule.drive() {
+        current_ma: capsule.sample.magnitude_ma(),
+        battery_mv: capsule.sample.battery_mv,
+        drive_mv: match capsule.drive {
             Drive::Millivolts(millivolts) => millivolts,
             Drive::Off | Drive::Brake => 0,
         },

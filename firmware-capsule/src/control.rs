@@ -106,7 +106,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
 
     /// Takes a reading.
     pub fn read(&mut self, at_us: u64, sample: Sample) {
-        let recorded = self.machine.is_moving() || self.machine.drive() != Drive::Off;
+        let recorded = self.machine.is_moving() || self.machine.drive != Drive::Off;
         let actions = self.machine.step(at_us, Event::Sample(sample));
         // Set the bridge first: the motor keeps its old drive until then.
         self.perform(&actions);
@@ -125,7 +125,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
     /// cannot be written stay valid until the next start, and pending: a cell that is too low for the flash may recover.
     fn keep(&mut self, at_us: u64, counts: Counts) {
         let (rests_at, since_us) = self.resting;
-        let driven = self.machine.is_moving() || self.machine.drive() != Drive::Off;
+        let driven = self.machine.is_moving() || self.machine.drive != Drive::Off;
         let moved = (counts - rests_at).0.unsigned_abs() > FLICKER;
         if driven || moved {
             self.resting = (counts, at_us);
@@ -216,8 +216,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
             .map(|until_us| now_us.saturating_sub(until_us));
         let silence_us = u64::from(self.capsule.silence_us());
         let silence_us = silence_us.min(heard_us.unwrap_or(u64::MAX));
-        if self.machine.is_moving()
-            && silence_us > u64::from(self.machine.settings().link_timeout_us)
+        if self.machine.is_moving() && silence_us > u64::from(self.machine.settings.link_timeout_us)
         {
             self.emit(What::LinkLost);
             let actions = self.machine.step(now_us, Event::LinkSilent);
@@ -256,7 +255,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
                 (Settings::REFERENCE, CapsuleEvent::SettingsReset)
             }
         };
-        self.machine.set_settings(settings);
+        self.machine.settings = settings;
         self.emit(What::Capsule(event));
         Ok(())
     }

@@ -6,20 +6,18 @@
 
 use crate::guards::Means;
 use crate::known::Calibration;
-use crate::phase::{Goal, Phase};
+use crate::phase::Goal;
+use crate::readings::MEAN;
 use crate::settings::Settings;
 use crate::units::Thread;
 use core::ops::Range;
 use protocol::capsule::CapsuleFault;
 
-/// Where the pull is measured, below the upper end: the motor is at its speed there, both ways.
-const PULL_ZONE: Range<Thread> = Thread(250)..Thread(650);
-/// Where the rise is measured, below the upper end: from the mean of the first zone to that of the second.
-const RISE_ZONES: [Range<Thread>; 2] = [Thread(400)..Thread(650), Thread(40)..Thread(200)];
+/// Where the thread is felt, below the upper end: the motor is at its speed there, both ways. The pull is measured in the
+/// first zone, the rise is that of the mean from the first zone to the second.
+const ZONES: [Range<Thread>; 2] = [Thread(400)..Thread(650), Thread(40)..Thread(200)];
 /// Where the thread of a calibration is slack and the motor at its speed, from the unfolded end.
 const SLACK_ZONE: Range<Thread> = Thread(400)..Thread(1_400);
-/// Minimum readings of a mean.
-const LEAST_READINGS: i32 = 8;
 /// Largest plausible no-load current, mA: a higher one was not measured on a slack thread.
 const MOST_NO_LOAD_MA: u16 = 30;
 /// Largest plausible deviation of the measured back-EMF from the setting, percent: a motor that does not count right is
@@ -29,12 +27,11 @@ const BACK_EMF_PERCENT: i32 = 12;
 const LIGHT_MA: i32 = 45;
 /// Least pull of a calibration, mA: 0.6 N.
 const LEAST_PULL_MA: u16 = 15;
-/// Least pull of a thread that holds, in percent of the calibration's: one that has slipped by 2 mm keeps 65 at most.
-const LEAST_PULL_PERCENT: i32 = 72;
+/// Least pull of a thread that holds, in percent of the calibration's: one that has slipped by 2 mm keeps 65 at most. An
+/// unfolding whose current of paying out is less feels the thread first.
+const HOLDS_PERCENT: i32 = 75;
 /// Pull in percent at which a reference has found the folded end.
 const END_PERCENT: i32 = 95;
-/// Least current of paying out, in percent of the calibration's, at which an unfolding does not feel the thread first.
-const SURE_PERCENT: i32 = 75;
 /// Least rise of a fold in percent of the calibration's: a spool that slips winds on without one.
 const LEAST_RISE_PERCENT: i32 = 35;
 /// Below this rise the thread has to pull this much, in percent: a spool that slips just before the end is both flat and
@@ -48,7 +45,7 @@ const MOST_RISE_PERCENT: i32 = 300;
 
 /// Sum and number of some currents, uA.
 #[derive(Clone, Copy, Debug, Default)]
-struct Mean {
+pub struct Mean {
     sum: i32,
     count: i32,
 }
@@ -60,7 +57,7 @@ impl Mean {
     }
 
     fn mean(&self) -> Option<i32> {
-        (self.count >= LEAST_READINGS).then(|| self.sum / self.count)
+        (self.count >= MEAN as i32).then(|| self.sum / self.count)
     }
 }
 
@@ -69,7 +66,8 @@ impl Mean {
 pub struct Feel {
     paid: Mean,
     wound: Mean,
-    rise: [Mean; 2],
+    /// In the two [`ZONES`].
+    pub rise: [Mean; 2],
     /// The current of the fold has risen little towards its end.
     is_flat: bool,
     slack: Mean,
@@ -84,25 +82,19 @@ fn percent(of: i32, known: i32) -> i32 {
 }
 
 impl Feel {
-    /// Takes the steady current of a phase at this place.
-    pub fn take(&mut self, phase: &Phase, thread: Thread, current_ua: i32) {
-        let depth = phase.depth(thread);
-        if PULL_ZONE.contains(&depth) {
-            match phase.goal {
-                Goal::Slacken => self.paid.add(current_ua),
-                Goal::Tighten => self.wound.add(current_ua),
-                _ => {}
+    /// Takes the steady current of a phase with this thread on the spool, `depth` below the upper end.
+    pub fn take(&mut self, goal: Goal, thread: Thread, depth: Thread, current_ua: i32) {
+        let [low, high] = ZONES.map(|zone| zone.contains(&depth));
+        match goal {
+            Goal::Slacken if low => self.paid.add(current_ua),
+            Goal::Fold if low => self.rise[0].add(current_ua),
+            Goal::Tighten if low => {
+                self.wound.add(current_ua);
+                self.rise[0].add(current_ua);
             }
-        }
-        if matches!(phase.goal, Goal::Fold | Goal::Tighten) {
-            for (zone, mean) in RISE_ZONES.iter().zip(&mut self.rise) {
-                if zone.contains(&depth) {
-                    mean.add(current_ua);
-                }
-            }
-        }
-        if phase.goal == Goal::Seek && SLACK_ZONE.contains(&thread) {
-            self.slack.add(current_ua);
+            Goal::Fold | Goal::Tighten if high => self.rise[1].add(current_ua),
+            Goal::Seek if SLACK_ZONE.contains(&thread) => self.slack.add(current_ua),
+            _ => {}
         }
     }
 
@@ -116,11 +108,6 @@ impl Feel {
     /// Begins a new look at the folded end.
     pub fn again(&mut self) {
         (self.paid, self.wound, self.rise) = Default::default();
-    }
-
-    /// Forgets the rise of a thread that was tightened.
-    pub fn forget_rise(&mut self) {
-        self.rise = Default::default();
     }
 
     /// Current without load, once a calibration has measured it, mA.
@@ -180,7 +167,7 @@ impl Feel {
         let least = if self.is_flat {
             FLAT_PULL_PERCENT
         } else {
-            LEAST_PULL_PERCENT
+            HOLDS_PERCENT
         };
         self.pull_percent(known).is_some_and(|pull| pull >= least)
     }
@@ -205,14 +192,14 @@ impl Feel {
             .paid
             .mean()
             .map(|paid_ua| paid_ua / 1_000 - i32::from(known.no_load_ma));
-        above_ma.is_some_and(|above_ma| percent(above_ma, known.paid_ma.into()) >= SURE_PERCENT)
+        above_ma.is_some_and(|above_ma| percent(above_ma, known.paid_ma.into()) >= HOLDS_PERCENT)
     }
 
     /// How a reference goes on after it has felt the thread: none at the folded end, else by how much it winds on.
     pub fn winds_on(&self, known: &Calibration) -> Option<Thread> {
         match self.pull_percent(known).unwrap_or(0) {
             END_PERCENT.. => None,
-            75.. => Some(Thread(150)),
+            HOLDS_PERCENT.. => Some(Thread(150)),
             50.. => Some(Thread(300)),
             _ => Some(Thread(600)),
         }

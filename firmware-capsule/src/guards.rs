@@ -38,9 +38,7 @@ const STALLED_PERCENT: i32 = 80;
 /// Below this no current flows: a turning motor draws at least 10 mA.
 const NOTHING_UA: i32 = 5_000;
 /// Least sag of the battery from a motor that draws current; a cell has at least 0.3 ohm.
-const LEAST_SAG_MV: u16 = 15;
-/// Readings over which a current is averaged.
-const MEAN: usize = 8;
+const LEAST_SAG_MV: i32 = 15;
 /// Readings over which voltage, current and speed are compared: an error of one count is then 0.3 % at 7 mm/s.
 const COMPARED: i32 = 64;
 /// Minimum speed of a comparison, counts/s: slower ones include the motor's start.
@@ -55,8 +53,8 @@ const TOLERATED_MA: i32 = 5;
 const TOLERATED_PERCENT: i32 = 12;
 /// Tolerance in percent of the back-EMF: a magnet that is 20 K warmer gives 2.2 % less.
 const BACK_EMF_PERCENT: i32 = 3;
-/// Cell resistance included in the setting `motor_mohm`, mohm.
-const CELL_MILLIOHM: i32 = 500;
+/// Resistance of a good cell, mohm: it is included in the setting `motor_mohm`, and used until it is measured.
+pub const CELL_MILLIOHM: i32 = 500;
 
 /// Sums over the readings of one comparison.
 #[derive(Clone, Copy, Debug, Default)]
@@ -104,7 +102,6 @@ pub struct Guards {
     spooling: Spooling,
     rest_mv: u16,
     readings: Readings,
-    started: Option<Counts>,
     /// Furthest count so far, and the time at which it was reached.
     furthest: Option<(Counts, u64)>,
     steady_from_us: u64,
@@ -120,7 +117,7 @@ pub struct Guards {
 }
 
 /// Counts a sign as long as it lasts.
-fn lasts(count: &mut u8, holds: bool, readings: u8) -> bool {
+pub fn lasts(count: &mut u8, holds: bool, readings: u8) -> bool {
     *count = if holds { count.saturating_add(1) } else { 0 };
     *count >= readings
 }
@@ -132,7 +129,6 @@ impl Guards {
             spooling,
             rest_mv,
             readings: Readings::default(),
-            started: None,
             furthest: None,
             steady_from_us: from_us + STEADY_US,
             driver: 0,
@@ -147,13 +143,13 @@ impl Guards {
 
     /// The speed over the last 8 ms, and the lowest value that it may have reached in the last 3 ms, counts/s.
     pub fn speeds_cps(&self) -> (i32, i32) {
-        let cps = self.readings.speed_cps(MEAN);
+        let cps = self.readings.speed_cps(usize::MAX - 1);
         (cps, cps.min(self.readings.speed_cps(3)))
     }
 
     /// Mean current of the last readings, uA, if all of them were driven and the motor is at its speed.
     pub fn steady_ua(&self, now_us: u64) -> Option<i32> {
-        let (current_ua, _) = self.readings.driven(MEAN)?;
+        let (current_ua, ..) = self.readings.driven()?;
         (now_us >= self.steady_from_us).then_some(current_ua)
     }
 
@@ -203,8 +199,9 @@ impl Guards {
             let battery_mv = self.sagged_mv;
             return Err(CapsuleFault::LowBattery { battery_mv });
         }
-        let started = *self.started.get_or_insert(along);
-        if (along - started).0 <= -WRONG_WAY_COUNTS {
+        let (furthest, since_us) = *self.furthest.get_or_insert((along, now_us));
+        let progress = (along - furthest).0;
+        if progress <= -WRONG_WAY_COUNTS {
             return Err(CapsuleFault::EncoderLost);
         }
         if self.compare(&reading) {
@@ -213,7 +210,9 @@ impl Guards {
                 return Err(self.name_of_contradiction());
             }
         }
-        if self.stands(now_us, along) {
+        if progress >= PROGRESS_COUNTS {
+            self.furthest = Some((along, now_us));
+        } else if now_us.saturating_sub(since_us) >= STANDSTILL_US {
             return self.name_of_standstill(settings).map_or(Ok(true), Err);
         }
         Ok(false)
@@ -257,38 +256,20 @@ impl Guards {
         let battery_mv = i32::from(reading.battery_mv).max(1);
         let pause = 1_000 - mean_mv.clamp(0, battery_mv) * 1_000 / battery_mv;
         let open_mv = i32::from(self.rest_mv.saturating_sub(reading.battery_mv)) * pause / 2_000;
-        let elapsed_us = reading.at_us.saturating_sub(began_us) as i32;
         self.means = Some(Means {
             motor_mv: mean_mv - open_mv,
             open_mv,
             current_ma: self.sums.current_ma / self.sums.readings,
-            cps: ((reading.along - began).0.clamp(-2_000, 2_000) * 1_000_000)
-                .checked_div(elapsed_us)
-                .unwrap_or(0),
+            cps: reading.speed_since(began, began_us),
         });
         self.sums = Sums::default();
         true
     }
 
-    fn stands(&mut self, now_us: u64, along: Counts) -> bool {
-        let (furthest, since_us) = *self.furthest.get_or_insert((along, now_us));
-        if (along - furthest).0 >= PROGRESS_COUNTS {
-            self.furthest = Some((along, now_us));
-            return false;
-        }
-        now_us.saturating_sub(since_us) >= STANDSTILL_US
-    }
-
-    /// Sag of the battery under the last readings, mV.
-    fn sag_mv(&self) -> u16 {
-        let loaded_mv = self.readings.battery_mv(MEAN);
-        loaded_mv.map_or(0, |loaded_mv| self.rest_mv.saturating_sub(loaded_mv))
-    }
-
     /// Whether no current flows although it is driven: then the bridge or the amplifier is broken.
     fn silent(&self) -> Option<CapsuleFault> {
-        let (current_ua, _) = self.readings.driven(MEAN)?;
-        let fault = match self.sag_mv() {
+        let (current_ua, _, battery_mv) = self.readings.driven()?;
+        let fault = match i32::from(self.rest_mv) - battery_mv {
             LEAST_SAG_MV.. => CapsuleFault::SenseLost,
             _ => CapsuleFault::BridgeSilent,
         };
@@ -310,7 +291,7 @@ impl Guards {
             return Some(fault);
         }
         // Driven and braked by turns: it is held.
-        let (current_ua, drive_mv) = self.readings.driven(MEAN)?;
+        let (current_ua, drive_mv, _) = self.readings.driven()?;
         let stalled_ma = drive_mv * 1_000 / settings.loop_milliohm.max(1);
         let is_held = current_ua / 10 >= stalled_ma * STALLED_PERCENT;
         (!is_held).then_some(CapsuleFault::EncoderLost)

@@ -38,15 +38,14 @@ pub struct Known {
     /// Thread that a reference has found to stay on the spool at the unfolded end.
     pub left: Thread,
     /// The thread was felt at the folded end, and nothing has moved since.
-    felt: bool,
+    pub felt: bool,
 }
 
-/// Doubt up to which the place is known: a fold may then be short by this.
-const CERTAIN: Thread = Thread(250);
 /// Most doubt and thread left on the spool that a reference resolves without a hand; beyond it, it would take more than half a minute.
 pub const RESOLVABLE: Thread = Thread(3_000);
-/// A count within this of an end is at the end: the motor stands where friction stops it.
-pub const AT_END: Thread = Thread(250);
+/// What is within this of a place is there: a motor stands where friction stops it. So much doubt leaves the place known: a
+/// fold may then be short by it.
+pub const NEAR: Thread = Thread(250);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);
 /// Longest way that a motor without power runs on, paying out at full speed with a quarter less friction than usual.
@@ -69,7 +68,7 @@ impl Known {
 
     /// The place is known well enough to fold.
     pub fn is_certain(&self) -> bool {
-        self.calibration.is_some() && self.doubt.is_some_and(|doubt| doubt <= CERTAIN)
+        self.calibration.is_some() && self.doubt.is_some_and(|doubt| doubt <= NEAR)
     }
 
     /// State at rest with this thread on the spool.
@@ -78,7 +77,7 @@ impl Known {
             CapsuleState::Unreferenced
         } else if self.felt {
             CapsuleState::Folded
-        } else if thread <= AT_END {
+        } else if thread <= NEAR {
             CapsuleState::Unfolded
         } else {
             CapsuleState::Stopped
@@ -96,22 +95,12 @@ impl Known {
         (self.doubt, self.left, self.felt) = (Some(Thread(0)), Thread(0), false);
     }
 
-    /// A calibration is complete.
-    pub fn calibrated(&mut self, calibration: Calibration) {
-        self.calibration = Some(calibration);
-    }
-
     /// A reference has felt the folded end here: what lies beyond it stays on the spool.
     pub fn referenced(&mut self, end: Thread) {
         if let Some(calibration) = self.calibration {
             self.left = (calibration.folded - end).max(Thread(0));
             self.doubt = Some(Thread(0));
         }
-    }
-
-    /// The thread was felt at the folded end, or that is no longer believed.
-    pub fn set_felt(&mut self, felt: bool) {
-        self.felt = felt;
     }
 
     /// The count cannot be trusted any more.
@@ -126,11 +115,12 @@ impl Known {
             Spooling::Wind => (TURNS, ahead),
             Spooling::PayOut => (ahead, TURNS),
         };
-        let mut moving = self.resting(counts);
-        moving.origin = moving.origin - before;
-        moving.doubt = self.doubt.map(|doubt| doubt + before + after);
-        moving.felt = false;
-        moving
+        Self {
+            origin: self.thread(counts) - before,
+            doubt: self.doubt.map(|doubt| doubt + before + after),
+            felt: false,
+            ..*self
+        }
     }
 
     /// What a start finds at this count, once the motor stands.

@@ -25,9 +25,9 @@
 //! [`BRAKE_US`]. Then the bridge sleeps and the worm holds.
 
 use crate::feel::Feel;
-use crate::guards::{Guards, runs_on};
-use crate::known::{AT_END, Known, RECORDED_EACH};
-use crate::phase::{Goal, HOME, Phase};
+use crate::guards::{CELL_MILLIOHM, Guards, lasts, runs_on};
+use crate::known::{Known, NEAR, RECORDED_EACH};
+use crate::phase::{FELT, Goal, HOME, Phase};
 use crate::record::Recorder;
 use crate::sample::{Sample, Spooling};
 use crate::settings::Settings;
@@ -42,8 +42,6 @@ use protocol::{
 
 /// Time that the motor is shorted after each phase: six of its time constants.
 pub const BRAKE_US: u64 = 40_000;
-/// Internal resistance of a good cell, used until it is measured.
-const CELL_MILLIOHM: u32 = 500;
 /// Minimum current from the cell for measuring its resistance.
 const LOAD_MA: u32 = 50;
 /// Current above the no-load current at which the thread pulls: 0.3 N.
@@ -131,15 +129,6 @@ impl Actions {
     }
 }
 
-// There is only one machine, and no heap for a box.
-#[allow(clippy::large_enum_variant)]
-#[derive(Clone, Debug)]
-pub(crate) enum Mode {
-    Rest,
-    Moving(Motion),
-    Faulted(CapsuleFault),
-}
-
 /// A motion under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
@@ -168,19 +157,25 @@ pub(crate) struct Motion {
 /// The state machine.
 #[derive(Clone, Debug)]
 pub struct Capsule {
-    pub(crate) mode: Mode,
-    pub(crate) known: Known,
+    motion: Option<Motion>,
+    /// The latched fault. No motion then.
+    pub fault: Option<CapsuleFault>,
+    /// What is known of the thread.
+    pub known: Known,
     /// The first reading has come, so the count is that of `known`.
     anchored: bool,
     /// The amplifier's offset before the last motion, for comparison with the one after it.
     pub(crate) offset_before_ma: i16,
-    pub(crate) sample: Sample,
+    /// The last sample.
+    pub sample: Sample,
     sample_us: u64,
-    pub(crate) drive: Drive,
+    /// State of the bridge after the last event.
+    pub drive: Drive,
     pub(crate) brake_until_us: u64,
     /// Internal resistance of the cell, as measured in the last motion under load.
     pub(crate) cell_milliohm: u32,
-    pub(crate) settings: Settings,
+    /// The settings in force. Not to be changed during a motion.
+    pub settings: Settings,
     recorder: Recorder,
 }
 
@@ -189,7 +184,8 @@ impl Capsule {
     /// comes from flash.
     pub fn new(fault: Option<CapsuleFault>, known: Known, settings: Settings) -> Self {
         Self {
-            mode: fault.map_or(Mode::Rest, Mode::Faulted),
+            motion: None,
+            fault,
             known,
             anchored: false,
             offset_before_ma: 0,
@@ -197,7 +193,7 @@ impl Capsule {
             sample_us: 0,
             drive: Drive::Off,
             brake_until_us: 0,
-            cell_milliohm: CELL_MILLIOHM,
+            cell_milliohm: CELL_MILLIOHM.unsigned_abs(),
             settings,
             recorder: Recorder::new(),
         }
@@ -205,38 +201,27 @@ impl Capsule {
 
     /// The state by its name in the protocol.
     pub fn state(&self) -> CapsuleState {
-        match &self.mode {
-            Mode::Rest => self.known.state(self.thread()),
-            Mode::Faulted(_) => CapsuleState::Faulted,
-            Mode::Moving(motion) => match motion.kind {
-                ActuationKind::Reference | ActuationKind::Calibrate => CapsuleState::Referencing,
-                ActuationKind::CheckFolded => CapsuleState::Checking,
-                ActuationKind::Fold => CapsuleState::Folding,
-                ActuationKind::Unfold => CapsuleState::Unfolding,
-                ActuationKind::FoldTo => match motion.phase.spooling {
-                    Spooling::Wind => CapsuleState::Folding,
-                    Spooling::PayOut => CapsuleState::Unfolding,
-                },
+        let Some(motion) = &self.motion else {
+            return match self.fault {
+                Some(_) => CapsuleState::Faulted,
+                None => self.known.state(self.thread()),
+            };
+        };
+        match motion.kind {
+            ActuationKind::Reference | ActuationKind::Calibrate => CapsuleState::Referencing,
+            ActuationKind::CheckFolded => CapsuleState::Checking,
+            ActuationKind::Fold => CapsuleState::Folding,
+            ActuationKind::Unfold => CapsuleState::Unfolding,
+            ActuationKind::FoldTo => match motion.phase.spooling {
+                Spooling::Wind => CapsuleState::Folding,
+                Spooling::PayOut => CapsuleState::Unfolding,
             },
         }
     }
 
     /// The motor may be driven.
     pub fn is_moving(&self) -> bool {
-        matches!(self.mode, Mode::Moving(_))
-    }
-
-    /// The latched fault.
-    pub fn fault(&self) -> Option<CapsuleFault> {
-        match self.mode {
-            Mode::Faulted(fault) => Some(fault),
-            _ => None,
-        }
-    }
-
-    /// What is known of the thread.
-    pub fn known(&self) -> &Known {
-        &self.known
+        self.motion.is_some()
     }
 
     /// Thread on the spool at the last sample, at least.
@@ -247,26 +232,6 @@ impl Capsule {
     /// What a start has to find while nothing moves.
     pub fn resting(&self) -> Known {
         self.known.resting(self.sample.counts)
-    }
-
-    /// The last sample.
-    pub fn sample(&self) -> &Sample {
-        &self.sample
-    }
-
-    /// State of the bridge after the last event.
-    pub fn drive(&self) -> Drive {
-        self.drive
-    }
-
-    /// The settings in force.
-    pub fn settings(&self) -> &Settings {
-        &self.settings
-    }
-
-    /// Puts other settings in force. Not to be called during a motion.
-    pub fn set_settings(&mut self, settings: Settings) {
-        self.settings = settings;
     }
 
     /// Record of the present or last actuation.
@@ -314,7 +279,7 @@ impl Capsule {
     }
 
     fn on_sample(&mut self, now_us: u64, sample: Sample, actions: &mut Actions) {
-        if let (Drive::Millivolts(drive_mv), Mode::Moving(motion)) = (self.drive, &self.mode) {
+        if let (Drive::Millivolts(drive_mv), Some(motion)) = (self.drive, &self.motion) {
             // The last sample before a start is up to 100 ms old, but the motor was not driven then.
             let since_us = self.sample_us.max(motion.started_us);
             let elapsed_us = now_us.saturating_sub(since_us);
@@ -334,31 +299,36 @@ impl Capsule {
         }
     }
 
-    /// Judges the last sample, and asks the speed loop what to do until the next.
+    /// Judges the last sample of a motion, and asks the speed loop what to do until the next.
     fn supervise(&mut self, now_us: u64, actions: &mut Actions) {
-        if let Err(fault) = self.judge(now_us, actions) {
-            self.fail(now_us, fault, actions);
-        }
-        let thread = self.thread();
-        if let Mode::Moving(motion) = &mut self.mode
-            && now_us >= motion.from_us
-        {
-            let (aim, speeds) = (motion.phase.aim(thread), motion.guards.speeds_cps());
-            let battery_mv = self.sample.battery_mv;
+        let Some(mut motion) = self.motion.take() else {
+            return;
+        };
+        let goes_on = self.judge(&mut motion, now_us, actions);
+        if now_us >= motion.from_us {
+            let aim = motion.phase.aim(self.thread());
+            let (speeds, battery_mv) = (motion.guards.speeds_cps(), self.sample.battery_mv);
             motion.effort = motion.speed.step(aim, speeds, battery_mv, &self.settings);
+        }
+        self.motion = Some(motion);
+        match goes_on {
+            Ok(true) => {}
+            Ok(false) => self.end(now_us, ActuationOutcome::Complete, actions),
+            Err(fault) => self.fail(now_us, fault, actions),
         }
     }
 
-    /// Judges the last sample of a motion: the guards first, then where the phase is.
-    fn judge(&mut self, now_us: u64, actions: &mut Actions) -> Result<(), CapsuleFault> {
-        let thread = self.thread();
-        let Mode::Moving(motion) = &mut self.mode else {
-            return Ok(());
-        };
+    /// Judges the last sample: the guards first, then where the phase is. False at the end of the motion.
+    fn judge(
+        &mut self,
+        motion: &mut Motion,
+        now_us: u64,
+        actions: &mut Actions,
+    ) -> Result<bool, CapsuleFault> {
         let duration_us = now_us.saturating_sub(motion.started_us);
         self.recorder.update(duration_us, self.sample.battery_mv);
         if now_us < motion.from_us {
-            return Ok(()); // still shorted
+            return Ok(true); // still shorted
         }
         // The first sample of a phase was taken before its drive, so only its position counts.
         let mut held = (false, false);
@@ -377,34 +347,26 @@ impl Capsule {
                 motion
                     .guards
                     .check(now_us, &self.sample, drive_mv, back_emf, &self.settings)?;
-            held.1 = self.measure(now_us, thread, drive_mv);
+            held.1 = self.measure(motion, now_us, drive_mv);
         }
-        let Mode::Moving(motion) = &mut self.mode else {
-            return Ok(());
-        };
         if now_us >= motion.deadline_us {
             return Err(CapsuleFault::Timeout);
         }
-        let (cps, _) = motion.guards.speeds_cps();
-        if motion
-            .phase
-            .judge(thread, runs_on(cps), held, &self.settings)?
-        {
-            return self.conclude(now_us, actions);
+        let (thread, (cps, _)) = (self.thread(), motion.guards.speeds_cps());
+        let phase = &motion.phase;
+        if phase.judge(thread, runs_on(cps), held, &self.settings)? {
+            return self.conclude(motion, now_us, actions);
         }
         if (thread - motion.recorded).0.abs() >= RECORDED_EACH.0 {
             motion.recorded = thread;
-            actions.keep = Some(self.known.moving(self.sample.counts, motion.phase.spooling));
+            actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
         }
-        Ok(())
+        Ok(true)
     }
 
     /// Measures the steady current. True if it is the end force.
-    fn measure(&mut self, now_us: u64, thread: Thread, drive_mv: Option<i16>) -> bool {
-        let known = self.known.calibration;
-        let Mode::Moving(motion) = &mut self.mode else {
-            return false;
-        };
+    fn measure(&mut self, motion: &mut Motion, now_us: u64, drive_mv: Option<i16>) -> bool {
+        let thread = self.thread();
         if let Some(means) = motion.guards.means.take() {
             motion.feel.compared(&means, &self.settings);
         }
@@ -412,7 +374,10 @@ impl Capsule {
             motion.end_readings = 0;
             return false;
         };
-        motion.feel.take(&motion.phase, thread, current_ua);
+        let depth = motion.top - thread;
+        motion
+            .feel
+            .take(motion.phase.goal, thread, depth, current_ua);
         let current_ma = u16::try_from(current_ua / 1_000).unwrap_or(0);
         self.recorder.current(current_ma);
         let drawn_ma = (u32::from(current_ma) * u32::from(drive_mv.unsigned_abs()))
@@ -424,7 +389,7 @@ impl Capsule {
         }
         let measured = motion.feel.no_load_ma().filter(|_| motion.calibrates());
         let no_load_ma = measured
-            .or(known.map(|known| known.no_load_ma))
+            .or(self.known.calibration.map(|known| known.no_load_ma))
             .unwrap_or(NO_LOAD_MA);
         let excess_ma = i32::from(current_ma) - i32::from(no_load_ma);
         let is_started = now_us.saturating_sub(motion.from_us) >= ENGAGES_US;
@@ -433,48 +398,43 @@ impl Capsule {
         }
         let ends =
             motion.phase.goal == Goal::Seek && excess_ma >= self.settings.end_force_ma.into();
-        motion.end_readings = if ends {
-            motion.end_readings.saturating_add(1)
-        } else {
-            0
-        };
-        motion.end_readings >= END_READINGS
+        lasts(&mut motion.end_readings, ends, END_READINGS)
     }
 
     /// The motions as lists of phases: the phase of this step; none after the last.
     fn plan(&self, kind: ActuationKind, step: u8, top: Thread) -> Option<Phase> {
         use ActuationKind::{Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold};
-        let (thread, settings) = (self.thread(), &self.settings);
-        Some(match (kind, step) {
-            (Calibrate, 0) => Phase::seek(settings.folded_range.1),
-            (Reference | FoldTo, 0) => Phase::arrive(thread, top, settings),
-            (Fold | CheckFolded, 0) | (Calibrate, 3) => {
-                Phase::arrive(thread, thread.min(top - RUN_UP), settings)
-            }
-            (Fold | CheckFolded, 1) | (Calibrate, 4) => Phase::fold(top, settings),
+        let thread = self.thread();
+        let (goal, target) = match (kind, step) {
+            (Calibrate, 0) => (Goal::Seek, self.settings.folded_range.1),
+            (Reference | FoldTo, 0) => (Goal::Arrive, top),
+            (Fold | CheckFolded, 0) | (Calibrate, 3) => (Goal::Arrive, thread.min(top - RUN_UP)),
+            (Fold | CheckFolded, 1) | (Calibrate, 4) => (Goal::Fold, top),
             (Calibrate | Reference, 1) | (Fold | CheckFolded, 2) | (Unfold, 0) => {
-                Phase::slacken(top)
+                (Goal::Slacken, top - FELT)
             }
             (Calibrate | Reference, 2) | (Fold | CheckFolded, 3) | (Unfold, 1) => {
-                Phase::tighten(top)
+                (Goal::Tighten, top)
             }
-            (Calibrate, 5) | (Reference, 3) | (Unfold, 2) => Phase::arrive(thread, HOME, settings),
+            (Calibrate, 5) | (Reference, 3) | (Unfold, 2) => (Goal::Arrive, HOME),
             _ => return None,
-        })
+        };
+        Some(Phase::new(goal, thread, target, &self.settings))
     }
 
-    /// A phase is over: what it has told, and what comes next.
-    fn conclude(&mut self, now_us: u64, actions: &mut Actions) -> Result<(), CapsuleFault> {
+    /// A phase is over: what it has told, and what comes next. False at the end of the motion.
+    fn conclude(
+        &mut self,
+        motion: &mut Motion,
+        now_us: u64,
+        actions: &mut Actions,
+    ) -> Result<bool, CapsuleFault> {
         use ActuationKind::{Calibrate, CheckFolded, Fold, Reference, Unfold};
-        let (thread, end) = (self.thread(), self.known.end());
-        let calibration = self.known.calibration;
-        let Mode::Moving(motion) = &mut self.mode else {
-            return Ok(());
-        };
+        let thread = self.thread();
         let mut next = motion.step + 1;
-        match (motion.kind, motion.step, &calibration) {
+        match (motion.kind, motion.step, &self.known.calibration) {
             (Calibrate, 0, _) => motion.top = thread - BEFORE_THE_FORCE,
-            (Calibrate, 2, _) => motion.feel.forget_rise(),
+            (Calibrate, 2, _) => motion.feel.rise = Default::default(),
             (Calibrate, 4, _) => {
                 let found = motion.feel.calibration(motion.top, &self.settings)?;
                 self.known.calibration = Some(found);
@@ -489,14 +449,14 @@ impl Capsule {
                 if !motion.feel.holds(known) {
                     return Err(CapsuleFault::SlipOrBreak);
                 }
-                self.known.set_felt(motion.kind != Unfold);
+                self.known.felt = motion.kind != Unfold;
             }
             (Unfold, 0, Some(known)) if motion.feel.surely_holds(known) => next = 2,
             (Reference, 2, Some(known)) => match motion.feel.winds_on(known) {
                 Some(further) => {
                     motion.top = motion.top + further;
                     motion.feel.again();
-                    if motion.top > end.unwrap_or_default() + PAST_THE_END {
+                    if motion.top > self.known.end().unwrap_or_default() + PAST_THE_END {
                         return Err(CapsuleFault::SlipOrBreak);
                     }
                     next = 0;
@@ -510,45 +470,36 @@ impl Capsule {
             },
             _ => {}
         }
-        self.go_on(now_us, next, actions);
-        Ok(())
+        Ok(self.go_on(motion, now_us, next, actions))
     }
 
-    /// Begins the phase of this step, or the first after it that is not over before it begins; ends the motion after the
-    /// last.
-    fn go_on(&mut self, now_us: u64, mut step: u8, actions: &mut Actions) {
-        let Mode::Moving(motion) = &self.mode else {
-            return;
-        };
-        let (kind, top) = (motion.kind, motion.top);
-        let (thread, counts) = (self.thread(), self.sample.counts);
+    /// Begins the phase of this step, or the first after it that is not over before it begins. False after the last.
+    fn go_on(
+        &mut self,
+        motion: &mut Motion,
+        now_us: u64,
+        mut step: u8,
+        actions: &mut Actions,
+    ) -> bool {
+        let thread = self.thread();
         let phase = loop {
-            match self.plan(kind, step, top) {
+            match self.plan(motion.kind, step, motion.top) {
                 Some(phase) if phase.is_over(thread) => step += 1,
-                phase => break phase,
+                Some(phase) => break phase,
+                None => return false,
             }
         };
-        let Some(phase) = phase else {
-            return self.end(now_us, Mode::Rest, ActuationOutcome::Complete, actions);
-        };
         // Short the motor first, unless it stands.
-        let from_us = if self.drive == Drive::Off {
-            now_us
-        } else {
-            now_us + BRAKE_US
-        };
-        self.brake_until_us = self.brake_until_us.max(from_us);
-        let from_us = self.brake_until_us;
-        actions.keep = Some(self.known.moving(counts, phase.spooling));
-        let Mode::Moving(motion) = &mut self.mode else {
-            return;
-        };
+        if self.drive != Drive::Off {
+            self.brake_until_us = self.brake_until_us.max(now_us + BRAKE_US);
+        }
+        actions.keep = Some(self.known.moving(self.sample.counts, phase.spooling));
         (motion.step, motion.phase, motion.recorded) = (step, phase, thread);
-        motion.from_us = from_us;
-        motion.guards = Guards::new(phase.spooling, from_us, motion.rest_mv);
         motion.speed = SpeedLoop::default();
         motion.effort = None;
         motion.end_readings = 0;
+        motion.drive_from(now_us.max(self.brake_until_us));
+        true
     }
 
     /// Begins a motion, which was accepted. Only a partial fold uses `target`.
@@ -564,32 +515,28 @@ impl Capsule {
             None if order == Reference => Calibrate,
             _ => order,
         };
-        let state = self.state();
+        let is_folded = self.state() == CapsuleState::Folded;
         if kind == Calibrate {
             self.known.unfolded_here(self.sample.counts);
         }
         let thread = self.thread();
-        let (end, doubt) = (
-            self.known.end().unwrap_or_default(),
-            self.known.doubt.unwrap_or_default(),
-        );
-        let is_folded = state == CapsuleState::Folded;
+        let end = self.known.end().unwrap_or_default();
         let (step, top) = match kind {
             FoldTo => (0, target),
             Unfold => (if is_folded { 0 } else { 2 }, thread),
             CheckFolded if is_folded => (2, thread),
             Fold | CheckFolded => (0, end),
-            Reference => (0, end - doubt),
+            Reference => (0, end - self.known.doubt.unwrap_or_default()),
             Calibrate => (0, Thread(0)),
         };
-        self.known.set_felt(false);
+        self.known.felt = false;
         self.offset_before_ma = self.sample.offset_ma;
         let from_us = now_us.max(self.brake_until_us);
         let rest_mv = self.sample.battery_mv;
-        self.mode = Mode::Moving(Motion {
+        let mut motion = Motion {
             kind,
             step,
-            phase: Phase::slacken(thread),
+            phase: Phase::new(Goal::Arrive, thread, thread, &self.settings),
             top,
             feel: Feel::default(),
             guards: Guards::new(Spooling::Wind, from_us, rest_mv),
@@ -601,41 +548,46 @@ impl Capsule {
             from_us,
             deadline_us: from_us + u64::from(self.timeout_ms(kind)) * 1_000,
             rest_mv,
-        });
+        };
         self.recorder.start(order, thread, rest_mv);
         actions.emit(CapsuleEvent::Started {
             actuation: self.actuation(),
             kind: order,
         });
-        self.go_on(now_us, step, actions);
-        // Supervise at once, so that the drive follows from the last reading.
-        self.supervise(now_us, actions);
+        let goes_on = self.go_on(&mut motion, now_us, step, actions);
+        self.motion = Some(motion);
+        match goes_on {
+            // At once, so that the drive follows from the last reading.
+            true => self.supervise(now_us, actions),
+            false => self.end(now_us, ActuationOutcome::Complete, actions),
+        }
     }
 
     /// The motion that was just accepted is driven only from now on: something else had to be done first.
     pub fn begin_late(&mut self, now_us: u64) {
         let from_us = now_us.max(self.brake_until_us);
-        if let Mode::Moving(motion) = &mut self.mode {
+        if let Some(motion) = &mut self.motion {
             let late_us = from_us.saturating_sub(motion.from_us);
             motion.started_us += late_us;
             motion.deadline_us += late_us;
-            motion.from_us = from_us;
-            motion.guards = Guards::new(motion.phase.spooling, from_us, motion.rest_mv);
+            motion.drive_from(from_us);
         }
     }
 
     /// Ends a motion by request.
     pub(crate) fn stop(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
         if self.is_moving() {
-            self.end(now_us, Mode::Rest, outcome, actions);
+            self.end(now_us, outcome, actions);
         }
     }
 
     /// Latches the fault, and ends the motion if there is one.
     pub(crate) fn fail(&mut self, now_us: u64, fault: CapsuleFault, actions: &mut Actions) {
-        let latched = self.fault();
-        if latched == Some(fault)
-            || matches!(latched, Some(CapsuleFault::Watchdog | CapsuleFault::Panic))
+        if self.fault == Some(fault)
+            || matches!(
+                self.fault,
+                Some(CapsuleFault::Watchdog | CapsuleFault::Panic)
+            )
         {
             return; // what ended the firmware's last run must be acknowledged under its own name
         }
@@ -643,22 +595,19 @@ impl Capsule {
             CapsuleFault::EncoderLost | CapsuleFault::SenseOrEncoder => self.known.lose(),
             // At rest nothing has moved, and the fold was judged correctly.
             CapsuleFault::EStopFrame => {}
-            _ => self.known.set_felt(false),
+            _ => self.known.felt = false,
         }
-        if self.is_moving() {
-            let outcome = ActuationOutcome::Faulted(fault);
-            self.end(now_us, Mode::Faulted(fault), outcome, actions);
-        }
-        self.mode = Mode::Faulted(fault);
+        self.stop(now_us, ActuationOutcome::Faulted(fault), actions);
+        self.fault = Some(fault);
         actions.emit(CapsuleEvent::Faulted(fault));
     }
 
-    fn end(&mut self, now_us: u64, mode: Mode, outcome: ActuationOutcome, actions: &mut Actions) {
+    fn end(&mut self, now_us: u64, outcome: ActuationOutcome, actions: &mut Actions) {
         // An undriven motor needs no brake.
         if self.drive != Drive::Off {
             self.brake_until_us = now_us.saturating_add(BRAKE_US);
         }
-        self.mode = mode;
+        self.motion = None;
         self.recorder.end(outcome, self.thread());
         actions.emit(CapsuleEvent::Ended {
             actuation: self.actuation(),
@@ -667,8 +616,8 @@ impl Capsule {
     }
 
     fn wanted_drive(&self, now_us: u64) -> Drive {
-        match &self.mode {
-            Mode::Moving(motion) if now_us >= motion.from_us => match motion.effort {
+        match &self.motion {
+            Some(motion) if now_us >= motion.from_us => match motion.effort {
                 None => Drive::Brake,
                 Some(drive_mv) => {
                     Drive::Millivolts(motion.phase.spooling.along(drive_mv.into()) as i16)
@@ -686,12 +635,18 @@ impl Capsule {
 
     /// It stands at an end: a partial fold and a fold have nothing to do there.
     pub(crate) fn is_near(&self, place: Thread) -> bool {
-        (self.thread() - place).0.abs() <= AT_END.0
+        (self.thread() - place).0.abs() <= NEAR.0
     }
 }
 
 impl Motion {
     fn calibrates(&self) -> bool {
         self.kind == ActuationKind::Calibrate
+    }
+
+    /// Drives the phase from this time on, and begins to watch it.
+    fn drive_from(&mut self, from_us: u64) {
+        self.from_us = from_us;
+        self.guards = Guards::new(self.phase.spooling, from_us, self.rest_mv);
     }
 }

@@ -1,7 +1,7 @@
 //! Orders of the host: which command each state accepts, and what has to be in order before a motion begins.
 
 use crate::known::RESOLVABLE;
-use crate::machine::{Actions, Capsule, Command, Mode};
+use crate::machine::{Actions, Capsule, Command};
 use crate::sense::MOST_OFFSET_MA;
 use crate::speed::MOST_MA;
 use crate::units::Thread;
@@ -68,13 +68,13 @@ impl Capsule {
     /// Which motion each state accepts.
     fn accepts(&self, kind: ActuationKind, target: Thread) -> Result<(), Refusal> {
         use ActuationKind::{Calibrate, CheckFolded, Fold, FoldTo, Reference, Unfold};
-        match self.mode {
-            Mode::Faulted(CapsuleFault::Watchdog | CapsuleFault::Panic) => {
+        match self.fault {
+            Some(CapsuleFault::Watchdog | CapsuleFault::Panic) => {
                 return Err(Refusal::AcknowledgeFirst);
             }
-            Mode::Faulted(fault) => return Err(Refusal::CapsuleFaulted(fault)),
-            Mode::Moving(_) => return Err(Refusal::CapsuleBusy(self.state())),
-            Mode::Rest => {}
+            Some(fault) => return Err(Refusal::CapsuleFaulted(fault)),
+            None if self.is_moving() => return Err(Refusal::CapsuleBusy(self.state())),
+            None => {}
         }
         let calibrates = kind == Calibrate || kind == Reference && self.known.calibration.is_none();
         match (self.state(), kind) {
@@ -165,33 +165,26 @@ impl Capsule {
     /// Faults if the amplifier's zero has moved during a motion: its currents were then wrong, and so was everything
     /// judged by them.
     pub(crate) fn watch_offset(&mut self, now_us: u64, actions: &mut Actions) {
-        let judged_by_current = match self.mode {
-            Mode::Moving(_) => false,
-            Mode::Rest => true,
-            Mode::Faulted(fault) => !matches!(
-                fault,
+        let judged_by_current = !matches!(
+            self.fault,
+            Some(
                 CapsuleFault::LowBattery { .. }
                     | CapsuleFault::DriverFault
                     | CapsuleFault::EStopFrame
                     | CapsuleFault::SenseLost
-            ),
-        };
+            )
+        );
         let moved_ma = self.sample.offset_ma.abs_diff(self.offset_before_ma);
         // A reading without a supply has measured neither battery nor zero.
         let measured = self.sample.battery_mv > 0 && self.actuation() > 0;
-        if judged_by_current
-            && measured
-            && now_us >= self.brake_until_us
-            && moved_ma > MOST_MOVED_MA
-        {
+        let rests = !self.is_moving() && now_us >= self.brake_until_us;
+        if judged_by_current && measured && rests && moved_ma > MOST_MOVED_MA {
             self.fail(now_us, CapsuleFault::SenseLost, actions);
         }
     }
 
     fn acknowledge(&mut self) -> Result<(), Refusal> {
-        let Mode::Faulted(fault) = self.mode else {
-            return Err(Refusal::NothingToAcknowledge);
-        };
+        let fault = self.fault.ok_or(Refusal::NothingToAcknowledge)?;
         let persists = match fault {
             CapsuleFault::LowBattery { .. } => self.sample.battery_mv < self.least_unfolding_mv(),
             CapsuleFault::DriverFault => self.sample.driver_fault,
@@ -204,7 +197,7 @@ impl Capsule {
             return Err(Refusal::CauseStillPresent);
         }
         self.offset_before_ma = self.sample.offset_ma;
-        self.mode = Mode::Rest;
+        self.fault = None;
         Ok(())
     }
 }

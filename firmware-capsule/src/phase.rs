@@ -56,62 +56,28 @@ pub struct Phase {
 }
 
 impl Phase {
-    /// Winds or pays out to a place.
-    pub fn arrive(from: Thread, target: Thread, settings: &Settings) -> Self {
-        let (spooling, fast_cps, slow_cps) = if target > from {
-            (Spooling::Wind, settings.fold_cps, WIND_CPS)
-        } else {
-            (Spooling::PayOut, settings.unfold_cps, HOME_CPS)
+    /// A phase that begins at `from`. Force and pull are measured slowly.
+    pub fn new(goal: Goal, from: Thread, target: Thread, settings: &Settings) -> Self {
+        let pays_out = match goal {
+            Goal::Slacken => true,
+            Goal::Arrive => target <= from,
+            Goal::Fold | Goal::Tighten | Goal::Seek => false,
+        };
+        let (fast_cps, slow_cps) = match goal {
+            Goal::Arrive if pays_out => (settings.unfold_cps, HOME_CPS),
+            Goal::Arrive | Goal::Fold => (settings.fold_cps, WIND_CPS),
+            Goal::Slacken | Goal::Tighten | Goal::Seek => (WIND_CPS, WIND_CPS),
         };
         Self {
-            goal: Goal::Arrive,
-            spooling,
+            goal,
+            spooling: if pays_out {
+                Spooling::PayOut
+            } else {
+                Spooling::Wind
+            },
             target,
             fast_cps,
             slow_cps,
-        }
-    }
-
-    /// Winds to the folded end.
-    pub fn fold(end: Thread, settings: &Settings) -> Self {
-        let goal = Goal::Fold;
-        let slowly = Self::slowly(goal, Spooling::Wind, end);
-        Self {
-            fast_cps: settings.fold_cps,
-            ..slowly
-        }
-    }
-
-    /// Pays out a little from `top`, to feel the thread.
-    pub fn slacken(top: Thread) -> Self {
-        Self::slowly(Goal::Slacken, Spooling::PayOut, top - FELT)
-    }
-
-    /// Winds again to `top`.
-    pub fn tighten(top: Thread) -> Self {
-        Self::slowly(Goal::Tighten, Spooling::Wind, top)
-    }
-
-    /// Winds to the end force.
-    pub fn seek(longest: Thread) -> Self {
-        Self::slowly(Goal::Seek, Spooling::Wind, longest)
-    }
-
-    fn slowly(goal: Goal, spooling: Spooling, target: Thread) -> Self {
-        Self {
-            goal,
-            spooling,
-            target,
-            fast_cps: WIND_CPS,
-            slow_cps: WIND_CPS,
-        }
-    }
-
-    /// How far a place lies below the upper end of what is felt.
-    pub fn depth(&self, thread: Thread) -> Thread {
-        match self.goal {
-            Goal::Slacken => self.target + FELT - thread,
-            _ => self.target - thread,
         }
     }
 

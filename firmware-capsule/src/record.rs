@@ -66,16 +66,12 @@ impl Recorder {
     pub(crate) fn start(&mut self, kind: ActuationKind, thread: Thread, battery_mv: u16) {
         (self.duration_us, self.energy_fj) = (0, 0);
         self.record = ActuationRecord {
-            actuation: self.record.actuation.saturating_add(1),
+            actuation: self.actuation().saturating_add(1),
             kind,
             outcome: ActuationOutcome::Running,
-            duration_ms: 0,
             thread_um: thread.0,
-            end_current_ma: 0,
-            peak_current_ma: 0,
-            engaged_um: 0,
-            energy_mj: 0,
             min_battery_mv: battery_mv,
+            ..Self::new().record
         };
     }
 

@@ -17,22 +17,32 @@ pub struct Counts(pub i32);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Thread(pub i32);
 
-/// One count is `2 pi * 1500 um / (4 * 30 * 64)` of thread. With pi = 355/113 (8e-8 off) that is 8875/7232 um.
-const THREAD_PER_COUNT: (i64, i64) = (8875, 7232);
-
 impl Counts {
     /// Length of thread, rounded to the nearest um.
-    pub const fn thread(self) -> Thread {
-        Thread(rescale(self.0, THREAD_PER_COUNT))
+    pub fn thread(self) -> Thread {
+        let um = rescale(self.0, const { ratio(UM_PER_COUNT) });
+        Thread(um.clamp(i32::MIN.into(), i32::MAX.into()) as i32)
     }
 }
 
 impl Thread {
     /// Encoder counts, rounded to the nearest count.
     pub const fn counts(self) -> Counts {
-        let (um, counts) = THREAD_PER_COUNT;
-        Counts(rescale(self.0, (counts, um)))
+        // Fewer than there are um, so they fit.
+        Counts(rescale(self.0, const { ratio((UM_PER_COUNT.1, UM_PER_COUNT.0)) }) as i32)
     }
+}
+
+/// One count is `2 pi * 1500 um / (4 * 30 * 64)` of thread. With pi = 355/113 (8e-8 off) that is 8875/7232 um.
+const UM_PER_COUNT: (i64, i64) = (8875, 7232);
+
+/// A ratio below 2 with 31 binary places: the chip multiplies to 64 bits in a cycle, and divides them in hundreds.
+const fn ratio((numerator, denominator): (i64, i64)) -> i64 {
+    ((numerator << 31) + denominator / 2) / denominator
+}
+
+const fn rescale(value: i32, ratio: i64) -> i64 {
+    (value as i64 * ratio + (1 << 30)) >> 31
 }
 
 impl Add for Counts {
@@ -60,33 +70,5 @@ impl Sub for Thread {
     type Output = Self;
     fn sub(self, less: Self) -> Self {
         Self(self.0.saturating_sub(less.0))
-    }
-}
-
-const fn rescale(value: i32, (numerator, denominator): (i64, i64)) -> i32 {
-    // Up to 240 mm: the chip divides 32 bits in 12 cycles, and 64 bits in hundreds.
-    if value.unsigned_abs() <= 200_000 {
-        let (numerator, denominator) = (numerator as i32, denominator as i32);
-        let half = if value < 0 {
-            -denominator / 2
-        } else {
-            denominator / 2
-        };
-        return (value * numerator + half) / denominator;
-    }
-    // |value * numerator| < 2^31 * 2^14: no overflow.
-    let product = value as i64 * numerator;
-    let half = if product < 0 {
-        -denominator / 2
-    } else {
-        denominator / 2
-    };
-    let quotient = (product + half) / denominator;
-    if quotient > i32::MAX as i64 {
-        i32::MAX
-    } else if quotient < i32::MIN as i64 {
-        i32::MIN
-    } else {
-        quotient as i32
     }
 }

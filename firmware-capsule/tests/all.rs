@@ -9,3 +9,4 @@ mod sense;
 mod settings;
 mod states;
 mod trace;
+mod units;

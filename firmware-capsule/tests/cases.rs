@@ -174,7 +174,7 @@ fn with_defect(
         if !sim.capsule.is_moving() {
             let took_ms = suffered_us.map(|since_us| (sim.now_us - since_us) / 1_000);
             verdict.took_ms = verdict.took_ms.or(took_ms);
-            if sim.capsule.drive() == Drive::Off && sim.plant.speed() == 0.0 {
+            if sim.capsule.drive == Drive::Off && sim.plant.speed() == 0.0 {
                 break;
             }
         }
@@ -182,7 +182,7 @@ fn with_defect(
     // Give the firmware time to check the amplifier's zero at rest.
     sim.wait(100);
     verdict.name = match refusal {
-        None if let Some(fault) = sim.capsule.fault() => name(&fault),
+        None if let Some(fault) = sim.capsule.fault => name(&fault),
         None => name_of(sim.capsule.record().outcome),
         Some(Refusal::CapsuleFaulted(fault)) => name(&fault),
         Some(refusal) => name(&refusal),
@@ -202,7 +202,7 @@ pub(crate) fn obstacle(seed: u64) -> (Verdict, String, f64) {
     let name = run(&mut sim, Command::Fold);
     let folded = sim.capsule.state() == CapsuleState::Folded;
     let short_mm = folded.then(|| end_mm - sim.plant.travel_mm());
-    if sim.capsule.fault().is_some() {
+    if sim.capsule.fault.is_some() {
         sim.order(Command::Acknowledge);
     }
     let after = run(&mut sim, Command::Unfold);
@@ -263,7 +263,7 @@ pub(crate) fn way_out(sim: &mut Simulation) -> String {
         let state = sim.capsule.state();
         let command = match state {
             CapsuleState::Unfolded => {
-                let left_mm = f64::from(sim.capsule.known().left.0) / 1e3;
+                let left_mm = f64::from(sim.capsule.known.left.0) / 1e3;
                 return if left_mm > LEFT_MM {
                     "Unfolded, left told"
                 } else {
@@ -272,7 +272,7 @@ pub(crate) fn way_out(sim: &mut Simulation) -> String {
                 .to_owned();
             }
             CapsuleState::Folded | CapsuleState::Stopped => Command::Unfold,
-            CapsuleState::Unreferenced if sim.capsule.known().calibration.is_none() => {
+            CapsuleState::Unreferenced if sim.capsule.known.calibration.is_none() => {
                 return "a hand: NotCalibrated".to_owned();
             }
             CapsuleState::Unreferenced => Command::Reference,

@@ -21,7 +21,7 @@ const CALIBRATION: Calibration = Calibration {
 fn known() -> Known {
     let mut known = Known::default();
     known.unfolded_here(Counts(0));
-    known.calibrated(CALIBRATION);
+    known.calibration = Some(CALIBRATION);
     known
 }
 
@@ -38,7 +38,7 @@ fn again(known: &Known) -> Known {
 #[test]
 fn a_record_comes_back() {
     let mut felt = known().resting(Thread(21_700).counts());
-    felt.set_felt(true);
+    felt.felt = true;
     let mut lost = known();
     lost.lose();
     let mut left = known();
@@ -46,7 +46,7 @@ fn a_record_comes_back() {
     assert_eq!(left.left, Thread(727));
     // The longest record that motions and settings allow.
     let mut longest = known().resting(Thread(-1_000_000).counts());
-    longest.calibrated(Calibration {
+    longest.calibration = Some(Calibration {
         folded: Thread(28_000),
         no_load_ma: 30,
         pull_ma: 1_475,
@@ -68,7 +68,7 @@ fn a_record_that_cannot_be_read_leaves_nothing_known() {
     let mut other_version = record.clone();
     other_version[0] += 1;
     let mut impossible = at(1_000);
-    impossible.known.calibrated(Calibration {
+    impossible.known.calibration = Some(Calibration {
         folded: Thread(7_999),
         ..CALIBRATION
     });
@@ -92,7 +92,7 @@ fn the_state_follows_from_what_is_known() {
         (0, false, 251, CapsuleState::Unreferenced),
     ] {
         let mut known = known().resting(Thread(um).counts());
-        known.set_felt(felt);
+        known.felt = felt;
         known.doubt = Some(Thread(doubt_um));
         let mut later = again(&known);
         let begins = Counts(1_234_567);

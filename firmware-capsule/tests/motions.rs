@@ -134,13 +134,13 @@ fn a_thread_that_slips_little_by_little_is_named_in_the_end() {
     let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
     let mut cycles = 0;
     // A fold that pulls too little is felt and named; else the unfolding behind it finds the thread slack.
-    while sim.capsule.fault().is_none() && cycles < 9 {
+    while sim.capsule.fault.is_none() && cycles < 9 {
         cases::run(&mut sim, Command::Fold);
         cases::run(&mut sim, Command::Unfold);
         sim.plant.suffer(Defect::Slip(0.25));
         cycles += 1;
     }
-    let fault = sim.capsule.fault();
+    let fault = sim.capsule.fault;
     assert_eq!(fault, Some(CapsuleFault::SlipOrBreak), "{cycles} cycles");
     assert!(cycles > 2 && sim.plant.extremes_mm().0 >= 0.0);
 }
@@ -159,7 +159,7 @@ fn a_calibration_that_begins_wound_is_told() {
         panic!("{outcome:?}");
     };
     assert!((13_000..15_000).contains(&wound_um), "{wound_um} um");
-    assert_eq!(sim.capsule.known().calibration, None);
+    assert_eq!(sim.capsule.known.calibration, None);
     // It knows what it has wound.
     sim.order(Command::Acknowledge);
     sim.run(Command::Unfold);
@@ -174,15 +174,15 @@ fn at_rest_the_bridge_sleeps() {
         sim.run_past(Command::Fold, 5.0);
         let began_us = sim.now_us;
         sim.order(end);
-        assert_eq!(sim.capsule.drive(), Drive::Brake);
-        while sim.capsule.drive() == Drive::Brake {
+        assert_eq!(sim.capsule.drive, Drive::Brake);
+        while sim.capsule.drive == Drive::Brake {
             sim.tick();
         }
         assert_eq!(sim.now_us - began_us, 40_000);
         let wound_mm = sim.plant.wound_mm();
         sim.wait(500);
         assert_eq!(
-            (sim.capsule.drive(), sim.plant.wound_mm()),
+            (sim.capsule.drive, sim.plant.wound_mm()),
             (Drive::Off, wound_mm)
         );
     }
@@ -204,9 +204,8 @@ fn a_motion_that_takes_too_long_ends() {
     let mut sim = Simulation::calibrated(Parameters::nominal(), 0);
     sim.order(Command::Fold);
     let late_us = sim.now_us + 8_000_000;
-    sim.capsule
-        .step(late_us, Event::Sample(*sim.capsule.sample()));
-    assert_eq!(sim.capsule.fault(), Some(CapsuleFault::Timeout));
+    sim.capsule.step(late_us, Event::Sample(sim.capsule.sample));
+    assert_eq!(sim.capsule.fault, Some(CapsuleFault::Timeout));
 }
 
 /// Motions in any order, each left alone or cut short at any instant by a stop, an emergency stop, or a reset. Nothing
@@ -243,7 +242,7 @@ fn any_motions(seed: u64) -> Result<(), String> {
         sim.settle();
         let (least_mm, wound_mm) = (sim.plant.extremes_mm().0, sim.plant.wound_mm());
         let said_mm = f64::from(sim.capsule.thread().0) / 1e3;
-        let known = sim.capsule.known();
+        let known = sim.capsule.known;
         let doubt = known.doubt.ok_or("the place is lost")?;
         let most_mm = said_mm + f64::from((doubt + known.left).0) / 1e3;
         if least_mm < -0.05 || sim.plant.peak_force_n() > 18.0 {
@@ -257,7 +256,7 @@ fn any_motions(seed: u64) -> Result<(), String> {
         if sim.capsule.state() == CapsuleState::Folded && wound_mm < end_mm - 0.3 {
             return Err(format!("{what}: folded at {wound_mm} of {end_mm} mm"));
         }
-        if sim.capsule.fault().is_some() {
+        if sim.capsule.fault.is_some() {
             sim.order(Command::Acknowledge);
         }
         if sim.capsule.state() == CapsuleState::Unreferenced {

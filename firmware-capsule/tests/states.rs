@@ -143,7 +143,7 @@ fn each_motion_ends_where_the_table_says() {
         let wound_mm = sim.plant.wound_mm();
         match (ends, command) {
             (Unfolded | CapsuleState::Unreferenced, _) => {
-                let left_mm = f64::from(sim.capsule.known().left.0) / 1e3;
+                let left_mm = f64::from(sim.capsule.known.left.0) / 1e3;
                 assert!(
                     (0.0..0.3).contains(&(wound_mm - left_mm).abs()),
                     "{from}: {wound_mm} mm"
@@ -191,7 +191,7 @@ fn a_motion_that_is_cut_short_keeps_its_place() {
         sim.run_past(Command::Fold, 8.0);
         sim.order(command);
         sim.settle();
-        assert_eq!(sim.capsule.fault(), fault);
+        assert_eq!(sim.capsule.fault, fault);
         if fault.is_some() {
             sim.order(Command::Acknowledge);
         }
@@ -300,7 +300,7 @@ proptest! {
         }
         // At rest the bridge sleeps after the brake.
         capsule.step(now_us + 1_000, Event::Command(Command::Stop));
-        let asleep = capsule.step(now_us + 50_000, Event::Sample(*capsule.clone().sample()));
+        let asleep = capsule.step(now_us + 50_000, Event::Sample(capsule.sample));
         prop_assert_eq!(asleep.drive, Drive::Off);
     }
 }

@@ -72,7 +72,7 @@ impl Simulation {
     /// Simulates one millisecond and takes a sample. Returns it with the drive that follows from it.
     pub fn tick(&mut self) -> (Sample, Drive) {
         self.now_us += 1_000;
-        let drive = self.capsule.drive();
+        let drive = self.capsule.drive;
         let before = std::mem::replace(&mut self.before, drive);
         let late = ORDER_US * PERIODS_PER_MS / 1_000;
         self.board.run(before, late);
@@ -110,7 +110,7 @@ impl Simulation {
     pub fn settle(&mut self) {
         for _ in 0..60_000 {
             self.tick();
-            if !self.capsule.is_moving() && self.capsule.drive() == Drive::Off {
+            if !self.capsule.is_moving() && self.capsule.drive == Drive::Off {
                 break;
             }
         }
@@ -139,7 +139,7 @@ impl Simulation {
 
     /// The calibration. Panics without one.
     pub fn calibration(&self) -> Calibration {
-        self.capsule.known().calibration.expect("it is calibrated")
+        self.capsule.known.calibration.expect("it is calibrated")
     }
 
     /// Thread at the folded end of the calibration, mm.
