@@ -36,8 +36,8 @@ const END_PERCENT: i32 = 95;
 const LEAST_RISE_PERCENT: i32 = 35;
 /// Below this rise the thread has to pull this much, in percent: a spool that slips just before the end is both flat and
 /// weak.
-const FLAT_RISE_PERCENT: i32 = 65;
-const FLAT_PULL_PERCENT: i32 = 90;
+const FLAT_RISE_PERCENT: i32 = 72;
+const FLAT_PULL_PERCENT: i32 = 95;
 /// Rise that may be missing, in thousandths: a crescent that snaps through there leaves little, and scatters.
 const MISSING_RISE: i32 = 45;
 /// Most rise in percent at which a reference believes in the origami: something harder in the way has more.

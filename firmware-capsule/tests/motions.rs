@@ -54,6 +54,15 @@ fn each_defect_is_stopped_and_named() {
     }
 }
 
+/// Regression: a spool that slips just before the end left folds that were 0.37 mm short and called complete.
+#[test]
+fn a_spool_that_slips_near_the_end_is_no_fold() {
+    for seed in [39, 221] {
+        let (verdict, _) = cases::try_case(Kind::Clutch, seed);
+        assert_eq!(verdict.name, "SlipOrBreak", "seed {seed}: {verdict:?}");
+    }
+}
+
 #[test]
 fn something_in_the_way_pulls_no_more_than_18_newton_and_can_be_left() {
     for (verdict, after, least_mm) in verdict::all(12, cases::obstacle) {
