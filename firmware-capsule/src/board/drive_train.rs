@@ -1,7 +1,7 @@
 //! Motor, encoder, current and battery on any board: how the bridge is driven and what belongs to a reading.
 
 use super::{
-    pins::{self, Adc},
+    pins::{self, Adc, DrivePeripherals},
     timers::{self, PWM_TICKS},
 };
 use embassy_time::Duration;
@@ -32,7 +32,7 @@ pub(crate) struct DriveTrain {
 
 impl DriveTrain {
     /// Without the factory's word the typical reference is used: the supply is then known to 2.5 %.
-    pub(crate) fn new(adc: Adc) -> Self {
+    pub(crate) fn new(adc: Adc, _: DrivePeripherals) -> Self {
         let Adc {
             current,
             battery,

@@ -29,6 +29,7 @@ pub(crate) use stm32f411re::*;
 use device::chip::flash::Sectors;
 use embassy_executor::InterruptExecutor;
 use embassy_stm32::{
+    Peri,
     mode::Async,
     peripherals,
     usart::{RingBufferedUartRx, UartTx},
@@ -43,6 +44,7 @@ pub(crate) struct Board {
     pub(crate) sectors: Sectors,
     /// The drive train's inputs.
     pub(crate) adc: Adc,
+    pub(crate) drive: DrivePeripherals,
     /// Not yet started.
     pub(crate) watchdog: IndependentWatchdog<'static, peripherals::IWDG>,
 }
@@ -58,6 +60,13 @@ pub(crate) struct Adc {
     /// Supply during the factory's reading, mV.
     pub(crate) factory_mv: u32,
 }
+
+/// What the drive train drives by registers: nothing else can have it.
+pub(crate) type DrivePeripherals = (
+    Peri<'static, peripherals::TIM2>,
+    Peri<'static, peripherals::TIM3>,
+    Peri<'static, peripherals::ADC1>,
+);
 
 /// Runs the motor's task in the board's [`MOTOR_INTERRUPT`].
 pub(crate) static MOTOR_EXECUTOR: InterruptExecutor = InterruptExecutor::new();

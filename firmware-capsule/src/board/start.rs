@@ -22,7 +22,7 @@ async fn main(spawner: Spawner) {
     let (transmitter, receiver) = board.serial;
 
     let motor_spawner = MOTOR_EXECUTOR.start(pins::MOTOR_INTERRUPT);
-    motor_spawner.spawn(tasks::motor(DriveTrain::new(board.adc)).unwrap());
+    motor_spawner.spawn(tasks::motor(DriveTrain::new(board.adc, board.drive)).unwrap());
     spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
     spawner.spawn(tasks::transmit(transmitter).unwrap());
     spawner.spawn(tasks::receive(receiver, identity).unwrap());

@@ -151,6 +151,7 @@ pub(crate) fn init() -> Board {
             factory_word,
             factory_mv: FACTORY_MV,
         },
+        drive: (p.TIM2, p.TIM3, p.ADC1),
         watchdog: start::watchdog(p.IWDG),
     }
 }
