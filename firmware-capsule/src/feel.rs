@@ -66,7 +66,7 @@ impl Mean {
 pub struct Feel {
     paid: Mean,
     wound: Mean,
-    /// In the two [`ZONES`].
+    /// In the two zones.
     pub rise: [Mean; 2],
     /// The current of the fold has risen little towards its end.
     is_flat: bool,

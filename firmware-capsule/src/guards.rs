@@ -273,7 +273,9 @@ impl Guards {
             LEAST_SAG_MV.. => CapsuleFault::SenseLost,
             _ => CapsuleFault::BridgeSilent,
         };
-        (current_ua.abs() < NOTHING_UA).then_some(fault)
+        // A motor that is not counted is driven with too little, and its current passes zero.
+        let flows = self.readings.most_ua() >= 2 * NOTHING_UA;
+        (current_ua.abs() < NOTHING_UA && !flows).then_some(fault)
     }
 
     /// Names what contradicts the two others, where the last readings tell.

@@ -1,6 +1,6 @@
 //! The capsule's state machine. Pure: time and sensors in, drive and events out.
 //!
-//! At rest the state follows from what is [known](crate::known); [`orders`](crate::orders) says what each accepts:
+//! At rest the state follows from what is [known](crate::known); `orders` says what each accepts:
 //!
 //! | state at rest | when |
 //! |---|---|

@@ -43,6 +43,12 @@ impl Readings {
         }
     }
 
+    /// Largest current of the last readings, in either direction.
+    pub fn most_ua(&self) -> i32 {
+        let magnitudes = self.0.iter().map(|reading| reading.current_ua.abs());
+        magnitudes.max().unwrap_or(0)
+    }
+
     /// Means of current, drive and battery voltage; none unless all of the last readings were driven.
     pub fn driven(&self) -> Option<(i32, i32, i32)> {
         let (mut current_ua, mut drive_mv, mut battery_mv) = (0, 0, 0);
