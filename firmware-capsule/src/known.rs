@@ -41,10 +41,11 @@ pub struct Known {
     pub felt: bool,
 }
 
-/// Most doubt and thread left on the spool that a reference resolves without a hand; beyond it, it would take more than half a minute.
+/// Most doubt and thread left on the spool that a reference resolves without a hand. More would take it longer than half
+/// a minute.
 pub const RESOLVABLE: Thread = Thread(3_000);
-/// What is within this of a place is there: a motor stands where friction stops it. So much doubt leaves the place known: a
-/// fold may then be short by it.
+/// What is within this of a place is there: a motor stands where friction stops it. So much doubt leaves the place
+/// known: a fold may then be short by it.
 pub const NEAR: Thread = Thread(250);
 /// Travel from one record in flash to the next.
 pub const RECORDED_EACH: Thread = Thread(1_000);

@@ -1,4 +1,5 @@
-//! For the tests and the example: seeded capsules and what becomes of them: healthy lives, one defect each, something in the way, a cut of the power.
+//! Seeded capsules and what becomes of them, for the tests and the example: healthy lives, one defect each, something in
+//! the way, a cut of the power.
 
 use capsule_plant::{
     Defect, Parameters, Random,

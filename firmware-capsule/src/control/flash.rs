@@ -2,8 +2,8 @@
 //! In the log they use the numbers of the rig's first two settings.
 //!
 //! A record takes 32 bytes with its head. One of what is known is written before a phase of a motion, one each
-//! millimetre within it, and one of each kind once it has ended: some 55 in a fold and an unfolding. Three sectors of 16
-//! KiB with 10,000 erasures each (data sheet) last for 250,000 folds.
+//! millimetre within it, and one of each kind once it has ended: 50 in a fold and an unfolding. Three sectors of 16
+//! KiB with 10,000 erasures each (data sheet) last for 300,000 folds.
 
 use crate::known::Known;
 use device::settings::{Record, Records};

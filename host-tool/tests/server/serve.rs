@@ -265,7 +265,7 @@ fn a_stop_passes_a_crowd_that_takes_up_every_place() {
     let stopped = server.ask("POST", "/api/v1/stop", &[], "").json();
     assert_eq!(stopped["machines"][0]["outcome"], "stopped");
     let took = begin.elapsed();
-    assert!(took < Duration::from_secs(2), "{took:?}");
+    assert!(took < Duration::from_secs(10), "{took:?}");
     assert!(bench.urgent().contains(&Urgent::Stop));
     // When the crowd leaves, there is room again.
     drop(crowd);
@@ -290,7 +290,7 @@ fn a_stop_passes_a_crowd_that_takes_up_every_open_file() {
     let stopped = server.ask("POST", "/api/v1/stop", &[], "").json();
     assert_eq!(stopped["machines"][0]["outcome"], "stopped");
     let took = begin.elapsed();
-    assert!(took < Duration::from_secs(2), "{took:?}");
+    assert!(took < Duration::from_secs(10), "{took:?}");
 }
 
 #[test]

@@ -522,9 +522,9 @@ impl Device {
         }
     }
 
-    /// Time until `now_us` since the link's clock was at `start_us` and the device's at `start_clock`, us. It counts by the device's
-    /// clock, so that an emulated device that cannot keep up is not overdue. A clock slower than [`SLOWEST`] counts as
-    /// broken.
+    /// Time until `now_us` since the link's clock was at `start_us` and the device's at `start_clock`, us. It counts by
+    /// the device's clock, so that an emulated device that cannot keep up is not overdue. A clock slower than
+    /// [`SLOWEST`] counts as broken.
     fn passed_us(&self, start_us: u64, start_clock: Option<Clock>, now_us: u64) -> u64 {
         let passed_us = now_us - start_us;
         let behind_us = start_clock

@@ -131,8 +131,8 @@ fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
 }
 
 impl Planned {
-    /// Why these records, with their files' names, do not make an attempt complete. The capsule is unfolded after a complete attempt, so an unfolding
-    /// does not count.
+    /// Why these records, with their files' names, do not make an attempt complete. The capsule is unfolded after a
+    /// complete attempt, so an unfolding does not count.
     pub(crate) fn incomplete(&self, records: &[(String, Trial)]) -> Option<String> {
         let has = |stem| records.iter().any(|(name, _)| is_of(name, stem));
         if !has(RUN) {

@@ -65,17 +65,21 @@ pub(crate) fn fold_in(folder: &Path) -> Recording {
     }
 }
 
-#[test]
-fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let recording = fold_in(folder.path());
+fn recorder_in(folder: &Path) -> Recorder {
+    let recording = fold_in(folder);
     let action = Action::Actuation {
         actuation: ActuationKind::Fold,
         accepted: None,
         record: None,
     };
     let trial = Trial::new(action, device(), &recording);
-    let mut recorder = Recorder::create(trial, &recording).expect("created");
+    Recorder::create(trial, &recording).expect("created")
+}
+
+#[test]
+fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut recorder = recorder_in(folder.path());
     assert!(!recorder.has_begun());
     recorder.begun(&Begun::Actuation(ActuationAccepted {
         actuation: 3,
@@ -150,14 +154,7 @@ fn a_record_of_a_later_format_is_not_read() {
 #[test]
 fn a_fault_does_not_hide_that_rows_are_missing() {
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = fold_in(folder.path());
-    let action = Action::Actuation {
-        actuation: ActuationKind::Fold,
-        accepted: None,
-        record: None,
-    };
-    let trial = Trial::new(action, device(), &recording);
-    let mut recorder = Recorder::create(trial, &recording).expect("created");
+    let mut recorder = recorder_in(folder.path());
     let sidecar = recorder.sidecar().to_owned();
     recorder.failed = Some(RecordError::write(
         recorder.csv(),
@@ -204,14 +201,7 @@ fn no_record_grows_beyond_what_is_read() {
     assert!(row <= plain::ROW, "{row}");
 
     let folder = tempfile::tempdir().expect("a folder");
-    let recording = fold_in(folder.path());
-    let action = Action::Actuation {
-        actuation: ActuationKind::Fold,
-        accepted: None,
-        record: None,
-    };
-    let trial = Trial::new(action, device(), &recording);
-    let mut recorder = Recorder::create(trial, &recording).expect("created");
+    let mut recorder = recorder_in(folder.path());
     recorder.trial.samples = plain::ROWS - 1;
     recorder.row(&longest);
     assert!(recorder.news().is_none());
