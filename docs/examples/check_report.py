@@ -1,6 +1,6 @@
 """Works out every number of a campaign's report again, from the campaign's own files, and compares.
 
-    python3 docs/examples/check_report.py DIR
+    PYTHONPATH=python/src python3 docs/examples/check_report.py DIR
 
 Shares no code with the program that wrote the report. Exit code 1 if a number differs, or cannot be worked out.
 """
@@ -11,7 +11,7 @@ import pathlib
 import statistics
 import sys
 
-import retrograde_data
+from retrograde.data import Campaign
 
 
 def line(points):
@@ -203,7 +203,7 @@ class Shown(html.parser.HTMLParser):
 
 
 def main(folder):
-    campaign = retrograde_data.Campaign(folder)
+    campaign = Campaign(folder)
     numbers = expected(campaign)
     shown = Shown()
     shown.feed((pathlib.Path(folder) / "report" / "report.html").read_text(encoding="utf-8"))

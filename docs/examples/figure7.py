@@ -1,6 +1,6 @@
 """Draws figure 7, displacement over indentation, from the folder of a campaign.
 
-    python3 docs/examples/figure7.py DIR [FILE.svg]
+    PYTHONPATH=python/src python3 docs/examples/figure7.py DIR [FILE.svg]
 
 Needs nothing but Python; with matplotlib installed the ending may also be .png or .pdf.
 """
@@ -12,7 +12,7 @@ import pathlib
 import statistics
 import sys
 
-import retrograde_data
+from retrograde.data import Campaign
 
 Line = collections.namedtuple("Line", "slope intercept")
 COLOURS = {"dry": "#c06a10", "lubricated": "#1f5aa8"}
@@ -116,7 +116,7 @@ def with_matplotlib(points, title, out):
 def main(folder, out="figure7.svg"):
     if not pathlib.Path(folder, "order.csv").is_file():
         sys.exit(f"{folder}: no campaign is here")
-    campaign = retrograde_data.Campaign(folder)
+    campaign = Campaign(folder)
     left_out = campaign.changed_trials()
     for trial, names in left_out.items():
         print(f"trial {trial} is left out: not as it was written: {', '.join(names)}", file=sys.stderr)

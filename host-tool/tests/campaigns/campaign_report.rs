@@ -322,9 +322,11 @@ fn one_reading_has_no_standard_deviation() {
 
 /// Starts the program in Python that recalculates a report; none without Python.
 fn check_report(path: &Path) -> Option<Output> {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples/check_report.py");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let script = root.join("docs/examples/check_report.py");
     let mut python = Command::new("python3");
     python.env("PYTHONDONTWRITEBYTECODE", "1");
+    python.env("PYTHONPATH", root.join("python/src"));
     python.arg(script).arg(path).output().ok()
 }
 

@@ -14,6 +14,7 @@ fn python(args: &[&str]) -> Option<Output> {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples");
     let mut command = Command::new("python3");
     command.env("PYTHONDONTWRITEBYTECODE", "1");
+    command.env("PYTHONPATH", examples.join("../../python/src"));
     command.current_dir(examples).args(args).output().ok()
 }
 
@@ -79,7 +80,7 @@ fn names_of_digits_stay_text_in_python() {
         .replace("\"a2\"", "\"1e3\"")
         .replace("\"a3\"", "\"5\"");
     drop(Folder::create(&path, &plan, Path::new("digits.toml")).expect("made"));
-    let program = "import sys, retrograde_data as data\n\
+    let program = "import sys, retrograde.data as data\n\
                    campaign = data.Campaign(sys.argv[1])\n\
                    print(sorted({trial['indentation'] for trial in campaign.trials}))\n\
                    print({type(trial['repeat']).__name__ for trial in campaign.trials})\n\
@@ -116,7 +117,7 @@ fn a_row_that_was_cut_off_is_no_row_in_python() {
     let row = whole.find(",displacement,3,").expect("a displacement");
     let value = row + whole[row..].find(".").expect("decimals");
     fs::write(&ledger, &whole[..value]).expect("cut");
-    let program = "import sys, retrograde_data as data\n\
+    let program = "import sys, retrograde.data as data\n\
                    trial = data.Campaign(sys.argv[1]).trials[2]\n\
                    print(trial['standing'], trial['displacement_mm'])";
     let Some(output) = python(&["-c", program, path.to_str().expect("UTF-8")]) else {

@@ -333,11 +333,11 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     assert_eq!(found.left_out.len(), 2, "{found:?}");
     assert!(found.left_out.iter().all(left), "{found:?}");
     // As the reader in Python counts.
-    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/examples");
-    let program = "import sys, retrograde_data as data; print(len(data.trials_in(sys.argv[1])))";
+    let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python/src");
+    let program = "import sys, retrograde.data as data; print(len(data.trials_in(sys.argv[1])))";
     let mut python = Command::new("python3");
     python.env("PYTHONDONTWRITEBYTECODE", "1");
-    python.current_dir(examples).args(["-c", program]);
+    python.current_dir(package).args(["-c", program]);
     // Without Python there is no reader.
     if let Ok(output) = python.arg(folder.path()).output() {
         assert_eq!(String::from_utf8_lossy(&output.stdout), "1\n", "{output:?}");

@@ -2,7 +2,7 @@
 
 Needs Python 3.9 and nothing else; `Table.pandas()` and `Campaign.xarray()` need pandas and xarray.
 
-    campaign = retrograde_data.Campaign("paper")
+    campaign = retrograde.data.Campaign("paper")
     for trial in campaign.trials: print(trial["trial"], trial["standing"], trial["displacement_mm"])
     rows = campaign.telemetry(17)                 # rows of the run's CSV file, numbers as numbers
     frame = campaign.table().pandas()
@@ -13,9 +13,15 @@ Every row has an `origin`: `board` is a measurement, `virtual` a simulation. Do 
 import csv
 import hashlib
 import json
+import os
 import pathlib
 import re
+from typing import Any, Dict, List, Optional, Union
 
+Path = Union[str, "os.PathLike[str]"]
+Cell = Union[None, bool, int, float, str]
+# A row: the columns of the file say which cells are numbers.
+Row = Dict[str, Any]
 
 # Columns of names and words: digits in them are no number.
 WORDS = {"camera_file", "condition", "excluded", "indentation", "name", "note", "reason", "text"}
@@ -23,7 +29,7 @@ WORDS = {"camera_file", "condition", "excluded", "indentation", "name", "note", 
 NUMBER = re.compile(r"-?(0|[1-9][0-9]*)(?P<part>\.[0-9]+)?(?P<exponent>[eE][-+]?[0-9]+)?")
 
 
-def value(text, column=None):
+def value(text: Optional[str], column: Optional[str] = None) -> Cell:
     """A cell as int, float, bool or text; None if it is empty. Text in a column of names and words."""
     if not text:
         return None
@@ -37,7 +43,7 @@ def value(text, column=None):
     return int(text) if number["part"] is None and number["exponent"] is None else float(text)
 
 
-def read_csv(path):
+def read_csv(path: Path) -> "Table":
     """The rows of a CSV file as dictionaries. A last line without its end is no row: writing it was cut off."""
     with open(path, newline="", encoding="utf-8-sig") as file:
         whole = (line for line in file if line.endswith("\n"))
@@ -47,10 +53,10 @@ def read_csv(path):
         return Table({name: value(cell, name) for name, cell in row.items()} for row in rows)
 
 
-class Table(list):
+class Table(List[Row]):
     """Rows as dictionaries."""
 
-    def pandas(self):
+    def pandas(self) -> Any:
         """As a pandas.DataFrame."""
         import pandas
 
@@ -60,38 +66,38 @@ class Table(list):
 class Trial:
     """A sidecar and the telemetry beside it."""
 
-    def __init__(self, sidecar):
+    def __init__(self, sidecar: Path) -> None:
         self.path = pathlib.Path(sidecar)
-        self.sidecar = json.loads(self.path.read_text(encoding="utf-8-sig"))
+        self.sidecar: Dict[str, Any] = json.loads(self.path.read_text(encoding="utf-8-sig"))
         if "action" not in self.sidecar or "telemetry" not in self.sidecar:
             raise ValueError(f"{sidecar} is not the record of a trial")
 
     @property
-    def kind(self):
+    def kind(self) -> str:
         """`run` or `actuation`."""
-        return self.sidecar["action"]["kind"]
+        return str(self.sidecar["action"]["kind"])
 
     @property
-    def origin(self):
+    def origin(self) -> str:
         """`board`, `virtual` or `unknown`: a chip that is numbered as a simulated one outweighs what is written."""
         device = self.sidecar["device"]
         if device["uid"].lower().startswith(b"virtual".hex()):
             return "virtual"
-        return device.get("origin", "unknown")
+        return str(device.get("origin", "unknown"))
 
     @property
-    def whole(self):
+    def whole(self) -> bool:
         """Whether it has an end and all its rows, as `retrograde verify` asks. Its motion may have ended well without."""
         cut = "the telemetry was not recorded whole" in (self.sidecar["error"] or "")
         return self.sidecar["status"] != "running" and not cut
 
     @property
-    def telemetry(self):
+    def telemetry(self) -> Table:
         """The rows of the CSV file."""
         return read_csv(self.path.with_name(self.sidecar["telemetry"]))
 
 
-def trials_in(folder):
+def trials_in(folder: Path) -> List[Trial]:
     """All trials in a folder and below it, in the order of their start. What a machine refused is none: nothing was done."""
     found = []
     for path in sorted(pathlib.Path(folder).rglob("*.json")):
@@ -107,7 +113,7 @@ def trials_in(folder):
 class Campaign:
     """The folder of a campaign."""
 
-    def __init__(self, folder):
+    def __init__(self, folder: Path) -> None:
         self.folder = pathlib.Path(folder)
         self.order = read_csv(self.folder / "order.csv")
         self.rows = read_csv(self.folder / "trials.csv")
@@ -115,14 +121,16 @@ class Campaign:
         self.trials = [self._replay(planned) for planned in self.order]
 
     @property
-    def origin(self):
+    def origin(self) -> str:
         """Of all rows; a campaign is measured or simulated, never both."""
         origins = {row["origin"] for row in [*self.rows, *self.readings]}
         return origins.pop() if len(origins) == 1 else "unknown"
 
-    def _replay(self, planned):
+    def _replay(self, planned: Row) -> Row:
         """Attempts and state of a trial, from its rows of the ledger."""
-        attempts, skipped, excluded = [], None, None
+        attempts: List[Row] = []
+        skipped: Optional[str] = None
+        excluded: Optional[str] = None
         for row in self.rows:
             if row["trial"] != planned["trial"]:
                 continue
@@ -150,16 +158,16 @@ class Campaign:
                 else:
                     excluded = None
         last = attempts[-1] if attempts else None
-        stands = last is not None and last["outcome"] == "complete" and last["given_up"] is None
+        stands = last if last and last["outcome"] == "complete" and last["given_up"] is None else None
         if skipped is not None:
             standing = "skipped"
         elif last is not None and last["outcome"] is None:
             standing = "under_way"
-        elif not stands:
+        elif stands is None:
             standing = "open"
         elif excluded is not None:
             standing = "excluded"
-        elif last["displacement_mm"] is None:
+        elif stands["displacement_mm"] is None:
             standing = "unmeasured"
         else:
             standing = "done"
@@ -167,39 +175,45 @@ class Campaign:
             planned,
             standing=standing,
             attempts=attempts,
-            attempt=last["attempt"] if stands else None,
-            indentation_mm=last["indentation_mm"] if stands else None,
-            displacement_mm=last["displacement_mm"] if stands else None,
-            source=last["source"] if stands else None,
+            attempt=stands["attempt"] if stands else None,
+            indentation_mm=stands["indentation_mm"] if stands else None,
+            displacement_mm=stands["displacement_mm"] if stands else None,
+            source=stands["source"] if stands else None,
             reason=skipped or excluded,
             origin=self.origin,
         )
 
-    def attempt_folder(self, trial):
+    def attempt_folder(self, trial: int) -> Optional[pathlib.Path]:
         """The folder of the attempt that stands; None if none does."""
         attempt = self.trials[trial - 1]["attempt"]
         return None if attempt is None else self.folder / "trials" / f"{trial:03}-{attempt}"
 
-    def whole(self, trial):
+    def whole(self, trial: int) -> bool:
         """Whether the records of the attempt that stands are. It stood when the capsule was unfolded after it."""
         return all(record.whole for record in self.records(trial) if not record.path.name.startswith("unfold-"))
 
-    def records(self, trial):
+    def records(self, trial: int) -> List[Trial]:
         """The records of the machines in the attempt that stands: the capsule's by its own clock, the run last."""
         folder = self.attempt_folder(trial)
         records = [] if folder is None else trials_in(folder)
-        times = lambda record: [event["time_us"] for event in record.sidecar["events"]]
-        return sorted(records, key=lambda record: (record.kind == "run", times(record)))
 
-    def run(self, trial):
+        def key(record: Trial) -> Any:
+            return record.kind == "run", [event["time_us"] for event in record.sidecar["events"]]
+
+        return sorted(records, key=key)
+
+    def run(self, trial: int) -> Optional[Trial]:
         """The run of the attempt that stands; None without one."""
         return next((record for record in self.records(trial) if record.kind == "run"), None)
 
-    def telemetry(self, trial):
+    def telemetry(self, trial: int) -> Table:
         """The rows of the run's CSV file."""
-        return self.run(trial).telemetry
+        run = self.run(trial)
+        if run is None:
+            raise ValueError(f"no attempt at trial {trial} stands: it has no run")
+        return run.telemetry
 
-    def changed(self):
+    def changed(self) -> List[str]:
         """Files that are not as SHA256SUMS lists them, relative to the folder. `retrograde verify` finds more."""
         changed = []
         for line in (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines():
@@ -209,11 +223,12 @@ class Campaign:
                 changed.append(name.lstrip("*"))
         return changed
 
-    def changed_trials(self):
+    def changed_trials(self) -> Dict[int, List[str]]:
         """By the number of a trial: files of its attempt that stands that were changed, removed or added."""
-        listed = (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
-        listed = {line.split(maxsplit=1)[1].lstrip("*") for line in listed}
-        changed, found = self.changed(), {}
+        lines = (self.folder / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
+        listed = {line.split(maxsplit=1)[1].lstrip("*") for line in lines}
+        changed = self.changed()
+        found: Dict[int, List[str]] = {}
         for trial in self.trials:
             folder = self.attempt_folder(trial["trial"])
             if folder is None:
@@ -225,17 +240,17 @@ class Campaign:
                 found[trial["trial"]] = sorted(names)
         return found
 
-    def counted(self):
+    def counted(self) -> Table:
         """The trials that count, as rows: they are done, and their files are whole and as they were written."""
         changed = self.changed_trials()
         done = [trial for trial in self.trials if trial["standing"] == "done" and trial["trial"] not in changed]
         return Table(trial for trial in done if self.whole(trial["trial"]))
 
-    def table(self):
+    def table(self) -> Table:
         """All trials as rows without their attempts."""
         return Table({name: cell for name, cell in trial.items() if name != "attempts"} for trial in self.trials)
 
-    def xarray(self):
+    def xarray(self) -> Any:
         """Displacements of the series as an xarray.DataArray over walls, indentation and repeat."""
         series = [trial for trial in self.counted() if trial["purpose"] == "series"]
         frame = Table(series).pandas().set_index(["lubrication", "indentation", "repeat"])
