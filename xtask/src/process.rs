@@ -75,6 +75,10 @@ pub(crate) fn target() -> PathBuf {
 pub(crate) fn host_cargo(subcommand: &str) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.arg(subcommand).current_dir(root());
+    // What cargo keeps for the next change of each crate would be a third of the folder.
+    if std::env::var_os("CARGO_INCREMENTAL").is_none() {
+        command.env("CARGO_INCREMENTAL", "0");
+    }
     forget_own_package(&mut command);
     command
 }
