@@ -44,12 +44,12 @@ fn every_signal_is_drawn_with_the_names_of_its_pin() {
 
 #[test]
 fn manual_and_bench_have_the_same_pins() {
-    let manual = read("docs/rig.md");
+    let manual = read("docs/build.md");
     for signal in &wiring::rig::SIGNALS {
         let pin = signal.pin.to_string();
         let mut rows = manual.lines().filter(|line| line.starts_with('|'));
         let named = |row: &str| row.split(['|', ',']).any(|cell| cell.trim() == pin);
-        assert!(rows.any(named), "docs/rig.md has no row of {pin}");
+        assert!(rows.any(named), "docs/build.md has no row of {pin}");
     }
     for (machine, signals) in MACHINES {
         let bench = read(&format!("virtual-bench/src/boards/{machine}.rs"));

@@ -19,7 +19,7 @@ const REMEDY: &str = "install probe-rs 0.28 or later, connect the board by USB a
 
 /// Before the table of `--dry-run`.
 const PREPARATION: &str = "\
-Before: motor supply off, the driver out of its socket. Wires as in docs/rig.md; a row whose wire is missing is NOT AS
+Before: motor supply off, the driver out of its socket. Wires as in docs/build.md; a row whose wire is missing is NOT AS
 EXPECTED or not measured. The flash is measured only where no settings are stored, as on a new board.
 Afterwards: `cargo rig`, for the board keeps the image of the measurements.
 ";

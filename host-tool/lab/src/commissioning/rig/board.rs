@@ -108,7 +108,7 @@ pub(super) fn enable(work: &mut Work<'_>) -> Result<(), Halt> {
         work.say(
             "        takes the 3.3 V of STEP and DIR. An A4988 or a TMC2209 may miss steps at",
         );
-        work.say("        5 V: docs/rig.md, \"A shield at 3.3 V\"");
+        work.say("        5 V: docs/build.md, \"A shield at 3.3 V\"");
     }
     Ok(())
 }

@@ -193,7 +193,7 @@ pub(super) fn cable(work: &mut Work<'_>) -> Result<(), Halt> {
     let after = (work.boot_id(), work.status()?.time_us);
     if has_restarted(before, after) {
         return Err(Halt::Defect(
-            "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/rig.md".to_owned(),
+            "the board lost its supply with the cable and started again: feed it by E5V or VIN, see docs/build.md".to_owned(),
         ));
     }
     // This session has not begun the run, so its questions do not keep it going.
