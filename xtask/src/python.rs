@@ -24,7 +24,7 @@ pub(crate) fn test() -> Result<()> {
     tests.env("RETROGRADE_PROGRAMS", target().join("debug"));
     run(
         &mut tests,
-        "install Python 3.9 or newer, or run the failing test alone: python/README.md says how",
+        "install Python 3.9 or newer, or run the failing test alone: docs/python.md says how",
     )
 }
 
