@@ -481,7 +481,7 @@ fn after_a_start(flash: &Flash) -> (CapsuleState, i32, Option<u32>) {
     let mut device = Device::start_on(flash, FRESH, ResetCause::PowerOn);
     device.read();
     match device.accepted(Request::GetCapsuleStatus(GetCapsuleStatus)) {
-        Response::GetCapsuleStatus(status) => (status.state, status.thread_um, status.doubt_um),
+        Response::GetCapsuleStatus(status) => (status.state, status.thread_um, status.uncertainty_um),
         other => panic!("{other:?}"),
     }
 }
@@ -513,28 +513,28 @@ fn the_flash_knows_the_place_before_within_and_after_a_motion() {
     let flash = Flash::blank();
     let (mut model, mut device) = folded_on(&flash);
     // The fold has ended, and is not in flash yet.
-    let (state, thread_um, doubt_um) = after_a_start(&flash);
+    let (state, thread_um, uncertainty_um) = after_a_start(&flash);
     let wound_um = (model.plant.wound_mm() * 1e3) as i32;
-    let doubt_um = doubt_um.expect("a doubt") as i32;
+    let uncertainty_um = uncertainty_um.expect("a doubt") as i32;
     assert_eq!(state, CapsuleState::Unreferenced);
-    assert!((thread_um..=thread_um + doubt_um).contains(&wound_um));
+    assert!((thread_um..=thread_um + uncertainty_um).contains(&wound_um));
     for _ in 0..300 {
         read_from(&mut model, &mut device);
     }
-    let (state, thread_um, doubt_um) = after_a_start(&flash);
-    assert_eq!((state, doubt_um), (CapsuleState::Folded, Some(0)));
+    let (state, thread_um, uncertainty_um) = after_a_start(&flash);
+    assert_eq!((state, uncertainty_um), (CapsuleState::Folded, Some(0)));
     assert!(thread_um.abs_diff(wound_um) < 150, "{thread_um} {wound_um}");
     device.accepted(Request::Unfold(Unfold));
     let mut readings = 0;
     while device.state().0 == CapsuleState::Unfolding {
         if readings % 100 == 0 {
-            let (state, thread_um, doubt_um) = after_a_start(&flash);
+            let (state, thread_um, uncertainty_um) = after_a_start(&flash);
             let wound_um = (model.plant.wound_mm() * 1e3) as i32;
-            let doubt_um = doubt_um.expect("a doubt") as i32;
+            let uncertainty_um = uncertainty_um.expect("a doubt") as i32;
             assert_eq!(state, CapsuleState::Unreferenced);
             assert!(
-                thread_um <= wound_um + 10 && wound_um <= thread_um + doubt_um + 60,
-                "{thread_um} {doubt_um} {wound_um}"
+                thread_um <= wound_um + 10 && wound_um <= thread_um + uncertainty_um + 60,
+                "{thread_um} {uncertainty_um} {wound_um}"
             );
         }
         read_from(&mut model, &mut device);

@@ -83,7 +83,7 @@ fn a_record_that_cannot_be_read_leaves_nothing_known() {
 /// The place outlives a start wherever the counter begins, and the state follows from it.
 #[test]
 fn the_state_follows_from_what_is_known() {
-    for (um, felt, doubt_um, state) in [
+    for (um, felt, uncertainty_um, state) in [
         (0, false, 0, CapsuleState::Unfolded),
         (250, false, 250, CapsuleState::Unfolded),
         (251, false, 0, CapsuleState::Stopped),
@@ -93,7 +93,7 @@ fn the_state_follows_from_what_is_known() {
     ] {
         let mut known = known().resting(Thread(um).counts());
         known.felt = felt;
-        known.doubt = Some(Thread(doubt_um));
+        known.doubt = Some(Thread(uncertainty_um));
         let mut later = again(&known);
         let begins = Counts(1_234_567);
         later.anchor(begins);

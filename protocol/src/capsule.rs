@@ -118,9 +118,9 @@ pub struct CapsuleStatus {
     /// Thread on the spool at least, by the encoder.
     pub thread_um: i32,
     /// How much more there may be; none if nothing is known, and only a hand can help.
-    pub doubt_um: Option<u32>,
+    pub uncertainty_um: Option<u32>,
     /// Thread that stays on the spool when it is unfolded, as the last reference has found.
-    pub left_um: u32,
+    pub remaining_um: u32,
     pub current_ma: u16,
     pub battery_mv: u16,
     /// Number of the present or last actuation.

@@ -116,12 +116,12 @@ fn warn(kind: ActuationKind, capsule: &mut Device, screen: &mut Screen<'_>) -> R
             screen.hint("there is no calibration, so this is one: is the origami unfolded, the thread slack?");
         }
         ActuationKind::Calibrate => {
-            let left_um = capsule.capsule_status()?.left_um;
-            if left_um > 0 {
+            let remaining_um = capsule.capsule_status()?.remaining_um;
+            if remaining_um > 0 {
                 screen.hint(&format!(
                     "NOTE: {} mm of thread are left on the spool: unless the origami was unfolded by hand since then, they \
                      become permanent",
-                    decimal::write(left_um.into(), 3)
+                    decimal::write(remaining_um.into(), 3)
                 ));
             }
         }

@@ -154,16 +154,16 @@ fn capsule_text(status: &CapsuleStatus) -> String {
             "not referenced"
         },
         decimal::write_signed(status.thread_um.into(), 3),
-        match status.doubt_um {
+        match status.uncertainty_um {
             Some(0) => String::new(),
-            Some(doubt_um) => format!(" and up to {} mm more", decimal::write(doubt_um.into(), 3)),
+            Some(uncertainty_um) => format!(" and up to {} mm more", decimal::write(uncertainty_um.into(), 3)),
             None => ", or any other length".to_owned(),
         },
         status.current_ma,
         decimal::write(status.battery_mv.into(), 3),
     );
-    if status.left_um > 0 {
-        let left_mm = decimal::write(status.left_um.into(), 3);
+    if status.remaining_um > 0 {
+        let left_mm = decimal::write(status.remaining_um.into(), 3);
         text.push_str(&format!(
             "\n  {left_mm} mm of thread stay on the spool when it unfolds"
         ));
@@ -180,7 +180,7 @@ const LEFT_UM: u32 = 300;
 
 /// The command that leads on, as in the table "The way out" of docs/capsule.md.
 fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> {
-    let is_lost = status.doubt_um.is_none_or(|doubt_um| doubt_um > LOST_UM);
+    let is_lost = status.uncertainty_um.is_none_or(|uncertainty_um| uncertainty_um > LOST_UM);
     match status.state {
         CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is gone"),
         CapsuleState::Unreferenced if !is_calibrated && !is_lost && status.thread_um > 1_000 => {
@@ -191,7 +191,7 @@ fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> 
             Some("unfold it by hand, then `retrograde capsule calibrate`")
         }
         CapsuleState::Unreferenced => Some("`retrograde capsule reference`"),
-        CapsuleState::Unfolded if status.left_um > LEFT_UM => Some(
+        CapsuleState::Unfolded if status.remaining_um > LEFT_UM => Some(
             "to fold and unfold whole again: unfold it by hand, then `retrograde capsule calibrate`",
         ),
         _ => None,
@@ -256,7 +256,7 @@ mod tests {
     fn a_capsule_that_cannot_fold_is_told_its_next_command() {
         use CapsuleState::{Faulted, Unfolded, Unreferenced};
         use protocol::capsule::CapsuleStatus;
-        for (state, is_calibrated, doubt_um, left_um, next) in [
+        for (state, is_calibrated, uncertainty_um, remaining_um, next) in [
             (Faulted, true, Some(0), 0, "`retrograde ack capsule`"),
             (
                 Unreferenced,
@@ -285,8 +285,8 @@ mod tests {
                 fault: None,
                 referenced: false,
                 thread_um: 9_000,
-                doubt_um,
-                left_um,
+                uncertainty_um,
+                remaining_um,
                 current_ma: 0,
                 battery_mv: 3_700,
                 actuation: 1,

@@ -395,11 +395,11 @@ fn a_cut_within_a_motion_leaves_a_way_out() {
         capsule.power_cycle(2);
         let status = capsule.device.capsule_status().expect("a status");
         assert_eq!(status.state, CapsuleState::Unreferenced, "{what}");
-        let (wound_um, doubt_um) = (
+        let (wound_um, uncertainty_um) = (
             (capsule.wound_mm() * 1e3) as i32,
-            status.doubt_um.expect("a doubt") as i32,
+            status.uncertainty_um.expect("a doubt") as i32,
         );
-        let told_um = status.thread_um..=status.thread_um + doubt_um;
+        let told_um = status.thread_um..=status.thread_um + uncertainty_um;
         assert!(
             told_um.contains(&wound_um),
             "{what}: {status:?}, {wound_um} um"
@@ -408,7 +408,7 @@ fn a_cut_within_a_motion_leaves_a_way_out() {
             capsule.completes(Reference);
             let status = capsule.device.capsule_status().expect("a status");
             assert_eq!(status.state, CapsuleState::Unfolded);
-            let off_mm = capsule.wound_mm() - f64::from(status.left_um) / 1e3;
+            let off_mm = capsule.wound_mm() - f64::from(status.remaining_um) / 1e3;
             assert!(off_mm.abs() < 0.3, "{what}: {off_mm} mm, {status:?}");
             capsule.completes(Fold);
         }
