@@ -45,7 +45,7 @@ pub struct Settings {
     /// Longest time of homing.
     pub homing_timeout_us: u64,
     /// Largest residual of the position ledger that a run tolerates, in steps.
-    pub ledger_limit_steps: u32,
+    pub max_residual_steps: u32,
     /// Silence of the host that counts as a lost link while the machine moves.
     pub link_timeout_us: u64,
     /// A jog that is not renewed within this time stops.
@@ -135,7 +135,7 @@ impl Settings {
             flag_um,
             flag,
             homing_timeout_us: get(values, Key::HomingTimeoutS) as u64 * 1_000_000,
-            ledger_limit_steps: get(values, Key::LedgerLimitSteps),
+            max_residual_steps: get(values, Key::MaxResidualSteps),
             link_timeout_us: get(values, Key::LinkTimeoutMs) as u64 * 1_000,
             dead_man_us: get(values, Key::DeadManMs) as u64 * 1_000,
         })

@@ -645,7 +645,7 @@ mod running {
             // Steps lost on the way out: the flag comes that much too early on the way back.
             let residual_steps = slipping as i32;
             assert_eq!(rig.machine.residual(), residual_steps);
-            if slipping <= SETTINGS.ledger_limit_steps {
+            if slipping <= SETTINGS.max_residual_steps {
                 assert_eq!(rig.machine.state(), RigState::Ready);
                 let record = rig.machine.record();
                 assert_eq!(record.worst_residual_steps, residual_steps);

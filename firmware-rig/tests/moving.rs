@@ -389,7 +389,7 @@ mod a_closed_flag_at_0 {
             let settings = settings(&[
                 (SettingKey::LeadUm, 50_000),
                 (SettingKey::Microsteps, 1),
-                (SettingKey::LedgerLimitSteps, limit),
+                (SettingKey::MaxResidualSteps, limit),
             ]);
             let mut rig = Rig::homed(settings);
             rig.stuck_flag = Some(false);

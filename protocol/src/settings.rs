@@ -68,7 +68,7 @@ settings! {
     PullOffUm of Rig: "pull_off_um", "um", 100..=20_000, 3_000, "Homing: distance between the two passes.";
     FlagUm of Rig: "flag_um", "um", 0..=20_000, 1_000, "Where the home flag's edge lies, from position 0.";
     HomingTimeoutS of Rig: "homing_timeout_s", "s", 5..=600, 60, "Homing that takes longer is a fault.";
-    LedgerLimitSteps of Rig: "ledger_limit_steps", "steps", 0..=10_000, 8, "Largest residual at the home flag that a run tolerates.";
+    MaxResidualSteps of Rig: "max_residual_steps", "steps", 0..=10_000, 8, "Largest residual at the home flag that a run tolerates.";
     LinkTimeoutMs of Both: "link_timeout_ms", "ms", 200..=60_000, 1_000, "Silence of the host that counts as a lost link while something moves.";
     DeadManMs of Rig: "dead_man_ms", "ms", 50..=2_000, 300, "A jog that is not renewed within this time stops.";
     SwitchFilterUs of Rig: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be told up to 3.5 ms late; the position is that of its first edge.";

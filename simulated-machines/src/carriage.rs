@@ -559,7 +559,7 @@ pub const SMALL: [(SettingKey, u32); 4] = [
     (SettingKey::LeadUm, 50_000),
     (SettingKey::Microsteps, 1),
     (SettingKey::StrokeUm, 20_000),
-    (SettingKey::LedgerLimitSteps, 1),
+    (SettingKey::MaxResidualSteps, 1),
 ];
 
 /// The settings of [`SMALL`].

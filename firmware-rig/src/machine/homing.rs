@@ -147,7 +147,7 @@ impl Machine {
         let scatter = self.settings.axis.steps_within(FLAG_SCATTER);
         let within = scatter
             .map_or(0, |steps| steps.0)
-            .max(self.settings.ledger_limit_steps);
+            .max(self.settings.max_residual_steps);
         match (homing.seek, homing.locate) {
             (Some(seek), Some(locate)) => locate.since(seek).unsigned_abs() <= within,
             _ => true,

@@ -133,7 +133,7 @@ impl Machine {
         actions: &mut Actions,
     ) -> Result<(), Refusal> {
         let flag = self.settings.flag;
-        let tolerated = flag.distance_to(StepPosition::HOME).0 <= self.settings.ledger_limit_steps;
+        let tolerated = flag.distance_to(StepPosition::HOME).0 <= self.settings.max_residual_steps;
         if now.position != StepPosition::HOME || now.inputs.home_flag || tolerated {
             return Ok(());
         }
@@ -220,7 +220,7 @@ impl Machine {
             return;
         }
         let residual = count.since(self.settings.flag);
-        let lost = residual.unsigned_abs() > self.settings.ledger_limit_steps;
+        let lost = residual.unsigned_abs() > self.settings.max_residual_steps;
         // At rest, the flag may open a moment late: accept an edge near the expected position. Farther away, someone
         // moved the carriage: ignore it.
         if lost && matches!(self.state, State::Held) {
@@ -280,7 +280,7 @@ impl Machine {
         let flag = self.settings.flag;
         let from = flag.distance_to(StepPosition::HOME).0;
         let from = from
-            .saturating_add(self.settings.ledger_limit_steps)
+            .saturating_add(self.settings.max_residual_steps)
             .saturating_add(self.settings.closes_the_flag_after().0);
         let on_the_way_home = self.run.is_some_and(|run| {
             run.plan.forward().steps().0 > from && !run.flag_met && run.goes_home()
@@ -335,7 +335,7 @@ impl Machine {
         missed: Option<RigFault>,
     ) -> Option<RigFault> {
         let flag = self.settings.flag;
-        let limit = self.settings.ledger_limit_steps;
+        let limit = self.settings.max_residual_steps;
         let is_behind = position < flag && position.distance_to(flag).0 > limit;
         missed.filter(|_| is_behind || self.stroke_is_complete(position))
     }

@@ -117,7 +117,7 @@ fn a_setting_opens_the_steps_that_move_by_it() {
             "flag_um",
             &["read-back", "edge-timing", "stroke", "run"][..],
         ),
-        ("ledger_limit_steps", &["read-back", "edge-timing", "run"]),
+        ("max_residual_steps", &["read-back", "edge-timing", "run"]),
         ("stop_accel_um_s2", &["cable", "hold", "jog"]),
         ("homing_accel_um_s2", &["jog"]),
         ("stroke_um", &["jog", "stroke", "run"]),

@@ -119,7 +119,7 @@ fn ram_holds_noise_after_power_up() {
 /// run ends at the flag.
 #[test]
 fn lost_steps_are_counted_and_beyond_the_limit_end_the_run() {
-    let limit = u64::from(SettingKey::LedgerLimitSteps.range().default);
+    let limit = u64::from(SettingKey::MaxResidualSteps.range().default);
     let mut rig = quickly_homed();
     rig.device.set_telemetry(5).expect("telemetry");
     for lost in [1, 2, limit - 1, limit, limit + 1, 16, 64] {

@@ -22,7 +22,7 @@ pub(super) const HOMING: &[Key] = &[
     Key::StepPulseNs,
 ];
 /// Settings that the pulses of short strokes depend on. How long these are follows from `FlagUm` or, where that is 0,
-/// from `LedgerLimitSteps`.
+/// from `MaxResidualSteps`.
 pub(super) const PULSES: &[Key] = &[
     Key::LeadUm,
     Key::FullSteps,
@@ -33,7 +33,7 @@ pub(super) const PULSES: &[Key] = &[
     Key::StepPulseNs,
     Key::TurnaroundUs,
     Key::FlagUm,
-    Key::LedgerLimitSteps,
+    Key::MaxResidualSteps,
 ];
 /// Settings that a slow run which brakes on its way depends on.
 pub(super) const BRAKED: &[Key] = &[
@@ -54,6 +54,6 @@ pub(super) const RUN: &[Key] = &[
     Key::StepPulseNs,
     Key::TurnaroundUs,
     Key::FlagUm,
-    Key::LedgerLimitSteps,
+    Key::MaxResidualSteps,
     Key::SwitchFilterUs,
 ];

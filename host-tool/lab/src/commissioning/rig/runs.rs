@@ -32,14 +32,14 @@ fn short_strokes(work: &Work<'_>, cycles: u16) -> Result<Run, Halt> {
     let within = |setting: u32, um: u64| u32::try_from(um).map_or(setting, |um| um.min(setting));
     let stroke_um = work.setting(Key::StrokeUm);
     let stroke_um = match work.setting(Key::FlagUm) {
-        0 => within(stroke_um, um(work.setting(Key::LedgerLimitSteps))),
+        0 => within(stroke_um, um(work.setting(Key::MaxResidualSteps))),
         flag_um => flag_um.min(stroke_um),
     };
     // The rig takes strokes of one step.
     let least_um = lead.div_ceil(steps_per_rev);
     if u64::from(stroke_um) < least_um {
         return Err(Halt::NotShown(format!(
-            "there is no stroke without a look at the flag: flag_um, or the way of ledger_limit_steps if it is 0, has to be {least_um} um or more"
+            "there is no stroke without a look at the flag: flag_um, or the way of max_residual_steps if it is 0, has to be {least_um} um or more"
         )));
     }
     let fastest = um(work.setting(Key::MaxStepHz));
