@@ -91,9 +91,9 @@ fn respond(
             command(machine, Command::Resume)?;
             Response::Resume(Done)
         }
-        Request::Jog(rig::Jog { sense, speed_um_s }) => {
-            let direction = planning::direction(sense);
-            let speed = machine.settings().speed(speed_um_s)?;
+        Request::Jog(jog) => {
+            let direction = planning::direction(jog.direction);
+            let speed = machine.settings().speed(jog.speed_um_s)?;
             command(machine, Command::Jog { direction, speed })?;
             Response::Jog(Done)
         }

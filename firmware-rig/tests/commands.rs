@@ -145,7 +145,7 @@ fn requests() -> Vec<Request> {
         .map(|request| match request {
             // The jog that is going on while the rig moves.
             Request::Jog(_) => Request::Jog(rig::Jog {
-                sense: rig::Direction::Away,
+                direction: rig::Direction::Away,
                 speed_um_s: 1_000,
             }),
             request => request,
@@ -267,12 +267,12 @@ fn moves_and_jogs_out_of_range() {
         let (reply, ..) = send(&mut rig, request.clone());
         refusals += &format!("{request:?}: {reply:?}\n");
     }
-    for (sense, speed_um_s) in [
+    for (direction, speed_um_s) in [
         (rig::Direction::Away, 0),
         (rig::Direction::Home, 49_001),
         (rig::Direction::Home, 1_000),
     ] {
-        let request = Request::Jog(rig::Jog { sense, speed_um_s });
+        let request = Request::Jog(rig::Jog { direction, speed_um_s });
         let (reply, ..) = send(&mut rig, request.clone());
         refusals += &format!("{request:?}: {reply:?}\n");
     }

@@ -597,7 +597,7 @@ mod supply {
             Request::Home(rig::Home),
             start,
             Request::Jog(rig::Jog {
-                sense: rig::Direction::Away,
+                direction: rig::Direction::Away,
                 speed_um_s: 1_000,
             }),
             Request::MoveTo(rig::MoveTo {

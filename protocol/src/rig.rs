@@ -123,8 +123,7 @@ pub enum Direction {
 /// Moves towards the end of the stroke for as long as this request is renewed within the dead-man time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Jog {
-    /// Direction of travel. (The field's name is part of the schema key.)
-    pub sense: Direction,
+    pub direction: Direction,
     /// Speed between the ramps.
     pub speed_um_s: u32,
 }

@@ -55,8 +55,8 @@ pub fn rig() -> Result<(), BenchError> {
         speed_um_s,
     })?;
     device.wait_move(&accepted, &mut Unobserved)?;
-    let sense = protocol::rig::Direction::Away;
-    device.call(Jog { sense, speed_um_s })?;
+    let direction = protocol::rig::Direction::Away;
+    device.call(Jog { direction, speed_um_s })?;
     device.idle(100_000, &mut Unobserved)?;
     device.urgent(Urgent::Stop)?;
     device.wait_rest(&mut Unobserved)?;

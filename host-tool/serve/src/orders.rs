@@ -77,7 +77,7 @@ impl Work {
             (DeviceKind::Rig, "jog") => {
                 parse(&["speed_mm_s"], Some("direction"), body).map(|args: JogArgs| {
                     Self::Jog(Jog {
-                        sense: args.direction,
+                        direction: args.direction,
                         speed_um_s: args.speed_mm_s.0,
                     })
                 })

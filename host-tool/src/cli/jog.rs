@@ -26,7 +26,7 @@ pub(crate) fn jog(
     let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("jog"))?;
     fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let jog = rig::Jog {
-        sense: args.direction,
+        direction: args.direction,
         speed_um_s: args.speed_mm_s.0,
     };
     let dead_man = rig.call(GetSetting {

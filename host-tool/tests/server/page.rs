@@ -94,7 +94,7 @@ fn capsule_in(state: CapsuleState) -> Device {
 /// Sends the command of a button.
 fn press(device: &mut Device, command: &str) -> Result<(), ClientError> {
     let jog = Jog {
-        sense: Direction::Away,
+        direction: Direction::Away,
         speed_um_s: 5_000,
     };
     let to = MoveTo {

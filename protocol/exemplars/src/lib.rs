@@ -48,7 +48,7 @@ pub fn requests() -> std::vec::Vec<Request> {
         Request::Hold(Hold),
         Request::Resume(Resume),
         Request::Jog(Jog {
-            sense: Direction::Home,
+            direction: Direction::Home,
             speed_um_s: 5_000,
         }),
         Request::MoveTo(MoveTo {

@@ -116,7 +116,7 @@ fn silence_ends_a_motion_and_reconnecting_moves_nothing() {
     };
     let [stop, finish] = [LinkLossPolicy::Stop, LinkLossPolicy::Finish].map(run);
     let jog = Jog {
-        sense: Direction::Away,
+        direction: Direction::Away,
         speed_um_s: 20_000,
     };
     for (request, outcome) in [

@@ -593,7 +593,7 @@ fn no_motion_begins_while_the_supply_is_low() {
         speed_um_s: 10_000,
     };
     let jog = Jog {
-        sense: Direction::Away,
+        direction: Direction::Away,
         speed_um_s: 10_000,
     };
     rig.device.run(paper(1)).expect("accepted");

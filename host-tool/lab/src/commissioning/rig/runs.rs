@@ -256,7 +256,7 @@ pub(super) fn jog(work: &mut Work<'_>) -> Result<(), Halt> {
     work.at_home()?;
     let speed_um_s = 5_000.min(work.setting(Key::MaxSpeedUmS));
     work.device.call(Jog {
-        sense: Direction::Away,
+        direction: Direction::Away,
         speed_um_s,
     })?;
     // The host is heard all the time: it is the jog itself that is not renewed.
