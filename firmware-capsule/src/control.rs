@@ -138,7 +138,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         let kept = [self.keep_known(self.machine.resting()), self.keep_totals()];
         let failed = kept.contains(&Err(StorageFailed));
         if failed && self.again_us == 0 {
-            self.emit(What::Capsule(CapsuleEvent::NotKept));
+            self.emit(What::Capsule(CapsuleEvent::StorageFailed));
         }
         self.again_us = if failed {
             at_us.saturating_add(AGAIN_US)
@@ -200,7 +200,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
         {
             return;
         }
-        self.emit(What::Capsule(CapsuleEvent::NotKept));
+        self.emit(What::Capsule(CapsuleEvent::StorageFailed));
         let event = match self.capsule.chip().supply_low {
             true => Event::SupplyLow,
             false => Event::Command(Command::Stop),

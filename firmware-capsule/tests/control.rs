@@ -453,7 +453,7 @@ fn what_flash_did_not_take_is_tried_again_and_told_once() {
     for _ in 0..45_000 {
         device.read();
     }
-    let not_kept = What::Capsule(CapsuleEvent::NotKept);
+    let not_kept = What::Capsule(CapsuleEvent::StorageFailed);
     assert_eq!(device.told(), [ended(ActuationOutcome::Stopped), not_kept]);
     let mut later = Device::start_on(device.flash.clone(), FRESH, ResetCause::PowerOn);
     assert_eq!(totals(&mut later).actuations, 1);
@@ -582,7 +582,7 @@ fn a_motion_whose_place_flash_does_not_take_ends() {
     while device.state().0 == CapsuleState::Referencing {
         device.read();
     }
-    let not_kept = What::Capsule(CapsuleEvent::NotKept);
+    let not_kept = What::Capsule(CapsuleEvent::StorageFailed);
     assert_eq!(device.told(), [not_kept, ended(ActuationOutcome::Stopped)]);
     assert_eq!(device.drive(), Drive::Brake);
 }
@@ -681,7 +681,7 @@ fn a_flash_without_a_log_is_taken_into_use() {
     rest(&mut device);
     let told = device.told();
     assert!(
-        !told.contains(&What::Capsule(CapsuleEvent::NotKept)),
+        !told.contains(&What::Capsule(CapsuleEvent::StorageFailed)),
         "{told:?}"
     );
     let mut later = Device::start_on(device.flash.clone(), FRESH, ResetCause::PowerOn);

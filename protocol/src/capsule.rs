@@ -264,7 +264,7 @@ pub enum CapsuleEvent {
     Faulted(CapsuleFault),
     /// The flash could not be written. At rest it is tried again every 10 s; until that succeeds a reset loses totals or
     /// calibration.
-    NotKept,
+    StorageFailed,
     /// A setting has another value.
     SettingChanged(SettingKey),
     /// All settings are at their defaults, and the name is cleared.

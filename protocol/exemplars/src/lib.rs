@@ -142,7 +142,7 @@ pub fn events() -> std::vec::Vec<Event> {
             outcome: ActuationOutcome::Stopped,
         },
         CapsuleEvent::Faulted(CapsuleFault::Jam { thread_um: 12_000 }),
-        CapsuleEvent::NotKept,
+        CapsuleEvent::StorageFailed,
         CapsuleEvent::SettingChanged(SettingKey::EndForceMa),
         CapsuleEvent::SettingsReset,
         CapsuleEvent::SettingsUnusable,

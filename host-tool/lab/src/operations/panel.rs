@@ -311,7 +311,7 @@ pub fn event_text(event: &Event) -> String {
             format!("actuation {actuation} ended: {outcome:?}")
         }
         What::Capsule(CapsuleEvent::Faulted(fault)) => format!("fault: {fault}"),
-        What::Capsule(CapsuleEvent::NotKept) => "the flash could not be written".to_owned(),
+        What::Capsule(CapsuleEvent::StorageFailed) => "the flash could not be written".to_owned(),
         What::Capsule(CapsuleEvent::SettingChanged(key)) => setting_changed(key),
         What::Capsule(CapsuleEvent::SettingsReset) => SETTINGS_RESET.to_owned(),
         What::Capsule(CapsuleEvent::SettingsUnusable) => SETTINGS_UNUSABLE.to_owned(),

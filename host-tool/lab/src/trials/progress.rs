@@ -92,7 +92,7 @@ impl Observer for Live<'_> {
             What::Rig(RigEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
             What::Capsule(CapsuleEvent::Faulted(fault)) => self.line(&format!("  fault: {fault}")),
             What::Rig(RigEvent::Resumed) => self.line("  resumed"),
-            What::Capsule(CapsuleEvent::NotKept) => self.line(
+            What::Capsule(CapsuleEvent::StorageFailed) => self.line(
                 "  NOT KEPT: the flash could not be written; after the next start the place is uncertain. Charge the cell, then try again",
             ),
             What::LinkLost => self.line("  the device has not heard from the host for too long"),
