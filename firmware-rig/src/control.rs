@@ -66,7 +66,7 @@ pub trait Rig {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Snapshot {
     pub state: RigState,
-    /// Residual of the ledger, steps.
+    /// Residual of the step-loss check, steps.
     pub residual_steps: i32,
     /// Steps per length.
     pub axis: Axis,

@@ -327,7 +327,7 @@ impl Machine {
         self.strokes
     }
 
-    /// Residual of the ledger at the last pass of the home flag, steps.
+    /// Residual at the last pass of the home flag, steps.
     pub fn residual(&self) -> i32 {
         self.residual
     }
@@ -551,7 +551,7 @@ impl Machine {
             State::Running | State::Held | State::Stopping(Then::Held | Then::Ready(_))
                 if opening =>
             {
-                self.ledger(count, actions);
+                self.check_step_loss(count, actions);
             }
             State::Homing(homing) => {
                 let found = homing.flag_edge(opening, count);

@@ -44,7 +44,7 @@ pub struct Settings {
     pub flag: StepPosition,
     /// Longest time of homing.
     pub homing_timeout_us: u64,
-    /// Largest residual of the position ledger that a run tolerates, in steps.
+    /// Largest residual of the step-loss check that a run tolerates, in steps.
     pub max_residual_steps: u32,
     /// Silence of the host that counts as a lost link while the machine moves.
     pub link_timeout_us: u64,

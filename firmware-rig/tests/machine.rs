@@ -987,7 +987,7 @@ mod table {
             Stopped => path_ended(PathEnd::Stopped, 0, 0),
             StoppedFar => path_ended(PathEnd::Stopped, 4_000, 4_000),
             StoppedNear => path_ended(PathEnd::Stopped, 500, 500),
-            // The ledger tolerates 8 steps.
+            // The step-loss check tolerates 8 steps.
             StoppedAtLimit => path_ended(PathEnd::Stopped, 792, 792),
             StoppedBehind => path_ended(PathEnd::Stopped, 791, 791),
             Cut => path_ended(PathEnd::Cut, 0, 0),

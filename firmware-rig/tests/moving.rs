@@ -381,7 +381,7 @@ mod a_closed_flag_at_0 {
         assert_eq!(rig.fault(), Some(LOST));
     }
 
-    /// Within the ledger's tolerance of 0, the flag may be open or closed there.
+    /// Where the step-loss check tolerates position 0, the flag may be open or closed there.
     #[test]
     fn says_nothing_where_the_flag_lies_within_the_tolerance() {
         for (limit, starts) in [(4, true), (3, false)] {

@@ -250,7 +250,7 @@ pub struct RunRecord {
     pub min_steps: i32,
     /// Largest commanded position.
     pub max_steps: i32,
-    /// Largest residual of the position ledger at the home flag.
+    /// Largest residual of the step-loss check at the home flag.
     pub worst_residual_steps: i32,
     /// Fewest timer periods left in the queue at any time; 0 would be an underrun. None if every path of the run was
     /// queued as a whole, or each of its strokes.
@@ -329,7 +329,7 @@ pub enum RigFault {
     FlagStuck,
     /// Home flag and far limit are both open: a cable is unplugged.
     BothSwitchesOpen,
-    /// The ledger at the home flag disagrees with the homing reference.
+    /// Step-loss check: the home flag opened more than `max_residual_steps` from where homing found it.
     LostSteps {
         /// Commanded position minus the one found.
         residual_steps: i32,
@@ -430,7 +430,7 @@ pub enum RigEvent {
     StrokeDone {
         /// From 0.
         stroke: u32,
-        /// Residual of the position ledger: count at the last pass of the home flag minus the reference.
+        /// Residual of the step-loss check: count at the last pass of the home flag minus the reference.
         residual_steps: i32,
     },
     RunEnded {
@@ -473,7 +473,7 @@ pub struct RigTelemetry {
     pub speed_um_s: i32,
     /// Stroke in progress, from 0.
     pub stroke: u32,
-    /// Residual of the ledger at the last pass of the home flag.
+    /// Residual at the last pass of the home flag.
     pub residual_steps: i32,
     /// Switches and E-stop loop.
     pub inputs: RigInputs,

@@ -1,4 +1,4 @@
-//! Runs: start, hold, resume, the ledger of the home flag, the record.
+//! Runs: start, hold, resume, the step-loss check at the home flag, the record.
 
 use super::{Actions, Machine, Now, PathEnd, PathReport, State, Then, read_back};
 use crate::periods::Path;
@@ -212,7 +212,7 @@ impl Machine {
     }
 
     /// The flag opens on the way home: the same edge in the same direction as in homing.
-    pub(super) fn ledger(&mut self, count: StepPosition, actions: &mut Actions) {
+    pub(super) fn check_step_loss(&mut self, count: StepPosition, actions: &mut Actions) {
         let Some(run) = &mut self.run else {
             return;
         };
