@@ -1,10 +1,10 @@
-//! Connector places of the chip's pins on a NUCLEO-F411RE, and their labels on a CNC shield V3.
+//! Headers of the chip's pins on a NUCLEO-F411RE, and their labels on a CNC shield V3.
 
 use crate::Pin;
 
-/// A pin's places on the board.
+/// The places of a pin on the headers of the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct Header {
     /// The pin.
     pub pin: Pin,
     /// Its name at the Arduino sockets, which the shield covers; empty if it is not on them.
@@ -13,27 +13,27 @@ pub struct Place {
     pub morpho: &'static str,
 }
 
-/// Places of the pins in use.
-pub const PLACES: [Place; 18] = [
-    place('A', 0, "A0", "CN7-28"),
-    place('A', 1, "A1", "CN7-30"),
-    // Not connected as delivered: SB62 and SB63 are open, and both pins lead to the ST-LINK alone (UM1724 section 6.8).
-    place('A', 2, "D1", "CN10-35"),
-    place('A', 3, "D0", "CN10-37"),
-    place('A', 4, "A2", "CN7-32"),
-    place('A', 5, "D13", "CN10-11"),
-    place('A', 6, "D12", "CN10-13"),
-    place('A', 8, "D7", "CN10-23"),
-    place('A', 9, "D8", "CN10-21"),
-    place('A', 10, "D2", "CN10-33"),
-    place('B', 0, "A3", "CN7-34"),
-    place('B', 1, "", "CN10-24"),
-    place('B', 4, "D5", "CN10-27"),
-    place('B', 5, "D4", "CN10-29"),
-    place('B', 6, "D10", "CN10-17"),
-    place('B', 10, "D6", "CN10-25"),
-    place('C', 7, "D9", "CN10-19"),
-    place('C', 13, "", "CN7-23"),
+/// Headers of the pins in use.
+pub const HEADERS: [Header; 18] = [
+    header('A', 0, "A0", "CN7-28"),
+    header('A', 1, "A1", "CN7-30"),
+    // Not connected as delivered: SB62 and SB63 are open, and both pins lead to the ST-LINK only (UM1724 section 6.8).
+    header('A', 2, "D1", "CN10-35"),
+    header('A', 3, "D0", "CN10-37"),
+    header('A', 4, "A2", "CN7-32"),
+    header('A', 5, "D13", "CN10-11"),
+    header('A', 6, "D12", "CN10-13"),
+    header('A', 8, "D7", "CN10-23"),
+    header('A', 9, "D8", "CN10-21"),
+    header('A', 10, "D2", "CN10-33"),
+    header('B', 0, "A3", "CN7-34"),
+    header('B', 1, "", "CN10-24"),
+    header('B', 4, "D5", "CN10-27"),
+    header('B', 5, "D4", "CN10-29"),
+    header('B', 6, "D10", "CN10-17"),
+    header('B', 10, "D6", "CN10-25"),
+    header('C', 7, "D9", "CN10-19"),
+    header('C', 13, "", "CN7-23"),
 ];
 
 /// Label that a CNC shield V3.0 prints beside an Arduino pin.
@@ -56,10 +56,10 @@ pub const SHIELD: [(&str, &str); 16] = [
     ("A3", "CoolEn"),
 ];
 
-/// Finds where a pin is brought out; none for an unused pin.
+/// Finds a pin on the headers; none for an unused pin.
 #[must_use]
-pub fn place_of(pin: Pin) -> Option<Place> {
-    PLACES.into_iter().find(|place| place.pin == pin)
+pub fn header_of(pin: Pin) -> Option<Header> {
+    HEADERS.into_iter().find(|header| header.pin == pin)
 }
 
 /// The shield's label beside an Arduino pin; empty where it has none.
@@ -69,8 +69,8 @@ pub fn shield_label(arduino: &str) -> &'static str {
     found.map_or("", |(_, label)| label)
 }
 
-const fn place(port: char, number: usize, arduino: &'static str, morpho: &'static str) -> Place {
-    Place {
+const fn header(port: char, number: usize, arduino: &'static str, morpho: &'static str) -> Header {
+    Header {
         pin: Pin::new(port, number),
         arduino,
         morpho,

@@ -1,4 +1,4 @@
-//! Which pin of the development board's chip each of the capsule's signals is on.
+//! Pins of the capsule's signals at the chip of the development board.
 
 use crate::{Pin, Signal, signal};
 

@@ -1,4 +1,4 @@
-//! Assigns the signals to the chip's pins, and tells where NUCLEO-F411RE and CNC shield bring them out.
+//! Assigns the signals to the chip's pins, and lists the pins' connectors on NUCLEO-F411RE and CNC shield.
 //!
 //! The images take their pins from here, and a test compares the diagrams of the manual.
 #![no_std]
@@ -28,7 +28,7 @@ impl Pin {
         Self { port, number }
     }
 
-    /// Whether this is that pin; for checks at compile time.
+    /// Whether this is pin `number` of `port`; for checks at compile time.
     #[must_use]
     pub const fn is(self, port: char, number: usize) -> bool {
         self.port == port && self.number == number

@@ -1,4 +1,4 @@
-//! Which pin of the chip each of the rig's signals is on.
+//! Pins of the rig's signals at the chip.
 
 use crate::{Pin, Signal, signal};
 

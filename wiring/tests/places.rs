@@ -20,16 +20,16 @@ fn every_signal_is_drawn_with_the_names_of_its_pin() {
     for (machine, signals) in MACHINES {
         let picture = read(&format!("docs/pictures/{machine}-wiring.svg"));
         for signal in signals {
-            let place = board::place_of(signal.pin).expect("a place on the board");
+            let header = board::header_of(signal.pin).expect("a header of the board");
             let shield = match machine {
-                "rig" => board::shield_label(place.arduino),
+                "rig" => board::shield_label(header.arduino),
                 _ => "",
             };
             for name in [
                 &*signal.pin.to_string(),
-                place.arduino,
+                header.arduino,
                 shield,
-                place.morpho,
+                header.morpho,
             ] {
                 let drawn = name.is_empty() || picture.contains(&format!(">{name}<"));
                 assert!(
@@ -76,10 +76,10 @@ fn no_pin_and_no_place_is_used_twice() {
             assert!(signals[..nth].iter().all(|other| other.pin != signal.pin));
         }
     }
-    for (nth, place) in board::PLACES.iter().enumerate() {
-        for other in &board::PLACES[..nth] {
-            assert!(other.pin != place.pin && other.morpho != place.morpho);
-            assert!(place.arduino.is_empty() || other.arduino != place.arduino);
+    for (nth, header) in board::HEADERS.iter().enumerate() {
+        for other in &board::HEADERS[..nth] {
+            assert!(other.pin != header.pin && other.morpho != header.morpho);
+            assert!(header.arduino.is_empty() || other.arduino != header.arduino);
         }
     }
 }
