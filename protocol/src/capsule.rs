@@ -4,12 +4,12 @@ use crate::settings::SettingKey;
 use postcard_schema::Schema;
 use serde::{Deserialize, Serialize};
 
-/// Finds the folded end by the pull of the thread, where the count has become uncertain, and unfolds. Without a
-/// calibration it is a [`Calibrate`].
+/// Finds the folded end by the pull of the thread, after the count has become uncertain, and unfolds. Without a
+/// calibration it acts as [`Calibrate`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Reference;
 
-/// Winds the thread to the folded end by count, then feels whether it pulls.
+/// Winds the thread to the folded end by count, then checks by the motor current that it pulls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Fold;
 
@@ -17,16 +17,17 @@ pub struct Fold;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Unfold;
 
-/// "This is unfolded": winds slowly to the end force, measures how far that is, pays out again, and keeps it in flash.
+/// Calibrates a capsule that is unfolded: winds slowly to the end force, measures the length, pays out, stores it in
+/// flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Calibrate;
 
-/// Feels whether the thread pulls where the capsule is folded, and leaves it so; elsewhere it folds.
+/// Checks that the thread of a folded capsule pulls, and leaves it folded. A capsule that is not folded folds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct CheckFolded;
 
-/// Winds or pays out to a length of thread between zero and the calibrated end, and stays there. A thread that is
-/// broken is not felt before the end.
+/// Winds or pays out to a length of thread between zero and the calibrated end, and stays there. A broken thread is
+/// detected only at the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct FoldTo {
     /// Thread wound up, from zero.
@@ -41,7 +42,7 @@ pub struct ActuationAccepted {
     pub timeout_ms: u32,
 }
 
-/// State of the capsule (design: "Capsule states").
+/// State of the capsule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 pub enum CapsuleState {
@@ -59,7 +60,7 @@ pub enum CapsuleState {
     /// At rest between the ends after a stop; the worm holds.
     Stopped,
     Faulted,
-    /// Feeling whether it is folded.
+    /// Checking that the thread pulls.
     Checking,
 }
 
@@ -67,12 +68,12 @@ pub enum CapsuleState {
 #[serde(rename_all = "snake_case")]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CapsuleFault {
-    /// The motor stands before its target, with all its current: something holds the thread.
+    /// The motor stalled before its target at full current: something holds the thread.
     Jam {
         /// Thread on the spool there.
         thread_um: i32,
     },
-    /// The motor turned and the encoder did not count, or counted the wrong way.
+    /// The motor turned, but the encoder did not count, or counted in the wrong direction.
     EncoderLost,
     /// Current above the driver's limit.
     OverCurrent { current_ma: u16 },
@@ -90,16 +91,17 @@ pub enum CapsuleFault {
     Panic,
     /// At the folded end the thread does not pull as it did at the calibration: it has slipped, or is broken.
     SlipOrBreak,
-    /// The bridge was driven, no current flowed, and the motor stood or ran out.
+    /// The bridge was driven, but no current flowed, and the motor stood or coasted.
     BridgeSilent,
-    /// The motor turned, or drew from the battery, and no current was measured.
+    /// The motor turned, or loaded the battery, but no current was measured.
     SenseLost,
-    /// A calibration found the end force after too short a way: it did not begin unfolded, or something blocks.
+    /// A calibration found the end force after too little thread: it did not begin unfolded, or something blocks.
     NotUnfolded {
         /// Thread wound from the start to the end force.
         wound_um: i32,
     },
-    /// Voltage, current and speed of the motor do not agree: the encoder loses counts, or the current amplifier is wrong.
+    /// Voltage, current and speed of the motor do not agree: the encoder loses counts, or the current amplifier is
+    /// wrong.
     SenseOrEncoder,
 }
 
@@ -115,11 +117,11 @@ pub struct CapsuleStatus {
     pub fault: Option<CapsuleFault>,
     /// The thread position is known to 0.25 mm, and the capsule is calibrated.
     pub referenced: bool,
-    /// Thread on the spool at least, by the encoder.
+    /// Lower bound of the thread on the spool, by the encoder.
     pub thread_um: i32,
-    /// How much more there may be; none if nothing is known, and only a hand can help.
+    /// How much more there may be; none if that is unknown, so that the capsule has to be unfolded by hand.
     pub uncertainty_um: Option<u32>,
-    /// Thread that stays on the spool when it is unfolded, as the last reference has found.
+    /// Thread that stays on the spool after unfolding, as measured by the last reference.
     pub remaining_um: u32,
     pub current_ma: u16,
     pub battery_mv: u16,
@@ -190,7 +192,7 @@ pub struct ActuationRecord {
 /// Asks for a part of the recording of the present or last actuation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetTrace {
-    /// The first reading that is wanted, from 0, the oldest one that is kept.
+    /// First reading wanted; 0 is the oldest one kept.
     pub from: u32,
 }
 
@@ -216,15 +218,15 @@ pub struct TracePoint {
 /// A part of the recording of an actuation: its last [`KEPT_TRACE_POINTS`] readings.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Trace {
-    /// The actuation; another one than before means that the recording began anew.
+    /// The actuation. A new number means that a new recording began.
     pub actuation: u32,
-    /// Readings that are kept.
+    /// Number of readings kept.
     pub total: u16,
-    /// Those from the one that was asked for; fewer than [`MAX_TRACE_POINTS`] at the end.
+    /// Readings from the requested one on; fewer than [`MAX_TRACE_POINTS`] at the end.
     pub points: heapless::Vec<TracePoint, MAX_TRACE_POINTS>,
 }
 
-/// Asks for what the capsule keeps in flash.
+/// Asks for the totals and the calibration in flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetCapsuleTotals;
 
@@ -262,10 +264,10 @@ pub enum CapsuleEvent {
         outcome: ActuationOutcome,
     },
     Faulted(CapsuleFault),
-    /// The flash could not be written. At rest it is tried again every 10 s; until that succeeds a reset loses totals or
-    /// calibration.
+    /// The flash could not be written. The capsule tries again every 10 s at rest; until it succeeds, a reset loses
+    /// totals or calibration.
     StorageFailed,
-    /// A setting has another value.
+    /// A setting was changed.
     SettingChanged(SettingKey),
     /// All settings are at their defaults, and the name is cleared.
     SettingsReset,

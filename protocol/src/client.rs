@@ -183,7 +183,7 @@ impl Client {
         seq
     }
 
-    /// Says what to do now: send, wait or give up.
+    /// Returns the next action: send, wait or give up.
     pub fn poll(&mut self, now_us: u64) -> Poll {
         let urgent = match &mut self.urgent {
             Some((_, pending)) => pending.poll(now_us),
@@ -212,7 +212,7 @@ impl Client {
 
     pub fn receive(&mut self, byte: u8) -> Option<Output> {
         let frame = self.deframer.push(byte)?;
-        // A device that has started again sends on its own, in no session, before this end knows of it.
+        // A restarted device sends events without a session before this end knows of the restart.
         let in_session = self.session != 0 && frame.header.session != 0;
         match frame.header.kind {
             Kind::Telemetry if in_session => {
@@ -235,7 +235,8 @@ impl Client {
 
     fn reply(&mut self, header: Header, reply: Reply) -> Option<Output> {
         if let Reply::Urgent(urgent) = reply {
-            // A device answers with the stop that it has carried out. Another one, above all a weaker one, confirms nothing.
+            // A device confirms the stop that it has carried out. The confirmation of another, weaker one does not
+            // count.
             self.urgent
                 .take_if(|(asked, pending)| pending.header.seq == header.seq && *asked == urgent)?;
             return Some(Output::UrgentDone(urgent));

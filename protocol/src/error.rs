@@ -42,8 +42,8 @@ pub enum Refusal {
         requested_us: u64,
         /// Shortest possible with the requested acceleration, within the limits of speed and step rate.
         min_us: u64,
-        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX`: there is
-        /// none within the limits, delay and dwells counted in.
+        /// Least acceleration with which the same run would be accepted in the requested time; `u64::MAX` if there is
+        /// none within the limits, delay and dwells included.
         min_accel_um_s2: u64,
     },
     /// The plan needs a speed that the axis must not reach.
@@ -98,7 +98,7 @@ pub enum Refusal {
     /// A name has a character that cannot be printed.
     NameNotPrintable,
     NotCalibrated,
-    /// Too little is known of the thread's position to move it.
+    /// The thread's position is too uncertain to move it.
     UnfoldByHand,
 }
 
@@ -207,10 +207,10 @@ impl fmt::Display for RigFault {
             RigFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then home"),
             RigFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then home"),
             RigFault::ClockMissing => f.write_str(
-                "the board gets no 8 MHz clock from its ST-LINK, and without it nothing moves: check jumpers JP5 and JP1 and bridges SB16 and SB50 (a board MB1136 C-01 lacks them); when the clock comes the rig starts again by itself",
+                "the board gets no 8 MHz clock from its ST-LINK, and without it nothing moves: check jumpers JP5 and JP1 and bridges SB16 and SB50 (a board MB1136 C-01 lacks them); the rig restarts when the clock starts",
             ),
             RigFault::ClockFailed => f.write_str(
-                "the 8 MHz clock from the ST-LINK stopped: feed board and ST-LINK so that they outlive the USB cable, acknowledge, home",
+                "the 8 MHz clock from the ST-LINK stopped: supply board and ST-LINK so that they run without the USB cable, acknowledge, home",
             ),
             RigFault::SwitchNoise(switch) => write!(
                 f,
@@ -245,9 +245,9 @@ impl fmt::Display for CapsuleFault {
             CapsuleFault::Timeout => f.write_str("the actuation did not end in time: acknowledge, unfold"),
             CapsuleFault::DriverFault => f.write_str("the motor driver reports a fault: check motor and supply, acknowledge, unfold"),
             CapsuleFault::EStopFrame => f.write_str("emergency stop by command: acknowledge, then unfold"),
-            CapsuleFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then `retrograde info` says what is known of the thread"),
+            CapsuleFault::Watchdog => f.write_str("a task hung and the watchdog reset the device: acknowledge, then see `retrograde info` for the position of the thread"),
             CapsuleFault::SlipOrBreak => f.write_str(
-                "the thread does not pull as it did at the calibration: it has slipped or is broken; acknowledge, unfold, check thread, knot and spool, calibrate",
+                "the thread pulls less than at the calibration: it has slipped or is broken; acknowledge, unfold, check thread, knot and spool, calibrate",
             ),
             CapsuleFault::BridgeSilent => f.write_str(
                 "the motor was driven and drew no current: check its wires and the bridge's supply, acknowledge, unfold",
@@ -264,7 +264,7 @@ impl fmt::Display for CapsuleFault {
             CapsuleFault::SenseOrEncoder => f.write_str(
                 "voltage, current and counts of the motor do not agree: the encoder loses counts or the current amplifier is wrong; check both, acknowledge, unfold by hand, calibrate",
             ),
-            CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then `retrograde info` says what is known of the thread"),
+            CapsuleFault::Panic => f.write_str("the firmware stopped itself and restarted: acknowledge, then see `retrograde info` for the position of the thread"),
         }
     }
 }
@@ -292,14 +292,14 @@ impl fmt::Display for Refusal {
                 RigState::Moving => "moving",
             }),
             Refusal::CapsuleBusy(state) => write!(f, "not possible while the capsule is {}", match state {
-                CapsuleState::Unreferenced => concat!("not referenced", " and has moved within the last half second: again in a second"),
+                CapsuleState::Unreferenced => concat!("not referenced", " and has moved within the last half second: try again in a second"),
                 CapsuleState::Referencing => "referencing",
-                CapsuleState::Unfolded => concat!("unfolded", " and has moved within the last half second: again in a second"),
+                CapsuleState::Unfolded => concat!("unfolded", " and has moved within the last half second: try again in a second"),
                 CapsuleState::Folding => "folding",
-                CapsuleState::Folded => concat!("folded", " and has moved within the last half second: again in a second"),
+                CapsuleState::Folded => concat!("folded", " and has moved within the last half second: try again in a second"),
                 CapsuleState::Unfolding => "unfolding",
-                CapsuleState::Stopped => concat!("stopped between its ends", " and has moved within the last half second: again in a second"),
-                CapsuleState::Faulted => concat!("faulted", " and has moved within the last half second: again in a second"),
+                CapsuleState::Stopped => concat!("stopped between its ends", " and has moved within the last half second: try again in a second"),
+                CapsuleState::Faulted => concat!("faulted", " and has moved within the last half second: try again in a second"),
                 CapsuleState::Checking => "checking that it is folded",
             }),
             Refusal::OutOfRange { field, requested, min, max } => {
@@ -307,7 +307,7 @@ impl fmt::Display for Refusal {
             }
             Refusal::TooFast { requested_us, min_us, min_accel_um_s2: u64::MAX } => write!(
                 f,
-                "{requested_us} us is too short: with the delay and the dwells no acceleration within the limits does it; at this acceleration the run takes at least {min_us} us"
+                "{requested_us} us is too short: with the delay and the dwells no acceleration within the limits is enough; at this acceleration the run takes at least {min_us} us"
             ),
             Refusal::TooFast { requested_us, min_us, min_accel_um_s2 } => write!(
                 f,
@@ -321,10 +321,10 @@ impl fmt::Display for Refusal {
             }
             Refusal::TooSlow => f.write_str("the strokes are too slow for the exact step arithmetic: give less time or a higher acceleration"),
             Refusal::NotAtHome { position_um } => {
-                write!(f, "the carriage stands at {position_um} um, a run starts at 0: move to 0 or home first")
+                write!(f, "the carriage is at {position_um} um, a run starts at 0: move to 0 or home first")
             }
             Refusal::BatteryLow { battery_mv, min_mv } => {
-                write!(f, "the battery is at {battery_mv} mV, {min_mv} mV are needed: charge or change it; a reset measures the cell anew")
+                write!(f, "the battery is at {battery_mv} mV, {min_mv} mV are needed: charge or change it; a reset measures it again")
             }
             Refusal::AlreadyThere => f.write_str("already there: nothing to do"),
             Refusal::SettingRange { key, requested } => {

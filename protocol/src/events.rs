@@ -20,7 +20,7 @@ impl EventRing {
         }
     }
 
-    /// Numbers an event, stores it (the oldest gives way when the ring is full), and returns it for sending.
+    /// Numbers an event, stores it (a full ring drops its oldest one), and returns it for sending.
     pub fn record(&mut self, time_us: u64, what: What) -> Event {
         let event = Event {
             index: self.next,

@@ -10,9 +10,9 @@
 //!
 //! `body` is [postcard](https://postcard.jamesmunns.com/wire-format) of the type that `kind` names and at most
 //! [`frame::MAX_BODY`] bytes. The CRC covers everything before it. A body is exactly one message, and no message is a
-//! prefix of another. This catches one damage that no CRC detects: complement the first byte of the CRC and append
-//! 0xFF, and the longer frame passes the check. Both delimiters are sent: the leading one ends any garbage before it,
-//! so that the first good frame after a disturbance is never lost.
+//! prefix of another. This catches the one damage that the CRC cannot detect: complement the first byte of the CRC and
+//! append 0xFF, and the longer frame passes the check. Both delimiters are sent: the leading one ends any garbage
+//! before it, so that the first good frame after a disturbance is never lost.
 //!
 //! | kind | direction | body | `seq` |
 //! |---|---|---|---|
@@ -29,16 +29,16 @@
 //! sent again (same session, same `seq`, same body) is answered from a cache and never executed twice.
 //! [`system::Urgent`] (stop, emergency stop) needs a good CRC and nothing else.
 //!
-//! docs/protocol.md has the rules of retries, signs of life and stops. Numbers in a body are postcard's varints; a
-//! superfluous zero byte in one makes another request of it for the cache.
+//! docs/protocol.md has the rules of retries, signs of life and stops. Numbers in a body are postcard's varints; the
+//! cache treats a request with a padded varint as a different one.
 //!
 //! # Compatibility
 //!
 //! - `Hello`, `Identity` and `Urgent` keep their encoding forever, so that any tool can name any device and stop it.
 //! - Enum variants are index-coded: append only, never reorder, never reuse.
 //! - [`table::SCHEMA_KEY`] is computed from all message types at compile time. Same major version and same
-//!   key: everything works. Any difference: the device only identifies itself, hands out its last words
-//!   and stops ([`table::Request::needs_match`]).
+//!   key: everything works. Otherwise the device only identifies itself, returns its last words and obeys stops
+//!   ([`table::Request::needs_match`]).
 //! - A change of an existing message raises the major version; an appended row raises the minor version.
 #![no_std]
 #![forbid(unsafe_code)]

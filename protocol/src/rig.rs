@@ -19,7 +19,7 @@ pub struct HomeAccepted {
     pub max_travel_um: u32,
 }
 
-/// The reaction of a run when the host falls silent for longer than the link time-out.
+/// Reaction of a run to a host that is silent for longer than the link time-out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 pub enum LinkLossPolicy {
@@ -55,7 +55,7 @@ pub enum RunTiming {
 pub struct Run {
     /// Number of cycles, 1..=10,000.
     pub cycles: u16,
-    /// Length of a stroke, at most the configured one. It is made of the whole steps that fit, and one has to.
+    /// Length of a stroke, at most the configured one. It is rounded down to whole steps, at least one.
     pub stroke_um: u32,
     /// Total duration or speeds.
     pub timing: RunTiming,
@@ -84,7 +84,7 @@ pub struct Stroke {
     pub accel_um_s2: u32,
 }
 
-/// The run was solved and accepted: what was requested beside what will be executed.
+/// The run was solved and accepted: the request, and what will be executed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RunAccepted {
     /// Number of the run, counted from 1 since the device started.
@@ -148,7 +148,7 @@ pub struct MoveAccepted {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetRigHealth;
 
-/// False pulses on a switch: too short to count.
+/// Glitches of a switch: pulses too short to count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Glitches {
     /// Number since the start.
@@ -189,7 +189,7 @@ pub struct GetRigHardware;
 /// Counts of step timer, capture timer and pins since the start of the device. They wrap.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct RigHardware {
-    /// Intervals between two steps, captured at the pin, that were the planned ones.
+    /// Intervals between two steps, captured at the pin, that equal the planned ones.
     pub intervals_exact: u32,
     /// Intervals that differed from the plan by 1 tick of 10 ns, in either direction.
     pub intervals_1_tick: u32,
@@ -199,13 +199,13 @@ pub struct RigHardware {
     pub intervals_more: u32,
     /// How often the capture register was overwritten before DMA had fetched the instant in it.
     pub lost_captures: u32,
-    /// How often a DMA stream of the step timer or of the capture timer reported an error of a transfer (TEIF, DMEIF).
-    /// An underrun of its FIFO is none.
+    /// How often a DMA stream of the step timer or of the capture timer reported a transfer error (TEIF, DMEIF). FIFO
+    /// underruns do not count.
     pub dma_errors: u32,
     /// How often the step timer had to be reset because a stop found its DMA burst cut in two.
     pub timer_resets: u32,
-    /// EN was high at the start, before the firmware drove it. Low says that it has no pull-up, or one whose
-    /// supply is off; high only that nothing pulled it down at that moment, and nothing of the voltage.
+    /// EN was high at the start, before the firmware drove it. Low means that it has no pull-up, or one without supply.
+    /// High means only that nothing pulled it down at that moment, not that its voltage is right.
     pub enable_high_at_start: bool,
 }
 
@@ -252,8 +252,8 @@ pub struct RunRecord {
     pub max_steps: i32,
     /// Largest residual of the step-loss check at the home flag.
     pub worst_residual_steps: i32,
-    /// Fewest timer periods left in the queue at any time; 0 would be an underrun. None if every path of the run was
-    /// queued as a whole, or each of its strokes.
+    /// Fewest timer periods in the queue at any time; 0 would be an underrun. None if every path of the run, or every
+    /// stroke, was queued as a whole.
     pub min_queue: Option<u16>,
     /// False pulses on home flag and far limit that were filtered out.
     pub glitches: u32,
@@ -261,7 +261,7 @@ pub struct RunRecord {
     pub holds: u32,
     /// Fingerprint of the image, as in [`RigHealth`].
     pub image_hash: u32,
-    /// Steps that were prepared: those emitted, and those that a cut kept from leaving.
+    /// Prepared steps: those emitted, and those that a cut prevented.
     pub prepared_edges: u64,
     /// Steps whose instant was captured at the pin and compared with the plan; 0 = not timed.
     pub edges_timed: u64,
@@ -273,7 +273,7 @@ pub struct RunRecord {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetRigStatus;
 
-/// State of the rig (design: "Rig states").
+/// State of the rig.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 pub enum RigState {
@@ -351,7 +351,7 @@ pub enum RigFault {
     Panic,
     /// Homing took longer than its time-out.
     HomingTimeout(HomingPhase),
-    /// The board's 8 MHz clock did not come at the start: no tick has its length, so nothing moves.
+    /// The board's 8 MHz clock was missing at the start: ticks would have a wrong length, so nothing moves.
     ClockMissing,
     /// The board's 8 MHz clock stopped; the pulses ended with it and the device was reset.
     ClockFailed,

@@ -57,7 +57,7 @@ pub enum Decision {
         /// Sequence of the reply.
         seq: u16,
     },
-    /// Say nothing: only devices send such a frame, so it is an echo of our own.
+    /// Send nothing: only devices send such a frame, so it is an echo of our own.
     Ignore,
 }
 
@@ -87,8 +87,8 @@ pub struct Session {
 }
 
 impl Session {
-    /// Without a session. The first session's number follows from `first`, which should be the boot id, and from the
-    /// first nonce: after a restart it is most likely another one than before.
+    /// Creates the device's end without a session. The number of the first session is derived from `first`, the boot
+    /// id, and the first nonce: after a restart it most likely differs from the number before.
     pub const fn new(first: u32) -> Self {
         Self {
             number: (first % 255) as u8 + 1,

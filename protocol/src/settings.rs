@@ -71,7 +71,7 @@ settings! {
     MaxResidualSteps of Rig: "max_residual_steps", "steps", 0..=10_000, 8, "Largest residual at the home flag that a run tolerates.";
     LinkTimeoutMs of Both: "link_timeout_ms", "ms", 200..=60_000, 1_000, "Silence of the host that counts as a lost link while something moves.";
     DeadManMs of Rig: "dead_man_ms", "ms", 50..=2_000, 300, "A jog that is not renewed within this time stops.";
-    SwitchFilterUs of Rig: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be told up to 3.5 ms late; the position is that of its first edge.";
+    SwitchFilterUs of Rig: "switch_filter_us", "us", 5..=24, 21, "How long home flag and far limit must stay open or closed to count. A contact that bounces for long may be reported up to 3.5 ms late; its position is that of the first edge.";
     TelemetryMs of Both: "telemetry_ms", "ms", 0..=1_000, 0, "Interval of telemetry after a start: 5 to 1000, or 0 for none until it is asked for.";
     ButtonCycles of Rig: "button_cycles", "1", 1..=10_000, 5, "Run of the start button: cycles.";
     ButtonStrokeUm of Rig: "button_stroke_um", "um", 1..=130_000, 130_000, "Run of the start button: stroke.";

@@ -122,7 +122,7 @@ pub struct Acknowledge;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Done;
 
-/// Asks for what the chip says of its clock, its supply and its option bytes.
+/// Asks for clock, supply and option bytes of the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct GetChip;
 
@@ -143,7 +143,7 @@ pub struct Chip {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 #[serde(rename_all = "snake_case")]
 pub enum Clock {
-    /// 8 MHz from outside: of the ST-LINK, or a crystal.
+    /// 8 MHz from the ST-LINK or a crystal.
     External,
     /// The chip's own oscillator, accurate to 1 %.
     Internal,
@@ -172,7 +172,7 @@ pub struct GetEvents {
 /// How many events fit into one [`Events`].
 pub const EVENTS_PER_REPLY: usize = 3;
 
-/// A piece of the device's ring of events.
+/// Some events of the device's ring.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Events {
     /// Oldest index that the ring still holds.

@@ -48,7 +48,7 @@ macro_rules! table {
             /// Names of all requests, in the order of their indices.
             pub const NAMES: &[&str] = &[$(stringify!($name)),*];
 
-            // Each column is a `match` of its own: the images read none of the names and keep none in flash.
+            // One `match` per column: the images do not use the names, so these take no flash.
 
             /// Name of the request, as in the table.
             pub const fn name(&self) -> &'static str {
@@ -60,7 +60,7 @@ macro_rules! table {
                 match self { $(Request::$name(_) => $matched),* }
             }
 
-            /// Its effect when it is carried out.
+            /// Effect of the request when it is carried out.
             pub const fn impact(&self) -> Impact {
                 match self { $(Request::$name(_) => Impact::$impact),* }
             }

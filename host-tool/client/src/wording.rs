@@ -65,7 +65,7 @@ pub fn refusal(refusal: &Refusal) -> String {
             let (requested, min) = (decimal::write(requested_us, 6), decimal::write(min_us, 6));
             match min_accel_um_s2 {
                 u64::MAX => format!(
-                    "{requested} s is too short: with the delay and the dwells no acceleration within the limits does it; at this acceleration the run takes at least {min} s"
+                    "{requested} s is too short: with the delay and the dwells no acceleration within the limits is enough; at this acceleration the run takes at least {min} s"
                 ),
                 um_s2 => format!(
                     "{requested} s is too short: at this acceleration the run takes at least {min} s; to do it in the requested time needs at least {}",
@@ -82,7 +82,7 @@ pub fn refusal(refusal: &Refusal) -> String {
             speed(max_um_s)
         ),
         Refusal::NotAtHome { position_um } => format!(
-            "the carriage stands at {} mm, a run starts at 0: move to 0 or home first",
+            "the carriage is at {} mm, a run starts at 0: move to 0 or home first",
             decimal::write_signed(position_um.into(), 3)
         ),
         _ => refusal.to_string(),

@@ -156,7 +156,7 @@ fn capsule_text(status: &CapsuleStatus) -> String {
         decimal::write_signed(status.thread_um.into(), 3),
         match status.uncertainty_um {
             Some(0) => String::new(),
-            Some(uncertainty_um) => format!(" and up to {} mm more", decimal::write(uncertainty_um.into(), 3)),
+            Some(um) => format!(" and up to {} mm more", decimal::write(um.into(), 3)),
             None => ", or any other length".to_owned(),
         },
         status.current_ma,
@@ -180,7 +180,7 @@ const LEFT_UM: u32 = 300;
 
 /// The command that leads on, as in the table "The way out" of docs/capsule.md.
 fn way_out(status: &CapsuleStatus, is_calibrated: bool) -> Option<&'static str> {
-    let is_lost = status.uncertainty_um.is_none_or(|uncertainty_um| uncertainty_um > LOST_UM);
+    let is_lost = status.uncertainty_um.is_none_or(|um| um > LOST_UM);
     match status.state {
         CapsuleState::Faulted => Some("`retrograde ack capsule`, once the cause is gone"),
         CapsuleState::Unreferenced if !is_calibrated && !is_lost && status.thread_um > 1_000 => {

@@ -47,7 +47,7 @@ $ plan --duration-s 31.430613",
 ! settings --rig 0 import @both.json | a setting of the capsule | `retrograde settings --of capsule export FILE`",
     // The file is good, and no rig is concerned.
     r"
-! settings --of capsule --capsule 1 import @capsule.json | again in a second | `retrograde info capsule`",
+! settings --of capsule --capsule 1 import @capsule.json | try again in a second | `retrograde info capsule`",
     r"
 ! settings --rig 0 name anamethatislongerthanarigcantake | shorten it to 24 letters
 $ settings --rig 0 name anamethatislongerthanari",

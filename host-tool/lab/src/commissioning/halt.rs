@@ -55,7 +55,7 @@ pub fn homing_text(fault: RigFault, met_far_limit: bool) -> String {
         return "the motor is reversed: homing took the carriage to the left, to the far limit. Motor supply off, turn one motor coil around".to_owned();
     }
     match fault {
-        RigFault::EStopLoop => "the E-stop loop opened while homing. If the carriage stands at its left end, the motor is reversed: turn one motor coil around; at its right end, the home flag is not ahead of the end-of-travel switch".to_owned(),
+        RigFault::EStopLoop => "the E-stop loop opened while homing. If the carriage is at its left end, the motor is reversed: turn one motor coil around; at its right end, the home flag is not ahead of the end-of-travel switch".to_owned(),
         RigFault::FlagNotFound(_) => format!("{fault}; motor supply, driver current, coupling"),
         fault => fault_text(fault),
     }

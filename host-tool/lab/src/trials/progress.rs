@@ -271,7 +271,7 @@ mod tests {
         let refusal = Refusal::NotAtHome { position_um: 1_500 };
         let text = refused_text(Pace::Resume, &refusal);
         assert!(
-            text.contains("not resumed: the carriage stands at 1.5 mm"),
+            text.contains("not resumed: the carriage is at 1.5 mm"),
             "{text}"
         );
     }
