@@ -3,27 +3,25 @@ use std::path::Path;
 use std::process::Command;
 
 fn main() {
-    // Outside of a repository, or within another one, the image says 0.
+    // Outside a repository, or within another one, the image reports revision 0.
     let root = Path::new("..").canonicalize().ok();
     let top = git(&["rev-parse", "--show-toplevel"]);
     let is_ours = root.is_some() && top.and_then(|top| Path::new(&top).canonicalize().ok()) == root;
-    let told = |arguments: &[&str]| is_ours.then(|| git(arguments)).flatten();
-    let commit = told(&["rev-parse", "HEAD"]);
+    let ask = |arguments: &[&str]| is_ours.then(|| git(arguments)).flatten();
+    let commit = ask(&["rev-parse", "HEAD"]);
     let commit = commit.as_ref().and_then(|hash| hash.get(..8));
-    let changes = told(&["status", "--porcelain", "--untracked-files=no"]);
+    let changes = ask(&["status", "--porcelain", "--untracked-files=no"]);
     let dirty = changes.is_some_and(|changes| !changes.is_empty());
     println!(
         "cargo:rustc-env=RETROGRADE_COMMIT={}",
         commit.unwrap_or("0")
     );
     println!("cargo:rustc-env=RETROGRADE_DIRTY={}", u8::from(dirty));
-    // Every commit and checkout writes this log; edits of the images' sources are watched directly.
-    if let Some(log) = told(&["rev-parse", "--git-path", "logs/HEAD"]) {
+    // Every commit and checkout writes this log; cargo watches the images' sources directly.
+    if let Some(log) = ask(&["rev-parse", "--git-path", "logs/HEAD"]) {
         println!("cargo:rerun-if-changed={log}");
     } else if Path::new("../.git").exists() {
-        println!(
-            "cargo:warning=git does not tell the revision, so the image says 0: see `git status`"
-        );
+        println!("cargo:warning=git reports no revision, so the image reports 0: see `git status`");
     }
     for file in ["Cargo.lock", "Cargo.toml", "memory.x"] {
         println!("cargo:rerun-if-changed=../{file}");
@@ -46,7 +44,7 @@ fn main() {
 
 fn git(arguments: &[&str]) -> Option<String> {
     let mut command = Command::new("git");
-    // Set within a hook; they may mean another folder.
+    // A git hook sets these variables, perhaps for another folder.
     for variable in ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"] {
         command.env_remove(variable);
     }

@@ -4,8 +4,7 @@
 fn main() {
     println!("cargo:rerun-if-changed=../memory.x");
     println!("cargo:rerun-if-changed=../device/link_arguments.rs");
-    // Link arguments live here and not in `rustflags`, which vanish when RUSTFLAGS is set: the link would then
-    // succeed without a vector table.
+    // Not in `rustflags`: RUSTFLAGS overrides these, and the link would then succeed without a vector table.
     if std::env::var("CARGO_CFG_TARGET_OS").as_deref() == Ok("none") {
         for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
             println!("cargo:rustc-link-arg-bins={argument}");

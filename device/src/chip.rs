@@ -1,4 +1,4 @@
-//! The microcontroller as the images use it: everything of this crate that touches registers or shares state.
+//! The microcontroller: all code of this crate that touches registers or shares state between tasks.
 
 #![allow(unsafe_code)]
 

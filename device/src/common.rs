@@ -23,10 +23,10 @@ pub trait Surroundings {
     /// Keeps an E-stop over a reset, or forgets it.
     fn keep_latched(&mut self, estop: Option<EStop>);
     /// Logs an event, and sends it to the host if one listens.
-    fn tell(&mut self, event: &Event);
+    fn send_event(&mut self, event: &Event);
 }
 
-/// A change of the settings in flash. `S` is what the machine makes of all values.
+/// A change of the settings in flash. `S` is the machine's own type of settings, made from all values.
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,11 +36,11 @@ pub enum Change<S> {
         settings: S,
     },
     Name(String<MAX_NAME>),
-    /// The defaults of all values and of the name.
+    /// Restores the defaults of all values and of the name.
     Reset,
 }
 
-/// Work left after a request, besides the machine's actions.
+/// Work that control does after a request, besides the machine's actions.
 // One exists at a time, on the stack.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -66,7 +66,7 @@ pub struct Executed<A, S> {
 }
 
 impl<A, S> Executed<A, S> {
-    /// Outcome of a request that was answered or refused.
+    /// Result of a request that was answered or refused.
     pub fn new(answer: Result<(Response, Effect<S>), Refusal>, actions: A) -> Self {
         let (reply, effect) = match answer {
             Ok((response, effect)) => (Reply::Accepted(response), effect),
@@ -95,8 +95,8 @@ pub struct About<'a> {
 }
 
 impl About<'_> {
-    /// Answers a request; none if it is not a common one. `may_change` tells whether the settings may be changed now,
-    /// and `settings` what follows from all values.
+    /// Answers a request; none if it is not a common one. `may_change` tells whether the settings may be changed now;
+    /// `settings` converts all values.
     ///
     /// # Errors
     /// An interval or a setting out of range, a setting that contradicts others, a name with control characters, or a

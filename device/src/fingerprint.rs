@@ -1,4 +1,4 @@
-//! The fingerprint of an image: what the device reports as `image_hash`, and what the tool calculates from a file.
+//! The fingerprint of an image: the device reports it as `image_hash`, and the tool calculates it from a file.
 
 /// FNV-1a, 32 bits, over code, constants and initial values as 32-bit words.
 pub fn of(words: impl Iterator<Item = u32>) -> u32 {

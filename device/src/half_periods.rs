@@ -1,8 +1,8 @@
 //! Keeps the time driver's clock right over a stall of the processor.
 //!
-//! The driver counts half-periods of its 16-bit timer, 32.768 ms each, from one flag for each half. A longer stall
-//! loses some. After an odd number of lost ones, its clock would run backwards 30 times a second. Another timer, which
-//! has 32 bits, measures the stall.
+//! The driver counts half-periods of its 16-bit timer, 32.768 ms each, by one flag for each half. A longer stall loses
+//! some. After an odd number of lost ones the clock would step back 30 times a second. A 32-bit timer measures the
+//! stall.
 
 /// A half-period, ticks of 1 us.
 const HALF_PERIOD: u32 = 1 << 15;
@@ -37,14 +37,14 @@ pub fn keep_over<T>(timers: &impl Timers, stall: impl FnOnce() -> T) -> T {
     let (flags, from) = flags_and_count(timers);
     let watch_from = timers.stopwatch();
     let result = stall();
-    // A half-period that begins between the look at the flags and the handlers would be lost, since its flag is
-    // already set. So wait until none is about to begin.
-    while left_us(timers.count()) < HANDLING_US {}
+    // A half-period that begins between the reading of the flags and the handlers would be lost, because its flag is
+    // already set. Wait until none is about to begin.
+    while remaining_us(timers.count()) < HANDLING_US {}
     let watch_passed = timers.stopwatch().wrapping_sub(watch_from);
-    let (left, to) = flags_and_count(timers);
+    let (flags_after, to) = flags_and_count(timers);
     let passed_us = passed_us(from, to, watch_passed / timers.stopwatch_ticks_per_us());
     timers.handle();
-    for _ in 0..lost(from, passed_us, flags, left) {
+    for _ in 0..lost(from, passed_us, flags, flags_after) {
         timers.raise();
         timers.handle();
     }
@@ -61,8 +61,7 @@ fn flags_and_count(timers: &impl Timers) -> (u32, u16) {
     }
 }
 
-/// Ticks that the timer took from one count to the other. Another clock says about how many, with an error below 32
-/// ms.
+/// Ticks that the timer took from one count to the other. `about_us` is another clock's estimate, within 32 ms.
 pub const fn passed_us(from: u16, to: u16, about_us: u32) -> u32 {
     // Of all times with this difference of counts, take the one nearest to `about_us`.
     let within = to.wrapping_sub(from) as u32;
@@ -79,6 +78,6 @@ pub const fn lost(from: u16, passed_us: u32, before: u32, after: u32) -> u32 {
 }
 
 /// Ticks until the present half-period ends, at this count of the timer.
-pub const fn left_us(count: u16) -> u16 {
+pub const fn remaining_us(count: u16) -> u16 {
     HALF_PERIOD as u16 - count % HALF_PERIOD as u16
 }

@@ -41,13 +41,13 @@ pub fn identity(
     }
 }
 
-/// Why the device started. The previous start may know more than the chip's flags: the device resets itself after a
-/// panic, and to restart when the clock has come.
+/// Why the device started. The data of the previous start may tell more than the chip's flags: the device resets itself
+/// after a panic, and when a missing clock starts.
 #[must_use]
-pub fn reset_cause(by_flags: ResetCause, left: &Retained) -> ResetCause {
-    match (by_flags, left.cause) {
+pub fn reset_cause(by_flags: ResetCause, previous: &Retained) -> ResetCause {
+    match (by_flags, previous.cause) {
         (ResetCause::Software, Some(cause)) => cause,
-        (ResetCause::Software, None) if left.last_words.is_some() => ResetCause::Panic,
+        (ResetCause::Software, None) if previous.last_words.is_some() => ResetCause::Panic,
         (cause, _) => cause,
     }
 }

@@ -1,11 +1,11 @@
-//! The text that a panic or a processor fault leaves.
+//! The text that a panic or a processor fault keeps for the next start.
 
 use core::fmt::{self, Display, Write};
 use heapless::String;
 
 /// Longest text, bytes; as in [`protocol::system::LastWords`].
 pub const LONGEST: usize = 120;
-/// Longest part of a file's name that a panic tells: its end.
+/// Longest part of a file's path in the text of a panic, bytes: its end.
 const LONGEST_FILE: usize = 40;
 /// Room for an address and the space before it.
 const ADDRESS: usize = " 0x01234567".len();
@@ -26,7 +26,7 @@ impl Write for Draft {
     }
 }
 
-/// The last words of a panic: place, message, and as many return addresses as there is room for, innermost first.
+/// The last words of a panic: file and line, message, and as many return addresses as fit, innermost first.
 pub fn of_a_panic(
     file: &str,
     line: u32,

@@ -1,7 +1,7 @@
-//! The layer below both images: link, data kept over a reset, settings in flash, watchdog. The images pass in the
+//! The layer that both images share: link, data kept over a reset, settings in flash, watchdog. The images pass in the
 //! parts that differ: the safe state, the urgent stop, the rules of the settings.
 //!
-//! Everything beside the folder `chip` is pure and tested on the host.
+//! Everything outside the folder `chip` is pure and tested on the host.
 #![no_std]
 #![deny(unsafe_code)]
 

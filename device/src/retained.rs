@@ -1,7 +1,7 @@
 //! Data that survives a reset: the number of starts, a latched E-stop, the last words.
 //!
-//! It lies in the kilobyte of RAM that `memory.x` leaves out of data and stack. After a power cut that RAM holds
-//! anything, so everything in it is marked by a magic number, and the last words carry a checksum.
+//! It is in the kilobyte of RAM that `memory.x` reserves. After a power cut that RAM holds arbitrary bits, so a magic
+//! number marks each item, and the last words have a checksum.
 
 use crate::last_words::{LONGEST, LastWords};
 use heapless::String;
@@ -15,7 +15,7 @@ pub trait Words {
     fn set(&mut self, index: usize, value: u32);
 }
 
-/// How many words are used.
+/// Number of words in use.
 pub const WORDS: usize = CAUSE + 1;
 
 const MAGIC: u32 = 0x5245_5430;
@@ -51,22 +51,22 @@ pub enum EStop {
     Frame,
 }
 
-/// Data left by the previous start.
+/// Data of the previous start.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Retained {
     /// Number of this start, from 1 after the supply was switched on.
     pub boot_id: u32,
-    /// Text of a panic or processor fault; told once.
+    /// Text of a panic or processor fault; reported once.
     pub last_words: Option<LastWords>,
     /// An E-stop that nobody has acknowledged.
     pub latched: Option<EStop>,
-    /// The clock stopped, and that ended the previous start; told once.
+    /// A stop of the clock ended the previous start; reported once.
     pub clock_failed: bool,
-    /// Cause of the previous start, if this start only replaces it; told once.
+    /// Cause of the previous start, if this start only replaces it; reported once.
     pub cause: Option<ResetCause>,
 }
 
-/// Takes what the previous start left, and counts this one.
+/// Takes the data of the previous start, and counts this one.
 pub fn start(words: &mut impl Words) -> Retained {
     let boot_id = if words.get(BOOT_MAGIC) == MAGIC {
         words.get(BOOT_ID).wrapping_add(1)
@@ -103,13 +103,13 @@ pub fn start(words: &mut impl Words) -> Retained {
     }
 }
 
-/// Passes on to the next start what the previous one left, and the cause of this one: this start could do nothing yet,
-/// and the next one replaces it. A latched E-stop is kept anyway.
-pub fn leave_again(words: &mut impl Words, left: &Retained, cause: ResetCause) {
-    if left.clock_failed {
+/// Passes the data of the previous start and the cause of this one on to the next start, which replaces this one before
+/// it has moved anything. A latched E-stop is kept anyway.
+pub fn pass_on(words: &mut impl Words, previous: &Retained, cause: ResetCause) {
+    if previous.clock_failed {
         keep_clock_failed(words);
     }
-    if let Some(text) = &left.last_words {
+    if let Some(text) = &previous.last_words {
         keep_last_words(words, text.as_bytes());
     }
     let place = CAUSES.iter().position(|kept| *kept == cause);

@@ -1,4 +1,4 @@
-//! The device's end of the link, without the hardware: bytes in; frames, and questions to the state machine, out.
+//! The device's end of the link, without the hardware: takes bytes, returns frames and requests for the state machine.
 
 use protocol::{
     frame::{Deframer, Encoded, Header, Kind, encode},
@@ -7,7 +7,7 @@ use protocol::{
     table::{Impact, Reply, Request, Response},
 };
 
-/// A question to the state machine's owner.
+/// A request or a stop for the owner of the state machine.
 // One exists at a time, in a signal.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug, PartialEq)]
@@ -42,16 +42,16 @@ pub trait Answers {
 #[derive(Debug, PartialEq)]
 pub enum Incoming {
     Send(Encoded),
-    /// Have this carried out, then send [`Service::answer`].
+    /// Let control carry this out, then send [`Service::answer`].
     Ask(Inbound, Return),
     /// Nothing: not addressed to a device.
     Ignore,
 }
 
-/// When the host that began the motion was last heard. A motion lives only as long as that host. Another host that
-/// takes over the line opens its own session, and its requests do not keep alive a motion that it did not begin.
+/// When the host that began the motion was last heard. A motion ends when that host falls silent. Another host that
+/// takes over the line opens its own session, and its requests do not keep a motion alive that it did not begin.
 #[derive(Debug)]
-struct Life {
+struct Liveness {
     /// The present session has begun a motion.
     began: bool,
     /// Low 32 bits of the time, us.
@@ -60,10 +60,10 @@ struct Life {
     before_us: u32,
 }
 
-impl Life {
-    /// Notes a frame, and decides whether it is a sign of life. It is not if it may come from another host: a frame of
-    /// another session comes from a host that was left behind, a malformed one may be anybody's, one that only devices
-    /// send is an echo on the line. A stop does not keep a motion alive either.
+impl Liveness {
+    /// Notes a frame, and decides whether it is a sign of life. A frame of another session comes from the previous
+    /// host, a malformed one from any host, and a frame that only devices send is an echo. A stop is no sign of life
+    /// either.
     fn hear(&mut self, decision: &Decision, is_new_session: bool, now_us: u32) {
         self.before_us = self.heard_us;
         self.began &= !is_new_session;
@@ -93,7 +93,7 @@ fn begins(request: &Request) -> bool {
     request.impact() == Impact::Motion || matches!(request, Request::Resume(_))
 }
 
-/// Address of an answer: session, sequence, and the ticket of a request that may be repeated.
+/// Header of an answer, and the ticket of a request that may be repeated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Return {
     session: u8,
@@ -118,18 +118,18 @@ pub struct Service {
     deframer: Deframer,
     session: Session,
     identity: Identity,
-    life: Life,
+    liveness: Liveness,
 }
 
 impl Service {
-    /// A service without a session. `identity` is complete except for the session.
+    /// Creates a service without a session. `identity` is complete except for the session.
     #[must_use]
     pub const fn new(identity: Identity) -> Self {
         Self {
             deframer: Deframer::new(),
             session: Session::new(identity.boot_id),
             identity,
-            life: Life {
+            liveness: Liveness {
                 began: false,
                 heard_us: 0,
                 before_us: 0,
@@ -150,7 +150,7 @@ impl Service {
     /// When the host that began the motion was last heard, low 32 bits, us. It changes with [`Service::receive`] and
     /// [`Service::answer`].
     pub fn heard_us(&self) -> u32 {
-        self.life.heard_us
+        self.liveness.heard_us
     }
 
     /// Takes a byte. `now_us` is the low 32 bits of the time. Returns a value when the byte completes a good frame.
@@ -159,7 +159,7 @@ impl Service {
         let before = self.session.number();
         let decision = self.session.receive(&frame);
         let is_new_session = self.session.number() != before;
-        self.life.hear(&decision, is_new_session, now_us);
+        self.liveness.hear(&decision, is_new_session, now_us);
         Some(serve(&mut self.session, &self.identity, decision))
     }
 
@@ -167,7 +167,7 @@ impl Service {
     pub fn answer(&mut self, to: Return, reply: &Reply) -> Option<Encoded> {
         // After a newer Hello, this answer does not begin a motion for the new host.
         if to.begins && to.session == self.session.number() {
-            self.life.answered(matches!(reply, Reply::Accepted(_)));
+            self.liveness.answered(matches!(reply, Reply::Accepted(_)));
         }
         answer(&mut self.session, to, reply)
     }

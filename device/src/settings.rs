@@ -1,5 +1,5 @@
-//! Settings as sent on the wire, and their store in flash, which also keeps the name and a machine's other records.
-//! The image interprets the values.
+//! The values of all settings, and their store in flash, which also keeps the name and a machine's other records. The
+//! image interprets the values.
 
 use crate::store::{DEFAULTS_RECORD, NAME_RECORD, StorageFailed, Store};
 use embedded_storage_async::nor_flash::NorFlash;
@@ -10,7 +10,7 @@ use protocol::{
     system::DeviceKind,
 };
 
-/// Layout of a record in flash; others are not read.
+/// Version of a record's layout in flash. Records of other versions are not read.
 const RECORD_VERSION: u8 = 1;
 
 /// One value per key, each within its range.
@@ -51,9 +51,9 @@ impl Values {
         Ok(values)
     }
 
-    /// Loads a record from flash; ignores one of an unknown setting. False if its layout is another or its value out of
-    /// range: an older or newer firmware wrote it. The default is then in force, not the value of an earlier record. An
-    /// empty record also restores the default.
+    /// Loads a record from flash; ignores that of an unknown setting. False if another firmware wrote it, in another
+    /// layout or with a value out of range. The default is then in force, not the value of an earlier record. An empty
+    /// record also restores the default.
     pub fn load(&mut self, number: u8, record: &[u8]) -> bool {
         let Some(key) = SettingKey::from_number(number) else {
             return true;
@@ -76,7 +76,7 @@ impl Values {
 
 /// A record as it is written to flash, without its number.
 pub type Record = heapless::Vec<u8, MAX_RECORD>;
-/// The longest of them. A name is the longest of the settings.
+/// Longest record, bytes. Of the settings' records a name is the longest.
 const MAX_RECORD: usize = 27;
 const _: () = assert!(MAX_NAME <= MAX_RECORD);
 
@@ -94,7 +94,7 @@ pub trait Records: Clone + Default {
     fn record(&self, number: u8) -> Option<Record>;
 }
 
-/// The rig keeps settings and name alone.
+/// No other records: the rig keeps settings and name only.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct SettingsOnly;
 
@@ -114,7 +114,7 @@ impl Records for SettingsOnly {
 enum Found {
     /// A log of settings, or an empty one.
     Settings,
-    /// A log of settings, some of which this firmware cannot read: their defaults count.
+    /// A log of settings, some of which this firmware cannot read: their defaults are in force.
     Unread,
     /// A log whose values contradict each other.
     Conflict,
@@ -138,11 +138,11 @@ impl<F: NorFlash> SettingsStore<F> {
 }
 
 impl<F: NorFlash, R: Records> SettingsStore<F, R> {
-    /// Reads the flash. The second value is false if the content cannot be used: it is not a log, or the values fail
-    /// `go_together`, as those of another firmware may. The defaults are then in force. It is also false if a single
-    /// value cannot be used: then its default is in force.
+    /// Reads the flash. The second value is false if the content is not a log, or the values fail `go_together`, as
+    /// those of another firmware may: the defaults are then in force. It is also false if a single value cannot be
+    /// used: its default is then in force.
     ///
-    /// Without a log the other records are dropped too: those that could be read may be years old.
+    /// Without a log the other records are dropped too: the readable ones may be outdated.
     pub fn load_with(flash: F, go_together: impl FnOnce(&Values) -> bool) -> (Self, bool) {
         let (mut values, mut name) = (Values::DEFAULT, String::new());
         let mut records = R::default();
@@ -227,8 +227,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Replaces the other records; only the one with this number differs. A flash without a log is erased first: the
-    /// machine keeps these records on its own, and nobody may be there to order a reset.
+    /// Replaces the other records; only the one with this number differs. A flash without a log is erased first,
+    /// because the machine writes these records without an operator who could order a factory reset.
     ///
     /// # Errors
     /// Nothing has changed.
@@ -257,8 +257,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Makes room for this many records that are written while something moves: if the sector has less, fills it up, and
-    /// the next one is erased now. Takes up to a second then.
+    /// Makes room for this many records to be written while something moves. If the sector has less room, fills it up
+    /// and erases the next one now, which takes up to a second.
     ///
     /// # Errors
     /// The flash is worn out.
@@ -288,8 +288,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Erases a flash that holds no log, and starts a new one: empty, so all settings are defaults, but for the other
-    /// records.
+    /// Erases a flash that holds no log, and starts a new one with the other records only: all settings are defaults.
     fn begin_anew(&mut self) -> Result<(), StorageFailed> {
         self.store.erase()?;
         self.found = Found::Settings;
@@ -362,7 +361,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     }
 }
 
-/// The name in a record; empty if it is no text.
+/// The name in a record; empty if it is not UTF-8.
 fn name_in(record: &[u8]) -> String<MAX_NAME> {
     let text = core::str::from_utf8(record).unwrap_or_default();
     text.try_into().unwrap_or_default()

@@ -1,4 +1,4 @@
-//! A log of numbered records in flash: the last record of a number counts.
+//! A log of numbered records in flash: the last record of a number is in force.
 //!
 //! A power cut at any instant leaves the old record or the new one. `sequential-storage` ensures this, with the repair
 //! of interrupted erasures here. We use its queue, not its map. On a full sector the map searches all records for each
@@ -26,8 +26,8 @@ pub const NAME_RECORD: u8 = 0xF0;
 pub const DEFAULTS_RECORD: u8 = 0xF1;
 /// Bytes read at a time when checking that a sector is blank. Word by word, the calls take 40 ms at 16 MHz, in which
 /// no task runs.
-const LOOK: usize = 128;
-const _: () = assert!((SECTOR as usize).is_multiple_of(LOOK));
+const BLANK_CHECK: usize = 128;
+const _: () = assert!((SECTOR as usize).is_multiple_of(BLANK_CHECK));
 /// The longest record, its number included, in whole words.
 const RECORD: usize = 28;
 /// `RECORD` in whole write units; the largest unit is a double word.
@@ -99,13 +99,13 @@ struct Checked<F> {
     flash: F,
     /// A sector whose erasure was interrupted and could not be repeated yet. It reads as blank, whatever it contains.
     half_erased: Option<u32>,
-    /// Bytes left in the sector that was written last, behind the last byte written.
+    /// Free bytes in the sector that was written last, behind the last byte written.
     room: u32,
 }
 
 impl<F: NorFlash> Checked<F> {
     async fn is_blank(&mut self, sector: u32) -> Result<bool, F::Error> {
-        let mut block = [0; LOOK];
+        let mut block = [0; BLANK_CHECK];
         for offset in (sector..sector + SECTOR).step_by(block.len()) {
             self.flash.read(offset, &mut block).await?;
             if block.chunks_exact(4).any(|word| word != [0xFF; 4]) {
@@ -134,8 +134,8 @@ impl<F: NorFlash> Checked<F> {
         Ok(self.marks(sector).await? == (true, false))
     }
 
-    /// The sector behind the one in use, which the log erases next. After an interrupted erasure it may look as if it
-    /// were in use, too.
+    /// The sector behind the one in use, which the log erases next. After an interrupted erasure it may look like one
+    /// in use too.
     async fn oldest(&mut self) -> Result<Option<u32>, F::Error> {
         let mut oldest = None;
         for sector in SECTORS.step_by(SECTOR as usize) {
@@ -151,9 +151,9 @@ impl<F: NorFlash> Checked<F> {
         Ok(oldest)
     }
 
-    /// Erases the oldest sector if its marks show an interrupted erasure, or also if it is full and `even_whole`. Its
-    /// records no longer count: those still needed were written again long before (see [`Ages`]). If the erasure fails,
-    /// as with a low supply, the sector is hidden until it succeeds. True if there was such a sector.
+    /// Erases the oldest sector if its marks show an interrupted erasure; with `even_whole`, also if it is full. Its
+    /// records are obsolete: those still needed were written again long before (see [`Ages`]). If the erasure fails, as
+    /// with a low supply, the sector is hidden until it succeeds. True if there was such a sector.
     async fn erase_oldest(&mut self, even_whole: bool) -> Result<bool, F::Error> {
         let Some(oldest) = self.oldest().await? else {
             return Ok(false);
@@ -202,8 +202,8 @@ impl<F: NorFlash> NorFlash for Checked<F> {
     }
 
     async fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), F::Error> {
-        // A sector comes into use when its first word is written. An interrupted erasure may have left the two words
-        // blank that the log checks, but not those in between.
+        // A sector comes into use when its first word is written. After an interrupted erasure the two words that the
+        // log checks may be blank, but not those in between.
         if offset.is_multiple_of(SECTOR) && !self.is_blank(offset).await? {
             self.erase(offset, offset + SECTOR).await?;
         }
@@ -213,7 +213,7 @@ impl<F: NorFlash> NorFlash for Checked<F> {
     }
 }
 
-/// The flash refused to be written, or is worn out.
+/// The flash refused the write, or is worn out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StorageFailed;
 
@@ -228,8 +228,8 @@ pub const MOST_AT_ONCE: u32 = 120;
 /// Number of sectors.
 const COUNT: usize = ((SECTORS.end - SECTORS.start) / SECTOR) as usize;
 
-/// The queue. It remembers where its next record goes: to find that takes tens of milliseconds at 16 MHz, and a capsule
-/// writes while its motor turns.
+/// The queue. It caches the address of its next record, because a search takes tens of milliseconds at 16 MHz, and a
+/// capsule writes while its motor turns.
 type Log<F> = QueueStorage<Checked<F>, Cache<Uncached, ArrayPagePointers<COUNT>, Uncached>>;
 
 fn log<F: NorFlash>(flash: Checked<F>) -> Log<F> {
@@ -237,7 +237,7 @@ fn log<F: NorFlash>(flash: Checked<F>) -> Log<F> {
     QueueStorage::new(flash, const { QueueConfig::new(SECTORS) }, cache)
 }
 
-/// The log, on a flash that never really waits.
+/// The log, on a flash whose asynchronous operations never wait.
 pub struct Store<F: NorFlash> {
     log: Log<F>,
     ages: Ages,
@@ -248,7 +248,7 @@ impl<F: NorFlash> Store<F> {
     const READ: usize = RECORD.next_multiple_of(F::WRITE_SIZE);
     const FITS: () = assert!(
         Self::READ <= LONGEST_READ
-            // With one more, for the defaults may come before the old records.
+            // One more: the record of the defaults may come before the old records.
             && Ages::OLDEST + (Ages::NUMBERS as u32) + MOST_AT_ONCE < in_a_sector(F::WRITE_SIZE)
     );
 
@@ -270,15 +270,15 @@ impl<F: NorFlash> Store<F> {
         }
     }
 
-    /// Calls `record` with number and content of every record, older ones first. Begins anew if a half-erased sector
-    /// was in the way.
+    /// Calls `record` with number and content of every record, oldest first. If a half-erased sector blocks the
+    /// reading, erases it and calls `record` again from the first one.
     ///
     /// # Errors
-    /// The sectors cannot be read as records; what was read before stands.
+    /// The sectors cannot be read as records; the records passed to `record` so far are valid.
     pub fn load(mut self, mut record: impl FnMut(u8, &[u8])) -> (Self, Result<(), StorageFailed>) {
         let mut read = self.read(&mut record);
         if read.is_err() && block_on(self.log.flash().erase_oldest(true)).unwrap_or(false) {
-            // What the queue remembers of that sector is no longer so.
+            // The queue's cache of that sector is outdated.
             self.log = log(self.log.destroy().0);
             read = self.read(&mut record);
         }
@@ -305,7 +305,7 @@ impl<F: NorFlash> Store<F> {
     /// [`Store::overdue`] after each call.
     ///
     /// # Errors
-    /// The record is not written; the old one counts.
+    /// The record is not written; the old one stays in force.
     pub fn save(&mut self, number: u8, content: &[u8]) -> Result<(), StorageFailed> {
         let mut record = heapless::Vec::<u8, RECORD>::new();
         let fits = record.push(number).is_ok() && record.extend_from_slice(content).is_ok();
@@ -317,8 +317,8 @@ impl<F: NorFlash> Store<F> {
         Ok(())
     }
 
-    /// Erases everything. Call it only when nothing can be read or written any more: a power cut during it could bring
-    /// back older values.
+    /// Erases everything. Call it only if the log can be neither read nor written: a power cut during the erasure could
+    /// bring back older values.
     ///
     /// # Errors
     /// The flash is worn out.

@@ -32,7 +32,7 @@ impl CheckIns {
         self.0.fetch_or(client as u8, Ordering::Relaxed);
     }
 
-    /// True when all clients have checked in since this was last true. Clears the check-ins then.
+    /// True if all clients have checked in since the last time it was true; it then clears the check-ins.
     pub fn complete(&self) -> bool {
         let complete = self.0.load(Ordering::Relaxed) == EVERYBODY;
         if complete {

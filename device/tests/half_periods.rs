@@ -1,7 +1,7 @@
 //! The time driver's count of half-periods, across a stall of any length that begins at any count.
 
 use core::cell::Cell;
-use device::half_periods::{Timers, keep_over, left_us, lost, passed_us};
+use device::half_periods::{Timers, keep_over, lost, passed_us, remaining_us};
 
 /// A simulated timer whose time advances with each access.
 struct Simulated {
@@ -141,6 +141,6 @@ fn a_flag_that_stood_already_counts_too() {
 
 #[test]
 fn a_half_period_ends_where_the_timer_flags_it() {
-    let lefts = [0, 1, 32_767, 32_768, 65_535].map(left_us);
+    let lefts = [0, 1, 32_767, 32_768, 65_535].map(remaining_us);
     assert_eq!(lefts, [32_768, 32_767, 1, 32_768, 1]);
 }

@@ -5,8 +5,8 @@ use device::{
     identity::reset_cause,
     last_words::{Draft, LONGEST, of_a_panic},
     retained::{
-        EStop, Retained, WORDS, Words, keep_clock_failed, keep_last_words, keep_latched,
-        leave_again, start,
+        EStop, Retained, WORDS, Words, keep_clock_failed, keep_last_words, keep_latched, pass_on,
+        start,
     },
 };
 use proptest::prelude::*;
@@ -32,22 +32,22 @@ impl Words for Ram {
     }
 }
 
-fn text(left: &Retained) -> Option<&str> {
-    left.last_words.as_deref()
+fn text(previous: &Retained) -> Option<&str> {
+    previous.last_words.as_deref()
 }
 
 #[test]
 fn starts_are_counted_from_one() {
     let mut ram = Ram::blank();
     for number in 1..=5 {
-        let left = Retained {
+        let previous = Retained {
             boot_id: number,
             last_words: None,
             latched: None,
             clock_failed: false,
             cause: None,
         };
-        assert_eq!(start(&mut ram), left);
+        assert_eq!(start(&mut ram), previous);
     }
     // The counter is the word that changes.
     let before = ram.clone();
@@ -90,9 +90,10 @@ fn last_words_are_told_once() {
     start(&mut ram);
     keep_last_words(&mut ram, b"tasks/link.rs:1");
     keep_latched(&mut ram, Some(EStop::Frame));
-    let left = start(&mut ram);
-    assert_eq!(text(&left), Some("tasks/link.rs:1"));
-    assert_eq!((left.boot_id, left.latched), (2, Some(EStop::Frame)));
+    let previous = start(&mut ram);
+    assert_eq!(text(&previous), Some("tasks/link.rs:1"));
+    assert_eq!(previous.boot_id, 2);
+    assert_eq!(previous.latched, Some(EStop::Frame));
     assert_eq!(start(&mut ram).last_words, None);
     // Shorter last words do not end in the rest of longer ones.
     keep_last_words(&mut ram, b"oh");
@@ -132,7 +133,7 @@ fn a_start_that_takes_the_place_of_another_is_told_what_that_one_was() {
                 keep_clock_failed(&mut ram);
             }
             let before = start(&mut ram);
-            leave_again(&mut ram, &before, cause);
+            pass_on(&mut ram, &before, cause);
             let after = start(&mut ram);
             let expected = Retained {
                 boot_id: before.boot_id + 1,

@@ -262,7 +262,7 @@ impl<C: Capsule + Surroundings, F: NorFlash> Control<C, F> {
 
     fn emit(&mut self, what: What) {
         let event = self.events.record(self.capsule.now_us(), what);
-        self.capsule.tell(&event);
+        self.capsule.send_event(&event);
     }
 }
 

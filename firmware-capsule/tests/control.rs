@@ -89,7 +89,7 @@ impl Surroundings for Board {
         self.latched.push(estop);
     }
 
-    fn tell(&mut self, event: &system::Event) {
+    fn send_event(&mut self, event: &system::Event) {
         self.told.push(*event);
     }
 }
@@ -481,7 +481,7 @@ fn after_a_start(flash: &Flash) -> (CapsuleState, i32, Option<u32>) {
     let mut device = Device::start_on(flash, FRESH, ResetCause::PowerOn);
     device.read();
     match device.accepted(Request::GetCapsuleStatus(GetCapsuleStatus)) {
-        Response::GetCapsuleStatus(status) => (status.state, status.thread_um, status.uncertainty_um),
+        Response::GetCapsuleStatus(now) => (now.state, now.thread_um, now.uncertainty_um),
         other => panic!("{other:?}"),
     }
 }

@@ -1,4 +1,4 @@
-//! The rig's hardware: everything that touches registers, shares state or waits. The logic is beside this folder.
+//! The rig's hardware: registers, shared state and tasks. The logic is in the library.
 
 pub mod captures;
 pub mod channels;

@@ -1,4 +1,4 @@
-//! Requests to replies: from the protocol's words to the state machine's, and back.
+//! Executes requests: turns them into commands of the state machine, and its answers into responses.
 
 use crate::{
     machine::{Actions, Command, Event, Machine, Now},

@@ -25,11 +25,11 @@ use protocol::{
     table::{Impact, Reply, Request},
 };
 
-/// How often [`Control::tick`] has to be called.
+/// Interval of [`Control::tick`].
 pub const ROUND_US: u64 = 10_000;
 /// Rounds that the start button must stay down to count as pressed: 30 ms, longer than its contact bounces.
 const BUTTON_ROUNDS: u8 = 3;
-/// A press that comes within this time after a motion was meant to stop it, us: it starts nothing.
+/// A press within this time after a motion starts nothing, us: it was probably meant to stop the motion.
 const MEANT_TO_STOP_US: u64 = 1_000_000;
 
 /// The rest of the rig, as control sees it.
@@ -40,7 +40,7 @@ pub trait Rig {
     fn button_is_down(&self) -> bool;
     /// Stroke in progress, from 0.
     fn stroke(&self) -> u32;
-    /// Counters of line, switches and stack; the others are control's.
+    /// Counters of link, switches and stack; control fills in the others.
     fn health(&self) -> RigHealth;
     /// Findings about step timer, capture timer and pins.
     fn hardware(&self) -> RigHardware;
@@ -48,9 +48,9 @@ pub trait Rig {
     fn start(&mut self, order: Order);
     /// Decelerates to rest.
     fn stop_path(&mut self);
-    /// No further pulse.
+    /// Ends the pulses at once.
     fn cut(&mut self);
-    /// Makes the E-stop loop's latch ready for the next opening. An opening that lasts is noticed again.
+    /// Clears the latch of the E-stop loop. A loop that is still open sets it again.
     fn rearm_loop(&mut self);
     /// Sets the read-back counter. Only while no pulse can come.
     fn set_position(&mut self, position: StepPosition);
@@ -58,8 +58,8 @@ pub trait Rig {
     fn set_switch_filter(&mut self, filter_us: u32);
     /// The external clock that was missing at the start is running now.
     fn clock_has_come(&self) -> bool;
-    /// Resets, to run with the external clock. Passes on to the next start what this one found and why it began.
-    fn start_again(&mut self, left: &Retained, cause: ResetCause);
+    /// Resets, to run with the external clock. The next start takes over the findings and the cause of this one.
+    fn restart(&mut self, previous: &Retained, cause: ResetCause);
 }
 
 /// The state machine's data for telemetry and the LED.
@@ -68,7 +68,7 @@ pub struct Snapshot {
     pub state: RigState,
     /// Residual of the step-loss check, steps.
     pub residual_steps: i32,
-    /// Steps per length.
+    /// Converts steps to lengths.
     pub axis: Axis,
 }
 
@@ -78,7 +78,7 @@ pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     machine: Machine,
     settings: SettingsStore<F>,
     events: EventRing,
-    left: Retained,
+    previous: Retained,
     reset_cause: ResetCause,
     image_hash: u32,
     underruns: u32,
@@ -88,20 +88,20 @@ pub struct Control<R: Rig + Surroundings, F: NorFlash> {
     /// Rounds in which the button was down, and when the last of them was.
     button_rounds: u8,
     button_us: u64,
-    /// When the last round was in which something moved, us.
+    /// Time of the last round in which something moved, us.
     moved_us: Option<u64>,
 }
 
 impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
-    /// Creates control after a start, from what the previous start left and what is in flash.
-    pub fn new(rig: R, flash: F, left: Retained, reset_cause: ResetCause, image_hash: u32) -> Self {
-        let fault = match (reset_cause, left.latched) {
+    /// Creates control from the data of the previous start and from flash.
+    pub fn new(rig: R, flash: F, previous: Retained, cause: ResetCause, image_hash: u32) -> Self {
+        let fault = match (cause, previous.latched) {
             _ if rig.chip().clock == Clock::Internal => Some(RigFault::ClockMissing),
             (ResetCause::Panic, _) => Some(RigFault::Panic),
             (ResetCause::Watchdog, _) => Some(RigFault::Watchdog),
             (_, Some(EStop::Loop)) => Some(RigFault::EStopLoop),
             (_, Some(EStop::Frame)) => Some(RigFault::EStopFrame),
-            (_, None) => left.clock_failed.then_some(RigFault::ClockFailed),
+            (_, None) => previous.clock_failed.then_some(RigFault::ClockFailed),
         };
         let (store, usable) = SettingsStore::load(flash, |values| Settings::new(values).is_ok());
         let settings = Settings::new(store.values()).unwrap_or(Settings::REFERENCE);
@@ -111,8 +111,8 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             machine: Machine::new(settings, fault, image_hash),
             settings: store,
             events: EventRing::new(),
-            left,
-            reset_cause,
+            previous,
+            reset_cause: cause,
             image_hash,
             underruns: 0,
             round_us,
@@ -122,7 +122,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
             button_us: 0,
             moved_us: None,
         };
-        control.emit(What::Booted(reset_cause));
+        control.emit(What::Booted(cause));
         if !usable {
             control.emit(What::Rig(RigEvent::SettingsUnusable));
         }
@@ -166,7 +166,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         let mut actions = Actions::default();
         self.machine.handle(&now, event, &mut actions);
         self.perform(&actions);
-        // Another fault that is latched already keeps its name, but no reset may undo the stop.
+        // A fault that is latched already stays the reported one, but the stop must survive a reset.
         let is_estop = |fault| matches!(fault, RigFault::EStopLoop | RigFault::EStopFrame);
         if estop.is_some() && fault.is_some_and(|fault| !is_estop(fault)) {
             self.keep_latched(estop);
@@ -175,7 +175,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
 
     /// Keeps an emergency stop for the next start, or forgets it.
     fn keep_latched(&mut self, estop: Option<EStop>) {
-        self.left.latched = estop;
+        self.previous.latched = estop;
         self.rig.keep_latched(estop);
     }
 
@@ -211,7 +211,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
     pub fn tick(&mut self) {
         // Nothing moves without the clock, so a reset loses nothing.
         if self.machine.fault() == Some(RigFault::ClockMissing) && self.rig.clock_has_come() {
-            self.rig.start_again(&self.left, self.reset_cause);
+            self.rig.restart(&self.previous, self.reset_cause);
         }
         let now = self.rig.now();
         self.round_us += ROUND_US;
@@ -223,7 +223,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         if !self.rig.button_is_down() {
             self.button_rounds = 0;
         } else if self.button_rounds < BUTTON_ROUNDS
-            // After a stall the missed rounds come at once; a glitch must not last for all of them.
+            // After a stall the missed rounds run back to back; a glitch must not count in all of them.
             && now.time_us >= self.button_us.saturating_add(ROUND_US / 2)
         {
             self.button_rounds += 1;
@@ -235,7 +235,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
         self.event(Event::Tick);
         // The break interrupt reports each opening. If its notice is lost, this check finds the loop open; while a
         // fault is latched it does so once.
-        let is_known = self.machine.state() == RigState::Faulted && self.left.latched.is_some();
+        let is_known = self.machine.state() == RigState::Faulted && self.previous.latched.is_some();
         if self.rig.now().inputs.estop_loop && !is_known {
             self.event(Event::LoopOpened);
         }
@@ -311,7 +311,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Control<R, F> {
 
     fn emit(&mut self, what: What) {
         let event = self.events.record(self.rig.now_us(), what);
-        self.rig.tell(&event);
+        self.rig.send_event(&event);
     }
 }
 
@@ -335,7 +335,7 @@ impl<R: Rig + Surroundings, F: NorFlash> Answers for Control<R, F> {
             about: About {
                 kind: DeviceKind::Rig,
                 events: &self.events,
-                last_words: self.left.last_words.as_deref().unwrap_or_default(),
+                last_words: self.previous.last_words.as_deref().unwrap_or_default(),
                 chip: self.rig.chip(),
                 values: self.settings.values(),
                 name: self.settings.name(),

@@ -15,7 +15,7 @@ use motion::{
 
 /// Time prepared ahead in the ring, 8 ms. A stop takes effect only after it.
 pub const LEAD_TICKS: u32 = 800_000;
-/// Time at which the ring counts as full, 7.8 ms. Steps leave the ring while it is filled; replacing these at once
+/// Lead at which the ring counts as full, 7.8 ms. The ring plays while it is filled, and replacing each step at once
 /// would cost a batch each.
 const FULL_TICKS: u32 = LEAD_TICKS / 40 * 39;
 /// Fewest periods to keep in the ring: a few long ones reach the lead, but must not let the ring run short.
@@ -30,19 +30,19 @@ const BATCH: usize = 64;
 /// Batches up to this size are always allowed. A larger one has at most half as many periods as wait in the ring, so
 /// that those outlast its preparation.
 const LEAST_BATCH: u32 = 8;
-/// Most edges compared in one look.
-pub const EDGES_PER_LOOK: u32 = 128;
-/// Looks needed to drain the capture buffer: 2,048 edges, and one more look, because each ends at the buffer's end. The
-/// bound keeps noise on the wire from holding up motion.
-const LOOKS: u32 = 17;
-/// Compare edges only with this many periods in the ring, or with half the lead: then there is time.
+/// Most edges compared in one poll.
+pub const EDGES_PER_POLL: u32 = 128;
+/// Polls needed to drain the capture buffer: 2,048 edges, and one more, because a poll stops at the end of the buffer.
+/// The bound keeps noise on the wire from holding up motion.
+const POLLS: u32 = 17;
+/// Periods in the ring that leave time to compare edges, unless half the lead does.
 const AMPLE_QUEUE: u32 = 64;
 
-/// The ring is too nearly dry to append a period for certain.
+/// The ring is too nearly empty to append a period safely.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Underrun;
 
-/// Why the ring does not start. Nothing has left the pin.
+/// Why the ring did not start. No pulse was emitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StartError {
     /// The E-stop loop is open, or was since it was last rearmed.
@@ -51,50 +51,49 @@ pub enum StartError {
     NotFetched,
 }
 
-/// The step generator: a ring of periods that plays by itself, and the counter of the edges that left.
+/// The step generator: a ring of periods that the hardware plays, and the counter of emitted edges.
 pub trait Ring {
     /// Halts, and empties the ring for a new path with step pulses of this width.
     fn clear(&mut self, pulse_ticks: u16);
 
-    /// Appends a period. There is room for it.
+    /// Appends a period; the caller has checked [`Ring::room`].
     ///
     /// # Errors
-    /// The reader is so near that the period might not be taken as a whole.
+    /// DMA is so near that it might read an incomplete period.
     fn push(&mut self, period: Period) -> Result<(), Underrun>;
 
-    /// Appends a period for each group of steps, at least one, and no more than there is room for. They come into
-    /// play together.
+    /// Appends a period for each group of steps: at least one, at most [`Ring::room`]. They become valid together.
     ///
     /// # Errors
-    /// The reader is so near that they might not be taken as a whole.
+    /// DMA is so near that it might read only some of them.
     fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun>;
 
     /// Free places for periods.
     fn room(&self) -> u32;
 
-    /// Periods that wait, without the one that plays and the one that is prepared to play next.
+    /// Waiting periods, without the one that plays and the preloaded one.
     fn waiting(&self) -> u32;
 
     /// Ticks from the end of the period that plays to the end of the last one.
     fn lead(&self) -> u32;
 
-    /// Pulses that may not have left yet: those of the period that plays, and of all behind it.
+    /// Pulses that may not be emitted yet: those of the period that plays, and of all behind it.
     fn waiting_pulses(&self) -> u32;
 
-    /// Pulses that cannot have left: those of all periods behind the one that plays.
+    /// Pulses that are certainly not emitted yet: those of all periods behind the one that plays.
     fn queued_pulses(&self) -> u32;
 
-    /// Ticks from the last pulse that left to the end of the last period, where `unemitted` pulses have not left.
-    /// None if that pulse is longer ago than the ring remembers.
+    /// Ticks from the last emitted pulse to the end of the last period, if `unemitted` pulses were not emitted. None if
+    /// the ring no longer holds that pulse.
     fn ticks_since_last_pulse(&self, unemitted: u32) -> Option<u32>;
 
-    /// The last period has ended, and nothing can come any more.
+    /// The last period has ended, and the ring is empty.
     fn has_played_out(&self) -> bool;
 
-    /// Updates how far the ring has played. All other queries refer to this look.
+    /// Updates how far the ring has played. All other queries refer to the last update.
     fn update(&mut self);
 
-    /// The ring has stopped by an error, at any slot, and its pulses were cut at the last look.
+    /// An error stopped the ring, at any slot, and the last update cut its pulses.
     fn has_failed(&self) -> bool {
         false
     }
@@ -105,7 +104,7 @@ pub trait Ring {
     /// Nothing was started.
     fn start(&mut self) -> Result<(), StartError>;
 
-    /// No further pulse, and the ring stands still; the motor holds.
+    /// Ends the pulses and stops the ring; the motor holds.
     fn halt(&mut self);
 
     /// Switches the driver on.
@@ -114,22 +113,22 @@ pub trait Ring {
     /// Sets DIR and the counter's direction together. Only while no pulse can come.
     fn set_direction(&mut self, direction: Direction);
 
-    /// Position by the counter of the edges that left.
+    /// Position by the counter of emitted edges.
     fn counted(&self) -> StepPosition;
 
     /// Compares up to `at_most` captured edges with the periods that were pushed. True if no more are waiting.
     fn time_edges(&mut self, at_most: u32) -> bool;
 
-    /// Result of the comparison since the ring was cleared; `whole` if every step has left.
+    /// Result of the comparison since the ring was cleared; `whole` if every step was emitted.
     fn timed(&self, whole: bool) -> Timed;
 }
 
 /// The other tasks, as execution sees them.
 pub trait Mailbox {
-    /// Takes the next path to execute. Stops and cuts that came before are over.
+    /// Takes the next path to execute, and clears earlier stops and cuts.
     fn take_order(&mut self) -> Option<Order>;
 
-    /// Somebody cut the pulses of the present path.
+    /// The pulses of the present path were cut.
     fn is_cut(&self) -> bool;
 
     /// Takes a request to decelerate.
@@ -161,7 +160,7 @@ pub enum Pace {
     Idle,
     /// The ring is full: half of it has played after this time.
     Filled { within_us: u32 },
-    /// A turn, the end or an answer is awaited.
+    /// Waits for a turn, the end of the path, or room in control's queue.
     Waiting,
 }
 
@@ -181,15 +180,15 @@ impl Pace {
 #[derive(Debug, Default)]
 pub struct MotionTask {
     execution: Option<Execution>,
-    /// The end of a path that control's queue had no room for yet.
-    untold: Option<Event<'static>>,
+    /// End of a path that is not reported yet because control's queue was full.
+    unreported: Option<Event<'static>>,
 }
 
 impl MotionTask {
     /// How soon the next round has to come.
     pub fn pace(&self) -> Pace {
         match &self.execution {
-            None if self.untold.is_none() => Pace::Idle,
+            None if self.unreported.is_none() => Pace::Idle,
             Some(execution)
                 if execution.filling == Filling::Full && execution.ended_stroke.is_none() =>
             {
@@ -205,30 +204,30 @@ impl MotionTask {
         if let Some(execution) = &mut self.execution {
             let ended = execution.advance(ring, mailbox);
             if ended.is_some() {
-                (self.execution, self.untold) = (None, ended);
+                (self.execution, self.unreported) = (None, ended);
             }
-        } else if self.untold.is_none()
+        } else if self.unreported.is_none()
             && let Some(order) = mailbox.take_order()
         {
             match Execution::begin(ring, mailbox, order) {
                 Ok(begun) => self.execution = Some(begun),
-                Err(end) => self.untold = Some(end),
+                Err(end) => self.unreported = Some(end),
             }
         }
         // If control's queue is full, the next round tries again: this event must not be lost.
-        if let Some(event) = &self.untold
+        if let Some(event) = &self.unreported
             && mailbox.notify(*event)
         {
-            self.untold = None;
+            self.unreported = None;
         }
     }
 }
 
-/// Why the ring is not being filled.
+/// Why filling the ring has stopped.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Filling {
     Full,
-    /// The last pulse of a stroke has to leave the pin first.
+    /// DIR has to turn, after the last pulse of the stroke.
     Turn {
         next: Direction,
     },
@@ -242,13 +241,13 @@ enum Filling {
 struct Execution {
     periods: Periods,
     stop_accel: Acceleration,
-    /// Stroke whose pulses leave.
+    /// Stroke whose pulses are being emitted.
     stroke: u32,
     /// Direction of the pulses in the ring.
     direction: Direction,
     /// A stroke whose last pulse is queued, but whose end is not reported yet.
     ended_stroke: Option<u32>,
-    /// Every step up to here had certainly left in the last round.
+    /// Position up to which every step had certainly been emitted in the last round.
     passed: StepPosition,
     /// Tick of the last step before the ring's pulses.
     passed_tick: u64,
@@ -309,7 +308,7 @@ impl Execution {
         }
     }
 
-    /// One round; the notice of the end when it is over.
+    /// Runs one round. Returns the notice of the end when the path is over.
     fn advance(
         &mut self,
         ring: &mut impl Ring,
@@ -336,7 +335,7 @@ impl Execution {
             self.stopped = true;
             self.periods.stop(self.stop_accel);
             if let Filling::Turn { .. } = self.filling {
-                self.filling = Filling::Full; // the next stroke does not come
+                self.filling = Filling::Full; // no stroke follows
             }
         }
         self.fill(ring, mailbox);
@@ -347,15 +346,15 @@ impl Execution {
             Filling::Failed(end) => end,
             Filling::Done if played_out && self.stopped => PathEnd::Stopped,
             Filling::Done if played_out => PathEnd::Complete,
-            // It played out with periods still to come.
+            // The ring played out before all periods were queued.
             Filling::Full | Filling::Turn { .. } if played_out => PathEnd::Underrun,
             _ => return None,
         };
         Some(self.end(ring, mailbox, end))
     }
 
-    /// Whether the counter misses more steps than wait in the ring: some are lost then. The motion stops, because only
-    /// positions at rest show how many.
+    /// Whether the counter lacks more steps than wait in the ring, so that some are lost. The motion stops, because
+    /// only positions at rest show how many.
     fn misses_edges(&self, ring: &impl Ring) -> bool {
         let missed = self.periods.position().distance_to(ring.counted());
         missed.0 > ring.waiting_pulses()
@@ -369,14 +368,14 @@ impl Execution {
     ) -> Event<'static> {
         ring.halt();
         ring.update();
-        let _ = (0..LOOKS).any(|_| ring.time_edges(EDGES_PER_LOOK));
+        let _ = (0..POLLS).any(|_| ring.time_edges(EDGES_PER_POLL));
         let counted = ring.counted();
         let unemitted = match end {
             PathEnd::Complete | PathEnd::Stopped => 0,
             PathEnd::Cut | PathEnd::Underrun | PathEnd::Guard => self.unemitted(ring, counted),
         };
         if unemitted == 0 {
-            self.tell_stroke_end(ring, mailbox);
+            self.report_stroke_end(ring, mailbox);
         }
         let last_tick = match ring.ticks_since_last_pulse(unemitted) {
             _ if unemitted == 0 => self.periods.last_step(),
@@ -395,8 +394,8 @@ impl Execution {
         Event::PathEnded(end, report)
     }
 
-    /// Prepared steps that did not leave the pin, by the counter, limited to what the ring allows. Without its jumper
-    /// the counter stands still; then only the steps that have certainly left count as emitted.
+    /// Prepared steps that were not emitted, by the counter, within the limits of the ring. Without its jumper the
+    /// counter does not count, and only the steps that were certainly emitted are taken as emitted.
     fn unemitted(&self, ring: &impl Ring, counted: StepPosition) -> u32 {
         let to_come = |from: StepPosition| {
             let steps = self.periods.position().since(from);
@@ -415,14 +414,14 @@ impl Execution {
     }
 
     fn fill(&mut self, ring: &mut impl Ring, mailbox: &mut impl Mailbox) {
-        if all_left(ring, mailbox) {
-            self.tell_stroke_end(ring, mailbox);
+        if all_emitted(ring, mailbox) {
+            self.report_stroke_end(ring, mailbox);
         }
         loop {
             match self.filling {
                 Filling::Full => {}
-                Filling::Turn { next } if all_left(ring, mailbox) => {
-                    self.tell_stroke_end(ring, mailbox);
+                Filling::Turn { next } if all_emitted(ring, mailbox) => {
+                    self.report_stroke_end(ring, mailbox);
                     self.turn(ring, next);
                 }
                 Filling::Turn { .. } | Filling::Done | Filling::Failed(_) => return,
@@ -470,17 +469,17 @@ impl Execution {
     /// Compares captured edges for as long as the ring can wait. Without time, some captures are not compared: watching
     /// a run must not end it.
     fn time_edges(&self, ring: &mut impl Ring) {
-        for _ in 0..LOOKS {
+        for _ in 0..POLLS {
             let ample = ring.lead() >= LEAD_TICKS / 2 || ring.waiting() >= AMPLE_QUEUE;
-            if (self.filling == Filling::Full && !ample) || ring.time_edges(EDGES_PER_LOOK) {
+            if (self.filling == Filling::Full && !ample) || ring.time_edges(EDGES_PER_POLL) {
                 return;
             }
             ring.update();
         }
     }
 
-    /// Reports the end of a stroke, with the counter's position. Its last pulse has left.
-    fn tell_stroke_end(&mut self, ring: &impl Ring, mailbox: &mut impl Mailbox) {
+    /// Reports the end of a stroke whose last pulse was emitted, with the counter's position.
+    fn report_stroke_end(&mut self, ring: &impl Ring, mailbox: &mut impl Mailbox) {
         let Some(stroke) = self.ended_stroke else {
             return;
         };
@@ -495,10 +494,9 @@ impl Execution {
         self.stroke = stroke + 1;
     }
 
-    /// Turns DIR for the next stroke. All pulses have left.
+    /// Turns DIR for the next stroke, after all pulses were emitted.
     fn turn(&mut self, ring: &mut impl Ring, next: Direction) {
-        // The stroke's end may still be unreported because control's queue was full. The record at the end makes up for
-        // it.
+        // If control's queue was full, the end of the stroke stays unreported; the record at the end includes it.
         self.ended_stroke = None;
         ring.set_direction(next);
         self.direction = next;
@@ -507,7 +505,7 @@ impl Execution {
     }
 }
 
-/// Whether every pulse of the ring has left. After a cut the ring also runs empty.
-fn all_left(ring: &impl Ring, mailbox: &impl Mailbox) -> bool {
+/// Whether every pulse of the ring was emitted. After a cut an empty ring does not show it.
+fn all_emitted(ring: &impl Ring, mailbox: &impl Mailbox) -> bool {
     ring.waiting_pulses() == 0 && !mailbox.is_cut()
 }

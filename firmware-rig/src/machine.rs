@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! Unhomed --home--> Homing --found--> Ready --run--> Running --complete--> Ready
-//!    Ready --jog, move--> Moving --there--> Ready
+//!    Ready --jog, move--> Moving --arrived--> Ready
 //!    Running --hold--> Stopping --at rest--> Held --resume--> Running
 //!    Homing, Running, Moving --stop--> Stopping --at rest--> Unhomed, Ready
 //!    any --fault--> Faulted --acknowledge--> Unhomed
@@ -55,13 +55,13 @@ pub enum PathEnd {
 pub struct PathReport {
     /// Position by the generator.
     pub commanded: StepPosition,
-    /// Steps that were prepared and did not leave any more.
+    /// Prepared steps that were not emitted.
     pub unemitted: Steps,
     /// Position by the read-back counter.
     pub counted: StepPosition,
-    /// Tick of the last step that left, from the path's start.
+    /// Tick of the last emitted step, from the path's start.
     pub last_tick: u64,
-    /// Shortest queue seen while periods were still to come; none if the path was queued as a whole at once.
+    /// Fewest periods in the queue before the last one was queued; none if the whole path was queued at once.
     pub min_queue: Option<u16>,
     /// Result of comparing the captured edges with the planned ones.
     pub timed: Timed,
@@ -79,8 +79,8 @@ pub struct Now {
     pub glitches: u32,
 }
 
-/// An event. Notices of interrupts and motion wait in a channel, so keep the enum small: a command, which may hold a
-/// whole plan, is a reference.
+/// Input of the state machine. Notices of interrupts and motion wait in a channel, so keep the enum small: a command,
+/// which may hold a whole plan, is a reference.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event<'a> {
     /// The host or the start button orders something.
@@ -98,7 +98,7 @@ pub enum Event<'a> {
     SwitchNoise(Switch),
     /// The E-stop loop opened. The pulses are already cut, by hardware.
     LoopOpened,
-    /// A stroke of a run is complete and its last pulse has left.
+    /// A stroke of a run is complete: its last pulse was emitted.
     StrokeDone {
         /// From 0.
         stroke: u32,
@@ -107,7 +107,7 @@ pub enum Event<'a> {
         /// Position by the read-back counter.
         counted: StepPosition,
     },
-    /// The path has ended; nothing moves any more.
+    /// The path has ended, and nothing moves.
     PathEnded(PathEnd, PathReport),
     /// The host has been silent for longer than the link time-out.
     LinkSilent,
@@ -165,19 +165,19 @@ pub enum Action {
     /// Decelerate to rest.
     StopPath,
     Cut,
-    /// Set the position. The carriage stands.
+    /// Set the position of a carriage at rest.
     SetPosition(StepPosition),
     /// Record and send.
     Emit(RigEvent),
 }
 
-/// Outcome of a step.
+/// Result of [`Machine::step`].
 #[derive(Clone, Debug, Default)]
 pub struct Actions {
     /// Carry them out in this order.
     pub list: heapless::Vec<Action, 6>,
-    /// The command was refused. Then nothing has changed and there is nothing to do, with one exception: a resume that
-    /// finds the carriage moved since the hold, or a run or move from 0 that finds the flag closed, latches a fault.
+    /// The command was refused and changed nothing, with one exception: a resume that finds the carriage moved since
+    /// the hold, or a run or move from 0 that finds the flag closed, latches a fault.
     pub refusal: Option<Refusal>,
 }
 
@@ -203,12 +203,12 @@ enum State {
     /// A move, or a jog.
     Moving(Option<Jog>),
     /// Decelerating; the state to enter at rest.
-    Stopping(Then),
+    Stopping(AtRest),
     Faulted(RigFault),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Then {
+enum AtRest {
     Unhomed,
     Ready(RunOutcome),
     Held,
@@ -337,7 +337,7 @@ impl Machine {
         self.started_us
     }
 
-    /// Handles one event, and returns what is to be done.
+    /// Handles one event and returns the actions to carry out.
     pub fn step(&mut self, now: &Now, event: Event<'_>) -> Actions {
         let mut actions = Actions::default();
         self.handle(now, event, &mut actions);
@@ -448,12 +448,12 @@ impl Machine {
 
     fn stop(&mut self, now: &Now, outcome: RunOutcome, actions: &mut Actions) {
         match self.state {
-            State::Homing(_) => self.stop_then(Then::Unhomed, actions),
-            State::Running => self.stop_then(Then::Ready(outcome), actions),
+            State::Homing(_) => self.stop_to(AtRest::Unhomed, actions),
+            State::Running => self.stop_to(AtRest::Ready(outcome), actions),
             State::Moving(jog) => {
                 let until_us = jog.map_or(0, |jog| jog.until_us);
                 self.jog_stopped_until_us = self.jog_stopped_until_us.max(until_us);
-                self.stop_then(Then::Moved, actions);
+                self.stop_to(AtRest::Moved, actions);
             }
             State::Held if now.position != self.last.1 => {
                 self.latch(read_back(self.last.1, now.position), actions);
@@ -466,17 +466,17 @@ impl Machine {
                 actions.emit(RigEvent::Stopped { position_steps });
             }
             // Braking for a hold: end the run instead of holding it.
-            State::Stopping(Then::Held) => self.state = State::Stopping(Then::Ready(outcome)),
+            State::Stopping(AtRest::Held) => self.state = State::Stopping(AtRest::Ready(outcome)),
             _ => {} // nothing moves, or it is stopping already
         }
     }
 
-    fn stop_then(&mut self, then: Then, actions: &mut Actions) {
-        self.state = State::Stopping(then);
+    fn stop_to(&mut self, at_rest: AtRest, actions: &mut Actions) {
+        self.state = State::Stopping(at_rest);
         actions.push(Action::StopPath);
     }
 
-    /// Starts a path that does not belong to a run.
+    /// Starts a path. For a path of a run call `run_path`, which also records it.
     fn start_path(&mut self, path: Path, window: Window, actions: &mut Actions) {
         self.path = true;
         actions.push(Action::Start { path, window });
@@ -486,9 +486,9 @@ impl Machine {
         let State::Faulted(fault) = self.state else {
             return Err(Refusal::NothingToAcknowledge);
         };
-        // An open loop is the next fault, whatever this one was.
+        // An open loop would latch the next fault at once.
         let present = inputs.estop_loop
-            // Cannot be acknowledged. When the clock comes, the rig resets by itself.
+            // Cannot be acknowledged: the rig resets when the clock starts.
             || fault == RigFault::ClockMissing
             // The carriage cannot be at both ends: the switches' cable is unplugged, whatever the fault was.
             || inputs.home_flag && inputs.far_limit;
@@ -500,7 +500,7 @@ impl Machine {
         Ok(())
     }
 
-    /// Latches a fault. Cuts the pulses: whatever moved has stopped.
+    /// Cuts the pulses, and latches the fault unless one is latched already.
     fn latch(&mut self, fault: RigFault, actions: &mut Actions) {
         actions.push(Action::Cut);
         if let State::Faulted(_) = self.state {
@@ -525,8 +525,7 @@ impl Machine {
         }
     }
 
-    /// Refuses jogs for a while after the rig has ended one by itself: the host does not know it yet, and may repeat a
-    /// renewal.
+    /// Refuses jogs for a while after the rig has ended one: the host does not know it yet and may repeat a renewal.
     fn refuse_repeated_jogs(&mut self, now_us: u64) {
         if let State::Moving(Some(_)) = self.state {
             self.jog_stopped_until_us = now_us.saturating_add(REPEATED_US);
@@ -540,7 +539,7 @@ impl Machine {
             }
             State::Moving(Some(jog)) if now_us > jog.until_us => {
                 self.refuse_repeated_jogs(now_us);
-                self.stop_then(Then::Moved, actions);
+                self.stop_to(AtRest::Moved, actions);
             }
             _ => {}
         }
@@ -548,7 +547,7 @@ impl Machine {
 
     fn flag_edge(&mut self, opening: bool, count: StepPosition, actions: &mut Actions) {
         match &mut self.state {
-            State::Running | State::Held | State::Stopping(Then::Held | Then::Ready(_))
+            State::Running | State::Held | State::Stopping(AtRest::Held | AtRest::Ready(_))
                 if opening =>
             {
                 self.check_step_loss(count, actions);
@@ -602,10 +601,10 @@ impl Machine {
                 self.state = State::Ready;
                 actions.emit(stopped);
             }
-            State::Stopping(then) => {
-                match then {
-                    Then::Unhomed => self.state = State::Unhomed,
-                    Then::Ready(outcome) => {
+            State::Stopping(at_rest) => {
+                match at_rest {
+                    AtRest::Unhomed => self.state = State::Unhomed,
+                    AtRest::Ready(outcome) => {
                         if let Some(fault) = self.lost_at_rest(counted, missed) {
                             return self.latch(fault, actions);
                         }
@@ -618,9 +617,9 @@ impl Machine {
                             self.state = State::Ready;
                         }
                     }
-                    Then::Held => return self.held(end, counted, missed, actions),
-                    Then::Moved => self.state = State::Ready,
-                    Then::Faulted(fault) => return self.latch(fault, actions),
+                    AtRest::Held => return self.held(end, counted, missed, actions),
+                    AtRest::Moved => self.state = State::Ready,
+                    AtRest::Faulted(fault) => return self.latch(fault, actions),
                 }
                 actions.emit(stopped);
             }

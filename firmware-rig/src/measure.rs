@@ -1,4 +1,4 @@
-//! All measurements, in the order of their table, each reported as it is made.
+//! Runs all measurements in the order of their table, and reports each at once.
 
 mod chip;
 mod flash;
@@ -20,7 +20,7 @@ fn main() -> ! {
     count_cycles();
     let clock_us = chip::external_clock_start_us();
     let board = pins::init();
-    start::forget_catches();
+    start::clear_vector_catches();
     let mut watchdog = board.watchdog;
     watchdog.unleash();
     chip::report(clock_us);

@@ -2,14 +2,13 @@
 //!
 //! A period is one round of the step timer, or some equal ones; a pulse, if it has one, sits at its start. The list
 //! begins with blank periods up to the first step. Between two strokes comes one [`Item::StrokeEnd`], right behind
-//! the last pulse, and one [`Item::Turn`]: everything before it has to leave the pin before DIR may change,
-//! everything after it needs the new DIR. The periods of the pause come before the turn, so that the time line never
-//! breaks.
+//! the last pulse, and one [`Item::Turn`]: DIR may change only after all pulses before it, and must change before all
+//! pulses after it. The periods of the pause come before the turn, so that the time line has no gap.
 
 use motion::{
     axis::{Acceleration, Direction},
     run::RunPlan,
-    step_times::{Equal, LONGEST_TAKEN, Share, StepTimes},
+    step_times::{BatchLimits, Equal, LONGEST_TAKEN, StepTimes},
     trapezoid::StrokeProfile,
     units::{StepPosition, Steps, Window},
 };
@@ -30,8 +29,8 @@ const LAST_PULSE: u64 = 1_000;
 const TAIL: u64 = 1_000;
 /// Longest total of repeated rounds, 0.8 ms: a queued period cannot be recalled.
 const LONGEST_REPETITION: u32 = 80_000;
-/// After an interval longer than this, 100 ms, a stop may drop the step that is announced. A quicker one is still made
-/// and ends with a braking step, so that a stop near a stroke's end does not come to rest a step or two before it.
+/// Longest interval after which a stop still makes the pending step, 100 ms, and ends with a braking step. Without
+/// these steps a stop near the end of a stroke would come to rest a step or two before it.
 const SLOW_STEP: u64 = 10_000_000;
 
 /// Most rounds that the 8-bit repetition counter can play.
@@ -51,7 +50,7 @@ pub struct Period {
 }
 
 impl From<Equal> for Period {
-    /// Steps as [`Periods::steps`] gives them out.
+    /// Converts a group from [`Periods::steps`], which holds at most [`MOST_EQUAL`] steps.
     fn from(steps: Equal) -> Self {
         Self {
             ticks: steps.interval,
@@ -66,21 +65,21 @@ impl From<Equal> for Period {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
     Period(Period),
-    /// The period before was the last pulse of a stroke that another one follows.
+    /// The previous period was the last pulse of a stroke, and another stroke follows.
     StrokeEnd {
         /// The stroke, from 0.
         stroke: u32,
     },
-    /// The pause is over: when the last pulse has left, change DIR.
+    /// The pause is over: change DIR once the last pulse is emitted.
     Turn {
         next: Direction,
     },
     End,
-    /// The next step would leave the window: nothing more comes.
+    /// The next step would leave the window: the list ends.
     Guard,
 }
 
-/// One uninterrupted travel, or several with turns between them.
+/// One stroke, or several with turns between them.
 // One exists at a time, in the motion task.
 #[allow(clippy::large_enum_variant)]
 #[derive(Clone, Debug)]
@@ -166,7 +165,7 @@ pub struct Periods {
     stroke: u32,
     times: StepTimes,
     direction: Direction,
-    /// Everything before this tick has been given out.
+    /// Tick up to which periods have been given out.
     cursor: u64,
     /// Ticks from the cursor to the entry in `after`.
     gap: u64,
@@ -233,14 +232,14 @@ impl Periods {
         self.last_step
     }
 
-    /// Decelerates to rest after the periods given out so far. Between two strokes, before the first step, or where
-    /// the next step is long in coming and needs no braking, no step follows at all.
+    /// Decelerates to rest after the periods given out so far. Between two strokes, before the first step, or if the
+    /// next step is far off and needs no braking, no step follows.
     pub fn stop(&mut self, deceleration: Acceleration) {
         match self.after {
             After::Ended | After::Guarded | After::End => {}
             After::Turn => self.end_here(),
             After::StrokeEnd { .. } => self.stopping = true,
-            // The next step is only announced: drop it.
+            // The next step is not given out yet: drop it.
             After::Pulse if self.times.emitted().0 <= 1 || self.stands(deceleration) => {
                 self.end_here();
             }
@@ -251,7 +250,7 @@ impl Periods {
         }
     }
 
-    /// The steps are so slow that the carriage as good as stands between two of them.
+    /// The steps are so slow that the carriage practically rests between two of them.
     fn stands(&self, deceleration: Acceleration) -> bool {
         self.times.interval().0 > SLOW_STEP && self.times.rests_within_a_step(deceleration)
     }
@@ -321,14 +320,14 @@ impl Periods {
         if self.gap > 0 || self.after != After::Pulse || self.sync {
             return 0;
         }
-        let share = Share {
+        let limits = BatchLimits {
             steps: self.window.room(self.position, self.direction).0,
             ticks,
             equal: MOST_EQUAL,
             equal_ticks: LONGEST_REPETITION,
         };
         let (before, emitted) = (self.times.tick().0, self.times.emitted().0);
-        let filled = self.times.batch(&share, groups);
+        let filled = self.times.batch(&limits, groups);
         if filled > 0 {
             // Inside the window, so within the range of positions.
             let steps = self.times.emitted().0 - emitted;
@@ -368,8 +367,8 @@ impl Periods {
         let ticks = if self.short {
             LAST_PULSE.min(self.gap)
         } else if turn_pending && self.gap > TURN_PIECE && self.gap <= u64::from(MAX_PERIOD) {
-            // A turn is too late for the ring once its last three blanks play, so they have to be short: of the
-            // shortest turn, 400 us, that leaves 350.
+            // The ring cannot take a turn once its last three blank periods play, so these have to be short: that
+            // leaves 350 us of the shortest turn, 400 us.
             self.gap / 2
         } else {
             part(self.gap)

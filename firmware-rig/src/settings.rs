@@ -1,4 +1,4 @@
-//! The rig's settings: from single values, as stored and as on the wire, to what the firmware works with.
+//! The rig's settings: checks the values of flash and wire, and converts them to the units of the firmware.
 
 use device::settings::Values;
 use motion::{
@@ -12,8 +12,8 @@ use protocol::{
     settings::{SettingKey, SettingRule},
 };
 
-/// Largest distance between the places where the home flag closes and opens, the differential travel in a switch's
-/// datasheet. A stroke that turns within it meets no edge on its way home.
+/// Largest distance between the points where the home flag closes and opens (differential travel in the datasheet of a
+/// switch). A stroke that turns within it meets no edge on its way home.
 const FLAG_HYSTERESIS: Micrometres = Micrometres(1_000);
 
 /// Settings of a rig. Lengths in um, speeds in um/s, accelerations in um/s2.
@@ -28,7 +28,7 @@ pub struct Settings {
     pub seek_um_s: u32,
     /// Speed of the second, measuring pass.
     pub locate_um_s: u32,
-    /// Of homing, jog and move.
+    /// Acceleration of homing, jog and move.
     pub homing_accel: Acceleration,
     /// Deceleration of a category-1 stop and of a hold.
     pub stop_accel: Acceleration,
@@ -62,7 +62,7 @@ impl Settings {
     /// Checks the values and converts them.
     ///
     /// # Errors
-    /// The first rule that the values break together.
+    /// The first rule that the values break.
     pub const fn new(values: &Values) -> Result<Self, SettingRule> {
         use SettingKey as Key;
         let get = Values::get;
@@ -88,7 +88,7 @@ impl Settings {
             _ => return Err(SettingRule::FlagWithinStroke),
         };
         let overtravel_um = get(values, Key::OvertravelUm);
-        // Always present: the ranges of these settings stay far below 2^32 steps and exclude zero.
+        // Never fails: the ranges of these settings stay far below 2^32 steps and exclude zero.
         let (Some(overtravel), Ok(homing_accel), Ok(stop_accel)) = (
             axis.steps_within(Micrometres(overtravel_um)),
             axis.acceleration(get(values, Key::HomingAccelUmS2)),
@@ -161,7 +161,7 @@ impl Settings {
         })
     }
 
-    /// Steps beyond the flag's edge from which a carriage has certainly closed the flag: 1 mm of hysteresis.
+    /// Steps beyond the flag's opening edge after which the flag is certainly closed: 1 mm of hysteresis.
     pub fn closes_the_flag_after(&self) -> Steps {
         let hysteresis = self.axis.steps_within(FLAG_HYSTERESIS);
         Steps(hysteresis.map_or(u32::MAX, |steps| steps.0))

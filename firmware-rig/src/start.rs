@@ -1,4 +1,4 @@
-//! Wires the rig's image: who is started, with what. Who runs at which priority is the table in this package's README.
+//! Starts the rig's tasks and passes each its peripherals. The README of this package lists their priorities.
 
 use crate::board::{
     channels::{FAR_LIMIT_OPEN, HOME_FLAG_OPEN},
@@ -28,24 +28,24 @@ unsafe fn SPI5() {
 #[embassy_executor::main]
 async fn main(spawner: Spawner) {
     pins::make_outputs_safe();
-    let left = retained::start();
-    let cause = reset_cause(start::reset_cause(), &left);
-    clock::note(&left, cause);
+    let previous = retained::start();
+    let cause = reset_cause(start::reset_cause(), &previous);
+    clock::note(&previous, cause);
     let board = pins::init();
-    start::forget_catches();
-    // No edge may come between the look and the store: its interrupt would know better.
+    start::clear_vector_catches();
+    // Without interrupts: the level read here must not overwrite that of a later edge.
     cortex_m::interrupt::free(|_| {
         let inputs = pins::inputs();
         HOME_FLAG_OPEN.store(inputs.home_flag, Ordering::Relaxed);
         FAR_LIMIT_OPEN.store(inputs.far_limit, Ordering::Relaxed);
     });
-    let identity = identity(DeviceKind::Rig, start::uid(), left.boot_id, cause);
-    defmt::info!("rig, start {=u32}, {}", left.boot_id, cause);
+    let identity = identity(DeviceKind::Rig, start::uid(), previous.boot_id, cause);
+    defmt::info!("rig, start {=u32}, {}", previous.boot_id, cause);
     let (transmitter, receiver) = board.serial;
 
     let motion_spawner = MOTION_EXECUTOR.start(interrupt::SPI5);
     motion_spawner.spawn(tasks::motion(StepGenerator::new(board.timers)).unwrap());
-    spawner.spawn(tasks::control(board.sectors, left, cause).unwrap());
+    spawner.spawn(tasks::control(board.sectors, previous, cause).unwrap());
     spawner.spawn(tasks::transmit(transmitter).unwrap());
     spawner.spawn(tasks::receive(receiver, identity).unwrap());
     spawner.spawn(tasks::telemetry().unwrap());

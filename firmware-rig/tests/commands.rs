@@ -272,7 +272,10 @@ fn moves_and_jogs_out_of_range() {
         (rig::Direction::Home, 49_001),
         (rig::Direction::Home, 1_000),
     ] {
-        let request = Request::Jog(rig::Jog { direction, speed_um_s });
+        let request = Request::Jog(rig::Jog {
+            direction,
+            speed_um_s,
+        });
         let (reply, ..) = send(&mut rig, request.clone());
         refusals += &format!("{request:?}: {reply:?}\n");
     }

@@ -65,7 +65,7 @@ struct Board {
     latched: Vec<Option<EStop>>,
     cuts: u32,
     clock_has_come: bool,
-    started_again: Vec<(Retained, ResetCause)>,
+    restarts: Vec<(Retained, ResetCause)>,
 }
 
 impl Surroundings for Board {
@@ -93,7 +93,7 @@ impl Surroundings for Board {
         self.latched.push(estop);
     }
 
-    fn tell(&mut self, event: &system::Event) {
+    fn send_event(&mut self, event: &system::Event) {
         self.told.push(*event);
     }
 }
@@ -148,8 +148,8 @@ impl control::Rig for Board {
         self.clock_has_come
     }
 
-    fn start_again(&mut self, left: &Retained, cause: ResetCause) {
-        self.started_again.push((left.clone(), cause));
+    fn restart(&mut self, previous: &Retained, cause: ResetCause) {
+        self.restarts.push((previous.clone(), cause));
     }
 }
 
@@ -169,13 +169,13 @@ const FRESH: Retained = Retained {
 };
 
 impl Bench {
-    fn start(flash: Flash, left: Retained, cause: ResetCause) -> Self {
-        Self::start_with(flash, left, cause, |_| ())
+    fn start(flash: Flash, previous: Retained, cause: ResetCause) -> Self {
+        Self::start_with(flash, previous, cause, |_| ())
     }
 
     fn start_with(
         flash: Flash,
-        left: Retained,
+        previous: Retained,
         cause: ResetCause,
         prepare: impl FnOnce(&mut Board),
     ) -> Self {
@@ -194,14 +194,14 @@ impl Bench {
             latched: Vec::new(),
             cuts: 0,
             clock_has_come: false,
-            started_again: Vec::new(),
+            restarts: Vec::new(),
         };
         // Control starts when the chip has been running for a while.
         board.carriage.now = 123_456;
         prepare(&mut board);
         let next_tick = board.carriage.now + CONTROL_ROUND;
         Self {
-            control: Control::new(board, flash.clone(), left, cause, IMAGE_HASH),
+            control: Control::new(board, flash.clone(), previous, cause, IMAGE_HASH),
             flash,
             next_tick,
         }
@@ -384,8 +384,8 @@ mod start {
                     (_, Some(EStop::Frame)) => Some(RigFault::EStopFrame),
                     (_, None) => None,
                 };
-                let left = Retained { latched, ..FRESH };
-                let mut bench = Bench::start(Flash::blank(), left, cause);
+                let previous = Retained { latched, ..FRESH };
+                let mut bench = Bench::start(Flash::blank(), previous, cause);
                 assert_eq!(bench.told(), [What::Booted(cause)]);
                 let status = bench.status();
                 assert_eq!((status.fault, status.homed), (fault, false));
@@ -418,11 +418,11 @@ mod start {
     fn tells_the_last_words_of_the_one_before() {
         for text in [None, Some("tasks/link.rs:1: oh")] {
             let last_words = text.map(|text| LastWords::try_from(text).unwrap());
-            let left = Retained {
+            let previous = Retained {
                 last_words,
                 ..FRESH
             };
-            let mut bench = Bench::start(Flash::blank(), left, ResetCause::Panic);
+            let mut bench = Bench::start(Flash::blank(), previous, ResetCause::Panic);
             let words = bench.get(GetLastWords).text;
             assert_eq!(words.as_str(), text.unwrap_or_default());
         }
@@ -752,11 +752,11 @@ mod button {
 
     #[test]
     fn that_is_ignored_says_so() {
-        let left = Retained {
+        let previous = Retained {
             latched: Some(EStop::Loop),
             ..FRESH
         };
-        let mut bench = Bench::start(Flash::blank(), left, ResetCause::Pin);
+        let mut bench = Bench::start(Flash::blank(), previous, ResetCause::Pin);
         bench.tick();
         bench.told();
         hold_down(&mut bench, 3);
@@ -954,8 +954,8 @@ mod emergency_stop {
         assert_eq!(bench.status().fault, Some(RigFault::ClockMissing));
         bench.board().clock_has_come = true;
         bench.control.tick();
-        let (left, _) = &bench.board().started_again[0];
-        assert_eq!(left.latched, Some(EStop::Frame));
+        let (previous, _) = &bench.board().restarts[0];
+        assert_eq!(previous.latched, Some(EStop::Frame));
     }
 }
 
@@ -1091,12 +1091,12 @@ mod health {
 /// Without its clock the rig moves nothing, whatever was latched before. The link and the settings work.
 #[test]
 fn a_missing_clock_is_a_fault_that_nothing_clears() {
-    let left = Retained {
+    let previous = Retained {
         latched: Some(EStop::Loop),
         ..FRESH
     };
     for cause in [ResetCause::PowerOn, ResetCause::Watchdog, ResetCause::Panic] {
-        let mut bench = Bench::start_with(Flash::blank(), left.clone(), cause, |board| {
+        let mut bench = Bench::start_with(Flash::blank(), previous.clone(), cause, |board| {
             board.clock = system::Clock::Internal;
         });
         let fault = RigFault::ClockMissing;
@@ -1117,7 +1117,7 @@ fn a_missing_clock_is_a_fault_that_nothing_clears() {
 /// another clock causes no reset.
 #[test]
 fn a_clock_that_comes_starts_the_rig_again() {
-    let left = Retained {
+    let previous = Retained {
         clock_failed: true,
         ..FRESH
     };
@@ -1126,19 +1126,19 @@ fn a_clock_that_comes_starts_the_rig_again() {
         (system::Clock::External, RigFault::ClockFailed),
     ] {
         let cause = ResetCause::Software;
-        let mut bench = Bench::start_with(Flash::blank(), left.clone(), cause, |board| {
+        let mut bench = Bench::start_with(Flash::blank(), previous.clone(), cause, |board| {
             board.clock = clock;
         });
         bench.control.tick();
         assert_eq!(bench.status().fault, Some(fault));
-        assert_eq!(bench.board().started_again, []);
+        assert_eq!(bench.board().restarts, []);
         bench.board().clock_has_come = true;
         bench.control.tick();
         let again = match clock {
-            system::Clock::Internal => vec![(left.clone(), cause)],
+            system::Clock::Internal => vec![(previous.clone(), cause)],
             system::Clock::External => vec![],
         };
-        assert_eq!(bench.board().started_again, again);
+        assert_eq!(bench.board().restarts, again);
     }
 }
 
@@ -1146,18 +1146,18 @@ fn a_clock_that_comes_starts_the_rig_again() {
 /// again.
 #[test]
 fn a_clock_that_failed_is_acknowledged() {
-    let left = Retained {
+    let previous = Retained {
         clock_failed: true,
         ..FRESH
     };
-    let mut bench = Bench::start(Flash::blank(), left.clone(), ResetCause::Software);
+    let mut bench = Bench::start(Flash::blank(), previous.clone(), ResetCause::Software);
     assert_eq!(bench.status().fault, Some(RigFault::ClockFailed));
     bench.accepted(Request::Acknowledge(Acknowledge));
     assert_eq!(bench.state(), RigState::Unhomed);
-    let left = Retained {
+    let previous = Retained {
         latched: Some(EStop::Frame),
-        ..left
+        ..previous
     };
-    let mut bench = Bench::start(Flash::blank(), left, ResetCause::Software);
+    let mut bench = Bench::start(Flash::blank(), previous, ResetCause::Software);
     assert_eq!(bench.status().fault, Some(RigFault::EStopFrame));
 }

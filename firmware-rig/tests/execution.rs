@@ -282,7 +282,7 @@ fn a_stop_in_cruise_takes_effect_soon() {
     for after_ms in [1_000, 1_003, 2_500, 5_000] {
         let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
         bench.run_for(after_ms * MS);
-        let (stopped, queued) = (bench.carriage.now, bench.carriage.ring.pulses_left());
+        let (stopped, queued) = (bench.carriage.now, bench.carriage.ring.pulses_remaining());
         bench.carriage.stop();
         let (end, report) = bench.finish();
         assert_eq!(end, PathEnd::Stopped);
@@ -422,7 +422,7 @@ fn a_cut_path_reports_what_left() {
             let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
             bench.run_for(bench.plan[count - 1].at + 1 - bench.carriage.now);
             let left = bench.carriage.pulses;
-            let queued = bench.carriage.ring.pulses_left();
+            let queued = bench.carriage.ring.pulses_remaining();
             if counter_is_dead {
                 (bench.carriage.ring.counted, bench.carriage.jumper_cut) = (0, true);
             }
@@ -704,7 +704,7 @@ proptest! {
         let mut bench = Bench::new(&path, EVERYWHERE, deceleration);
         bench.run_for(part_of(&bench, part));
         prop_assume!(bench.carriage.moving());
-        let queued = bench.trace().len() + bench.carriage.ring.pulses_left() as usize;
+        let queued = bench.trace().len() + bench.carriage.ring.pulses_remaining() as usize;
         bench.carriage.stop();
         if again {
             bench.run_for(MS);
@@ -739,7 +739,7 @@ proptest! {
         let mut bench = Bench::new(&path, EVERYWHERE, stop_accel());
         bench.run_for(part_of(&bench, part));
         prop_assume!(bench.carriage.moving());
-        let (left, queued) = (bench.trace().len(), bench.carriage.ring.pulses_left());
+        let (left, queued) = (bench.trace().len(), bench.carriage.ring.pulses_remaining());
         let place = bench.carriage.place;
         bench.carriage.cut();
         let (end, report) = bench.finish();
@@ -908,7 +908,7 @@ mod with_the_machine {
         let mut rig = started();
         run_for(&mut rig, 100 * MS);
         let (pulses, place) = (rig.pulses, rig.place);
-        assert!(rig.ring.pulses_left() > 100);
+        assert!(rig.ring.pulses_remaining() > 100);
         rig.press();
         rig.finish();
         assert_eq!((rig.pulses, rig.place), (pulses, place));

@@ -354,8 +354,8 @@ fn lost_steps_are_found_across_a_hold() {
     }
 }
 
-/// The carriage rests at the edge of the flag, where the step-loss check tolerates the flag open or closed. If the carriage
-/// stalls from there on, it never meets the flag.
+/// The carriage rests at the edge of the flag, where the step-loss check tolerates the flag open or closed. If the
+/// carriage stalls from there on, it never meets the flag.
 #[test]
 fn a_flag_that_is_not_met_after_a_hold_is_lost_steps() {
     let flag = SETTINGS.flag.0;

@@ -177,14 +177,14 @@ fn check_whole(path: &Path, shortest: u32) -> u64 {
 /// The rest of a run: a stroke from any step on, and all strokes after it.
 fn any_rest() -> impl Strategy<Value = Path> {
     let part = (any::<prop::sample::Index>(), any::<prop::sample::Index>());
-    (any_run(LIMITS, 600), part).prop_filter_map("not too slow", |(plan, (stroke, left))| {
+    (any_run(LIMITS, 600), part).prop_filter_map("not too slow", |(plan, (stroke, remaining))| {
         let stroke = stroke.index(plan.strokes() as usize) as u32;
         let profile = plan.stroke(stroke)?;
-        let left = Steps(1 + left.index(profile.steps().0 as usize) as u32);
-        let first = if left == profile.steps() {
+        let remaining = Steps(1 + remaining.index(profile.steps().0 as usize) as u32);
+        let first = if remaining == profile.steps() {
             *profile
         } else {
-            profile.resumed(left).ok()?
+            profile.resumed(remaining).ok()?
         };
         Some(Path::Rest {
             plan,
@@ -232,7 +232,7 @@ proptest! {
         }
         // A stop before the first pulse of a stroke, or before a slow one, lets no pulse follow; within it, at most the
         // stroke's rest.
-        let left = if walk.pulses == 0 {
+        let remaining = if walk.pulses == 0 {
             0
         } else {
             let during = |(start, profile, _): &&(u64, StrokeProfile, Direction)| {
@@ -272,12 +272,12 @@ proptest! {
                 Item::Period(_) => {}
                 Item::End => break,
                 // The stop came between the last pulse of a stroke and the stroke's end.
-                Item::StrokeEnd { .. } => prop_assert_eq!((emitted, left), (0, 0)),
+                Item::StrokeEnd { .. } => prop_assert_eq!((emitted, remaining), (0, 0)),
                 other => prop_assert!(false, "{:?} after a stop", other),
             }
         }
-        prop_assert!(emitted <= left);
-        prop_assert_eq!(emitted == 0, left == 0);
+        prop_assert!(emitted <= remaining);
+        prop_assert_eq!(emitted == 0, remaining == 0);
         prop_assert_eq!(walk.next(), Item::End);
     }
 
@@ -321,18 +321,18 @@ proptest! {
 /// The path that the machine orders after a hold: the rest of the incomplete stroke.
 fn rest_of(plan: &RunPlan, stroke: u32, position: i32) -> Option<Path> {
     let steps = plan.stroke(stroke)?.steps().0;
-    let left = match plan.direction(stroke)? {
+    let remaining = match plan.direction(stroke)? {
         Direction::Away => steps - position as u32,
         Direction::Home => position as u32,
     };
-    if left == 0 {
+    if remaining == 0 {
         return rest_of(plan, stroke + 1, position);
     }
     let profile = plan.stroke(stroke)?;
-    let first = if left == steps {
+    let first = if remaining == steps {
         *profile
     } else {
-        profile.resumed(Steps(left)).unwrap()
+        profile.resumed(Steps(remaining)).unwrap()
     };
     Some(Path::Rest {
         plan: *plan,

@@ -369,8 +369,8 @@ mod anything {
             }
         }
         for state in crate::commands::STATES {
-            let share = reached[state as usize] as f64 / (40 * sequences) as f64;
-            assert!(share > 0.01, "{state:?} hardly ever reached: {share}");
+            let fraction = reached[state as usize] as f64 / (40 * sequences) as f64;
+            assert!(fraction > 0.01, "{state:?} hardly ever reached: {fraction}");
         }
     }
 

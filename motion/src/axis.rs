@@ -250,7 +250,7 @@ impl Position {
         Steps(self.steps)
     }
 
-    /// The same position as a counter holds it.
+    /// The same position as a counter's value.
     #[must_use]
     pub const fn signed(self) -> StepPosition {
         // At most 26.6 M, which fits.

@@ -41,7 +41,7 @@ pub struct EdgeTiming {
     offset: u32,
     /// The first edge of the path was captured. No interval ends at it.
     begun: bool,
-    /// Captures or periods were lost: nothing more can be compared on this path.
+    /// Captures or periods were lost, so the rest of this path cannot be compared.
     lost: bool,
     timed: Timed,
     intervals: Intervals,
@@ -60,7 +60,8 @@ impl EdgeTiming {
         self.timed
     }
 
-    /// Result of a path of which every step has left. A last step without an edge shows in no interval.
+    /// Result of a path whose every step was emitted; also finds a missing edge of the last step, which ends no
+    /// interval.
     pub fn timed_whole(&self, line: &Timeline) -> Timed {
         let missing = self.to_come > 0 || self.end.pulses != line.end().pulses;
         let mut timed = self.timed;
@@ -76,8 +77,8 @@ impl EdgeTiming {
         self.intervals
     }
 
-    /// Compares edges captured at these instants, which DMA has written; their clock wraps. Runs once per step, so each
-    /// edge costs a few instructions.
+    /// Compares edges captured at these instants, which DMA has written; their clock wraps. Spends only a few
+    /// instructions on each edge, because it runs once per step.
     // Not inlined, so that its state stays in registers.
     #[inline(never)]
     pub fn compare(&mut self, line: &Timeline, instants: &[AtomicU32]) {
@@ -86,8 +87,8 @@ impl EdgeTiming {
         }
         if !line.remembers(self.next) {
             self.lost = true;
-            // Only few steps lie behind the missing edge, so a pause has pushed it out: the jumper is there, the edge
-            // is not.
+            // Few steps follow the missing edge, so a pause has pushed its period out of the timeline. With other edges
+            // captured, the jumper is present and this edge is missing.
             let behind = line.end().pulses.wrapping_sub(self.end.pulses);
             if self.begun && instants.is_empty() && behind < REMEMBERED / 2 {
                 self.timed.worst_error_ticks = u32::MAX;
@@ -113,7 +114,7 @@ impl EdgeTiming {
                 due = at.wrapping_add(interval);
                 to_come -= 1;
             }
-            // A loop of its own for periods of a single step: where periods differ, nearly all are of this kind.
+            // A separate loop for periods of one step: if the periods differ, nearly all are of this kind.
             let mark = loop {
                 if next == given {
                     break 'edges edges.len();
@@ -150,7 +151,7 @@ impl EdgeTiming {
         self.intervals.exact = self.intervals.exact.wrapping_add(intervals);
     }
 
-    /// Assigns the first edge of a path to the time when its first step was due: no interval ends at it.
+    /// Aligns the captures' clock with the path by its first edge, at which no interval ends.
     #[inline(never)]
     fn begin(&mut self, line: &Timeline, instants: &[AtomicU32]) {
         let Some(first) = instants.first() else {
@@ -171,8 +172,8 @@ impl EdgeTiming {
         self.intervals.exact = self.intervals.exact.wrapping_sub(1);
     }
 
-    /// Passes periods without pulses, even if an edge before them is still to come or missing: a long pause would push
-    /// it out of the timeline.
+    /// Skips periods without pulses, even if an edge before them is still to come or missing: a long pause would push
+    /// its period out of the timeline.
     fn pass_pauses(&mut self, line: &Timeline) {
         while self.next != line.given() && line.at_end_of(self.next).pulses == self.end.pulses {
             self.end = line.at_end_of(self.next);
@@ -180,7 +181,7 @@ impl EdgeTiming {
         }
     }
 
-    /// Notes an interval that differs from the planned one, and returns by how much.
+    /// Counts an interval that differs from the planned one, and returns the difference in ticks.
     #[cold]
     #[inline(never)]
     fn differ(&mut self, at: u32, due: u32) -> u32 {
@@ -193,7 +194,7 @@ impl EdgeTiming {
         by
     }
 
-    /// Whether nothing more can be compared on this path, as without the jumper.
+    /// Whether the rest of this path cannot be compared, as without the jumper.
     pub fn is_over(&self) -> bool {
         self.lost
     }

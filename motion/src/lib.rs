@@ -4,6 +4,7 @@
 //! * [`axis`]: screw, motor and stroke; converts lengths to steps; [`axis::Position`].
 //! * [`trapezoid`]: [`trapezoid::StrokeProfile`], a move from rest to rest defined by three integers.
 //! * [`step_times`]: the tick of every step of such a move, and stops on the way.
+//! * [`slots`]: the ring from which DMA feeds the step timer.
 //! * [`timeline`]: the planned steps, which [`edge_timing`] compares with the captured edges.
 //! * [`run`]: a whole experiment, solved exactly before it starts or refused with the limit that
 //!   it breaks.

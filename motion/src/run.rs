@@ -71,7 +71,7 @@ pub struct RunPlan {
     far_dwell_ticks: u64,
     home_dwell_ticks: u64,
     start_delay_ticks: u64,
-    /// Less than a tick per stroke: it makes the total exact.
+    /// Extra rest before the last return stroke, less than a tick per stroke: it makes the total exact.
     last_far_extra_ticks: u64,
     total_ticks: u64,
 }
@@ -86,9 +86,9 @@ impl RunPlan {
             let Timing::Total { total_us, .. } = request.timing else {
                 return error;
             };
-            // This acceleration may itself exceed the limit, or leave the driver no time to turn; a higher one would
-            // leave even less time.
-            let does = |accel_um_s2| {
+            // Check the suggested acceleration: it may exceed the limit or leave the driver too little time to turn. A
+            // higher one would leave even less.
+            let suffices = |accel_um_s2| {
                 let timing = Timing::Total {
                     total_us,
                     accel_um_s2,
@@ -100,7 +100,7 @@ impl RunPlan {
                 RunError::TotalTooShort {
                     minimal_total_us,
                     minimal_accel_um_s2: Some(accel_um_s2),
-                } if !does(accel_um_s2) => RunError::TotalTooShort {
+                } if !suffices(accel_um_s2) => RunError::TotalTooShort {
                     minimal_total_us,
                     minimal_accel_um_s2: None,
                 },
@@ -108,7 +108,7 @@ impl RunPlan {
                     minimal_um_s2,
                     shortest,
                     ..
-                } if !does(minimal_um_s2) => {
+                } if !suffices(minimal_um_s2) => {
                     RunError::Profile(StrokeError::TooSlow { duration: shortest })
                 }
                 error => error,
@@ -386,7 +386,7 @@ impl Strokes<'_> {
     }
 
     /// The least acceleration for strokes of this duration within the limits of speed and step rate. Its ramps are the
-    /// longest that still keep the peak within these limits, and the step times exact. Only the axis of `any` matters.
+    /// longest that keep the peak within these limits, and the step times exact. Of `any` only the axis is used.
     fn least_accel(&self, duration: Ticks, fastest: Speed, any: Acceleration) -> Option<u32> {
         let time = u128::from(duration.0);
         let within = time.checked_sub(self.least_span(fastest))?.min(time / 2);
@@ -569,7 +569,7 @@ impl fmt::Display for RunError {
             } => {
                 write!(
                     f,
-                    "this needs {} mm/s at its peak and the limit is {} mm/s: ",
+                    "the run needs a peak speed of {} mm/s, above the limit of {} mm/s: ",
                     Decimal::milli(peak_um_s.into()),
                     Decimal::milli(max_um_s.into())
                 )?;
@@ -588,7 +588,7 @@ impl fmt::Display for RunError {
                 max_um_s,
             } => write!(
                 f,
-                "steps would be {} ticks apart and the least is {}: stay below {} mm/s or use fewer microsteps",
+                "steps would be {} ticks apart, less than the minimum of {}: stay below {} mm/s or use fewer microsteps",
                 interval.0,
                 min_interval.0,
                 Decimal::milli(max_um_s)
@@ -621,7 +621,7 @@ fn too_short(f: &mut fmt::Formatter<'_>, total_us: u64, accel_um_s2: Option<u32>
         Some(accel) => write!(f, ", or accelerate with at least {accel} mm/s2"),
         None => write!(
             f,
-            "; no acceleration within the limits does it in the requested time"
+            "; no acceleration within the limits is enough for the requested time"
         ),
     }
 }

@@ -1,11 +1,11 @@
-//! The ring of slots that DMA hands to the step timer: each is one period, or some equal ones, in the words of the
+//! The ring of slots that DMA copies to the step timer: each is one period, or some equal ones, as the words of the
 //! timer's registers.
 
 use core::sync::atomic::{AtomicU16, Ordering, compiler_fence};
 
 use crate::step_times::Equal;
 
-/// Slots of the ring. At 28.5 kHz and no two periods alike they last 9 ms, at 250 kHz 1 ms.
+/// Slots of the ring. If no two periods are equal, they last 9 ms at 28.5 kHz and 1 ms at 250 kHz.
 pub const SLOTS: usize = 256;
 
 /// Words of a slot: {ARR, RCR, CCR1, CCR2, CCR3} of an advanced timer (RM0383 section 12.4). ARR is the last tick of
@@ -33,7 +33,7 @@ impl Slots {
         Self([const { [const { AtomicU16::new(0) }; WORDS] }; SLOTS])
     }
 
-    /// Where DMA reads the words, slot by slot.
+    /// Address from which DMA reads the words, slot by slot.
     #[must_use]
     pub const fn as_ptr(&self) -> *const AtomicU16 {
         self.0.as_ptr().cast()
@@ -51,8 +51,8 @@ impl Slots {
         self.words(slot)[LAST_TICK].load(Ordering::Relaxed)
     }
 
-    /// Makes a slot the end of the queue. Writes its first word first: the counter must stop before the pulse widths
-    /// become 0.
+    /// Makes a slot the end of the queue. Writes its first word first, so that the counter stops before the pulse
+    /// widths become 0.
     pub fn end(&self, slot: u32) {
         self.show(slot, 0);
         self.write(slot, 0, 0, 0);
@@ -68,8 +68,8 @@ impl Slots {
         words[PULSE].store(pulse_ticks, Ordering::Relaxed);
     }
 
-    /// Writes a slot for each group of steps, from `first` on, but for the first word of the first one: until
-    /// [`Slots::show`] writes it, the queue ends there.
+    /// Writes a slot for each group of steps, from `first` on, except the first word of the first one: the queue ends
+    /// there until [`Slots::show`] writes it.
     // Not inlined, so that the loop's state stays in registers.
     #[inline(never)]
     pub fn write_steps(&self, first: u32, groups: &[Equal], pulse_ticks: u16) {
@@ -106,7 +106,7 @@ mod tests {
 
     /// Across the end of the ring, with one slot ended before and after.
     #[test]
-    fn steps_come_into_play_with_the_first_word_of_the_first() {
+    fn steps_become_valid_with_the_first_word_of_the_first() {
         let slots = Slots::new();
         for slot in 0..SLOTS as u32 {
             slots.write(slot, 7, 7, 7);

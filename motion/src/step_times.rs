@@ -8,9 +8,9 @@
 //! ```
 //!
 //! Each step adds N, predicts its interval from the last interval D as D - 2 D / (4 k - 3), and then corrects the tick
-//! by one while s is out of range. So no error accumulates. The deceleration is the same sequence run downward,
-//! counted back from the end. The cruise is Bresenham's line with denominator 2 n. A square root replaces the
-//! prediction near rest, where the prediction is poor, and for slow steps, where there is time for it.
+//! by one while s is out of range, so no error accumulates. The deceleration is the same sequence in reverse, counted
+//! back from the end. The cruise is Bresenham's line with denominator 2 n. A square root replaces the prediction near
+//! rest, where the prediction is poor, and for slow steps, where there is time for it.
 
 use crate::axis::Acceleration;
 use crate::trapezoid::StrokeProfile;
@@ -19,8 +19,8 @@ use crate::units::{Steps, Ticks};
 /// Number of steps from rest that use a square root, because the prediction is poor there.
 const WARM_UP: u32 = 32;
 
-/// After an interval of this many ticks (640 us) or more, a step uses a square root. A step predicted from less
-/// follows within [`LONGEST_TAKEN`].
+/// After an interval of this many ticks (640 us) or more, a step uses a square root. A step predicted from a shorter
+/// interval follows within [`LONGEST_TAKEN`].
 const UNHURRIED: u32 = 64_000;
 
 /// Longest interval in [`StepTimes::batch`], ticks: 655 us, the range of a 16-bit timer.
@@ -68,9 +68,9 @@ pub struct Equal {
     pub steps: u32,
 }
 
-/// Limits of what [`StepTimes::batch`] may take.
+/// Limits of the steps that [`StepTimes::batch`] takes.
 #[derive(Clone, Copy, Debug)]
-pub struct Share {
+pub struct BatchLimits {
     /// Maximum steps.
     pub steps: u32,
     /// No further group begins once the groups take this many ticks together.
@@ -81,7 +81,7 @@ pub struct Share {
     pub equal_ticks: u32,
 }
 
-impl Share {
+impl BatchLimits {
     const ONE: Self = Self {
         steps: 1,
         ticks: 1,
@@ -221,12 +221,12 @@ impl StepTimes {
     /// Takes the next steps of this phase as groups of equal ones, and returns the number of groups. The ticks are the
     /// same as from [`StepTimes::advance`], one by one. Some steps are left to `advance`: the first of a phase, those
     /// that need a square root, and those further apart than [`LONGEST_TAKEN`].
-    pub fn batch(&mut self, share: &Share, groups: &mut [Equal]) -> usize {
-        let most = share.steps.min(self.phase_end - self.emitted);
+    pub fn batch(&mut self, limits: &BatchLimits, groups: &mut [Equal]) -> usize {
+        let most = limits.steps.min(self.phase_end - self.emitted);
         let taken = match self.phase {
-            Phase::Accelerate => self.ramp.climb_all(share, most, groups),
-            Phase::Cruise => self.cruise.batch(share, most, groups),
-            Phase::Decelerate => self.ramp.descend_all(share, most, groups),
+            Phase::Accelerate => self.ramp.climb_all(limits, most, groups),
+            Phase::Cruise => self.cruise.batch(limits, most, groups),
+            Phase::Decelerate => self.ramp.descend_all(limits, most, groups),
         };
         if taken.groups > 0 {
             self.emitted += taken.steps;
@@ -297,8 +297,7 @@ impl Ramp {
         }
     }
 
-    /// Goes to step `k` by a square root. Without an interval to predict from, the next step uses a square root as
-    /// well.
+    /// Goes to step `k` by a square root. The next step has no interval to predict from, so it uses a square root too.
     #[inline(never)]
     fn seed(&mut self, k: u32) {
         let (n, square) = (u64::from(self.steps), self.square as u64);
@@ -321,7 +320,7 @@ impl Ramp {
 
     fn up(&mut self) -> u32 {
         if self
-            .climb_all(&Share::ONE, 1, &mut [Equal::default()])
+            .climb_all(&BatchLimits::ONE, 1, &mut [Equal::default()])
             .steps
             == 0
         {
@@ -334,7 +333,7 @@ impl Ramp {
 
     fn down(&mut self) -> u32 {
         if self
-            .descend_all(&Share::ONE, 1, &mut [Equal::default()])
+            .descend_all(&BatchLimits::ONE, 1, &mut [Equal::default()])
             .steps
             == 0
         {
@@ -345,16 +344,15 @@ impl Ramp {
         self.tick
     }
 
-    /// Takes up to `most` steps as [`StepTimes::batch`] does, until one needs a square root. Each step is a group of
-    /// its own.
+    /// Takes up to `most` steps as [`StepTimes::batch`] does, until one needs a square root. Each step is one group.
     // Not inlined, so that its state stays in registers.
     #[inline(never)]
-    fn climb_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+    fn climb_all(&mut self, limits: &BatchLimits, most: u32, groups: &mut [Equal]) -> Taken {
         // On the way up intervals shrink and k grows, so if the first step is predictable, all are.
         if !self.predictable(self.k + 1) {
             return Taken::default();
         }
-        self.batch(share, most, groups, |ramp| {
+        self.batch(limits, most, groups, |ramp| {
             let (before, k) = (ramp.tick, ramp.k + 1);
             let interval = shorter(ramp.interval, k);
             let passed = product(interval, 2 * before + interval - 1);
@@ -366,10 +364,10 @@ impl Ramp {
 
     /// Like [`Ramp::climb_all`], on the way down.
     #[inline(never)]
-    fn descend_all(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+    fn descend_all(&mut self, limits: &BatchLimits, most: u32, groups: &mut [Equal]) -> Taken {
         // The last steps to rest use square roots.
         let most = most.min(self.k.saturating_sub(WARM_UP + 1));
-        self.batch(share, most, groups, |ramp| {
+        self.batch(limits, most, groups, |ramp| {
             if ramp.interval >= UNHURRIED {
                 return false;
             }
@@ -385,7 +383,7 @@ impl Ramp {
     #[inline(always)]
     fn batch(
         &mut self,
-        share: &Share,
+        limits: &BatchLimits,
         most: u32,
         groups: &mut [Equal],
         step: impl Fn(&mut Self) -> bool,
@@ -395,7 +393,7 @@ impl Ramp {
         let (mut ticks, mut count) = (0, 0);
         let most = (most as usize).min(groups.len());
         for group in &mut groups[..most] {
-            if ticks >= share.ticks || !step(&mut ramp) {
+            if ticks >= limits.ticks || !step(&mut ramp) {
                 break;
             }
             *group = Equal {
@@ -505,11 +503,10 @@ impl Cruise {
 
     /// Takes up to `most` steps as [`StepTimes::batch`] does.
     ///
-    /// Each step adds the slope to the carry. A step that is one tick longer takes 2 n off the carry. So a step costs
-    /// an addition, a comparison and a subtraction; a division finds the number of equal steps that follow, if there
-    /// are any.
+    /// Each step adds the slope to the carry. A step that is one tick longer subtracts 2 n from the carry. A step
+    /// therefore costs an addition, a comparison and a subtraction, and a division finds how many equal steps follow.
     #[inline(never)]
-    fn batch(&mut self, share: &Share, most: u32, groups: &mut [Equal]) -> Taken {
+    fn batch(&mut self, limits: &BatchLimits, most: u32, groups: &mut [Equal]) -> Taken {
         let Self {
             interval,
             slope,
@@ -521,9 +518,9 @@ impl Cruise {
             return Taken::default();
         }
         let back = double - slope;
-        let most_alike = share.equal.min(share.equal_ticks / (interval + 1)).max(1) - 1;
+        let most_alike = limits.equal.min(limits.equal_ticks / (interval + 1)).max(1) - 1;
         // No group begins after these steps. Counting them costs less than adding up the ticks.
-        let begun = most.min(share.ticks.div_ceil(interval + 1));
+        let begun = most.min(limits.ticks.div_ceil(interval + 1));
         let (mut steps, mut longer) = (0, 0);
         let most_groups = groups.len();
         let mut free = groups.iter_mut();
@@ -531,7 +528,7 @@ impl Cruise {
             let Some(group) = free.next() else {
                 break;
             };
-            // The first step of a group comes on top of the equal ones that follow it.
+            // Count the first step of the group, then the equal ones that follow it.
             steps += 1;
             let mut alike = 0;
             let mut ticks = interval;

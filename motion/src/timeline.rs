@@ -1,4 +1,4 @@
-//! The planned periods as a line of ticks and pulses: the path's progress at the end of each of the latest periods.
+//! The latest planned periods: ticks and pulses from the start of the path to the end of each.
 
 use crate::slots::SLOTS;
 use crate::step_times::Equal;
@@ -54,7 +54,7 @@ impl Timeline {
         (self.end, self.given) = (Mark::default(), 0);
     }
 
-    /// Appends periods without pulses, as one.
+    /// Appends a pause as one period without pulses.
     pub fn extend_by_pause(&mut self, ticks: u32) {
         self.end.ticks = self.end.ticks.wrapping_add(ticks);
         self.marks[(self.given % REMEMBERED) as usize] = self.end;

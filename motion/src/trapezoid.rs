@@ -9,7 +9,7 @@
 //! deceleration  t = T - sqrt((n - k) C)
 //! ```
 //!
-//! Only the three integers define the profile; a speed in um/s merely serves to find them.
+//! Only the three integers define the profile. A speed in um/s is an input for finding them.
 
 use core::fmt;
 
@@ -74,8 +74,9 @@ impl StrokeProfile {
     /// The profile of exactly this duration with the lowest peak speed: its ramp is the shortest
     /// whose acceleration is at most the requested one.
     ///
-    /// [`StrokeError::Infeasible`] if even a triangle accelerates harder; it contains the duration and the
-    /// acceleration that would be enough. Otherwise as [`StrokeProfile::from_parts`].
+    /// # Errors
+    /// [`StrokeError::Infeasible`] if even a triangle needs more acceleration; it contains the duration and the
+    /// acceleration that would suffice. Otherwise as [`StrokeProfile::from_parts`].
     pub fn from_duration(
         steps: Steps,
         duration: Ticks,
@@ -117,22 +118,22 @@ impl StrokeProfile {
         )
     }
 
-    /// The rest of a stopped stroke: the shortest profile of `left` steps within this profile's
-    /// peak speed and acceleration.
+    /// The rest of a stopped stroke: the shortest profile of the `remaining` steps within this profile's peak speed and
+    /// acceleration.
     ///
     /// # Errors
     /// As [`StrokeProfile::from_parts`].
-    pub fn resumed(&self, left: Steps) -> Result<Self, StrokeError> {
-        if left.0 == 0 {
+    pub fn resumed(&self, remaining: Steps) -> Result<Self, StrokeError> {
+        if remaining.0 == 0 {
             return Err(StrokeError::NoSteps);
         }
-        let (left_steps, n) = (u128::from(left.0), u128::from(self.steps));
+        let (remaining_steps, n) = (u128::from(remaining.0), u128::from(self.steps));
         let span = u128::from(self.duration_ticks - self.ramp_ticks);
         let square = span * u128::from(self.ramp_ticks);
         Self::shortest_within(
-            left,
-            (left_steps * span).div_ceil(n),
-            (left_steps * square).div_ceil(n),
+            remaining,
+            (remaining_steps * span).div_ceil(n),
+            (remaining_steps * square).div_ceil(n),
         )
     }
 
@@ -152,8 +153,8 @@ impl StrokeProfile {
         Self::from_parts(steps, ticks(ramp + span), ticks(ramp))
     }
 
-    /// The longest ramp up to `most` of a profile of this duration; `None` if there is none. A longer ramp makes the
-    /// first steps slower, so that the exact step times end before they fit.
+    /// The longest ramp, up to `most`, for which a profile of this duration has exact step times; `None` if no ramp
+    /// has. A longer ramp makes the first steps slower.
     pub(crate) fn longest_ramp(steps: Steps, duration: Ticks, most: u64) -> Option<Ticks> {
         let is_too_slow = |ramp| {
             let profile = Self::from_parts(steps, duration, Ticks(ramp));

@@ -1,4 +1,4 @@
-//! Units as types, so that nobody passes micrometres as steps.
+//! Units as types, so that micrometres cannot be passed as steps.
 
 use core::fmt;
 
@@ -12,10 +12,10 @@ pub const TICKS_PER_US: u64 = TICK_HZ / 1_000_000;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Steps(pub u32);
 
-/// A carriage position in microsteps as a counter holds it: 0 is home, positive is away from home.
+/// A carriage position in microsteps as the value of a counter: 0 is home, positive is away from home.
 ///
-/// Unlike [`crate::axis::Position`] it may lie outside the stroke, and it means nothing until
-/// homing has set the counter. Its methods with a direction are in [`crate::axis`].
+/// Unlike [`crate::axis::Position`] it may lie outside the stroke, and it is undefined until homing has set the
+/// counter. Its methods with a direction are in [`crate::axis`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StepPosition(pub i32);
 
@@ -42,8 +42,8 @@ impl StepPosition {
 
     /// Steps from `other` to here, positive if here is farther from home.
     ///
-    /// Wraps if the two are 2^31 steps apart or more. No axis gets there: its stroke holds fewer
-    /// than 2^25 steps, and at 1 MHz, the highest step rate, 2^31 steps take 35 minutes one way.
+    /// Wraps if the two are 2^31 steps apart or more. No axis reaches that: its stroke holds fewer than 2^25 steps, and
+    /// 2^31 steps at the highest step rate, 1 MHz, take 35 minutes in one direction.
     #[must_use]
     pub const fn since(self, other: Self) -> i32 {
         self.0.wrapping_sub(other.0)

@@ -128,14 +128,14 @@ proptest! {
 
     #[test]
     fn a_position_is_never_outside_the_stroke(
-        axis in axes(), share in 0_u64..=2_000, beside in -2..=2_i32,
+        axis in axes(), fraction in 0_u64..=2_000, beside in -2..=2_i32,
     ) {
         let (last, stroke) = (axis.stroke_steps(), axis.stroke());
         prop_assert_eq!(Some(last), axis.steps_within(stroke));
         prop_assert_eq!(Some(axis.far()), axis.position(last));
 
         // From home to twice the stroke, and close to its end.
-        let part = |whole: u32| (u64::from(whole) * share / 1_000) as u32;
+        let part = |whole: u32| (u64::from(whole) * fraction / 1_000) as u32;
         for steps in [part(last.0), last.0.saturating_add_signed(beside)].map(Steps) {
             let expected = (steps <= last).then_some(steps);
             prop_assert_eq!(axis.position(steps).map(Position::steps), expected);

@@ -1,7 +1,7 @@
 //! Step times and stops against the definition, on random axes and strokes.
 
 use motion::axis::Axis;
-use motion::step_times::{Equal, LONGEST_TAKEN, Share, StepTimes, Stop};
+use motion::step_times::{BatchLimits, Equal, LONGEST_TAKEN, StepTimes, Stop};
 use motion::trapezoid::{MAX_INTERVAL, MIN_INTERVAL, StrokeError, StrokeProfile};
 use motion::units::{Steps, TICK_HZ, Ticks};
 use num_bigint::BigInt;
@@ -21,11 +21,11 @@ fn octaves(low: u32, high: u32) -> impl Strategy<Value = u32> {
 /// Profiles of every kind: from parts and from speeds; slow, fast, short, long.
 fn profiles(max_steps: u32) -> impl Strategy<Value = StrokeProfile> {
     let steps = || prop_oneof![3 => 1..=max_steps, 1 => 1_u32..=20];
-    let shares = prop_oneof![1_u32..=1_000_000, octaves(0, 19), Just(1_000_000)];
+    let ratios = prop_oneof![1_u32..=1_000_000, octaves(0, 19), Just(1_000_000)];
     let parts =
-        (steps(), octaves(6, 20), shares).prop_filter_map("refused", |(n, interval, share)| {
+        (steps(), octaves(6, 20), ratios).prop_filter_map("refused", |(n, interval, ratio)| {
             let t = u64::from(n) * u64::from(interval);
-            let r = (t / 2 * u64::from(share) / 1_000_000).max(1);
+            let r = (t / 2 * u64::from(ratio) / 1_000_000).max(1);
             StrokeProfile::from_parts(Steps(n), Ticks(t), Ticks(r)).ok()
         });
     let speeds = (axes(), steps(), octaves(6, 18), octaves(8, 24)).prop_filter_map(
@@ -82,7 +82,7 @@ fn places() -> impl Strategy<Value = Place> {
         0_usize..3,
         prop_oneof![4 => 0_u32..=1_000, 1 => Just(0), 1 => Just(1_000)],
     )
-        .prop_map(|(phase, share)| Place(phase, share))
+        .prop_map(|(phase, fraction)| Place(phase, fraction))
 }
 
 impl Place {
@@ -96,18 +96,18 @@ impl Place {
 }
 
 /// Amounts taken at once: little, as the step generator does it, or everything.
-fn shares() -> impl Strategy<Value = (usize, Share)> {
+fn batch_limits() -> impl Strategy<Value = (usize, BatchLimits)> {
     let count = || prop_oneof![0_u32..10, 0_u32..400, Just(u32::MAX)];
     let ticks = || prop_oneof![0_u32..5_000, 0_u32..1_000_000];
     (0_usize..70, count(), ticks(), count(), ticks()).prop_map(
         |(groups, steps, ticks, equal, equal_ticks)| {
-            let share = Share {
+            let limits = BatchLimits {
                 steps,
                 ticks,
                 equal,
                 equal_ticks,
             };
-            (groups, share)
+            (groups, limits)
         },
     )
 }
@@ -153,8 +153,8 @@ impl Deceleration {
     fn um_s2(self, profile: &StrokeProfile, axis: &Axis) -> u32 {
         match self {
             Self::Absolute(um_s2) => um_s2,
-            Self::Relative(share) => {
-                let um_s2 = u64::from(profile.accel_um_s2(axis)) * u64::from(share) / 16;
+            Self::Relative(fraction) => {
+                let um_s2 = u64::from(profile.accel_um_s2(axis)) * u64::from(fraction) / 16;
                 u32::try_from(um_s2).unwrap_or(u32::MAX).max(1)
             }
         }
@@ -214,12 +214,12 @@ proptest! {
     /// next group is another one, unless more may not be taken for equal.
     #[test]
     fn steps_taken_together_are_those_that_would_follow(
-        profile in profiles(5_000), shares in prop::collection::vec(shares(), 1..20),
+        profile in profiles(5_000), all_limits in prop::collection::vec(batch_limits(), 1..20),
         brakes in prop::option::of((0_u32..=1_000, octaves(10, 26))), axis in axes(),
     ) {
         let (mut times, mut single) = (StepTimes::new(profile), StepTimes::new(profile));
         let mut brake = brakes.map(|(place, um_s2)| (profile.steps().0 * place / 1_000, um_s2));
-        for (groups, share) in shares.iter().cycle() {
+        for (groups, limits) in all_limits.iter().cycle() {
             if let Some((place, um_s2)) = brake
                 && times.emitted().0 >= place
             {
@@ -231,10 +231,10 @@ proptest! {
             prop_assert_eq!(times.next(), single.next());
             let (mut steps, mut ticks) = (0, 0);
             let mut given = vec![Equal::default(); *groups];
-            let taken = times.batch(share, &mut given);
+            let taken = times.batch(limits, &mut given);
             for Equal { interval, steps: equal } in given.into_iter().take(taken) {
-                prop_assert!(ticks < share.ticks);
-                prop_assert!(equal == 1 || equal <= share.equal && equal * interval <= share.equal_ticks);
+                prop_assert!(ticks < limits.ticks);
+                prop_assert!(equal == 1 || equal <= limits.equal && equal * interval <= limits.equal_ticks);
                 prop_assert!(interval <= LONGEST_TAKEN);
                 for _ in 0..equal {
                     prop_assert!(single.advance());
@@ -242,7 +242,7 @@ proptest! {
                 }
                 (steps, ticks) = (steps + equal, ticks + interval * equal);
             }
-            prop_assert!(steps <= share.steps);
+            prop_assert!(steps <= limits.steps);
             prop_assert_eq!(times.tick(), single.tick());
             prop_assert_eq!(times.interval(), single.interval());
             prop_assert_eq!(times.emitted(), single.emitted());
@@ -260,7 +260,7 @@ proptest! {
     #[test]
     fn a_cruise_is_the_exact_line(
         (n, fraction) in fractions(), whole in prop_oneof![100_u64..5_000, 5_000_u64..60_000], ramp in 1_u64..3_000,
-        start in 0_u32..1_000, (groups, share) in shares(),
+        start in 0_u32..1_000, (groups, limits) in batch_limits(),
     ) {
         // A ramp of few steps, then cruise with `whole` + fraction / n ticks a step, from the phase that the ramp
         // leaves.
@@ -277,7 +277,7 @@ proptest! {
         let last = n.min(k + 3_000);
         while k < last {
             let mut given = vec![Equal::default(); groups];
-            let taken = times.batch(&share, &mut given);
+            let taken = times.batch(&limits, &mut given);
             if taken == 0 {
                 let Some(next) = times.next() else { break };
                 (tick, k) = (next, k + 1);
@@ -341,11 +341,11 @@ proptest! {
     /// A second stop while braking never lengthens the way.
     #[test]
     fn stopping_again_never_goes_further(
-        axis in axes(), profile in profiles(5_000), share in 1_u32..1_000,
+        axis in axes(), profile in profiles(5_000), fraction in 1_u32..1_000,
         gentle in octaves(10, 20), harder in octaves(10, 26), between in 0_usize..200,
     ) {
         let mut times = StepTimes::new(profile);
-        let at = (u64::from(profile.steps().0) * u64::from(share) / 1_000) as usize;
+        let at = (u64::from(profile.steps().0) * u64::from(fraction) / 1_000) as usize;
         times.by_ref().take(at).for_each(drop);
         times.stop(axis.acceleration(gentle).unwrap());
         times.by_ref().take(between).for_each(drop);
@@ -357,10 +357,10 @@ proptest! {
 
     /// The rest of a stroke neither exceeds its speed nor its acceleration, and one tick less would.
     #[test]
-    fn a_resumed_stroke_is_the_shortest_within_its_limits(profile in profiles(20_000), share in 0_u32..=1_000) {
-        let left = (profile.steps().0 * share / 1_000).max(1);
-        let rest = profile.resumed(Steps(left)).unwrap();
-        prop_assert_eq!(rest.steps(), Steps(left));
+    fn a_resumed_stroke_is_the_shortest_within_its_limits(profile in profiles(20_000), fraction in 0_u32..=1_000) {
+        let remaining = (profile.steps().0 * fraction / 1_000).max(1);
+        let rest = profile.resumed(Steps(remaining)).unwrap();
+        prop_assert_eq!(rest.steps(), Steps(remaining));
         let (n, t, r) = integers(&profile);
         let (m, u, q) = integers(&rest);
         let slow_enough = |u: &BigInt, q: &BigInt| &m * (&t - &r) <= &n * (u - q);
@@ -371,7 +371,7 @@ proptest! {
         let span: BigInt = (&m * (&t - &r) + &n - 1) / &n;
         let ramp = BigInt::min(&shorter / 2, &shorter - span);
         prop_assert!(ramp < BigInt::from(1) || !gentle_enough(&shorter, &ramp));
-        if left == profile.steps().0 {
+        if remaining == profile.steps().0 {
             prop_assert!(rest.duration() <= profile.duration());
         }
     }
@@ -459,7 +459,7 @@ proptest! {
 fn nearly_all_steps_of_a_fast_stroke_are_taken_together() {
     // 50 mm/s on the reference axis after 500 ms of ramp: from step 33 on less than 640 us apart.
     let profile = parts(104_000, 310_000_000, 50_000_000).unwrap();
-    let share = Share {
+    let limits = BatchLimits {
         steps: u32::MAX,
         ticks: 1_000_000,
         equal: u32::MAX,
@@ -468,7 +468,7 @@ fn nearly_all_steps_of_a_fast_stroke_are_taken_together() {
     let mut times = StepTimes::new(profile);
     let (mut groups, mut singly) = ([Equal::default(); 64], 0);
     while times.remaining() > Steps(0) {
-        if times.batch(&share, &mut groups) == 0 {
+        if times.batch(&limits, &mut groups) == 0 {
             singly += u32::from(times.next().is_some());
         }
     }
@@ -479,7 +479,7 @@ fn nearly_all_steps_of_a_fast_stroke_are_taken_together() {
 /// groups.
 #[test]
 fn steps_alike_are_one_group() {
-    let share = Share {
+    let limits = BatchLimits {
         steps: u32::MAX,
         ticks: u32::MAX,
         equal: u32::MAX,
@@ -491,7 +491,7 @@ fn steps_alike_are_one_group() {
         let mut times = StepTimes::new(parts(100_000, span + 1_000, 1_000).unwrap());
         times.by_ref().take(100).for_each(drop);
         let (before, mut groups) = (times.emitted().0, [Equal::default(); 100]);
-        assert_eq!(times.batch(&share, &mut groups), 100);
+        assert_eq!(times.batch(&limits, &mut groups), 100);
         let steps = times.emitted().0 - before;
         assert!(steps > 49_000, "{steps} in 100 groups of {fraction}");
     }

@@ -1,4 +1,4 @@
-//! Translates between wire and plan. A run is *requested* ([`protocol::rig::Run`]), *planned*
+//! Converts between wire and plan. A run is *requested* ([`protocol::rig::Run`]), *planned*
 //! ([`motion::run::RunPlan`]) and *reported* ([`protocol::rig::RunAccepted`], [`protocol::error::Refusal`]). The rig
 //! and the host tool use the same functions, so a plan made offline is the plan that the rig executes.
 #![no_std]
@@ -154,7 +154,7 @@ pub fn refusal(error: &RunError, run: &Run, axis: &Axis, limits: &Limits) -> Ref
             min_interval,
             ..
         } => Refusal::StepRateLimit {
-            // Up: a rate that is too large by less than 1 Hz must not read like the limit.
+            // Round up: a rate less than 1 Hz above the limit must not be reported as the limit.
             needed_hz: TICK_HZ.div_ceil(interval.0.max(1)),
             max_hz: TICK_HZ / min_interval.0.max(1),
         },

@@ -229,7 +229,7 @@ impl Carriage {
 
     /// Pulses that will still leave whatever is ordered, unless they are cut.
     pub fn queued(&self) -> u64 {
-        self.ring.rounds_left()
+        self.ring.rounds_remaining()
     }
 
     /// Orders a path. Panics if another one is still being executed.

@@ -49,14 +49,15 @@ pub fn rig() -> Result<(), BenchError> {
     device.call(Resume)?;
     device.wait_run(&accepted, &mut Unobserved)?;
     let speed_um_s = 10_000;
-    let position_um = 5_000;
     let accepted = device.call(MoveTo {
-        position_um,
+        position_um: 5_000,
         speed_um_s,
     })?;
     device.wait_move(&accepted, &mut Unobserved)?;
-    let direction = protocol::rig::Direction::Away;
-    device.call(Jog { direction, speed_um_s })?;
+    device.call(Jog {
+        direction: protocol::rig::Direction::Away,
+        speed_um_s,
+    })?;
     device.idle(100_000, &mut Unobserved)?;
     device.urgent(Urgent::Stop)?;
     device.wait_rest(&mut Unobserved)?;

@@ -24,10 +24,10 @@ pub static TELEMETRY_CHANGED: Signal<Raw, ()> = Signal::new();
 /// Present session, for unsolicited frames. Set by link.
 pub static SESSION: AtomicU8 = AtomicU8::new(0);
 /// Low 32 bits of the time when the host that began the motion was last heard, us. Set by link, read by control.
-pub static LAST_SIGN_US: AtomicU32 = AtomicU32::new(0);
+pub static LAST_HEARD_US: AtomicU32 = AtomicU32::new(0);
 /// Receptions that failed. Set by link.
 pub static UART_ERRORS: AtomicU32 = AtomicU32::new(0);
-/// Blocks of bytes that were no good frames. Set by link.
+/// Byte blocks that failed frame validation. Set by link.
 pub static BAD_FRAMES: AtomicU32 = AtomicU32::new(0);
 /// Frames that found the line busy. Set by their senders.
 pub static UNSENT_FRAMES: AtomicU32 = AtomicU32::new(0);
@@ -46,7 +46,7 @@ pub fn send_if_free(frame: Encoded) {
 pub fn send_event(event: &Event) {
     let session = SESSION.load(Ordering::Relaxed);
     if session == 0 {
-        return; // nobody listens; it stays in the ring
+        return; // no host listens; the event stays in the ring
     }
     let header = Header {
         kind: Kind::Event,

@@ -19,7 +19,7 @@ unsafe extern "C" {
 fn words(from: *const u32, to: *const u32) -> impl Iterator<Item = u32> {
     let count = (to as usize).saturating_sub(from as usize) / 4;
     // SAFETY: the linker script puts both ends, word-aligned, into the same memory. The read is volatile because the
-    // stack changes meanwhile.
+    // stack changes while it is read.
     (0..count).map(move |index| unsafe { read_volatile(from.add(index)) })
 }
 

@@ -14,9 +14,9 @@ use core::{
 };
 use cortex_m_rt::ExceptionFrame;
 
-/// Defines the handlers of an image: for a panic and for a processor fault. Each calls `$outputs_off`, the image's safe
-/// state, before it keeps its last words. No task and no interrupt can switch an output on again: a panic switches the
-/// interrupts off first, and a processor fault has the highest priority.
+/// Defines an image's handlers of a panic and of a processor fault. Each calls `$outputs_off`, the image's safe state,
+/// before it keeps the last words. No task and no interrupt can switch an output on again: the panic handler disables
+/// interrupts first, and a processor fault has the highest priority.
 #[macro_export]
 macro_rules! last_resort {
     ($outputs_off:path) => {
@@ -24,11 +24,11 @@ macro_rules! last_resort {
         fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
             $crate::chip::last_resort::interrupts_off();
             $outputs_off();
-            $crate::chip::last_resort::die_of_a_panic(info)
+            $crate::chip::last_resort::handle_panic(info)
         }
 
-        /// An overflow leaves the stack pointer below the RAM, where nothing can be pushed: the rest runs on a stack of
-        /// its own, which `memory.x` keeps free.
+        /// After a stack overflow the stack pointer is below the RAM, where nothing can be pushed. The handler
+        /// therefore runs on its own stack, which `memory.x` reserves.
         #[unsafe(naked)]
         #[unsafe(no_mangle)]
         extern "C" fn HardFault() -> ! {
@@ -45,42 +45,42 @@ macro_rules! last_resort {
 
         extern "C" fn processor_fault(frame: u32, interrupted: u32) -> ! {
             $outputs_off();
-            $crate::chip::last_resort::die_of_a_fault(frame, interrupted)
+            $crate::chip::last_resort::handle_fault(frame, interrupted)
         }
     };
 }
 
-/// Ends the work of all tasks and interrupts.
+/// Keeps tasks and interrupts from running again.
 #[inline(always)]
 pub fn interrupts_off() {
     cortex_m::interrupt::disable();
 }
 
 /// True once the last words are kept. A later panic comes from logging them and must not replace them.
-static DYING: AtomicBool = AtomicBool::new(false);
+static WORDS_KEPT: AtomicBool = AtomicBool::new(false);
 
-/// Keeps the last words and resets. A panic while a frame of the log is being written panics again when it logs: the
-/// first words are then kept, and nothing is logged.
-pub(super) fn die(words: &Draft) -> ! {
-    // A panic or fault never returns, so none of them is resumed between this check and the store below.
-    if DYING.load(Ordering::Relaxed) {
+/// Keeps the last words and resets. A panic during the output of a log frame panics again when it logs: the first words
+/// are then kept, and nothing is logged.
+pub(super) fn keep_and_reset(words: &Draft) -> ! {
+    // A panic or fault never returns, so no earlier one can continue between this check and the store below.
+    if WORDS_KEPT.load(Ordering::Relaxed) {
         cortex_m::peripheral::SCB::sys_reset();
     }
     keep_last_words(&mut Ram, words.0.as_bytes());
-    DYING.store(true, Ordering::Relaxed);
+    WORDS_KEPT.store(true, Ordering::Relaxed);
     defmt::error!("{=str}", words.0.as_str());
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// A panic. The outputs are off.
-pub fn die_of_a_panic(info: &PanicInfo<'_>) -> ! {
+/// Handles a panic. The outputs are off already.
+pub fn handle_panic(info: &PanicInfo<'_>) -> ! {
     let frame;
     // SAFETY: reads a register.
     unsafe { asm!("mov {}, r7", out(reg) frame, options(nomem, nostack, preserves_flags)) };
     let place = info
         .location()
         .map_or(("?", 0), |at| (at.file(), at.line()));
-    die(&of_a_panic(
+    keep_and_reset(&of_a_panic(
         place.0,
         place.1,
         info.message(),
@@ -88,24 +88,24 @@ pub fn die_of_a_panic(info: &PanicInfo<'_>) -> ! {
     ))
 }
 
-/// A processor fault, with the address of the exception's frame and the frame pointer (r7) of the interrupted
-/// function. The outputs are off.
+/// Handles a processor fault, given the address of the exception's frame and the frame pointer (r7) of the interrupted
+/// function. The outputs are off already.
 ///
-/// The stack ends where the RAM begins. There is no memory below it, so an overflow is a fault, and the fault's own frame
-/// finds no room either (Armv7-M ARM B1.5.11).
-pub fn die_of_a_fault(frame: u32, interrupted: u32) -> ! {
+/// The stack ends where the RAM begins. There is no memory below it, so an overflow is a fault, and the fault's own
+/// frame finds no room either (Armv7-M ARM B1.5.11).
+pub fn handle_fault(frame: u32, interrupted: u32) -> ! {
     if !is_in_ram(frame, size_of::<ExceptionFrame>()) {
         let mut words = Draft::default();
         let frame = interrupted;
         add_callers(&mut words, "stack overflow, called from", Callers { frame });
-        die(&words)
+        keep_and_reset(&words)
     }
     // SAFETY: as just checked; the processor has stored the frame there.
     let frame = unsafe { &*(frame as *const ExceptionFrame) };
     let (pc, lr) = (frame.pc(), frame.lr());
     let mut words = Draft::default();
     let _ = write!(words, "processor fault at {pc:#x}, called from {lr:#x}");
-    die(&words)
+    keep_and_reset(&words)
 }
 
 /// Whether these bytes are whole words in the RAM.
@@ -129,9 +129,9 @@ impl Iterator for Callers {
         }
         // SAFETY: two aligned words within the RAM; whatever they hold is only printed or checked as an address.
         let [outer, caller] = unsafe { read_volatile(self.frame as *const [u32; 2]) };
-        // The stack grows downward: outer frames lie above. Anything else is no frame, and the last one.
+        // The stack grows downward: outer frames are at higher addresses. Any other pointer ends the list.
         self.frame = if outer > self.frame { outer } else { 0 };
-        // Bit 0 says "Thumb".
+        // Bit 0 marks Thumb code.
         Some(caller & !1)
     }
 }

@@ -1,7 +1,7 @@
-//! The serial link: bytes to the service, its questions to control, frames to the port.
+//! The serial link: passes bytes to the service, its requests to control, and frames to the port.
 
 use super::{
-    channels::{BAD_FRAMES, LAST_SIGN_US, OUTBOUND, REPLIES, REQUESTS, SESSION, UART_ERRORS},
+    channels::{BAD_FRAMES, LAST_HEARD_US, OUTBOUND, REPLIES, REQUESTS, SESSION, UART_ERRORS},
     serial,
     watchdog::{CHECK_IN, check_in},
 };
@@ -28,7 +28,7 @@ pub async fn transmit(mut uart: UartTx<'static, Async>) -> ! {
     }
 }
 
-/// Reads the port, at least every 100 ms. An urgent stop calls `at_once` before control hears of it.
+/// Reads the port, at least every 100 ms. An urgent stop calls `at_once` before control receives it.
 pub async fn receive(
     mut uart: RingBufferedUartRx<'static>,
     identity: Identity,
@@ -41,15 +41,15 @@ pub async fn receive(
         let count = match with_timeout(CHECK_IN, uart.read(&mut buffer)).await {
             Ok(Ok(count)) => count,
             Ok(Err(_)) => {
-                // Noise, framing, overrun: the host repeats the damaged frame. The HAL hands out what the last round
-                // left in its ring: old frames, an emergency stop among them. Drop all of it.
+                // Noise, framing error or overrun: the host repeats the damaged frame. The HAL would return the old
+                // bytes in its ring, perhaps an old emergency stop. Drop all of them.
                 UART_ERRORS.fetch_add(1, Ordering::Relaxed);
                 serial::rewind();
                 while let Poll::Ready(dropped) = poll_once(uart.read(&mut buffer)) {
                     if dropped.is_err() {
                         serial::rewind();
                     }
-                    // Keep the watchdog fed, even if the line errs all the time.
+                    // Keep the watchdog fed, even if errors never cease.
                     check_in(Client::Link);
                     yield_now().await;
                 }
@@ -63,7 +63,7 @@ pub async fn receive(
             let Some(incoming) = service.receive(*byte, now_us) else {
                 continue;
             };
-            LAST_SIGN_US.store(service.heard_us(), Ordering::Relaxed);
+            LAST_HEARD_US.store(service.heard_us(), Ordering::Relaxed);
             SESSION.store(service.session(), Ordering::Relaxed);
             // Send in one place: each `await` stores another copy of the state.
             let frame = match incoming {
@@ -79,7 +79,7 @@ pub async fn receive(
                 Incoming::Ignore => None,
             };
             // Update after the answer: a refused request does not keep a motion alive.
-            LAST_SIGN_US.store(service.heard_us(), Ordering::Relaxed);
+            LAST_HEARD_US.store(service.heard_us(), Ordering::Relaxed);
             if let Some(frame) = frame {
                 OUTBOUND.send(frame).await;
             }

@@ -1,4 +1,4 @@
-//! The kilobyte of RAM that survives a reset; see [`crate::retained`] for what is in it.
+//! The kilobyte of RAM that survives a reset; [`crate::retained`] describes its content.
 
 use crate::retained::{EStop, Retained, WORDS, Words};
 use core::ptr::{addr_of_mut, read_volatile, write_volatile};
@@ -27,12 +27,12 @@ impl Words for Ram {
     }
 }
 
-/// Takes what the previous start left. Once, before anything else.
+/// Takes the data of the previous start. Call it once, before anything else.
 pub fn start() -> Retained {
     crate::retained::start(&mut Ram)
 }
 
-/// Keeps an E-stop over a reset, or forgets it. Only by the task that owns the state machine.
+/// Keeps an E-stop over a reset, or clears it. Only the task that owns the state machine calls it.
 pub fn keep_latched(estop: Option<EStop>) {
     crate::retained::keep_latched(&mut Ram, estop);
 }

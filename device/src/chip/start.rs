@@ -1,4 +1,4 @@
-//! The chip's start, for any chip: time base, reset cause, identity, watchdog.
+//! The start of any chip: time base, bus clocks, vector catches, reset cause, identity, watchdog.
 
 use super::{
     stm32f411re::{self, TIME_DRIVER, TIME_DRIVER_INTERRUPT},
@@ -33,21 +33,21 @@ pub fn let_clocks_come() {
     cortex_m::asm::dsb();
 }
 
-/// Clears the catches that a debugger may have left: halts at resets and at processor faults (the VC bits of DEMCR,
-/// which software may write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would stand there with the
+/// Clears the vector catches that a debugger may have set: halts at resets and at processor faults (the VC bits of
+/// DEMCR, which software may write; Armv7-M ARM C1.6.5). They outlive a reset, and the processor would halt with the
 /// watchdog off. Only a debugger can change C_DEBUGEN, which enables them, so clear them at every start. Call it after
 /// the HAL's start: the log needs its clock.
-pub fn forget_catches() {
+pub fn clear_vector_catches() {
     const CATCHES: u32 = 0x7F1;
     // SAFETY: the only user of this register; a read and a write without side effects.
-    let left = unsafe {
+    let catches = unsafe {
         let demcr = &(*DCB::PTR).demcr;
-        let left = demcr.read();
-        demcr.write(left & !CATCHES);
-        left & CATCHES
+        let before = demcr.read();
+        demcr.write(before & !CATCHES);
+        before & CATCHES
     };
-    if left != 0 {
-        defmt::warn!("a debugger had left catch bits: {=u32:#x}", left);
+    if catches != 0 {
+        defmt::warn!("cleared vector catches of a debugger: {=u32:#x}", catches);
     }
 }
 

@@ -1,4 +1,4 @@
-//! The STM32F411: its memory, its time base, why it was reset.
+//! The STM32F411: its memory, time base, reset cause and clock source.
 
 pub mod clock;
 pub mod flash;

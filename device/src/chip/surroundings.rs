@@ -1,7 +1,7 @@
 //! Control's surroundings, on the chip.
 
 use super::{
-    channels::{LAST_SIGN_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
+    channels::{LAST_HEARD_US, TELEMETRY_CHANGED, TELEMETRY_MS, send_event},
     retained, start,
 };
 use crate::{common::Surroundings, retained::EStop};
@@ -9,7 +9,7 @@ use core::sync::atomic::Ordering;
 use embassy_time::Instant;
 use protocol::system::{Chip, Event, What};
 
-/// Marks a machine's surroundings as those of this chip.
+/// Gives a type the [`Surroundings`] of this chip.
 pub trait OnChip {}
 
 impl<M: OnChip> Surroundings for M {
@@ -23,7 +23,7 @@ impl<M: OnChip> Surroundings for M {
 
     fn silence_us(&self) -> u32 {
         // Low 32 bits only: correct up to 71 minutes, then it wraps.
-        (self.now_us() as u32).wrapping_sub(LAST_SIGN_US.load(Ordering::Relaxed))
+        (self.now_us() as u32).wrapping_sub(LAST_HEARD_US.load(Ordering::Relaxed))
     }
 
     fn set_telemetry(&mut self, period_ms: u16) {
@@ -35,7 +35,7 @@ impl<M: OnChip> Surroundings for M {
         retained::keep_latched(estop);
     }
 
-    fn tell(&mut self, event: &Event) {
+    fn send_event(&mut self, event: &Event) {
         match event.what {
             What::Rig(event) => defmt::info!("{}", event),
             What::Capsule(event) => defmt::info!("{}", event),

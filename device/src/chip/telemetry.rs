@@ -10,7 +10,7 @@ use protocol::{
 };
 
 /// Sends the samples that `sample` returns, for ever. A sample that finds the line busy is dropped. Samples due while
-/// no task runs, as during a write to flash, are left out. The next one's sequence number shows the gap.
+/// no task runs, as during a write to flash, are skipped. The next sequence number shows the gap.
 pub async fn run(mut sample: impl FnMut(Instant) -> Option<Telemetry>) -> ! {
     let mut seq = 0_u16;
     let mut next = Instant::now();
@@ -25,9 +25,9 @@ pub async fn run(mut sample: impl FnMut(Instant) -> Option<Telemetry>) -> ! {
             continue;
         }
         let now = Instant::now();
-        let left_out = due::left_out(next.as_micros(), now.as_micros(), u32::from(period) * 1_000);
-        next += Duration::from_millis(u64::from(period) * u64::from(left_out));
-        seq = seq.wrapping_add(left_out as u16);
+        let skipped = due::skipped(next.as_micros(), now.as_micros(), u32::from(period) * 1_000);
+        next += Duration::from_millis(u64::from(period) * u64::from(skipped));
+        seq = seq.wrapping_add(skipped as u16);
         let Some(sample) = sample(now) else {
             continue;
         };

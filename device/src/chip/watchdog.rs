@@ -11,14 +11,14 @@ pub const CHECK_IN: Duration = Duration::from_millis(CHECK_IN_MS);
 /// Interval of the watchdog's task: five rounds fit into the watchdog's 800 ms.
 const ROUND: Duration = Duration::from_millis(150);
 
-/// Call it in every round of a client's loop. Not inlined: the virtual bench lets tasks hang here.
+/// Call it in every round of a client's loop. Not inlined: the virtual bench injects hanging tasks here.
 #[inline(never)]
 pub fn check_in(client: Client) {
     CHECK_INS.note(client);
 }
 
-/// Lets the watchdog count while a debugger halts the processor. OpenOCD freezes it at each attach (DBG_IWDG_STOP), and
-/// only a power cut takes that back: a halt would leave a motor driven.
+/// Lets the watchdog count while a debugger halts the processor: otherwise a halt would leave a motor driven. OpenOCD
+/// freezes the watchdog at each attach (DBG_IWDG_STOP), and only a power cut clears that bit.
 fn count_while_halted() {
     pac::DBGMCU.apb1fzr().modify(|w| w.set_iwdg(false));
 }

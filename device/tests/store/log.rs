@@ -95,8 +95,8 @@ fn before_erasure(wanted: u32) -> (Vec<u8>, u32) {
     panic!("no sector was erased");
 }
 
-/// A sector whose erasure was cut may look as if it were in use beside the sector that is. Whatever bits it has, the log is
-/// read and written on, wherever it stands.
+/// A sector whose erasure was cut may look as if it were in use beside the sector that is. Whatever bits it has, the
+/// log is read and written on, wherever it stands.
 #[test]
 fn an_erasure_that_was_cut_spoils_nothing() {
     for wanted in 1..=3 {

@@ -15,7 +15,7 @@ use protocol::system::DeviceKind;
 async fn main(spawner: Spawner) {
     let left = retained::start();
     let board = pins::init();
-    start::forget_catches();
+    start::clear_vector_catches();
     let cause = reset_cause(start::reset_cause(), &left);
     let identity = identity(DeviceKind::Capsule, start::uid(), left.boot_id, cause);
     defmt::info!("capsule, start {=u32}, {}", left.boot_id, cause);

@@ -5,7 +5,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-/// Begins each line with a value; the measurement's name and the value follow.
+/// First word of each line with a value; the measurement's name and the value follow.
 pub const MARK: &str = "measured";
 /// The last line of the image.
 pub const END: &str = "all measured";
@@ -148,8 +148,8 @@ measurements! {
     BlockedUpdates "TIM1" "" Within(0, 0), None, "update events in 1 ms at ARR = 0";
     MoeReads "1" "reads" Within(1, 16), Loop, "reads of TIM1_BDTR until MOE shows";
     MoeCycles "1" "cycles" Any(Decimal), Loop, "cycles of the core until MOE shows, by DWT";
-    BurstFirst "5" "ticks" Within(0, 200), Loop, "latest sight of a burst's first word after the update";
-    BurstLast "5" "ticks" Within(0, 200), Loop, "latest sight of a burst's last word";
+    BurstFirst "5" "ticks" Within(0, 200), Loop, "latest count at which a burst's first word shows after the update";
+    BurstLast "5" "ticks" Within(0, 200), Loop, "latest count at which its last word shows";
     RepeatEdges "TIM1" "edges" Within(287, 287), Jumpers, "slots of 1, 2, 4, 8, 16 and 256 equal steps (RCR by burst)";
     RepeatExact "16" "intervals" Within(1, 286), Jumpers, "the same slots: intervals that are exact";
     RepeatWrong "TIM1" "intervals" Within(0, 0), Jumpers, "the same slots: intervals off by 2 ticks or more";
@@ -159,27 +159,27 @@ measurements! {
     CruiseOff1 "16" "intervals" Any(Decimal), Jumpers, "28.5 kHz: intervals off by 1 tick";
     CruiseOff2 "16" "intervals" Within(0, 0), Jumpers, "28.5 kHz: intervals off by 2 ticks";
     CruiseWrong "16" "intervals" Within(0, 0), Jumpers, "28.5 kHz: intervals off by more";
-    CruiseLost "16" "" Within(0, 0), Jumpers, "28.5 kHz: looks at which a capture was lost";
+    CruiseLost "16" "" Within(0, 0), Jumpers, "28.5 kHz: polls that found a lost capture";
     CruiseCycles "12" "cycles" Within(1, 250), Jumpers, "28.5 kHz: cycles of motion's code per step, by DWT";
     RampMissing "13" "edges" Within(0, 0), Jumpers, "ramps to 125 kHz: edges missing or too many, of 10,000 steps";
     RampExact "16" "intervals" Within(1, 9_999), Jumpers, "ramps to 125 kHz: intervals that are exact";
     RampOff1 "16" "intervals" Any(Decimal), Jumpers, "ramps to 125 kHz: intervals off by 1 tick";
     RampOff2 "16" "intervals" Within(0, 0), Jumpers, "ramps to 125 kHz: intervals off by 2 ticks";
     RampWrong "16" "intervals" Within(0, 0), Jumpers, "ramps to 125 kHz: intervals off by more";
-    RampLost "16" "" Within(0, 0), Jumpers, "ramps to 125 kHz: looks at which a capture was lost";
+    RampLost "16" "" Within(0, 0), Jumpers, "ramps to 125 kHz: polls that found a lost capture";
     RampCycles "12" "cycles" Within(1, 500), Jumpers, "ramps to 125 kHz: cycles of motion's code per step, by DWT";
     FastMissing "13" "edges" Within(0, 0), Jumpers, "249.7 kHz: edges missing or too many, of 20,000 steps";
     FastExact "16" "intervals" Within(1, 19_999), Jumpers, "249.7 kHz: intervals that are exact";
     FastOff1 "16" "intervals" Any(Decimal), Jumpers, "249.7 kHz: intervals off by 1 tick";
     FastOff2 "16" "intervals" Within(0, 0), Jumpers, "249.7 kHz: intervals off by 2 ticks";
     FastWrong "16" "intervals" Within(0, 0), Jumpers, "249.7 kHz: intervals off by more";
-    FastLost "16" "" Within(0, 0), Jumpers, "249.7 kHz: looks at which a capture was lost";
+    FastLost "16" "" Within(0, 0), Jumpers, "249.7 kHz: polls that found a lost capture";
     FastCycles "12" "cycles" Within(1, 390), Jumpers, "249.7 kHz: cycles of motion's code per step, by DWT";
     TimerResets "20" "" Within(0, 0), None, "resets of TIM1 at the end of these paths";
     DmaErrors "16" "" Within(0, 0), None, "errors of DMA in these paths (TEIF, DMEIF)";
-    FifoErrors "16" "" Any(Decimal), None, "underruns of the streams' FIFOs in these paths, by look: any number is right";
+    FifoErrors "16" "" Any(Decimal), None, "underruns of the streams' FIFOs in these paths, by poll: any number is right";
     EraseTime "4, 14" "us" Within(100_000, 500_000), None, "the longer of two erases of a settings sector, 16 KiB";
     WordTime "4" "us" Within(1, 100), None, "a word written to flash, mean of 64";
-    CutBursts "5" "" Any(Decimal), None, "bursts that a taken request cut in two, of 200 tries";
+    CutBursts "5" "" Any(Decimal), None, "bursts cut in two by a withdrawn request, of 200 tries";
     CutBurstShift "5" "registers" Any(Decimal), None, "how far the burst after one that was cut is shifted, at most";
 }

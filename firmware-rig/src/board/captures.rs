@@ -31,7 +31,7 @@ pub struct Captures {
 impl Captures {
     /// Sets up TIM5 and its DMA stream. From now on every edge is captured.
     pub fn new() -> Self {
-        // Eight equal samples at 100 MHz: a spike of less than 80 ns is no edge, and all edges come equally late.
+        // Eight equal samples at 100 MHz: spikes of less than 80 ns are ignored, and all edges are equally delayed.
         TIM5.ccmr_input(0).modify(|w| {
             w.set_ccs(CHANNEL, pac::timer::vals::CcmrInputCcs::TI4);
             w.set_icf(CHANNEL, pac::timer::vals::FilterValue::FCK_INT_N8);
@@ -107,7 +107,7 @@ impl Captures {
 
 /// Begins at the start of the ring.
 fn start_stream() {
-    // They would keep it from starting (RM0383 section 9.5.5).
+    // Flags that are set would keep the stream from starting (RM0383 section 9.5.5).
     clear_flags(DMA1, STREAM);
     let stream = DMA1.st(STREAM);
     stream.par().write_value(TIM5.ccr(CHANNEL).as_ptr() as u32);
@@ -124,7 +124,7 @@ fn start_stream() {
     stream.cr().modify(|w| w.set_en(true));
 }
 
-/// DMA's progress since the last look.
+/// DMA's progress since the last poll.
 struct Written {
     /// Index of the instant that DMA writes next.
     end: usize,
@@ -134,7 +134,7 @@ struct Written {
     stopped: bool,
 }
 
-/// Looks at DMA, and counts its errors.
+/// Polls DMA, and counts its errors.
 fn written() -> Written {
     let flags = count_errors(DMA1, STREAM);
     let at_end = flags.tcif(STREAM % 4);

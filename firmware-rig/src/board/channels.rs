@@ -1,4 +1,5 @@
-//! Everything that the rig's tasks and interrupts share beyond `device::chip::channels`; the only global state.
+//! State that the rig's tasks and interrupts share, beyond `device::chip::channels`. The rings of DMA and the state of
+//! the switch filter are in their own modules.
 
 use core::{
     cell::Cell,
@@ -26,13 +27,13 @@ pub static ORDERS: Signal<Raw, Order> = Signal::new();
 pub static STOP: AtomicBool = AtomicBool::new(false);
 /// The pulses of the present path were cut. Set by interrupts, link and control; cleared by motion at a start.
 pub static CUT: AtomicBool = AtomicBool::new(false);
-/// Wakes motion: the ring has room, or something is wanted.
+/// Wakes motion: for an order, a stop, a cut or a masked switch.
 pub static MOTION_WAKE: Signal<Raw, ()> = Signal::new();
 /// Set by control, read by telemetry and the LED.
 pub static SNAPSHOT: Mutex<Raw, Cell<Option<Snapshot>>> = Mutex::new(Cell::new(None));
 /// Position by the generator, steps. Set by motion.
 pub static COMMANDED: AtomicI32 = AtomicI32::new(0);
-/// Changes of the position that were no motion, all together, steps. Set by control where it sets the counter.
+/// Sum of the changes of the counter that were not motion, steps. Set by control where it sets the counter.
 pub static POSITION_SHIFT: AtomicI32 = AtomicI32::new(0);
 /// Stroke in progress, from 0. Set by motion.
 pub static STROKE: AtomicU32 = AtomicU32::new(0);
@@ -47,11 +48,11 @@ pub static FAR_LIMIT_OPEN: AtomicBool = AtomicBool::new(false);
 
 /// Captured intervals by their error. Set by motion.
 pub static INTERVALS: CapturedIntervals = CapturedIntervals::new();
-/// Captures that were overwritten before DMA came. Set by motion.
+/// Captures that were overwritten before DMA read them. Set by motion.
 pub static LOST_CAPTURES: AtomicU32 = AtomicU32::new(0);
 /// Errors of the two DMA streams of the step timer and of its captures. Set by motion.
 pub static DMA_ERRORS: AtomicU32 = AtomicU32::new(0);
-/// Looks at which one of these streams had an underrun or overrun of its FIFO: no error. Set by motion.
+/// Polls that found an underrun or overrun of a FIFO of these streams, which is not an error. Set by motion.
 pub static FIFO_ERRORS: AtomicU32 = AtomicU32::new(0);
 /// Resets of the step timer after a burst that was cut in two. Set by motion.
 pub static TIMER_RESETS: AtomicU32 = AtomicU32::new(0);

@@ -3,7 +3,7 @@
 #![allow(unsafe_code)]
 
 use super::pins;
-use device::chip::clock::die_of_the_clock;
+use device::chip::clock::reset_after_clock_failure;
 
 /// The 8 MHz clock stopped, and the chip runs on its own oscillator. TIM1 is broken by hardware; the driver is switched
 /// off here.
@@ -14,8 +14,8 @@ unsafe fn NonMaskableInt() -> ! {
 
 /// Switches everything off and resets the chip; the next start reports why.
 pub fn clock_failed() -> ! {
-    // It stays on after the first motion.
+    // The driver stays on after the first motion.
     let has_moved = pins::driver_is_on();
     pins::outputs_off();
-    die_of_the_clock(has_moved)
+    reset_after_clock_failure(has_moved)
 }

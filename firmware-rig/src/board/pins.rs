@@ -44,7 +44,7 @@ pub struct Board {
     pub timers: Timers,
 }
 
-/// What the step generator drives by registers: nothing else can have it.
+/// Peripherals whose registers the step generator uses; it takes them, so that nothing else can.
 pub type Timers = (
     Peri<'static, peripherals::TIM1>,
     Peri<'static, peripherals::DMA2_CH5>,
@@ -63,7 +63,7 @@ pub fn make_outputs_safe() {
         w.set_gpioben(true);
     });
     start::let_clocks_come();
-    // A port whose clock has just come may still show the reset value of its inputs.
+    // The first read after enabling a port's clock may return the reset value.
     let _ = is_high(ENABLE);
     ENABLE_HIGH_AT_START.store(is_high(ENABLE), Ordering::Relaxed);
     // First the levels, then the modes.
@@ -122,7 +122,7 @@ fn clocks(source: Clock) -> Config {
         prediv,
         mul: PllMul::MUL100,
         divp: Some(PllPDiv::DIV2),
-        // Nothing uses it, but the HAL would write 0, which RM0383 section 6.3.2 forbids. 40 MHz.
+        // 40 MHz, unused. Without it the HAL would write 0, which RM0383 section 6.3.2 forbids.
         divq: Some(PllQDiv::DIV5),
         divr: None,
     });
@@ -199,8 +199,8 @@ fn configure_pins() {
     for pin in [READ_BACK, CAPTURE, STEP, SYNC] {
         pull(pin, Pupdr::PULL_DOWN);
     }
-    // The outputs keep their lowest speed from the reset: edges of at most 100 ns (DS10314 table 57, 50 pF) ring less on the
-    // wires than fast ones, and the shortest pulse is 1 us.
+    // The outputs keep their lowest speed from the reset: edges of at most 100 ns (DS10314 table 57, 50 pF) ring less
+    // on the wires than fast ones, and the shortest pulse is 1 us.
     for (pin, function) in [
         (READ_BACK, AF_TIMER),
         (CAPTURE, AF_CAPTURE),
@@ -311,7 +311,7 @@ pub fn set_direction(direction: Direction) {
 
 /// Raises the far limit's interrupt if it is open. An opening on the way home or before a start stops nothing, and
 /// raises no further interrupt when the carriage turns away from home or starts.
-pub fn look_at_far_limit() {
+pub fn recheck_far_limit() {
     if inputs().far_limit {
         pac::EXTI.swier(0).write(|w| w.set_line(FAR_LINE, true));
     }

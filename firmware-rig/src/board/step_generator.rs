@@ -1,5 +1,5 @@
-//! The step generator: TIM1 pulses whose periods DMA takes from a ring, TIM2 which counts them at the pin, and the
-//! comparison of their captured instants with those periods.
+//! The step generator: TIM1 makes the pulses, with periods that DMA reads from a ring; TIM2 counts them at the pin;
+//! their captured instants are compared with the periods.
 //!
 //! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
 //! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
@@ -96,8 +96,8 @@ impl StepGenerator {
         stream.par().write_value(TIM1.dmar().as_ptr() as u32);
 
         // Counts rising edges on ETR, up or down by CR1.DIR (RM0383 section 13.3.3, external clock mode 2). A level
-        // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is none, a pulse of more than 320
-        // ns is one. The shortest step pulse is 1 us, and so is the shortest pause between two.
+        // counts after eight equal samples at 25 MHz: a spike of less than 280 ns is ignored, a pulse of more than 320
+        // ns counts. The shortest step pulse is 1 us, and so is the shortest pause between two.
         TIM2.arr().write_value(u32::MAX);
         TIM2.smcr().write(|w| {
             w.set_ece(true);
@@ -122,13 +122,13 @@ impl StepGenerator {
         }
     }
 
-    /// Slots that wait in the ring; -1 while the last one plays, -2 when nothing plays any more.
+    /// Slots that wait in the ring; -1 while the last one plays, -2 when none plays.
     fn queue(&self) -> i32 {
         self.line.given().wrapping_sub(self.fetched) as i32
     }
 
-    /// Cuts the pulses between two of them. A pulse shortened below the read-back's filter would be an edge at the pin
-    /// that the counter misses. E-stop and limits do not wait for this: they have cut the pulses before.
+    /// Cuts the pulses in the pause between two of them: the counter would miss the edge of a pulse shortened below its
+    /// filter. E-stop and limits do not wait for the pause.
     fn cut_between_pulses(&mut self) {
         for _ in 0..PULSE_READS {
             let cut = cortex_m::interrupt::free(|_| {
@@ -152,13 +152,13 @@ impl StepGenerator {
         pins::cut_pulses();
     }
 
-    /// Whether there is certainly time left to append a period.
+    /// Whether there is certainly time to append a period.
     fn is_in_time(&self) -> bool {
         !self.running || self.queue() >= 2
     }
 
-    /// Publishes `count` slots from `first` on by writing the first word of the first one; all other words are written
-    /// before. If DMA fetches a half-written slot anyway, its zero stops the counter.
+    /// Publishes `count` slots from `first` on by writing the first word of the first one, after all other words. If
+    /// DMA fetches a half-written slot anyway, its zero stops the counter.
     fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
         RING.show(first, last_tick);
         self.update();
@@ -170,8 +170,8 @@ impl StepGenerator {
         Ok(())
     }
 
-    /// The path left after a slot, to the end of the last one. The slot is `before` slots behind DMA's next read: 2 is
-    /// the one that plays.
+    /// The path from the end of a slot to the end of the last one. The slot is `before` slots behind DMA's next read: 2
+    /// is the one that plays.
     fn behind(&self, before: u32) -> Mark {
         let mark = self.line.at_end_of(self.fetched.wrapping_sub(before));
         self.line.end().since(mark)
@@ -185,7 +185,7 @@ impl Ring for StepGenerator {
         for slot in 0..SLOTS as u32 {
             RING.end(slot);
         }
-        // Both, or it might go on where the last path ended.
+        // Set both, or the stream might continue where the last path ended.
         let stream = DMA2.st(STREAM);
         stream.m0ar().write_value(RING.as_ptr() as u32);
         stream.ndtr().write(|w| w.set_ndt(RING_WORDS as u16));
@@ -265,14 +265,14 @@ impl Ring for StepGenerator {
         self.line.ticks_since_last_pulse(unemitted)
     }
 
-    // At least once per round of the ring.
+    // Call it at least once per revolution of the ring.
     fn update(&mut self) {
         let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
         let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;
         let fetched = slot.wrapping_sub(self.read_slot) % SLOTS as u32;
         self.fetched = self.fetched.wrapping_add(fetched);
         self.read_slot = slot;
-        // TIM1 would repeat its last slot for ever.
+        // Without new words TIM1 would repeat its last slot for ever.
         if self.has_failed() {
             pins::cut_pulses();
         }
@@ -320,7 +320,7 @@ impl Ring for StepGenerator {
         }
         // An opening of the far limit since the order's check cut nothing: no pulses were armed.
         if pins::direction() == Direction::Away {
-            pins::look_at_far_limit();
+            pins::recheck_far_limit();
         }
         TIM1.cr1().modify(|w| w.set_cen(true));
         self.running = true;
@@ -357,7 +357,7 @@ impl Ring for StepGenerator {
             })
         });
         if direction == Direction::Away {
-            pins::look_at_far_limit();
+            pins::recheck_far_limit();
         }
     }
 
@@ -465,18 +465,18 @@ pub fn rearm_loop() {
     enable_break_interrupt(true);
 }
 
-/// Switches the break interrupt. Its bit shares DIER with that of `enable_requests`; motion, control and the break's
-/// handler all change the register.
+/// Enables or disables the break interrupt. Without interrupts: motion, control and the break's handler change DIER,
+/// and so does `enable_requests`.
 fn enable_break_interrupt(on: bool) {
     cortex_m::interrupt::free(|_| TIM1.dier().modify(|w| w.set_bie(on)));
 }
 
-/// Switches the timer's DMA requests.
+/// Enables or disables the timer's DMA requests.
 fn enable_requests(on: bool) {
     cortex_m::interrupt::free(|_| TIM1.dier().modify(|w| w.set_ude(on)));
 }
 
-/// Pulses can leave the pin.
+/// The output is armed: pulses reach the pin.
 pub fn is_armed() -> bool {
     TIM1.bdtr().read().moe()
 }

@@ -31,7 +31,7 @@ const MASKED_US: u32 = 1_000;
 /// A line that is masked more often than this within 100 ms cannot be watched: a fault.
 const MASKINGS_PER_100_MS: u32 = 20;
 
-/// How busy a line keeps its interrupt. Changed by the interrupt only, but for `masked_at_us`.
+/// How often a line raises its interrupt. Only the interrupt changes it, but tasks clear `is_masked`.
 struct Watch {
     line: usize,
     since_us: AtomicU32,
@@ -111,8 +111,8 @@ fn count_within(since_us: &AtomicU32, count: &AtomicU32, window_us: u32) -> u32 
     number + 1
 }
 
-/// Time after which motion has to look at the switches: for ever, or until a mask ends.
-pub fn look_within_us() -> u32 {
+/// Time within which motion has to poll the switches: until a mask ends, or unlimited.
+pub fn poll_within_us() -> u32 {
     let masked = |watch: &Watch| watch.is_masked.load(Ordering::Relaxed);
     if WATCHES.iter().any(masked) {
         MASKED_US
@@ -122,7 +122,7 @@ pub fn look_within_us() -> u32 {
 }
 
 /// Unmasks noisy lines whose time is over. Motion calls it in each round, control every 10 ms.
-pub fn tend() {
+pub fn unmask_due_lines() {
     WATCHES.iter().for_each(Watch::unmask_when_due);
 }
 
@@ -192,7 +192,7 @@ fn settle(line: usize, counter: usize, before: bool, level: impl Fn() -> bool) -
             }
         };
         if steady {
-            // A pulse that was over before the first look.
+            // A pulse that was over before the first sample.
             if window == 0 && first == before {
                 channels::GLITCHES[counter].add();
             }

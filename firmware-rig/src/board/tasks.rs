@@ -1,4 +1,4 @@
-//! The tasks: each waits at one place. Who runs at which priority is the table in this package's README.
+//! The tasks. Each waits at one place. The README of this package lists their priorities.
 
 use super::{
     channels::{
@@ -46,26 +46,26 @@ use protocol::{
     table::Telemetry,
 };
 
-/// Highest task priority. Idle: every 100 ms. Moving: when half of what is prepared has played, every 4 ms or, above
-/// 32 kHz where no two periods are alike, more often. While a turn or the end is awaited: every 0.1 ms.
+/// Highest task priority. Runs every 100 ms when idle; in motion whenever half of the ring has played, which takes 4
+/// ms, or less above 32 kHz if the periods differ; every 0.1 ms before a turn or the end.
 #[embassy_executor::task]
 pub async fn motion(mut generator: StepGenerator) -> ! {
     let mut motion = MotionTask::default();
     loop {
         check_in(Client::Motion);
-        let within_us = motion.pace().within_us().min(switches::look_within_us());
+        let within_us = motion.pace().within_us().min(switches::poll_within_us());
         let wait = Duration::from_micros(within_us.into());
         // Run a round after a time-out as well as after a wake-up.
         let _ = with_timeout(wait, MOTION_WAKE.wait()).await;
-        switches::tend();
+        switches::unmask_due_lines();
         motion.round(&mut generator, &mut MotionMailbox);
     }
 }
 
 /// Every 10 ms and at every notice or request.
 #[embassy_executor::task]
-pub async fn control(sectors: Sectors, left: Retained, cause: ResetCause) -> ! {
-    let mut control = Control::new(Rig, sectors, left, cause, image::hash());
+pub async fn control(sectors: Sectors, previous: Retained, cause: ResetCause) -> ! {
+    let mut control = Control::new(Rig, sectors, previous, cause, image::hash());
     let mut ticker = Ticker::every(Duration::from_micros(ROUND_US));
     loop {
         check_in(Client::Control);
@@ -74,7 +74,7 @@ pub async fn control(sectors: Sectors, left: Retained, cause: ResetCause) -> ! {
             Either3::First(event) => control.event(event),
             Either3::Second(inbound) => REPLIES.signal(control.answer(inbound)),
             Either3::Third(()) => {
-                switches::tend();
+                switches::unmask_due_lines();
                 control.tick();
             }
         }
@@ -160,7 +160,7 @@ impl control::Rig for Rig {
 
     fn set_position(&mut self, position: StepPosition) {
         step_generator::set_counted(position);
-        // After a brake that ended at 0 no path follows, whose motion would show it.
+        // Publish the position here: if the carriage is at 0 already, no path follows that would.
         COMMANDED.store(position.0, Ordering::Relaxed);
     }
 
@@ -172,9 +172,9 @@ impl control::Rig for Rig {
         clock::external_clock_has_come()
     }
 
-    fn start_again(&mut self, left: &Retained, cause: ResetCause) {
+    fn restart(&mut self, previous: &Retained, cause: ResetCause) {
         defmt::info!("the 8 MHz clock has come");
-        clock::start_again(left, cause)
+        clock::restart(previous, cause)
     }
 }
 

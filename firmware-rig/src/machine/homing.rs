@@ -1,4 +1,4 @@
-//! Homing: five moves to the reference, each with its own way to fail.
+//! Homing: five moves to the reference, and the faults of each.
 
 use super::{Action, Actions, Machine, Now, State};
 use crate::periods::Path;
@@ -12,7 +12,7 @@ use protocol::{
     rig::{HomingPhase, LinkLossPolicy, RigEvent, RigFault},
 };
 
-/// Largest distance between the places where a switch opens in two passes: several times what a sound one scatters.
+/// Largest distance between the switching points of two passes: several times the scatter of a good switch.
 const FLAG_SCATTER: Micrometres = Micrometres(100);
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,7 @@ pub(super) struct Homing {
     seek: Option<StepPosition>,
     /// Flag edge of the second pass.
     locate: Option<StepPosition>,
-    /// State of the flag from its filtered edges. A single look at the pin could meet a glitch.
+    /// State of the flag by its filtered edges. A single reading of the pin could catch a glitch.
     flag_open: bool,
     /// The position was trusted when homing began.
     was_homed: bool,
@@ -35,7 +35,7 @@ pub(super) struct Homing {
 }
 
 impl Homing {
-    /// Takes an edge of the flag; true if it ends the present move.
+    /// Handles an edge of the flag; true if it ends the present move.
     pub(super) fn flag_edge(&mut self, opening: bool, count: StepPosition) -> bool {
         self.flag_open = opening;
         let found = match self.phase {
@@ -142,7 +142,8 @@ impl Machine {
         });
     }
 
-    /// Whether both passes have met the flag at the same place, as far as a run would tolerate or a switch may scatter.
+    /// Whether both passes met the flag at the same position, within the larger of `max_residual_steps` and the
+    /// scatter.
     fn passes_agree(&self, homing: &Homing) -> bool {
         let scatter = self.settings.axis.steps_within(FLAG_SCATTER);
         let within = scatter
@@ -173,15 +174,15 @@ impl Machine {
             phase @ HomingPhase::Locate if homing.locate.is_none() => {
                 Some(RigFault::FlagNotFound(phase))
             }
-            // The next move goes away from home.
+            // The next move goes away from home, to the open limit.
             HomingPhase::Seek | HomingPhase::Locate if now.inputs.far_limit => {
                 Some(RigFault::FarLimit)
             }
-            // The carriage has braked into the flag, which is open there: an edge of anything else would shift the zero.
+            // The carriage rests on the flag, so the flag must be open. Otherwise a disturbance would shift the zero.
             phase @ (HomingPhase::Seek | HomingPhase::Locate) if !homing.flag_open => {
                 Some(RigFault::FlagNotFound(phase))
             }
-            // A longer pulse than that.
+            // A disturbance that outlasts the check above.
             phase @ HomingPhase::Locate if !self.passes_agree(&homing) => {
                 Some(RigFault::FlagNotFound(phase))
             }

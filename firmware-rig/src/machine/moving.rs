@@ -1,4 +1,4 @@
-//! Jog and move: single strokes by hand.
+//! Jog and move: single strokes on command.
 
 use super::{Actions, Machine, Now, State};
 use crate::periods::Path;
@@ -8,7 +8,7 @@ use motion::{
 };
 use protocol::{error::Refusal, rig::RigState};
 
-/// A jog goes on until its dead-man time.
+/// A jog in progress. It ends at `until_us` unless it is renewed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Jog {
     direction: Direction,

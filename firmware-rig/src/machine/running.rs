@@ -1,6 +1,6 @@
 //! Runs: start, hold, resume, the step-loss check at the home flag, the record.
 
-use super::{Actions, Machine, Now, PathEnd, PathReport, State, Then, read_back};
+use super::{Actions, AtRest, Machine, Now, PathEnd, PathReport, State, read_back};
 use crate::periods::Path;
 use motion::{
     axis::Direction,
@@ -32,14 +32,14 @@ pub(super) const NO_RUN: RunRecord = RunRecord {
     worst_interval_error_ticks: 0,
 };
 
-/// The run that is going on or held.
+/// The run in progress or held.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ActiveRun {
     plan: RunPlan,
     pub(super) link_loss: LinkLossPolicy,
     /// Stroke in progress, from 0.
     stroke: u32,
-    /// The record's ticks at the run's end if no other hold or stop comes.
+    /// Ticks of the record at the end of the run, if no further hold or stop intervenes.
     end_ticks: u64,
     /// The flag has opened in this stroke. Only the first edge counts: contacts bounce.
     flag_met: bool,
@@ -54,8 +54,8 @@ impl ActiveRun {
         self.plan.direction(self.stroke) == Some(Direction::Home)
     }
 
-    /// Steps left of the stroke in progress, from a position within it.
-    fn left(&self, position: StepPosition) -> Option<Steps> {
+    /// Remaining steps of the stroke in progress, from a position within it.
+    fn remaining(&self, position: StepPosition) -> Option<Steps> {
         let steps = self.plan.stroke(self.stroke)?.steps().0;
         let from_home = position.max(StepPosition::HOME);
         let from_home = from_home.distance_to(StepPosition::HOME).0;
@@ -110,8 +110,8 @@ impl Machine {
         Ok(())
     }
 
-    /// Refuses to start where the counter is not where the last path has left it: noise has moved it, not the carriage,
-    /// and every motion would go as much too far. Latches that fault.
+    /// Refuses to start, and latches a fault, if the counter has changed since the last path: noise changed it, not the
+    /// carriage, so every motion would be off by as much.
     pub(super) fn refuse_where_moved(
         &mut self,
         now: &Now,
@@ -125,8 +125,8 @@ impl Machine {
         Err(Refusal::RigFaulted(fault))
     }
 
-    /// Refuses to start at a position 0 where the flag is closed: on the way here, at least the steps from 0 to the
-    /// flag's edge were lost. Latches that fault.
+    /// Refuses to start, and latches a fault, if the flag is closed at position 0: at least the steps from 0 to the
+    /// flag's edge were lost on the way here.
     pub(super) fn refuse_where_lost(
         &mut self,
         now: &Now,
@@ -158,7 +158,7 @@ impl Machine {
     pub(super) fn hold(&mut self, actions: &mut Actions) -> Result<(), Refusal> {
         match self.state {
             State::Running => {
-                self.stop_then(Then::Held, actions);
+                self.stop_to(AtRest::Held, actions);
                 Ok(())
             }
             State::Faulted(fault) => Err(Refusal::RigFaulted(fault)),
@@ -184,14 +184,15 @@ impl Machine {
             self.latch(fault, actions);
             return Err(Refusal::RigFaulted(fault));
         }
-        let (Some(profile), Some(left)) = (run.plan.stroke(run.stroke), run.left(now.position))
+        let (Some(profile), Some(remaining)) =
+            (run.plan.stroke(run.stroke), run.remaining(now.position))
         else {
             return Err(Refusal::NothingToResume);
         };
-        let first = if left == profile.steps() {
+        let first = if remaining == profile.steps() {
             *profile
         } else {
-            profile.resumed(left).map_err(|_| Refusal::TooSlow)?
+            profile.resumed(remaining).map_err(|_| Refusal::TooSlow)?
         };
         let path = Path::Rest {
             plan: run.plan,
@@ -211,7 +212,7 @@ impl Machine {
         }
     }
 
-    /// The flag opens on the way home: the same edge in the same direction as in homing.
+    /// Compares the counter with the flag's position at the edge that homing used: opening, on the way home.
     pub(super) fn check_step_loss(&mut self, count: StepPosition, actions: &mut Actions) {
         let Some(run) = &mut self.run else {
             return;
@@ -235,7 +236,7 @@ impl Machine {
             let fault = RigFault::LostSteps {
                 residual_steps: residual,
             };
-            self.stop_then(Then::Faulted(fault), actions);
+            self.stop_to(AtRest::Faulted(fault), actions);
         }
     }
 
@@ -287,7 +288,7 @@ impl Machine {
         });
         let running = matches!(
             self.state,
-            State::Running | State::Stopping(Then::Held | Then::Ready(_))
+            State::Running | State::Stopping(AtRest::Held | AtRest::Ready(_))
         );
         (running && on_the_way_home).then(|| RigFault::LostSteps {
             residual_steps: counted.since(flag),
@@ -307,7 +308,7 @@ impl Machine {
         self.last = (commanded, counted);
     }
 
-    /// Adds a path that has ended to the record of the run it belongs to.
+    /// Adds a finished path to the record of its run.
     pub(super) fn record_path(&mut self, report: &PathReport) {
         if !core::mem::take(&mut self.recording) {
             return;
@@ -325,10 +326,10 @@ impl Machine {
 
     fn stroke_is_complete(&self, position: StepPosition) -> bool {
         self.run
-            .is_some_and(|run| run.left(position) == Some(Steps(0)))
+            .is_some_and(|run| run.remaining(position) == Some(Steps(0)))
     }
 
-    /// The fault of a carriage that stands where it should have met the flag, if it has `missed` it.
+    /// Returns the fault `missed` if the carriage rests behind the flag's edge or at the end of its stroke.
     pub(super) fn lost_at_rest(
         &self,
         position: StepPosition,
@@ -340,7 +341,7 @@ impl Machine {
         missed.filter(|_| is_behind || self.stroke_is_complete(position))
     }
 
-    /// The carriage stands within its run.
+    /// Handles the rest after a hold: the run is held, or complete if the hold came too late.
     pub(super) fn held(
         &mut self,
         end: PathEnd,
@@ -359,7 +360,7 @@ impl Machine {
             || self.record.strokes == self.strokes
             || is_last && self.stroke_is_complete(position)
         {
-            // Too late to stop before the end, but its brake may have changed the run's times.
+            // The hold came too late. Count it if its braking changed the times of the run.
             self.record.holds += u32::from(is_late);
             return self.complete(actions);
         }
@@ -371,8 +372,8 @@ impl Machine {
         });
     }
 
-    /// Counts the stroke in progress if a stop or hold has come to rest with its last step: execution reports only
-    /// strokes that another one follows.
+    /// Counts the stroke in progress if a stop or hold ended with its last step: execution reports only strokes that
+    /// another one follows.
     pub(super) fn count_stroke_at_rest(&mut self, position: StepPosition, actions: &mut Actions) {
         if self.stroke_is_complete(position)
             && let Some(run) = &mut self.run

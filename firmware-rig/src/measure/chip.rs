@@ -1,4 +1,4 @@
-//! The chip as it was made and set, and its clocks against each other.
+//! The chip's identity and option bytes, its stack guard, and its clocks compared with each other.
 
 #![allow(unsafe_code)]
 
@@ -34,7 +34,7 @@ pub fn external_clock_start_us() -> u32 {
     took / CYCLES_PER_US
 }
 
-/// Reports what was set before the start.
+/// Reports the chip's identity and option bytes, EN at the reset, and the start time of the clock.
 pub fn report(clock_us: u32) {
     let mut words = start::uid().into_iter();
     for number in [M::UniqueNumber0, M::UniqueNumber1, M::UniqueNumber2] {

@@ -17,7 +17,7 @@ const WORDS: u32 = 64;
 /// Ticks of TIM5 in a microsecond.
 const US: u32 = 100;
 
-/// Reports all of it, unless the supply is too low or settings are stored there.
+/// Reports the times, unless the supply is too low or settings are stored there.
 pub fn report(mut sectors: Sectors) {
     // After an error the rest is missing and shows as "not measured".
     let _ = block_on(async {

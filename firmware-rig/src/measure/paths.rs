@@ -1,4 +1,4 @@
-//! Paths by the rig's own motion code: edges counted, captured and timed, and the cycles that the code takes.
+//! Plays paths with the rig's motion code: counts, captures and times their edges, and measures the code's cycles.
 
 use super::{MS, cycles_since, tell};
 use crate::board::{
@@ -76,8 +76,8 @@ pub fn report(generator: &mut StepGenerator, mut feed: impl FnMut()) {
     tell(M::FifoErrors, FIFO_ERRORS.load(Ordering::Relaxed));
 }
 
-/// Plays a path as the motion task does; edges missing at the pin or too many, and cycles of the rounds. None if it
-/// did not start, because the loop is open.
+/// Plays a path as the motion task does. Returns the edges missing or in excess at the pin, and the cycles of the
+/// rounds; none if the open loop kept the path from starting.
 fn play(
     generator: &mut StepGenerator,
     profile: StrokeProfile,

@@ -96,7 +96,7 @@ fn count_at_change(word: usize) -> u16 {
     TIM1.cnt().read().cnt()
 }
 
-/// Slots that the repetition counter plays several times, as the captures show them.
+/// Plays slots several times by the repetition counter, and reports what was captured.
 pub fn report_repeats(generator: &mut StepGenerator) {
     let groups = [1, 2, 4, 8, 16, 256].map(|steps| Equal {
         interval: 500,

@@ -117,7 +117,7 @@ impl Slots {
     }
 
     /// Rounds left in the current period. They will play whatever is ordered, unless they are cut.
-    pub fn rounds_left(&self) -> u64 {
+    pub fn rounds_remaining(&self) -> u64 {
         match self.periods.front() {
             Some(period) if self.begun > 0 => u64::from(u32::from(period.repeats) + 1 - self.begun),
             _ => 0,
@@ -125,7 +125,7 @@ impl Slots {
     }
 
     /// Queued pulses that have not left yet.
-    pub fn pulses_left(&self) -> u64 {
+    pub fn pulses_remaining(&self) -> u64 {
         let begun = match self.periods.front() {
             Some(period) if period.pulse => self.begun,
             _ => 0,
@@ -244,7 +244,7 @@ impl Ring for Slots {
     }
 
     fn halt(&mut self) {
-        self.cut += self.pulses_left();
+        self.cut += self.pulses_remaining();
         let playing = match self.periods.front() {
             Some(period) if period.pulse && self.running => u32::from(period.repeats) + 1,
             _ => 0,

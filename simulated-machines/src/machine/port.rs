@@ -156,7 +156,7 @@ impl<B> Surroundings for At<B> {
         retained::keep_latched(&mut *self.port.state(), estop);
     }
 
-    fn tell(&mut self, event: &Event) {
+    fn send_event(&mut self, event: &Event) {
         let mut state = self.port.state();
         // Before the first session, no host listens.
         if state.session != 0 {

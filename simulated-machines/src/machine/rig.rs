@@ -92,7 +92,7 @@ impl control::Rig for At<Board> {
         false
     }
 
-    fn start_again(&mut self, _: &Retained, _: ResetCause) {
+    fn restart(&mut self, _: &Retained, _: ResetCause) {
         unreachable!("no clock is missing");
     }
 }

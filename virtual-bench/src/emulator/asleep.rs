@@ -160,7 +160,7 @@ impl<W: Wiring> Chip<W> {
             let mut pulses = noticed.map_or(0, |noticed| noticed.pulses);
             if asleep.leads.counted {
                 let registers = self.part.bus().slots()[self.slots.tim2].registers();
-                let left = self.tim2.edges_left(registers, at);
+                let left = self.tim2.edges_remaining(registers, at);
                 pulses = pulses.min(left.saturating_sub(asleep.pulses));
             }
             course.unnoticed = pulses;

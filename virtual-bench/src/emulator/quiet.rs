@@ -151,7 +151,7 @@ impl Quiet {
     }
 
     /// Edges left before the count comes near 0 or the end of its range.
-    pub(super) fn edges_left(&self, registers: &RegisterFile, now: VirtualNanos) -> u64 {
+    pub(super) fn edges_remaining(&self, registers: &RegisterFile, now: VirtualNanos) -> u64 {
         let count = self.count(registers, now);
         let room = match registers.get(Register::Cr1) & DOWN {
             0 => u64::from(u32::MAX) - count,

@@ -1,10 +1,10 @@
-//! The external clock: waits for it, does without it, and handles its stop.
+//! The external clock: waits for it, starts without it, and handles its failure.
 
 use super::super::{
     retained::Ram,
     start::{WATCHDOG_US, feed, init_clearing_stale_flags},
 };
-use crate::retained::{Retained, keep_clock_failed, leave_again};
+use crate::retained::{Retained, keep_clock_failed, pass_on};
 use embassy_stm32::{Config, pac};
 use embassy_sync::once_lock::OnceLock;
 use protocol::system::ResetCause;
@@ -15,23 +15,23 @@ const CLOCK_MS: u32 = 300;
 /// The oscillator that runs after a reset, kHz.
 const RESET_KHZ: u32 = 16_000;
 
-/// What the previous start left, and why this one began.
-static LEFT: OnceLock<(Retained, ResetCause)> = OnceLock::new();
+/// Data of the previous start, and the cause of this one.
+static PREVIOUS: OnceLock<(Retained, ResetCause)> = OnceLock::new();
 
-/// Notes what the next start has to find again if the clock stops while this one has moved nothing. Call it first.
-pub fn note(left: &Retained, cause: ResetCause) {
-    let _ = LEFT.init((left.clone(), cause));
+/// Notes the data that the next start takes over if the clock stops before this one has moved anything. Call it first.
+pub fn note(previous: &Retained, cause: ResetCause) {
+    let _ = PREVIOUS.init((previous.clone(), cause));
 }
 
 /// Starts the watchdog, then the HAL with `external` clocks, or with `internal` ones if the external clock does not
-/// start. It stays switched on, and [`external_clock_has_come`] tells when it starts later. A clock that stops later
-/// breaks TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
+/// start. It stays switched on, and [`external_clock_has_come`] is true once it runs. If it stops later, it breaks
+/// TIM1, which ends all pulses, and raises the NMI (RM0383 section 6.2.7).
 ///
 /// The HAL alone would wait for the external clock for ever, and without a watchdog.
 pub fn init_with_either_clock(external: Config, internal: Config) -> embassy_stm32::Peripherals {
     start_watchdog();
     let comes = external_clock_comes();
-    // Before the HAL waits for the clock: a stop is noticed from here on.
+    // Enable the clock security before the HAL waits for the clock.
     pac::RCC.cr().modify(|w| w.set_csson(comes));
     let peripherals = init_clearing_stale_flags(if comes { external } else { internal });
     // The HAL switches off what it does not use.
@@ -76,17 +76,17 @@ pub fn external_clock_has_come() -> bool {
     pac::RCC.cr().read().hserdy()
 }
 
-/// Resets, now that the external clock runs. The next start reports the findings of this one.
-pub fn start_again(left: &Retained, cause: ResetCause) -> ! {
-    leave_again(&mut Ram, left, cause);
+/// Resets, now that the external clock runs. The next start takes over the data of this one.
+pub fn restart(previous: &Retained, cause: ResetCause) -> ! {
+    pass_on(&mut Ram, previous, cause);
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Resets after a stop of the external clock. The outputs are off, and the chip runs on its own oscillator by now. If
-/// nothing `has_moved`, nothing is lost, and the next start only replaces this one.
-pub fn die_of_the_clock(has_moved: bool) -> ! {
-    match LEFT.try_get().filter(|_| !has_moved) {
-        Some((left, cause)) => leave_again(&mut Ram, left, *cause),
+/// Resets after a stop of the external clock. The outputs are off already, and the chip runs on its own oscillator. If
+/// nothing `has_moved`, the position is not lost, and the next start only replaces this one.
+pub fn reset_after_clock_failure(has_moved: bool) -> ! {
+    match PREVIOUS.try_get().filter(|_| !has_moved) {
+        Some((previous, cause)) => pass_on(&mut Ram, previous, *cause),
         None => keep_clock_failed(&mut Ram),
     }
     // Clear the flag, else the NMI comes again at once.

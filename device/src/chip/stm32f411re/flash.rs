@@ -88,7 +88,7 @@ impl NorFlash for Sectors {
 }
 
 /// Runs `stall`, which keeps the processor from counting time, and corrects the clock afterwards. TIM5 is the
-/// stopwatch; if it counts already, it continues as it is.
+/// stopwatch; if it counts already, its setting stays.
 fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
     cortex_m::interrupt::free(|_| {
         let watch = pac::TIM5;
@@ -103,7 +103,7 @@ fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
             watch.cr1().modify(|w| w.set_cen(false));
             pac::RCC.apb1enr().modify(|w| w.set_tim5en(false));
         }
-        // Trigger the alarms that became due meanwhile.
+        // Trigger the alarms that became due during the stall.
         TIME_DRIVER.egr().write(|w| w.set_ccg(1, true));
         TheTimers.handle();
         result

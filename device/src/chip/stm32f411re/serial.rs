@@ -39,7 +39,7 @@ pub fn open(
     interrupt::DMA1_STREAM6.set_priority(Priority::P7);
     let mut config = usart::Config::default();
     config.baudrate = BAUD;
-    // The ST-LINK drives the line, but not while it is without power or starts.
+    // The ST-LINK drives the line, but not without power or during its start.
     config.rx_pull = Pull::Up;
     let uart = Uart::new(usart, rx, tx, tx_dma, rx_dma, Interrupts, config);
     let Ok(uart) = uart else {
@@ -50,15 +50,15 @@ pub fn open(
     (transmitter, receiver)
 }
 
-/// Stops the reception and brings its stream back to the start of its ring; the next read of the port starts it. After
-/// an error the HAL only sets EN again, and no manual says where a stream goes on whose count and address are not
-/// written anew (AN4031 asks for both). The end of transfer that the stop raises is the HAL's, which counts it.
+/// Stops the reception and resets its stream to the start of its ring; the next read of the port starts it. After an
+/// error the HAL only sets EN again, and no manual says where a stream continues without a new count and address
+/// (AN4031 asks for both). The HAL counts the end of transfer that the stop raises.
 pub fn rewind() {
     pac::USART2.cr3().modify(|w| w.set_dmar(false));
     let stream = pac::DMA1.st(STREAM);
     stream.cr().modify(|w| w.set_en(false));
     let _ = (0..STREAM_READS).any(|_| !stream.cr().read().en());
-    // Flags of errors that lose nothing, and that the HAL leaves: they keep a stream from starting (RM0383 9.5.5).
+    // Clear the flags of harmless errors, which the HAL does not: they keep a stream from starting (RM0383 9.5.5).
     pac::DMA1.ifcr(STREAM / 4).write(|w| {
         w.set_dmeif(STREAM % 4, true);
         w.set_feif(STREAM % 4, true);

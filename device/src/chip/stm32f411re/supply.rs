@@ -15,7 +15,7 @@ pub fn watch() {
     });
 }
 
-/// The supply is below what a store into flash by words needs, 2.7 V (DS10314 table 45). Needs [`watch`] before.
+/// The supply is below 2.7 V, the minimum for writing words to flash (DS10314 table 45). Call [`watch`] before.
 pub fn is_low() -> bool {
     pac::PWR.csr1().read().pvdo()
 }
