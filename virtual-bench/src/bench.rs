@@ -73,7 +73,7 @@ pub struct BenchOptions {
     pub quantum_us: u64,
     /// The firmware image (ELF).
     pub image: PathBuf,
-    /// Contents of the whole flash to start from instead of the image, for example as a power cut has left it.
+    /// Contents of the whole flash to start from instead of the image, for example those after a power cut.
     pub flash: Option<Vec<u8>>,
 }
 
@@ -188,7 +188,7 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().set_supply_mv(millivolts);
     }
 
-    /// Lets this share of the bytes that the chip receives arrive with a framing error, until it is set anew.
+    /// Lets this fraction of the bytes that the chip receives arrive with a framing error, until the next call.
     pub fn set_framing_errors(&mut self, per_million: u32) {
         self.session.board_mut().set_framing_errors(per_million);
     }
@@ -370,7 +370,7 @@ impl<W: Wiring> Driver<Emulator<W>> for Conductor<W> {
     ) -> Option<VirtualNanos> {
         let now_ns = self.epoch_ns + stop.at.0;
         if stop.at == VirtualNanos(0) {
-            // Another power-up, another noise.
+            // Each power-up has its own noise.
             crate::emulator::powered_up(host, now_ns);
         }
         self.tap.drain(host, now_ns);
@@ -445,7 +445,7 @@ impl<W: Wiring> Conductor<W> {
                 let flash = crate::emulator::cut_supply(session, host);
                 self.power_cycle = Some((flash, now_ns + off_ns));
                 if self.life.is_some() {
-                    // A machine that is served never pauses, so its next start answers nobody.
+                    // A served machine never pauses, so nothing waits for an answer at its next start.
                     let _ = self.replies.send(Reply::Visited);
                 }
                 After::End
@@ -476,7 +476,7 @@ impl<W: Wiring> Conductor<W> {
         }
     }
 
-    /// Ends a turn of a machine that runs in real time: hands out the bytes sent, and waits for the next turn or for a
+    /// Ends a turn of a machine that runs in real time: passes the sent bytes on, and waits for the next turn or for a
     /// job. Returns when the machine must stop next.
     fn live(
         &mut self,
@@ -496,7 +496,7 @@ impl<W: Wiring> Conductor<W> {
             life.pace.sent();
         }
         let lost_us = life.pace.lost_us();
-        let board = session.board().seen_wiring();
+        let board = session.board().wiring_ref();
         life.outside.turn(board, &sent, lost_us);
         let mut waited = None;
         loop {

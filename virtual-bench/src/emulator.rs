@@ -1,25 +1,25 @@
 //! An STM32F411RE: the emulator's STM32F427 with the smaller part's memories, requests and peripherals, an external
 //! interrupt controller, a flash array, and the wires of a board soldered to its pins.
 //!
-//! A board implements [`Wiring`]: it is shown the pins after everything that may have changed them, and drives its
-//! outputs in turn. The emulator's clock starts at 0 with each power-up. The bench's clock runs on; all public times
-//! refer to it.
+//! A board implements [`Wiring`]: it reads the pins after everything that may have changed them, and drives its outputs
+//! in turn. The emulator's clock starts at 0 with each power-up. The bench's clock runs on; all public times refer to
+//! it.
 
 mod array;
 mod asleep;
 mod clocks;
 mod core;
-mod course;
+mod delegate;
 mod dma;
 mod enabled;
 mod exti;
-mod forward;
+mod fast_forward;
 mod framing;
 mod map;
 mod pads;
+mod pool;
 mod quiet;
 mod ring;
-mod spare;
 mod timer;
 
 use std::fmt;
@@ -52,15 +52,15 @@ use array::{Array, BUSY, Touched};
 use asleep::Asleep;
 pub use asleep::Unnoticed;
 use clocks::Clocked;
-use core::Bell;
+use core::CoreHooks;
 pub use dma::Beats;
 use dma::Paced;
 use enabled::Enabled;
 use exti::{Exti, Syscfg};
 pub use pads::Pads;
+pub(crate) use pool::Program;
 use quiet::Quiet;
 pub use ring::Streams;
-pub(crate) use spare::Program;
 use timer::Watched;
 
 const TARGET: &str = "stm32f411re";
@@ -122,27 +122,27 @@ impl fmt::Display for Pin {
 
 /// A board around the chip: what is connected to its pins.
 pub trait Wiring: fmt::Debug + Send + 'static {
-    /// A look has no effect unless a pin has changed since the last one, the instant given to [`Pads::wake_at`] has
-    /// come, or the board was changed from outside. If true, all other looks are skipped.
-    const LOOKS_AT_CHANGES_ONLY: bool = false;
+    /// An update has no effect unless a pin has changed since the last one, the instant given to [`Pads::wake_at`] has
+    /// come, or the board was changed from outside. If true, all other updates are skipped.
+    const ON_CHANGES_ONLY: bool = false;
 
     /// Reads the pins and drives them. Called after every timer event and every register access that can change a pin,
-    /// and again until no pin changes any more.
-    fn look(&mut self, pads: &mut Pads<'_>);
+    /// and repeated until no pin changes.
+    fn update(&mut self, pads: &mut Pads<'_>);
 
-    /// Tells which of the step timer's next edges need no look; `None` if each of them does. Called while the processor
-    /// sleeps.
+    /// Tells which of the step timer's next edges need no update; `None` if each of them does. Called while the
+    /// processor sleeps.
     fn unnoticed(&self, pads: &mut Pads<'_>) -> Option<Unnoticed> {
         let _ = pads;
         None
     }
 
-    /// Reports an edge of TIM1 that [`Wiring::unnoticed`] allowed: without a look, in order, but after its instant.
+    /// Reports an edge of TIM1 that [`Wiring::unnoticed`] allowed: without an update, in order, but after its instant.
     fn unseen_edge(&mut self, edge: OutputEdge, leads: &Unnoticed) {
         let _ = (edge, leads);
     }
 
-    /// The chip was reset or powered up: no pin is driven any more.
+    /// The chip was reset or powered up, and drives no pin.
     fn restarted(&mut self);
 
     /// A store into the flash has begun, or an erasure: no instruction is executed until it ends.
@@ -192,20 +192,20 @@ struct Chip<W> {
     options: ChipOptions,
     serial: Arc<Mutex<Serial>>,
     epoch_ns: u64,
-    /// When the next look is scheduled, on the emulator's clock.
+    /// When the next update is scheduled, on the emulator's clock.
     wake: Option<VirtualNanos>,
-    /// Something that the board can see may have changed since its last look.
+    /// Something that the board can see may have changed since its last update.
     unseen: bool,
-    /// While the processor sleeps the course of the step timer is computed without it; this is the state for that.
+    /// State of the step timer's fast-forward while the processor sleeps.
     asleep: Option<Asleep>,
-    bell: Bell,
+    hooks: CoreHooks,
     /// A bus without listeners, for TIM1.
-    nowhere: Bus,
+    null_bus: Bus,
     /// Buffer for edges, kept to avoid allocations.
     followed: Vec<OutputEdge>,
     /// Captured instants that are not in memory yet: address and instant.
     captured: Vec<(u64, u64)>,
-    /// Boxed because it is taken out for each look.
+    /// Boxed because it is taken out for each update.
     wiring: Option<Box<W>>,
 }
 
@@ -244,26 +244,26 @@ impl<W: Wiring> Chip<W> {
         let quiet = |slot: usize, nth: usize| {
             let peripheral = *bus.slots()[slot].peripheral();
             Quiet::new(
-                hollow_general(nth),
+                placeholder_timer(nth),
                 bus.cpu(),
                 peripheral,
                 options.every_event,
             )
         };
-        let nowhere = nowhere(bus, slots.tim1)?;
+        let null_bus = null_bus(bus, slots.tim1)?;
         let mut chip = Self {
             asleep: None,
-            bell: Bell::default(),
-            nowhere,
+            hooks: CoreHooks::default(),
+            null_bus,
             followed: Vec::new(),
             captured: Vec::new(),
             tim2: quiet(slots.tim2, TIM2)?,
             tim5: quiet(slots.tim5, TIM5)?,
-            tim1: Watched::new(hollow_advanced(), &[1, 3], !options.every_event),
-            tim3: Watched::new(hollow_general(TIM3), &[1, 2], false),
-            dma1: Paced::new(map::hollow_controller(), None),
-            dma2: Paced::new(map::hollow_controller(), None),
-            rcc: Clocked::new(hollow_clocks(options.lsi_hz), None),
+            tim1: Watched::new(placeholder_advanced(), &[1, 3], !options.every_event),
+            tim3: Watched::new(placeholder_timer(TIM3), &[1, 2], false),
+            dma1: Paced::new(map::placeholder_dma(), None),
+            dma2: Paced::new(map::placeholder_dma(), None),
+            rcc: Clocked::new(placeholder_clocks(options.lsi_hz), None),
             options,
             part,
             exti: Exti::default(),
@@ -276,7 +276,7 @@ impl<W: Wiring> Chip<W> {
             wiring: Some(Box::new(wiring)),
         };
         chip.adopt();
-        chip.look(VirtualNanos(0));
+        chip.update(VirtualNanos(0));
         Ok(chip)
     }
 
@@ -284,7 +284,7 @@ impl<W: Wiring> Chip<W> {
     fn adopt(&mut self) {
         let part = &mut self.part;
         let [dma1, dma2] = map::controllers();
-        part.dma = [map::hollow_controller(), map::hollow_controller()];
+        part.dma = [map::placeholder_dma(), map::placeholder_dma()];
         let by_itself = self.options.every_event || self.options.burst.is_some();
         let streams = self.options.streams;
         self.dma1 = Paced::new(dma1, None);
@@ -293,19 +293,22 @@ impl<W: Wiring> Chip<W> {
             (self.dma1).add_rings(&[map::CAPTURES, map::RECEIVED], streams);
             self.dma2.add_rings(&[map::PERIODS], streams);
         }
-        let rcc = std::mem::replace(&mut part.rcc, hollow_clocks(self.options.lsi_hz));
+        let rcc = std::mem::replace(&mut part.rcc, placeholder_clocks(self.options.lsi_hz));
         let from = self.options.hse_after_ns.map(VirtualNanos);
         self.rcc = Clocked::new(rcc, from);
-        let tim1 = std::mem::replace(&mut part.advanced[TIM1], hollow_advanced());
-        let tim3 = std::mem::replace(&mut part.tim[TIM3], hollow_general(TIM3));
+        let tim1 = std::mem::replace(&mut part.advanced[TIM1], placeholder_advanced());
+        let tim3 = std::mem::replace(&mut part.tim[TIM3], placeholder_timer(TIM3));
         for (quiet, nth) in [(&mut self.tim2, TIM2), (&mut self.tim5, TIM5)] {
-            quiet.replace(std::mem::replace(&mut part.tim[nth], hollow_general(nth)));
+            quiet.replace(std::mem::replace(
+                &mut part.tim[nth],
+                placeholder_timer(nth),
+            ));
         }
         self.tim1 = Watched::new(tim1, &[1, 3], !self.options.every_event);
         let tim3 = Watched::new(tim3, &[1, 2], false);
-        let nowhere = nowhere(self.part.bus(), self.slots.tim3).ok();
-        self.tim3 = match nowhere.filter(|_| !self.options.every_event) {
-            Some(nowhere) => tim3.made_up_late(nowhere),
+        let null_bus = null_bus(self.part.bus(), self.slots.tim3).ok();
+        self.tim3 = match null_bus.filter(|_| !self.options.every_event) {
+            Some(null_bus) => tim3.with_deferred_events(null_bus),
             None => tim3,
         };
         self.exti = Exti::default();
@@ -316,7 +319,7 @@ impl<W: Wiring> Chip<W> {
         }
     }
 
-    /// Serial bytes pass only while the pins carry USART2.
+    /// Updates whether the pins carry USART2: serial bytes pass only then.
     fn serial_pins(&mut self) {
         let (_, registers) = self.part.port(0);
         let carried = |index| {
@@ -328,11 +331,11 @@ impl<W: Wiring> Chip<W> {
         serial.hears = hears;
     }
 
-    /// Lends the board its pins, unless it is already looking at them.
+    /// Lends the board its pins, unless an update is in progress.
     fn with_pads<T>(
         &mut self,
         at: VirtualNanos,
-        look: impl FnOnce(&mut W, &mut Pads<'_>) -> T,
+        use_pads: impl FnOnce(&mut W, &mut Pads<'_>) -> T,
     ) -> Option<T> {
         let mut wiring = self.wiring.take()?;
         let mut pads = Pads {
@@ -349,29 +352,29 @@ impl<W: Wiring> Chip<W> {
             wake: None,
             touched: false,
         };
-        let seen = look(&mut wiring, &mut pads);
+        let seen = use_pads(&mut wiring, &mut pads);
         self.wiring = Some(wiring);
         Some(seen)
     }
 
-    /// Shows the pins to the board until none changes any more: an input that the board drives may cut a pulse short.
-    fn look(&mut self, at: VirtualNanos) -> bool {
+    /// Updates the board until no pin changes: an input that the board drives may cut a pulse short.
+    fn update(&mut self, at: VirtualNanos) -> bool {
         let mut touched = false;
         let (registers, _) = self.part.bus_mut().drive(at, self.slots.tim3);
-        self.tim3.make_up(registers, at);
+        self.tim3.handle_deferred(registers, at);
         self.wake.take_if(|wake| *wake <= at);
         loop {
-            let looked = self.with_pads(at, |wiring, pads| {
-                wiring.look(pads);
+            let updated = self.with_pads(at, |wiring, pads| {
+                wiring.update(pads);
                 (pads.touched, pads.wake)
             });
-            let Some((has_touched, wake)) = looked else {
+            let Some((has_touched, wake)) = updated else {
                 return false;
             };
             touched |= has_touched;
             if let Some(wake) = wake {
                 let wake = VirtualNanos(wake.saturating_sub(self.epoch_ns)).max(at);
-                // One scheduled look is enough: each look asks for the next one.
+                // One scheduled update is enough: each update asks for the next one.
                 if self.wake.is_none_or(|asked| wake < asked) {
                     self.wake = Some(wake);
                     let bus = self.part.bus_mut();
@@ -386,23 +389,24 @@ impl<W: Wiring> Chip<W> {
         touched
     }
 
-    /// Looks, unless the board would see nothing new.
-    fn look_if_changed(&mut self, at: VirtualNanos) -> bool {
+    /// Updates the board, unless it would see no change.
+    fn update_if_changed(&mut self, at: VirtualNanos) -> bool {
         let due = self.wake.is_some_and(|wake| wake <= at);
         let edges = !self.tim1.edges.is_empty() || !self.tim3.edges.is_empty();
-        if W::LOOKS_AT_CHANGES_ONLY && !self.unseen && !edges && !due && !self.course_ends(at) {
+        if W::ON_CHANGES_ONLY && !self.unseen && !edges && !due && !self.fast_forward_ends(at) {
             return false;
         }
         self.catch_up(at);
         if !self.tim1.edges.is_empty() {
-            self.bell.ask_for_sleep(true);
+            self.hooks.report_sleep(true);
         }
-        self.look(at)
+        self.update(at)
     }
 
-    /// A look outside the emulator's polling. If it drives a pin, a stop is scheduled so that the change takes effect.
-    fn look_between(&mut self, at: VirtualNanos) {
-        if self.look_if_changed(at) {
+    /// Updates the board outside the emulator's polling. If that drives a pin, schedules a stop, so that the change
+    /// takes effect.
+    fn update_between(&mut self, at: VirtualNanos) {
+        if self.update_if_changed(at) {
             self.part
                 .bus_mut()
                 .drive(at, self.slots.exti)
@@ -412,25 +416,25 @@ impl<W: Wiring> Chip<W> {
     }
 }
 
-fn hollow_advanced() -> Tim<Advanced> {
+fn placeholder_advanced() -> Tim<Advanced> {
     Tim::with_clock(0, ADVANCED_TIMERS[TIM1].counter)
 }
 
-/// A bus without listeners, for a timer whose events nobody shall hear.
-fn nowhere(bus: &Bus, slot: usize) -> Result<Bus, rigless::soc::Error> {
+/// A bus without listeners, for a timer whose events must not reach the emulator.
+fn null_bus(bus: &Bus, slot: usize) -> Result<Bus, rigless::soc::Error> {
     let peripheral = *bus.slots()[slot].peripheral();
     Bus::builder(bus.cpu(), &[], [peripheral]).build()
 }
 
 /// Placeholder in the part for the clock tree. After a reset the part makes the next clock tree from it.
-fn hollow_clocks(lsi_hz: u64) -> Rcc {
+fn placeholder_clocks(lsi_hz: u64) -> Rcc {
     let mut rcc = Rcc::new();
     rcc.attach_crystals(HSE_HZ, 0);
     rcc.calibrate_lsi(lsi_hz);
     rcc
 }
 
-fn hollow_general(nth: usize) -> Tim<General> {
+fn placeholder_timer(nth: usize) -> Tim<General> {
     Tim::with_clock(0, TIMERS[nth].counter)
 }
 
@@ -447,7 +451,7 @@ impl<W: Wiring> Mcu for Chip<W> {
         self.catch_up(at);
         self.part.reset(at, cause);
         self.adopt();
-        self.look(at);
+        self.update(at);
     }
 
     fn poll(&mut self, now: VirtualNanos) {
@@ -457,12 +461,12 @@ impl<W: Wiring> Mcu for Chip<W> {
             let (registers, mut context) = bus.drive(now, self.slots.usart2);
             serial.poll(registers, &mut context);
         }
-        self.look_if_changed(now);
+        self.update_if_changed(now);
     }
 
     fn split(&mut self, slot: usize) -> (&mut Bus, Option<&mut dyn ErasedDevice>) {
-        // Every access to a device and every event of one comes through here. While the processor sleeps none of them
-        // changes what the board sees.
+        // Every access to a device and every event of a device passes here. While the processor sleeps none of them
+        // changes a pin.
         self.unseen |= self.asleep.is_none() && self.slots.seen.contains(&slot);
         let Slots {
             tim1,
@@ -528,7 +532,7 @@ pub struct ChipOptions {
     pub uid: [u8; 12],
     /// How long the bursts of the step timer take; none = no time, which is quicker to emulate.
     pub burst: Option<Beats>,
-    /// How the DMA streams behave where no manual says it; not with `burst` or `every_event`.
+    /// Undocumented behaviour of the DMA streams; not with `burst` or `every_event`.
     pub streams: Streams,
     /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never comes.
     pub hse_after_ns: Option<u64>,
@@ -536,7 +540,7 @@ pub struct ChipOptions {
     pub lsi_hz: u64,
     /// How long an erase takes, ns; not less than the emulator's 250 ms.
     pub erase_ns: u64,
-    /// Stop for every event of every timer, even those that nobody can notice. The result is the same, but slower.
+    /// Stop for every event of every timer, even if it cannot be noticed. The result is the same, but slower.
     pub every_event: bool,
 }
 
@@ -610,28 +614,28 @@ impl<W: Wiring> Emulator<W> {
     /// The board.
     ///
     /// # Panics
-    /// Only during a look, and it cannot be called then.
+    /// Only during an update, when it cannot be called.
     pub fn wiring(&mut self) -> &mut W {
         self.chip.unseen = true;
-        self.chip.wiring.as_mut().expect("between two looks")
+        self.chip.wiring.as_mut().expect("between two updates")
     }
 
     /// The board, for reading only.
     ///
     /// # Panics
     /// As [`Emulator::wiring`].
-    pub(crate) fn seen_wiring(&self) -> &W {
-        self.chip.wiring.as_ref().expect("between two looks")
+    pub(crate) fn wiring_ref(&self) -> &W {
+        self.chip.wiring.as_ref().expect("between two updates")
     }
 
     pub(crate) fn take_wiring(&mut self) -> Option<W> {
         self.chip.wiring.take().map(|wiring| *wiring)
     }
 
-    /// Shows the pins to the board after it was changed from outside.
+    /// Updates the board after it was changed from outside.
     pub(crate) fn refresh(&mut self, at: VirtualNanos) {
         self.chip.unseen = true;
-        self.chip.look_between(at);
+        self.chip.update_between(at);
     }
 
     /// Accessed peripheral addresses that an STM32F411 does not have.
@@ -679,8 +683,8 @@ impl<W: Wiring> Emulator<W> {
         supply(&mut self.chip.part, millivolts);
     }
 
-    /// Stops the 8 MHz clock; it returns after `back_after_ns`, or never. Without the clock security system nothing is
-    /// told, and a core that runs on it stands.
+    /// Stops the 8 MHz clock; it returns after `back_after_ns`, or never. Without the clock security system the chip is
+    /// not notified, and a core that runs on this clock stops.
     pub(crate) fn fail_hse(
         &mut self,
         at: VirtualNanos,
@@ -695,7 +699,7 @@ impl<W: Wiring> Emulator<W> {
         let cr = registers.get(rcc::Register::Cr);
         if rcc::cr::CSSON.is_set(cr) {
             chip.rcc.rcc.fail_hse(registers, &mut context);
-            chip.bell.raise_nmi();
+            chip.hooks.raise_nmi();
         } else if rcc::cr::PLLON.is_set(cr) && rcc::cr::HSERDY.is_set(cr) {
             self.hold_up(at, back_after_ns.unwrap_or(u64::MAX / 2), host);
         } else if rcc::cr::HSEON.is_set(cr) {
@@ -713,7 +717,7 @@ impl<W: Wiring> Emulator<W> {
         dma2.refresh(registers, &mut context);
     }
 
-    /// Lets this share of the received bytes arrive with a framing error.
+    /// Lets this fraction of the received bytes arrive with a framing error.
     pub(crate) fn set_framing_errors(&mut self, per_million: u32) {
         let rate = Rate {
             name: "framing",
@@ -783,7 +787,7 @@ impl<W: Wiring> Emulator<W> {
         }
     }
 
-    /// Brings everything up to date, before somebody looks or changes something.
+    /// Brings all devices up to date, before one is inspected or changed from outside.
     pub(crate) fn catch_up(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         self.wakes(at, host);
         let Chip {
@@ -805,9 +809,11 @@ impl<W: Wiring> Emulator<W> {
     }
 
     fn accessed(&mut self, access: &Access, host: &mut dyn Host) {
-        match core::heard(access) {
-            Some(core::Ring::Sleeps) => return self.chip.falls_asleep(access.virtual_time, host),
-            Some(core::Ring::Wakes) => return self.wakes(access.virtual_time, host),
+        match core::sleep_change(access) {
+            Some(core::SleepChange::Sleeps) => {
+                return self.chip.falls_asleep(access.virtual_time, host);
+            }
+            Some(core::SleepChange::Wakes) => return self.wakes(access.virtual_time, host),
             None => {}
         }
         if map::absent(access.address)
@@ -841,12 +847,11 @@ impl<W: Wiring> Emulator<W> {
         }
         if access.kind == AccessKind::Write && moves_pins(access.address) {
             self.chip.serial_pins();
-            self.chip.look_between(access.virtual_time);
+            self.chip.update_between(access.virtual_time);
         }
-        // Look first: the converter must sample the present voltage at the pin, not that at the last edge of the
-        // bridge.
+        // Update the board first: the converter must sample the present voltage, not that at the bridge's last edge.
         if access.kind == AccessKind::Write && access.address == ADC1_SQR3 {
-            self.chip.look_between(access.virtual_time);
+            self.chip.update_between(access.virtual_time);
         }
     }
 }
@@ -873,10 +878,10 @@ pub(crate) fn settled<W: Wiring>(
         Settled::Stop(stop) => {
             emulator.unstall(stop.at, host);
             let chip = &mut emulator.chip;
-            chip.look_between(stop.at);
+            chip.update_between(stop.at);
             chip.write_captures(host);
             if chip.asleep.is_some() {
-                chip.go_on(stop.at, host);
+                chip.extend(stop.at, host);
             } else if stop.reason == StopReason::Idle {
                 chip.falls_asleep(stop.at, host);
             }
@@ -950,7 +955,7 @@ impl<W: Wiring> Board for Emulator<W> {
         let mut spec: CoreSpec =
             core.spec_with_parts(&windows, machine::Fpu::FpV4Sp, machine::MpuRegions::Eight);
         if !self.options.every_event {
-            core::with_bell(&mut spec, &self.chip.bell, self.program);
+            core::with_hooks(&mut spec, &self.chip.hooks, self.program);
         }
         spec.factory_images = map::factory_image(self.options.uid).into_iter().collect();
         vec![Target::new(TARGET, &mut self.shell, spec)]

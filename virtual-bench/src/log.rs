@@ -98,7 +98,7 @@ pub struct Log {
 
 /// One line of a log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Line {
+pub struct LogLine {
     /// When it was read, ns on the bench's clock: up to one quantum after it was written.
     pub at_ns: u64,
     /// Level and message.
@@ -108,7 +108,7 @@ pub struct Line {
 impl Log {
     /// Every line, in order.
     #[must_use]
-    pub fn lines(&self) -> Vec<Line> {
+    pub fn lines(&self) -> Vec<LogLine> {
         let mut lines = Vec::new();
         let Some(table) = &self.table else {
             return lines;
@@ -120,7 +120,7 @@ impl Log {
                 Chunk::Restart(at_ns) => {
                     decoder = table.new_stream_decoder();
                     let text = "---- start ----".into();
-                    lines.push(Line {
+                    lines.push(LogLine {
                         at_ns: *at_ns,
                         text,
                     });
@@ -137,7 +137,7 @@ impl Log {
                     Err(DecodeError::UnexpectedEof) => break,
                     Err(DecodeError::Malformed) => "(a frame that does not decode)".into(),
                 };
-                lines.push(Line { at_ns, text });
+                lines.push(LogLine { at_ns, text });
             }
         }
         lines

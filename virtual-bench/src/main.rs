@@ -30,7 +30,8 @@ enum Subcommand {
     Bench,
     /// Serves the machines on local TCP ports in real time, until interrupted.
     Serve(serve::Options),
-    /// Any command of the host tool, also behind the word `retrograde`, as its own `serve` has to be; which here also takes `--rig virtual` and `--capsule virtual`.
+    /// Any command of the host tool, also behind the word `retrograde`, as its own `serve` has to be; which here also
+    /// takes `--rig virtual` and `--capsule virtual`.
     #[command(external_subcommand)]
     Retrograde(Vec<OsString>),
 }

@@ -5,11 +5,10 @@
 
 use std::fmt;
 
-/// Longest piece to run in one go, us, while bytes pass on the line. Between two of them the line is checked, and the
-/// thread sleeps.
+/// Longest turn while bytes pass on the line, us. Between two turns the line is polled, and the thread sleeps.
 const TURN_US: u64 = 1_000;
-/// The same while the line is quiet, us. Waking the thread costs more than the piece of a machine at rest; bytes wake it
-/// at once.
+/// Longest turn while the line is quiet, us. Waking the thread costs more than emulating a machine at rest; bytes wake
+/// it at once.
 const QUIET_TURN_US: u64 = 20_000;
 /// The line is quiet after this long without a byte, us.
 const QUIET_AFTER_US: u64 = 50_000;
@@ -49,16 +48,16 @@ impl fmt::Display for Slow {
     }
 }
 
-/// Keeps a machine's time beside the computer's.
+/// Keeps a machine's clock in step with the computer's.
 #[derive(Debug)]
 pub(crate) struct Pace {
     epoch_us: u64,
     lost_us: u64,
-    /// Input has arrived: hand it over before a whole piece is due.
+    /// Input has arrived: pass it on before a whole turn is due.
     hurried: bool,
     /// A byte has passed since the last turn.
     talked: bool,
-    /// Real time until which the pieces are short, us.
+    /// Real time until which the turns are short, us.
     short_until_us: u64,
     /// Real time and total loss at the last report.
     reported: (u64, u64),
@@ -145,8 +144,8 @@ mod tests {
         reports: Vec<Slow>,
     }
 
-    /// Runs a machine for which each ms costs `cost_us` of real time and each rest lasts `overslept_us` too long. It sends
-    /// bytes all the time, or never.
+    /// Runs a machine for which each ms costs `cost_us` of real time and each rest lasts `overslept_us` too long. It
+    /// sends bytes all the time, or never.
     fn lived(talks: bool, cost_us: u64, overslept_us: u64) -> Lived {
         let piece_us = if talks { TURN_US } else { QUIET_TURN_US };
         let (mut elapsed_us, mut now_us) = (0, BEGAN_US);

@@ -35,7 +35,7 @@ pub struct Stroke {
 
 impl Stroke {
     /// The stroke of `steps` in `duration_ticks` with the shortest ramp whose acceleration is at most `accel` steps/s2;
-    /// `None` if even the triangle accelerates harder.
+    /// `None` if even the triangle needs more acceleration.
     #[must_use]
     pub fn within(steps: u64, duration_ticks: u64, accel: u64) -> Option<Self> {
         let wanted = u128::from(steps) * u128::from(TICK_HZ) * u128::from(TICK_HZ);

@@ -1,8 +1,8 @@
-//! Executes the usual requests on a machine that nobody sees, before one is served in real time: the next machine with
-//! the same image takes over its translated code.
+//! Warm-up before a machine is served in real time: executes the usual requests on another machine, whose translated
+//! code the next one with the same image takes over.
 //!
 //! The emulator translates code when it is first executed: in the first homing for 0.6 s of processor time. On a busy
-//! computer that is longer than a client waits for an answer, and what a machine cannot catch up is lost.
+//! computer that is longer than a client waits for an answer, and a machine loses the time that it cannot catch up.
 
 use client::{Device, Unobserved};
 use lab::trials::experiment::{DEFAULT_TELEMETRY_MS, PAPER_RUN};
@@ -69,7 +69,7 @@ pub fn rig() -> Result<(), BenchError> {
     Ok(())
 }
 
-/// Lets a capsule begin to look for its reference, and stops it: the rest takes seconds of virtual time.
+/// Starts a capsule's search for its reference, and stops it: the rest takes seconds of virtual time.
 ///
 /// # Errors
 /// As those of the machine that is served after it.

@@ -29,9 +29,9 @@ const BATTERY: (Pin, u8) = (Pin::new('B', 0), 8);
 const SENSORS_START_NS: u64 = 500_000;
 /// Time constant of the filter between the amplifier and its input, ns: 1 kohm and 160 nF (docs/capsule.md, wire 5).
 const FILTER_NS: f64 = 160_000.0;
-/// The filter is charged after this time, to less than the converter shows, ns.
+/// Time after which the filter is charged to within the converter's resolution, ns.
 const CHARGED_NS: u64 = 1_600_000;
-/// Interval at which its voltage is set until then, ns.
+/// Interval between updates of its voltage until then, ns.
 const CHARGE_STEP_NS: u64 = 20_000;
 /// The alternate functions for TIM3 and TIM2 (DS10314 table 9).
 const AF_BRIDGE: Option<u8> = Some(2);
@@ -83,7 +83,7 @@ impl Sensors {
         at_ns.checked_sub(self.valid_from_ns()?)
     }
 
-    /// Share of the amplifier's voltage that has come through the filter, which was empty.
+    /// Fraction of the amplifier's voltage to which the filter has charged, from zero.
     fn charge(&self, at_ns: u64) -> f64 {
         let valid_ns = self.valid_ns(at_ns).unwrap_or(0);
         1.0 - (-(valid_ns as f64) / FILTER_NS).exp()
@@ -163,7 +163,7 @@ impl Wiring for CapsuleBoard {
         self.sensors.since_ns = None;
     }
 
-    fn look(&mut self, pads: &mut Pads<'_>) {
+    fn update(&mut self, pads: &mut Pads<'_>) {
         let now_ns = pads.now_ns();
         let by_timer = [IN1, IN2].map(|pin| pads.function(pin) == AF_BRIDGE);
         let awake = pads.output(SLEEP).unwrap_or(false);

@@ -3,7 +3,7 @@
 //! | pin | signal | electrically |
 //! |---|---|---|
 //! | PA10 | STEP | TIM1_CH3 as AF1, or a plain output; low while nothing drives it |
-//! | PB4, PA9 | DIR, EN | plain outputs; EN has a pull-up unless the rig is without, so the driver is off while nothing drives it |
+//! | PB4, PA9 | DIR, EN | plain outputs; a pull-up at EN, if the rig has it, keeps the driver off while nothing drives it |
 //! | PA6 | E-stop loop | contact to ground, TIM1_BKIN as AF1 |
 //! | PC7, PB6 | home flag, far limit | contacts to ground, the chip's pull-ups |
 //! | PA0 | read-back | jumper from STEP, TIM2_ETR as AF1 |
@@ -29,7 +29,7 @@ const SYNC: Pin = Pin::new('A', 8);
 const BUTTON: Pin = Pin::new('C', 13);
 #[expect(
     dead_code,
-    reason = "nothing here looks at it, but the table of pins is compared with the firmware's"
+    reason = "nothing here uses it, but the table of pins is compared with the firmware's"
 )]
 const LED: Pin = Pin::new('A', 5);
 /// The alternate function for TIM1 and TIM2 (DS10314 table 9).
@@ -90,7 +90,7 @@ impl RigBoard {
         }
     }
 
-    /// When the driver was last switched off, by EN driven or let go.
+    /// When the driver was last switched off, by driving or releasing EN.
     #[must_use]
     pub fn switched_off_ns(&self) -> Option<u64> {
         self.switched_off_ns
@@ -165,7 +165,7 @@ impl RigBoard {
 }
 
 impl Wiring for RigBoard {
-    const LOOKS_AT_CHANGES_ONLY: bool = true;
+    const ON_CHANGES_ONLY: bool = true;
 
     fn restarted(&mut self) {
         self.contacts = [None; 3];
@@ -179,7 +179,7 @@ impl Wiring for RigBoard {
         self.safe_before_clock = None;
     }
 
-    fn look(&mut self, pads: &mut Pads<'_>) {
+    fn update(&mut self, pads: &mut Pads<'_>) {
         let now_ns = pads.now_ns();
         let step_by_timer = pads.function(STEP) == AF_TIMER;
         let sync_by_timer = pads.function(SYNC) == AF_TIMER;

@@ -21,7 +21,7 @@ const LOCK: u64 = 1 << 31;
 pub(super) const BUSY: u64 = 1 << 16;
 
 /// How much of an operation is completed.
-enum Share {
+enum Progress {
     None,
     Part,
     All,
@@ -84,9 +84,9 @@ impl Array {
     }
 
     /// Counts an operation and returns how much of it is completed.
-    fn begin(&mut self) -> Share {
+    fn begin(&mut self) -> Progress {
         if self.failed {
-            return Share::None;
+            return Progress::None;
         }
         let number = self.operations;
         self.operations += 1;
@@ -94,12 +94,12 @@ impl Array {
             Some((operation, at)) if operation == number => {
                 self.failed = true;
                 match at {
-                    CutAt::Before => Share::None,
-                    CutAt::Within => Share::Part,
-                    CutAt::After => Share::All,
+                    CutAt::Before => Progress::None,
+                    CutAt::Within => Progress::Part,
+                    CutAt::After => Progress::All,
                 }
             }
-            _ => Share::All,
+            _ => Progress::All,
         }
     }
 
@@ -128,9 +128,9 @@ impl Array {
                 if let Some((first, bytes)) = region(access.value) {
                     self.judge(first, bytes);
                     let bytes = match self.begin() {
-                        Share::None => 0,
-                        Share::Part => bytes / 2,
-                        Share::All => bytes,
+                        Progress::None => 0,
+                        Progress::Part => bytes / 2,
+                        Progress::All => bytes,
                     };
                     self.erasing = Some((first, bytes));
                 }
@@ -167,12 +167,12 @@ impl Array {
         self.judge(access.address, u64::from(access.width.bytes()));
         let old = host.read(access.address, access.width).unwrap_or(0);
         let stored = match self.begin() {
-            Share::None => old,
+            Progress::None => old,
             // Vary the bits that change before the cut from store to store.
-            Share::Part => {
+            Progress::Part => {
                 old & (access.value | self.operations.wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 16)
             }
-            Share::All => old & access.value,
+            Progress::All => old & access.value,
         };
         let _ = host.program(access.address, access.width, stored);
         Touched::Stored

@@ -1,4 +1,4 @@
-//! Skips events of the chip while the processor sleeps and the step timer runs, see [`super::course`].
+//! Starts, extends and ends the fast-forward of the step timer while the processor sleeps, see [`super::fast_forward`].
 
 use std::collections::VecDeque;
 
@@ -8,10 +8,10 @@ use rigless::mcu::Mcu;
 use rigless::soc::Width;
 use rigless::time::VirtualNanos;
 
-use super::course::Course;
 use super::dma::Paced;
+use super::fast_forward::FastForward;
 use super::map::TIM5_CCR2;
-use super::ring::Rest;
+use super::ring::IdleRing;
 use super::{Chip, OutputEdge, TIM5_CHANNEL, Wiring};
 
 /// The board's answer on the step timer's edges, valid while the firmware changes nothing.
@@ -27,22 +27,22 @@ pub struct Unnoticed {
     pub captured: bool,
 }
 
-/// Longest time without a stop, ns, so that the board is asked again.
+/// Longest time without a stop, ns; the board is asked again after it.
 const LONGEST_NS: u64 = 5_000_000;
 const STEP_CHANNEL: u8 = 3;
 
-/// A course, and the edges that it has not passed to the inputs yet.
+/// A fast-forward, and the edges that it has not passed to the inputs yet.
 #[derive(Debug)]
 pub(super) struct Asleep {
-    course: Course,
+    forward: FastForward,
     leads: Unnoticed,
-    /// When a pulse ended that had begun before the course.
+    /// When a pulse ended that had begun before the fast-forward.
     fell_ns: Option<u64>,
     pulses: u64,
     /// The last two pulses: when each began and ended.
     last: [(u64, Option<u64>); 2],
     /// Delay from an edge to its capture, ns, and the ring that the capture goes to.
-    capture: Option<(u64, Rest)>,
+    capture: Option<(u64, IdleRing)>,
     /// Edges not captured yet.
     to_capture: VecDeque<u64>,
     /// Captures so far.
@@ -67,8 +67,8 @@ impl Asleep {
         }
     }
 
-    /// Splits the pulses: the number of those that are only counted, and those that the inputs get one by one. The
-    /// latter are the last pulse, and the one before it while the last one's capture is pending.
+    /// Splits the pulses: the number of those to count at once, and those to pass to the inputs one by one. The latter
+    /// are the last pulse, and the one before it while the last one's capture is pending.
     fn split(&self) -> (u64, &[(u64, Option<u64>)]) {
         let enough = if self.to_capture.is_empty() { 1 } else { 2 };
         let shown = self.pulses.min(enough);
@@ -77,7 +77,7 @@ impl Asleep {
 }
 
 impl<W: Wiring> Chip<W> {
-    /// Begins a course, if possible, when the processor falls asleep.
+    /// Begins a fast-forward, if possible, when the processor falls asleep.
     pub(super) fn falls_asleep(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         if self.options.every_event || self.asleep.is_some() {
             return;
@@ -89,16 +89,16 @@ impl<W: Wiring> Chip<W> {
         }
         let slots = self.slots;
         let registers = self.part.bus().slots()[slots.tim1].registers();
-        let Some((standing, tick_ns)) = self.tim1.standing(registers, at) else {
-            self.bell.ask_for_sleep(false);
+        let Some((position, tick_ns)) = self.tim1.position(registers, at) else {
+            self.hooks.report_sleep(false);
             return;
         };
-        let Some(periods) = rest(&self.dma2, self.part.bus(), slots.dma2) else {
+        let Some(periods) = idle(&self.dma2, self.part.bus(), slots.dma2) else {
             return;
         };
-        let course = Course::new(standing, periods, tick_ns, at.0);
+        let forward = FastForward::new(position, periods, tick_ns, at.0);
         let to_timer = periods.from_memory && periods.bytes == 2;
-        if !to_timer || !course.begins_plainly() {
+        if !to_timer || !forward.begins_plainly() {
             return;
         }
         let Some(leads) = self
@@ -116,8 +116,8 @@ impl<W: Wiring> Chip<W> {
             let registers = self.part.bus().slots()[slots.tim5].registers();
             let after_ns = self
                 .tim5
-                .captures_edges(registers, standing.begun_ns, tick_ns);
-            let captures = rest(&self.dma1, self.part.bus(), slots.dma1).filter(|captures| {
+                .captures_edges(registers, position.begun_ns, tick_ns);
+            let captures = idle(&self.dma1, self.part.bus(), slots.dma1).filter(|captures| {
                 !captures.from_memory
                     && captures.bytes == 4
                     && captures.to_interrupt.is_none()
@@ -129,7 +129,7 @@ impl<W: Wiring> Chip<W> {
             }
         }
         self.asleep = Some(Asleep {
-            course,
+            forward,
             leads,
             fell_ns: None,
             pulses: 0,
@@ -139,12 +139,12 @@ impl<W: Wiring> Chip<W> {
             captures: 0,
         });
         self.tim1.parked = true;
-        self.bell.ask_for_waking(true);
-        self.go_on(at, host);
+        self.hooks.report_waking(true);
+        self.extend(at, host);
     }
 
-    /// Extends the course while the processor sleeps.
-    pub(super) fn go_on(&mut self, at: VirtualNanos, host: &mut dyn Host) {
+    /// Extends the fast-forward while the processor sleeps.
+    pub(super) fn extend(&mut self, at: VirtualNanos, host: &mut dyn Host) {
         self.follow(at);
         self.write_captures(host);
         let Some(mut asleep) = self.asleep.take() else {
@@ -152,20 +152,20 @@ impl<W: Wiring> Chip<W> {
         };
         let next = self.bus().next_event().unwrap_or(VirtualNanos(u64::MAX));
         let until_ns = next.0.min(at.0 + LONGEST_NS);
-        let course = &mut asleep.course;
-        if course.end_ns.is_none() && course.clear_ns < until_ns || course.clear_ns <= at.0 {
+        let forward = &mut asleep.forward;
+        if forward.end_ns.is_none() && forward.clear_ns < until_ns || forward.clear_ns <= at.0 {
             let noticed = self
                 .with_pads(at, |wiring, pads| wiring.unnoticed(pads))
                 .flatten();
             let mut pulses = noticed.map_or(0, |noticed| noticed.pulses);
             if asleep.leads.counted {
                 let registers = self.part.bus().slots()[self.slots.tim2].registers();
-                let left = self.tim2.edges_remaining(registers, at);
-                pulses = pulses.min(left.saturating_sub(asleep.pulses));
+                let remaining = self.tim2.edges_remaining(registers, at);
+                pulses = pulses.min(remaining.saturating_sub(asleep.pulses));
             }
-            course.unnoticed = pulses;
-            course.look_ahead(until_ns, host);
-            let stop_ns = course.end_ns.unwrap_or(until_ns);
+            forward.unnoticed = pulses;
+            forward.look_ahead(until_ns, host);
+            let stop_ns = forward.end_ns.unwrap_or(until_ns);
             if stop_ns < next.0 {
                 let exti = self.slots.exti;
                 let bus = self.part.bus_mut();
@@ -175,9 +175,12 @@ impl<W: Wiring> Chip<W> {
         self.asleep = Some(asleep);
     }
 
-    /// Whether the course ends now.
-    pub(super) fn course_ends(&self, at: VirtualNanos) -> bool {
-        let end_ns = self.asleep.as_ref().and_then(|asleep| asleep.course.end_ns);
+    /// Whether the fast-forward ends now.
+    pub(super) fn fast_forward_ends(&self, at: VirtualNanos) -> bool {
+        let end_ns = self
+            .asleep
+            .as_ref()
+            .and_then(|asleep| asleep.forward.end_ns);
         end_ns.is_some_and(|end_ns| end_ns <= at.0)
     }
 
@@ -187,9 +190,9 @@ impl<W: Wiring> Chip<W> {
             return;
         }
         let taken = self.asleep.take().zip(self.wiring.take());
-        let (mut asleep, mut wiring) = taken.expect("the board does not look meanwhile");
+        let (mut asleep, mut wiring) = taken.expect("no update of the board is in progress");
         let mut edges = std::mem::take(&mut self.followed);
-        asleep.course.advance(at.0, &mut |edge| edges.push(edge));
+        asleep.forward.advance(at.0, &mut |edge| edges.push(edge));
         for edge in edges.drain(..) {
             asleep.stepped(edge);
             let on_bench = OutputEdge {
@@ -216,7 +219,7 @@ impl<W: Wiring> Chip<W> {
         self.asleep = Some(asleep);
     }
 
-    /// Writes the instants captured meanwhile to memory.
+    /// Writes the instants captured during sleep to memory.
     pub(super) fn write_captures(&mut self, memory: &mut dyn Host) {
         for (address, instant) in self.captured.drain(..) {
             // The stream has written there before, so the address is valid.
@@ -224,30 +227,33 @@ impl<W: Wiring> Chip<W> {
         }
     }
 
-    /// Brings the timers and streams up to date, before somebody looks at them or the processor wakes.
+    /// Brings the timers and streams up to date, before a register is read or the processor wakes.
     pub(super) fn catch_up(&mut self, at: VirtualNanos) {
-        let end_ns = self.asleep.as_ref().and_then(|asleep| asleep.course.end_ns);
-        // Leave the event that ends the course to the timer itself.
+        let end_ns = self
+            .asleep
+            .as_ref()
+            .and_then(|asleep| asleep.forward.end_ns);
+        // The timer itself handles the event that ends the fast-forward.
         let to = end_ns.map_or(at, |end_ns| at.min(VirtualNanos(end_ns - 1)));
         self.follow(to);
         let Some(asleep) = self.asleep.take() else {
             return;
         };
-        self.bell.ask_for_waking(false);
+        self.hooks.report_waking(false);
         let slots = self.slots;
         let bus = self.part.bus_mut();
         let (registers, mut context) = bus.drive(at, slots.tim1);
         self.tim1.resume(
-            &asleep.course,
+            &asleep.forward,
             to,
-            &mut self.nowhere,
+            &mut self.null_bus,
             registers,
             &mut context,
         );
         let (registers, mut context) = bus.drive(at, slots.dma2);
         if let Some(periods) = self.dma2.rings.first_mut() {
-            let items = asleep.course.fetched * super::course::WORDS as u64;
-            periods.skip(items, asleep.course.held(), registers);
+            let items = asleep.forward.fetched * super::fast_forward::WORDS as u64;
+            periods.skip(items, asleep.forward.held(), registers);
         }
         self.dma2.refresh(registers, &mut context);
         if asleep.leads.counted {
@@ -319,7 +325,7 @@ impl<W: Wiring> Chip<W> {
     }
 }
 
-fn rest(controller: &Paced, bus: &rigless::soc::Bus, slot: usize) -> Option<Rest> {
+fn idle(controller: &Paced, bus: &rigless::soc::Bus, slot: usize) -> Option<IdleRing> {
     let registers = bus.slots()[slot].registers();
-    controller.rings.first()?.rest(registers)
+    controller.rings.first()?.idle(registers)
 }

@@ -1,18 +1,17 @@
-//! The clock tree with a clock from outside that may come late, or never. The emulator's own oscillators always come.
+//! The clock tree with an external clock that may start late, or never. The emulator's own oscillators always start.
 //!
-//! The clock from outside is a square wave (UM1724 section 6.7.1), not a crystal: it clocks the chip only while the
-//! chip's own oscillator is bypassed.
+//! The external clock is a square wave (UM1724 section 6.7.1), not a crystal: it clocks the chip only while the chip's
+//! own oscillator is bypassed.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::rcc::{Register, cr};
 use rigless::soc::stm32f427::peripherals::rcc::Rcc;
 use rigless::time::VirtualNanos;
 
-use super::forward::forward;
+use super::delegate::delegate;
 
-/// The clock tree. It takes its place on the bus and hides from it that the firmware has switched on an external clock
-/// that is not running yet. Firmware that waits for the clock polls: it sees the clock at its next read of the
-/// register.
+/// Wraps the clock tree and replaces it on the bus. Hides from it that the firmware has switched on an external clock
+/// that is not running yet. Firmware that waits for the clock polls the register: its next read shows the clock.
 #[derive(Debug)]
 pub(super) struct Clocked {
     pub(super) rcc: Rcc,
@@ -42,7 +41,7 @@ impl Clocked {
         self.from = from;
     }
 
-    /// Stops the external clock, which the firmware has switched on, while nothing watches it.
+    /// Stops the external clock, which the firmware has switched on but not used yet.
     pub(super) fn pause(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let value = cr::HSEON.set(registers.get(Register::Cr), 0);
         registers.set(Register::Cr, value);
@@ -63,7 +62,7 @@ impl Clocked {
 impl Device for Clocked {
     type Register = Register;
 
-    forward!(rcc: layout, peek, on_event, on_request, poll, reset_line);
+    delegate!(rcc: layout, peek, on_event, on_request, poll, reset_line);
 
     fn reset(&mut self) {
         Device::reset(&mut self.rcc);

@@ -1,11 +1,11 @@
-//! The processor with a bell: it reports when it falls asleep, and when it wakes, before it executes anything.
+//! Hooks into the processor: report when it falls asleep, and when it wakes, before it executes anything.
 //!
 //! While the processor sleeps only models and the board change memory or registers. The emulator does not report sleep.
-//! This wrapper therefore stands between the emulator and its processor and signals each change by an access that no
+//! This wrapper therefore sits between the emulator and its processor and signals each change by an access that no
 //! program makes.
 //!
-//! It also fails accesses beside the RAM, raises the NMI, delays the ports' inputs, and hands the processor to the next machine when its own is dropped, see
-//! [`super::spare`].
+//! It also fails accesses beside the RAM, raises the NMI, delays the ports' inputs, and puts the processor into the
+//! pool when its machine is dropped, see [`super::pool`].
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,69 +17,69 @@ use rigless::soc::{Endian, Width};
 use rigless::time::VirtualNanos;
 
 use super::map;
-use super::spare::{self, Program, Usable};
+use super::pool::{self, PooledProcessor, Program};
 
-/// Addresses whose reads signal falling asleep and waking: EXTI_IMR and EXTI_EMR. The bell's reads have no program
+/// Addresses whose reads signal falling asleep and waking: EXTI_IMR and EXTI_EMR. The hooks' reads have no program
 /// counter, unlike those of the firmware.
 const SLEEP_AT: u64 = 0x4001_3C00;
 const WAKE_AT: u64 = 0x4001_3C04;
 
-/// A signal of the bell.
+/// A change that the hooks signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Ring {
+pub(super) enum SleepChange {
     /// The processor waits for an interrupt or an event.
     Sleeps,
     /// It is about to execute its next instruction.
     Wakes,
 }
 
-/// The signal that `access` carries, if it comes from the bell.
-pub(super) fn heard(access: &Access) -> Option<Ring> {
+/// The change that `access` signals, if it comes from the hooks.
+pub(super) fn sleep_change(access: &Access) -> Option<SleepChange> {
     match (access.program_counter, access.address) {
-        (None, SLEEP_AT) => Some(Ring::Sleeps),
-        (None, WAKE_AT) => Some(Ring::Wakes),
+        (None, SLEEP_AT) => Some(SleepChange::Sleeps),
+        (None, WAKE_AT) => Some(SleepChange::Wakes),
         _ => None,
     }
 }
 
-/// The signals that are listened to. Each one costs time, so only those asked for are sent.
+/// The enabled signals, and requests to the processor. Each signal costs time, so only enabled ones are sent.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Bell(Arc<Asked>);
+pub(super) struct CoreHooks(Arc<HookState>);
 
 #[derive(Debug, Default)]
-struct Asked {
+struct HookState {
     sleeps: AtomicBool,
     wakes: AtomicBool,
     nmi: AtomicBool,
-    /// Ports whose clock is on, and those of them whose inputs nobody has read since, by bit; and the instruction at
-    /// which the last clock came.
+    /// Ports whose clock is on, and those of them whose inputs have not been read since, by bit; and the instruction
+    /// that switched the last clock on.
     clocked: AtomicU64,
     unread: AtomicU64,
     since: AtomicU64,
 }
 
-impl Bell {
-    pub(super) fn ask_for_sleep(&self, asked: bool) {
+impl CoreHooks {
+    pub(super) fn report_sleep(&self, asked: bool) {
         self.0.sleeps.store(asked, Ordering::Relaxed);
     }
 
-    pub(super) fn ask_for_waking(&self, asked: bool) {
+    pub(super) fn report_waking(&self, asked: bool) {
         self.0.wakes.store(asked, Ordering::Relaxed);
     }
 
-    /// Raises the NMI, which no line of the emulator leads to.
+    /// Raises the NMI, for which the emulator has no line.
     pub(super) fn raise_nmi(&self) {
         self.0.nmi.store(true, Ordering::Relaxed);
     }
 
-    /// A write to RCC_AHB1ENR.
+    /// Notes a write to RCC_AHB1ENR.
     fn clocks(&self, value: u64, instruction: u64) {
         let before = self.0.clocked.swap(value, Ordering::Relaxed);
         self.0.unread.store(value & !before, Ordering::Relaxed);
         self.0.since.store(instruction, Ordering::Relaxed);
     }
 
-    /// Whether this is the first read of the port's inputs since its clock came, and soon after.
+    /// Whether this is the first read of the port's inputs since its clock was enabled, and soon after.
     fn is_early(&self, port: u64, instruction: u64) -> bool {
         let unread = self.0.unread.fetch_and(!(1 << port), Ordering::Relaxed) >> port & 1 == 1;
         unread && instruction - self.0.since.load(Ordering::Relaxed) <= SOON
@@ -96,7 +96,7 @@ const SOON: u64 = 8;
 const ICSR: u64 = 0xE000_ED04;
 const NMIPENDSET: u64 = 1 << 31;
 
-/// DEMCR, the only register in use that a reset keeps, but for the bits of the debug monitor (DDI 0403E.e C1.6.5).
+/// DEMCR, the only register in use that a reset keeps, except the bits of the debug monitor (DDI 0403E.e C1.6.5).
 const DEMCR: u64 = 0xE000_EDFC;
 const MONITOR: u64 = 0xF_0000;
 
@@ -120,18 +120,18 @@ fn after_reset(fresh: &[u8], mut retired: u64) -> Option<Vec<u8>> {
     Some(state)
 }
 
-/// Puts `bell` between the emulator and the processor that `spec` makes, or a spare one for `program`.
-pub(super) fn with_bell(spec: &mut CoreSpec, bell: &Bell, program: Program) {
-    let (make, bell) = (Arc::clone(&spec.processor), bell.clone());
+/// Puts `hooks` between the emulator and the processor that `spec` makes, or a pooled one for `program`.
+pub(super) fn with_hooks(spec: &mut CoreSpec, hooks: &CoreHooks, program: Program) {
+    let (make, hooks) = (Arc::clone(&spec.processor), hooks.clone());
     spec.processor = Arc::new(move |endian| {
-        let spare = spare::take(&program);
-        let knows_program = spare.is_some();
-        let core = match spare {
-            Some(spare) => spare,
+        let pool = pool::take(&program);
+        let knows_program = pool.is_some();
+        let core = match pool {
+            Some(pool) => pool,
             None => {
                 let mut inner = make(endian)?;
                 inner.reset();
-                Usable {
+                PooledProcessor {
                     fresh: inner.save(),
                     inner,
                     program,
@@ -141,12 +141,12 @@ pub(super) fn with_bell(spec: &mut CoreSpec, bell: &Bell, program: Program) {
                 }
             }
         };
-        Ok(Box::new(Belled {
-            core: Some(Usable {
+        Ok(Box::new(HookedProcessor {
+            core: Some(PooledProcessor {
                 mapped: Vec::new(),
                 ..core
             }),
-            bell: bell.clone(),
+            hooks: hooks.clone(),
             knows_program,
             loading: true,
             altered: false,
@@ -155,30 +155,30 @@ pub(super) fn with_bell(spec: &mut CoreSpec, bell: &Bell, program: Program) {
 }
 
 #[derive(Debug)]
-struct Belled {
-    /// Present until it is handed on.
-    core: Option<Usable>,
-    bell: Bell,
+struct HookedProcessor {
+    /// Present until it goes into the pool.
+    core: Option<PooledProcessor>,
+    hooks: CoreHooks,
     /// It has translated this program for an earlier machine.
     knows_program: bool,
     /// The program is being loaded.
     loading: bool,
-    /// It was changed in a way that another machine must not inherit.
+    /// It was changed, so another machine must not use it.
     altered: bool,
 }
 
-impl Drop for Belled {
+impl Drop for HookedProcessor {
     fn drop(&mut self) {
         if let Some(core) = self.core.take()
             && !self.altered
             && !std::thread::panicking()
         {
-            spare::keep(core);
+            pool::keep(core);
         }
     }
 }
 
-impl Belled {
+impl HookedProcessor {
     fn inner(&self) -> &dyn Processor {
         &*self.core.as_ref().expect("until it is dropped").inner
     }
@@ -187,16 +187,16 @@ impl Belled {
         &mut *self.core.as_mut().expect("until it is dropped").inner
     }
 
-    fn strike(&self, address: u64, bus: &mut dyn CoreBus) {
+    fn signal(&self, address: u64, bus: &mut dyn CoreBus) {
         let retired = self.inner().retired();
         let access = Access::new(AccessKind::Read, address, Width::W32, 0);
         bus.access(access.at(retired, bus.time(retired)), false);
     }
 }
 
-/// The bus, with errors where the chip has nothing (the emulator would read 0 there), and with ports whose first read
-/// after their clock came gives the reset value if it comes soon.
-struct Failing<'a>(&'a mut dyn CoreBus, Bell);
+/// The bus, with errors at unmapped addresses (the emulator would read 0 there), and with ports whose first read
+/// returns the reset value if it comes soon after their clock was enabled.
+struct Failing<'a>(&'a mut dyn CoreBus, CoreHooks);
 
 impl CoreBus for Failing<'_> {
     fn access(&mut self, access: Access, from_code: bool) -> Option<u64> {
@@ -246,32 +246,32 @@ impl CoreBus for Failing<'_> {
     }
 }
 
-impl Processor for Belled {
+impl Processor for HookedProcessor {
     fn run(&mut self, budget: u32, bus: &mut dyn CoreBus) -> (Exit, u64) {
-        let bus = &mut Failing(bus, self.bell.clone());
-        if self.bell.0.nmi.swap(false, Ordering::Relaxed) {
+        let bus = &mut Failing(bus, self.hooks.clone());
+        if self.hooks.0.nmi.swap(false, Ordering::Relaxed) {
             self.inner_mut()
                 .debugger_access(Some(NMIPENDSET), ICSR, Width::W32, VirtualNanos(0));
         }
-        if self.inner().waiting() && self.bell.0.wakes.load(Ordering::Relaxed) {
+        if self.inner().waiting() && self.hooks.0.wakes.load(Ordering::Relaxed) {
             // With a budget of 0 it enters a pending exception, but executes nothing.
             let slept = self.inner_mut().run(0, bus);
             if self.inner().waiting() {
                 return slept;
             }
-            self.strike(WAKE_AT, bus);
+            self.signal(WAKE_AT, bus);
             // Return, because the next event may be due sooner now.
             return (Exit::Returned, slept.1);
         }
         let ran = self.inner_mut().run(budget, bus);
         let fell_asleep = ran.1 > 0 && self.inner().waiting();
-        if fell_asleep && self.bell.0.sleeps.load(Ordering::Relaxed) {
-            self.strike(SLEEP_AT, bus);
+        if fell_asleep && self.hooks.0.sleeps.load(Ordering::Relaxed) {
+            self.signal(SLEEP_AT, bus);
         }
         ran
     }
 
-    // SAFETY: the caller keeps the promises that the inner processor requires; the inner one is dropped with this one.
+    // SAFETY: the caller meets the requirements of the inner processor, which is dropped with this one.
     #[allow(unsafe_code)]
     unsafe fn map(&mut self, start: u64, length: u64, host: *mut u8, writable: bool) {
         // SAFETY: as above.
@@ -286,7 +286,7 @@ impl Processor for Belled {
 
     fn ask(&mut self, queued: Queued) {
         match queued {
-            Queued::Invalidate(start, end) if spare::is_program(start, end) => {
+            Queued::Invalidate(start, end) if pool::is_program(start, end) => {
                 if self.loading && self.knows_program {
                     return;
                 }
@@ -313,10 +313,10 @@ impl Processor for Belled {
         self.inner_mut().boot(table, read);
     }
 
-    /// The emulator's own reset drops all translations, though the program has not changed: 38 % of the tests'
-    /// processor time went into making them again. Loading the state after a reset keeps them.
+    /// Loads the state after a reset. The emulator's own reset would also drop all translations of the unchanged
+    /// program, and repeating them took 38 % of the tests' processor time.
     fn reset(&mut self) {
-        self.bell.clocks(0, 0);
+        self.hooks.clocks(0, 0);
         let core = self.core.as_mut().expect("until it is dropped");
         let retired = core.inner.retired();
         let catches = debug_register(&mut *core.inner, None);
@@ -411,7 +411,7 @@ mod tests {
         0xE7FD, // b to the addition
     ];
 
-    /// A bus with nothing on it.
+    /// An empty bus.
     struct Nothing;
 
     impl CoreBus for Nothing {
@@ -432,7 +432,7 @@ mod tests {
         }
     }
 
-    fn processor(bell: bool) -> Box<dyn Processor> {
+    fn processor(hooks: bool) -> Box<dyn Processor> {
         let core = Core {
             variant: Variant::M4,
             clock_hz: NonZeroU64::new(100_000_000).expect("a rate"),
@@ -443,20 +443,20 @@ mod tests {
             boot: "flash",
         };
         let mut spec = core.spec_with_parts(&[], Fpu::FpV4Sp, MpuRegions::Eight);
-        if bell {
-            with_bell(&mut spec, &Bell::default(), Program::of(&[], 1));
+        if hooks {
+            with_hooks(&mut spec, &CoreHooks::default(), Program::of(&[], 1));
         }
         (spec.processor)(Endian::Little).expect("a processor")
     }
 
     /// The state of a processor that has executed `CODE` and was reset, and the instructions that it has retired.
-    fn reset_after_a_run(bell: bool) -> (Vec<u8>, u64) {
+    fn reset_after_a_run(hooks: bool) -> (Vec<u8>, u64) {
         let mut page = vec![0_u8; 8_192];
         let start = page.as_ptr().align_offset(4_096);
         for (at, word) in CODE.iter().enumerate() {
             page[start + 2 * at..][..2].copy_from_slice(&word.to_le_bytes());
         }
-        let mut core = processor(bell);
+        let mut core = processor(hooks);
         // SAFETY: `page` has 4,096 bytes from `start`, and outlives the processor's last run.
         #[allow(unsafe_code)]
         unsafe {
@@ -481,7 +481,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reset_leaves_the_state_that_the_emulator_s_leaves() {
+    fn a_reset_gives_the_state_of_the_emulators_own_reset() {
         let (shortened, retired) = reset_after_a_run(true);
         let (real, the_same) = reset_after_a_run(false);
         assert!(retired > 200);

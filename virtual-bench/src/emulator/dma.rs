@@ -1,5 +1,5 @@
-//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time. Then the words of TIM1's burst
-//! come one after the other, so a stop can fall within a burst. The emulator's own transfers take no time.
+//! A DMA controller with a ring, see [`super::ring`], or with bursts that take time: the words of TIM1's burst come one
+//! after the other, so a stop can fall within a burst. The emulator's own transfers take no time.
 
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::st::tim::UPDATE_REQUEST;
@@ -7,8 +7,8 @@ use rigless::soc::stm32f427::generated::dma2::Register;
 use rigless::soc::stm32f427::peripherals::dma::Dma;
 use rigless::time::{EventId, VirtualNanos};
 
-use super::forward::forward;
-use super::ring::{Place, Ring, Streams};
+use super::delegate::delegate;
+use super::ring::{Ring, StreamId, Streams};
 
 /// Duration of a burst. The manuals give no figures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,7 +23,7 @@ pub struct Beats {
 const STORE_OF_STREAM_5: u64 = 11;
 const TIMER: &str = "TIM1";
 
-/// The controller. It takes its place on the bus and passes the timer's request on for one word at a time.
+/// Wraps the controller and replaces it on the bus. Passes the timer's request on for one word at a time.
 #[derive(Debug)]
 pub(super) struct Paced {
     dma: Dma,
@@ -33,7 +33,7 @@ pub(super) struct Paced {
     /// The request is passed on to the controller.
     shown: bool,
     next_word: Option<EventId>,
-    /// The bench's own streams. The first one is that which can skip items.
+    /// The bench's own streams. The first one can skip items.
     pub(super) rings: Vec<Ring>,
 }
 
@@ -57,8 +57,8 @@ impl Paced {
     }
 
     /// Takes over the streams at `places`.
-    pub(super) fn add_rings(&mut self, places: &[Place], streams: Streams) {
-        let ring = |place: &Place| Ring::new(*place, streams);
+    pub(super) fn add_rings(&mut self, places: &[StreamId], streams: Streams) {
+        let ring = |place: &StreamId| Ring::new(*place, streams);
         self.rings = places.iter().map(ring).collect();
     }
 
@@ -99,7 +99,7 @@ impl Paced {
 impl Device for Paced {
     type Register = Register;
 
-    forward!(dma: layout, read, peek, poll);
+    delegate!(dma: layout, read, peek, poll);
 
     fn write(
         &mut self,
@@ -113,8 +113,8 @@ impl Device for Paced {
             && ring.write(row, registers, context)
         {
             if !ring.is_running() {
-                // The emulator's stream missed requests that came meanwhile.
-                let change = ring.standing();
+                // The emulator's stream has missed earlier requests.
+                let change = ring.request_state();
                 Device::on_request(&mut self.dma, change, registers, context);
             }
             return self.refresh(registers, context);

@@ -17,7 +17,7 @@ const DMA_BIT: u64 = 21;
 const DMA_APART: u64 = 3;
 /// Instructions that last two cycles of a bus at half the core's clock, with a store in the write buffer before them.
 const SOON: u64 = 8;
-/// Half-words behind the enabling store in which the barrier has to stand.
+/// Half-words behind the enabling store within which the barrier must follow.
 const NEAR: u64 = 8;
 /// DSB SY (Armv7-M ARM A7.7.33).
 const BARRIER: [u64; 2] = [0xF3BF, 0x8F4F];

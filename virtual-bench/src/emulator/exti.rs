@@ -28,7 +28,7 @@ pub(super) struct Exti {
 }
 
 impl Exti {
-    /// The level at the pin that SYSCFG routes to `line` has changed. A masked line becomes pending, too (RM0383
+    /// The level at the pin that SYSCFG routes to `line` has changed. A masked line becomes pending too (RM0383
     /// section 10.3.6): it interrupts as soon as it is unmasked.
     pub(super) fn edge(
         &mut self,

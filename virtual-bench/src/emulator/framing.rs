@@ -1,12 +1,12 @@
-//! Rate and format of the serial port. The emulator passes bytes at any rate and in any frame, so the bench compares the
-//! registers with what the host's port is set to, and reports a port that it would not understand.
+//! Rate and format of the serial port. The emulator passes bytes at any rate and in any frame, so the bench compares
+//! the registers with what the host's port is set to, and reports a port that it would not understand.
 
 use rigless::device::RegisterFile;
 use rigless::soc::stm32f427::generated::usart6::{Register, cr1, cr2};
 
 /// Rate of the host's port, baud.
 const BAUD: u64 = 115_200;
-/// Largest deviation, percent. The receiver stands 3.3 % (RM0383 section 19.3.5); the rest is for the oscillators of
+/// Largest deviation, percent. The receiver tolerates 3.3 % (RM0383 section 19.3.5); the rest is for the oscillators of
 /// both ends.
 const MOST_PERCENT: u64 = 2;
 

@@ -10,7 +10,7 @@ use rigless::soc::stm32f427::peripherals::dma::{Dma, Wire};
 use rigless::soc::stm32f427::peripherals::{adc, usart};
 use rigless::soc::{EraseBlocks, Region};
 
-use super::ring::Place;
+use super::ring::StreamId;
 
 /// First byte of the flash.
 pub(super) const FLASH_BASE: u64 = 0x0800_0000;
@@ -55,8 +55,8 @@ pub(super) static MEMORY: [Region; 3] = [
     Region::ram("sram", RAM.start, RAM.end - RAM.start),
 ];
 
-/// Below the RAM, above the system memory: reserved but for 16 option bytes, which no firmware reads here; and above the
-/// RAM. An access is a bus error (docs/silicon.md, item 18).
+/// Below the RAM, above the system memory: reserved except for 16 option bytes, which no firmware reads here; and above
+/// the RAM. An access is a bus error (docs/silicon.md, item 18).
 pub(super) const BESIDE_RAM: [std::ops::Range<u64>; 2] =
     [0x1FFF_8000..0x2000_0000, RAM.end..0x2200_0000];
 
@@ -115,20 +115,20 @@ static DMA2_REQUESTS: [Wire; 2] = [
 ];
 
 /// The rings of the step timer's periods and of the captured instants. The tables above list them, too, and that below.
-pub(super) const PERIODS: Place = Place {
+pub(super) const PERIODS: StreamId = StreamId {
     stream: 5,
     channel: 6,
     instance: "TIM1",
     request: UPDATE_REQUEST,
 };
-pub(super) const CAPTURES: Place = Place {
+pub(super) const CAPTURES: StreamId = StreamId {
     stream: 4,
     channel: 6,
     instance: "TIM5",
     request: CHANNEL_REQUESTS[1],
 };
 /// The ring of the received bytes.
-pub(super) const RECEIVED: Place = Place {
+pub(super) const RECEIVED: StreamId = StreamId {
     stream: 5,
     channel: 4,
     instance: "USART2",
@@ -146,7 +146,7 @@ pub(super) fn controllers() -> [Dma; 2] {
 }
 
 /// Placeholder in the part while the bench uses its own controller.
-pub(super) fn hollow_controller() -> Dma {
+pub(super) fn placeholder_dma() -> Dma {
     Dma::new(&[], &[], true)
 }
 

@@ -15,7 +15,7 @@ use super::quiet::Quiet;
 use super::timer::Watched;
 use super::{OutputEdge, Pin, Slots, supply};
 
-/// The chip's pins during one call of [`super::Wiring::look`].
+/// The chip's pins during one call of [`super::Wiring::update`].
 pub struct Pads<'a> {
     pub(super) part: &'a mut Stm32f427,
     pub(super) tim1: &'a mut Watched<Advanced>,
@@ -38,7 +38,7 @@ impl Pads<'_> {
         self.epoch_ns + self.at.0
     }
 
-    /// Asks for another look at `at_ns` or before.
+    /// Asks for another update at `at_ns` or before.
     pub fn wake_at(&mut self, at_ns: u64) {
         self.wake = Some(self.wake.map_or(at_ns, |wake| wake.min(at_ns)));
     }

@@ -1,9 +1,8 @@
 //! A timer whose inputs change often, but whose own events rarely matter.
 //!
 //! Its digital filters raise an event for each edge of an input, and the emulator stops for every event. Most of these
-//! change nothing that anybody notices before the timer is next read, and a read brings it up to date anyway. So edges
-//! are applied in a context whose events lead nowhere. The emulator stops only for those that raise a request or an
-//! interrupt.
+//! cannot be noticed before the timer is next read, and a read brings it up to date anyway. Edges are therefore applied
+//! in the context of the null bus. The emulator stops only for those that raise a request or an interrupt.
 
 use rigless::device::{Device, DeviceContext, RegisterFile};
 use rigless::soc::stm32f427::generated::tim2::Register;
@@ -11,7 +10,7 @@ use rigless::soc::stm32f427::peripherals::tim::{General, Tim};
 use rigless::soc::{Bus, Cpu, Error, Peripheral};
 use rigless::time::{EventId, VirtualNanos};
 
-use super::forward::forward;
+use super::delegate::delegate;
 
 /// Only the DMA request of channel 2 in DIER, and only its rising edges in CCER (RM0383 sections 13.4.4, 13.4.9).
 const CAPTURE_REQUEST: u64 = 1 << 10;
@@ -34,18 +33,18 @@ const NOT_USED: [Register; 7] = [
     Register::Dcr,
 ];
 
-/// The timer. It takes its place on the bus.
+/// Wraps the timer and replaces it on the bus.
 #[derive(Debug)]
 pub(super) struct Quiet {
     tim: Tim<General>,
     /// A bus without listeners.
-    nowhere: Bus,
+    null_bus: Bus,
     /// Stop the emulator for every event of the timer, as without this wrapper.
     every_event: bool,
-    /// The event waited for, and when it comes.
+    /// The awaited event, and its instant.
     awaited: Option<(EventId, VirtualNanos)>,
-    /// When the timer last asked to be woken.
-    unheard: VirtualNanos,
+    /// Instant of the last event that the timer scheduled on the null bus.
+    withheld: VirtualNanos,
     /// When it was last called.
     seen: VirtualNanos,
     /// When an input last rose, and its delay through the filter, ns.
@@ -61,16 +60,16 @@ impl Quiet {
     ) -> Result<Self, Error> {
         Ok(Self {
             tim,
-            nowhere: Bus::builder(cpu, &[], [peripheral]).build()?,
+            null_bus: Bus::builder(cpu, &[], [peripheral]).build()?,
             every_event,
             awaited: None,
-            unheard: VirtualNanos(0),
+            withheld: VirtualNanos(0),
             seen: VirtualNanos(0),
             filtered: None,
         })
     }
 
-    /// When it was last called: its past is over.
+    /// When it was last called. Edges before that can no longer be applied.
     pub(super) fn seen(&self) -> VirtualNanos {
         self.seen
     }
@@ -79,7 +78,7 @@ impl Quiet {
     pub(super) fn replace(&mut self, tim: Tim<General>) {
         self.tim = tim;
         self.awaited = None;
-        self.unheard = VirtualNanos(0);
+        self.withheld = VirtualNanos(0);
         self.seen = VirtualNanos(0);
         self.filtered = None;
     }
@@ -103,13 +102,13 @@ impl Quiet {
         if self.every_event || self.awaited.is_some() {
             return change(&mut self.tim, registers, context);
         }
-        let (_, mut nowhere) = self.nowhere.drive(context.now(), 0);
-        change(&mut self.tim, registers, &mut nowhere);
-        let Some(at) = self.nowhere.next_event() else {
+        let (_, mut null_bus) = self.null_bus.drive(context.now(), 0);
+        change(&mut self.tim, registers, &mut null_bus);
+        let Some(at) = self.null_bus.next_event() else {
             return;
         };
-        self.nowhere.reset();
-        self.unheard = at;
+        self.null_bus.reset();
+        self.withheld = at;
         if high {
             let now_ns = context.now().0;
             self.filtered = Some((now_ns, at.0 - now_ns));
@@ -150,7 +149,7 @@ impl Quiet {
             && self.awaited.is_none()
     }
 
-    /// Edges left before the count comes near 0 or the end of its range.
+    /// Remaining edges before the count comes near 0 or the end of its range.
     pub(super) fn edges_remaining(&self, registers: &RegisterFile, now: VirtualNanos) -> u64 {
         let count = self.count(registers, now);
         let room = match registers.get(Register::Cr1) & DOWN {
@@ -198,17 +197,23 @@ impl Quiet {
 
     /// Counts withheld edges. All of them must have passed the filter before `at`.
     pub(super) fn skip(&mut self, edges: u64, at: VirtualNanos, registers: &mut RegisterFile) {
-        let (_, mut unheard) = self.nowhere.drive(at, 0);
-        Device::read(&mut self.tim, Register::Cr1, registers, &mut unheard);
+        let (_, mut null_context) = self.null_bus.drive(at, 0);
+        Device::read(&mut self.tim, Register::Cr1, registers, &mut null_context);
         let count = Device::peek(&self.tim, Register::Cnt, registers, at).unwrap_or(0);
         let count = match registers.get(Register::Cr1) & DOWN {
             0 => count + edges,
             _ => count - edges,
         };
         let kept = registers.get(Register::Cnt);
-        Device::write(&mut self.tim, Register::Cnt, count, registers, &mut unheard);
+        Device::write(
+            &mut self.tim,
+            Register::Cnt,
+            count,
+            registers,
+            &mut null_context,
+        );
         registers.set(Register::Cnt, kept);
-        self.nowhere.reset();
+        self.null_bus.reset();
     }
 
     /// Captures a withheld rising edge at `edge` that passes the filter at `at`. Its instant is in memory already.
@@ -219,12 +224,12 @@ impl Quiet {
         registers: &mut RegisterFile,
         change: impl FnOnce(&mut Tim<General>, &mut RegisterFile, &mut DeviceContext<'_>),
     ) {
-        let (_, mut unheard) = self.nowhere.drive(edge, 0);
-        change(&mut self.tim, registers, &mut unheard);
-        let (_, mut unheard) = self.nowhere.drive(at, 0);
-        Device::read(&mut self.tim, Register::Ccr2, registers, &mut unheard);
-        self.nowhere.reset();
-        self.unheard = at;
+        let (_, mut null_context) = self.null_bus.drive(edge, 0);
+        change(&mut self.tim, registers, &mut null_context);
+        let (_, mut null_context) = self.null_bus.drive(at, 0);
+        Device::read(&mut self.tim, Register::Ccr2, registers, &mut null_context);
+        self.null_bus.reset();
+        self.withheld = at;
     }
 
     fn await_at(&mut self, at: VirtualNanos, context: &mut DeviceContext<'_>) {
@@ -243,7 +248,7 @@ fn is_noticed(high: bool, registers: &RegisterFile) -> bool {
 impl Device for Quiet {
     type Register = Register;
 
-    forward!(tim: layout, peek, on_refused, on_request, on_clock, on_access, poll);
+    delegate!(tim: layout, peek, on_refused, on_request, on_clock, on_access, poll);
 
     /// Reads the status without bringing the timer up to date: an edge of this very instruction may still be applied
     /// after it, with its own instant.
@@ -270,10 +275,10 @@ impl Device for Quiet {
     ) {
         self.seen = context.now();
         Device::write(&mut self.tim, register, value, registers, context);
-        // This write may make a pending event matter.
-        let pending = self.awaited.is_none() && self.unheard > context.now();
+        // After this write a withheld event may be noticed.
+        let pending = self.awaited.is_none() && self.withheld > context.now();
         if pending && is_noticed(true, registers) {
-            self.await_at(self.unheard, context);
+            self.await_at(self.withheld, context);
         }
     }
 
@@ -287,7 +292,7 @@ impl Device for Quiet {
             return Device::on_event(&mut self.tim, event, registers, context);
         }
         self.awaited = None;
-        // The timer does not know this event, so bring it up to date instead.
+        // The timer does not know the number of this event, so bring it up to date instead.
         self.settle(registers, context);
     }
 

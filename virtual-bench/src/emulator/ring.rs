@@ -1,5 +1,6 @@
-//! A DMA stream over a ring in memory, one item per request: the step timer's periods, the captured instants. The
-//! emulator's own streams cannot skip many items at once. This one can, and moves single items exactly as they do.
+//! A DMA stream over a ring in memory, one item per request: the step timer's periods, the captured instants, the
+//! received bytes. Unlike the emulator's own streams it can skip many items at once; it moves single items exactly as
+//! they do.
 
 use rigless::device::{DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::stm32f427::generated::dma2::Register;
@@ -30,7 +31,7 @@ const HTIF: u64 = 1 << 4;
 const TCIF: u64 = 1 << 5;
 const FLAGS: u64 = 0x3D;
 /// Bit positions of the flags of streams 4 to 7.
-const PLACES: [u32; 4] = [0, 6, 16, 22];
+const FLAG_SHIFTS: [u32; 4] = [0, 6, 16, 22];
 /// Registers before the first stream's, and registers per stream.
 const FIRST: usize = 4;
 const ROWS: usize = 6;
@@ -55,9 +56,9 @@ const ALL: [Row; ROWS] = [
     Row::Fifo,
 ];
 
-/// Position of a ring in the controller, and the request that drives it.
+/// The stream of a ring, and the request that drives it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct StreamId {
     /// Stream number, 4 to 7.
     pub(super) stream: usize,
     pub(super) channel: u64,
@@ -65,24 +66,24 @@ pub(super) struct Place {
     pub(super) request: usize,
 }
 
-/// What the manuals leave open about a stream.
+/// Behaviour of a stream that the manuals do not define.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Streams {
-    /// Switched off and on again, it goes on with the number of items that were left, unless NDTR is written meanwhile.
+    /// Switched off and on again, it continues with the remaining number of items, unless NDTR was written in between.
     pub keeps_count: bool,
-    /// Likewise, at the address that was next, unless M0AR is written meanwhile.
+    /// Switched off and on again, it continues at the next address, unless M0AR was written in between.
     pub keeps_address: bool,
-    /// FEIF at each item: in direct mode the FIFO of one item is found empty, or full, whenever the bus is not granted.
+    /// FEIF at each item: in direct mode the FIFO of one item is empty, or full, whenever the bus is not granted.
     pub fifo_errors: bool,
 }
 
 /// The stream.
 #[derive(Debug)]
 pub(super) struct Ring {
-    place: Place,
+    id: StreamId,
     streams: Streams,
-    /// Bytes left and the next address when it was switched off, until they are written.
-    left: (Option<u64>, Option<u64>),
+    /// Remaining bytes and the next address when it was switched off, until they are written.
+    remaining: (Option<u64>, Option<u64>),
     requested: bool,
     /// NDTR as last written: each round restarts from it.
     programmed: u64,
@@ -91,7 +92,7 @@ pub(super) struct Ring {
     /// Its registers at that time.
     kept: [u64; ROWS],
     running: Option<Running>,
-    /// Flags have changed, so the interrupt may have changed, too.
+    /// Flags have changed, so the interrupt may have changed too.
     pub(super) flagged: bool,
 }
 
@@ -111,11 +112,11 @@ struct Running {
 }
 
 impl Ring {
-    pub(super) fn new(place: Place, streams: Streams) -> Self {
+    pub(super) fn new(id: StreamId, streams: Streams) -> Self {
         Self {
-            place,
+            id,
             streams,
-            left: (None, None),
+            remaining: (None, None),
             requested: false,
             programmed: 0,
             enabled: false,
@@ -130,22 +131,22 @@ impl Ring {
     }
 
     /// The present state of the request, for the emulator's stream.
-    pub(super) fn standing(&self) -> RequestChange {
+    pub(super) fn request_state(&self) -> RequestChange {
         RequestChange {
-            instance: self.place.instance,
-            request: self.place.request,
+            instance: self.id.instance,
+            request: self.id.request,
             level: Level::from(self.requested),
         }
     }
 
     /// Whether this request is for this ring.
     pub(super) fn hears(&self, instance: &str, request: usize) -> bool {
-        self.place.instance == instance && self.place.request == request
+        self.id.instance == instance && self.id.request == request
     }
 
     /// Whether this answer is for this ring, and if so, whether it answers a store.
     pub(super) fn answers(&self, token: u64) -> Option<bool> {
-        let mine = self.running.is_some() && token / 2 == self.place.stream as u64;
+        let mine = self.running.is_some() && token / 2 == self.id.stream as u64;
         mine.then_some(token % 2 == 1)
     }
 
@@ -153,12 +154,12 @@ impl Ring {
     pub(super) fn row(&self, register: Register) -> Option<Row> {
         let nth = register
             .index()
-            .checked_sub(FIRST + self.place.stream * ROWS)?;
+            .checked_sub(FIRST + self.id.stream * ROWS)?;
         ALL.get(nth).copied()
     }
 
     fn register(&self, row: Row) -> Register {
-        let index = FIRST + self.place.stream * ROWS + row as usize;
+        let index = FIRST + self.id.stream * ROWS + row as usize;
         Register::from_index(index).expect("eight streams of six registers")
     }
 
@@ -172,10 +173,10 @@ impl Ring {
     }
 
     fn flag(&mut self, registers: &mut RegisterFile, flags: u64) {
-        let standing = registers.get(Register::Hisr);
+        let before = registers.get(Register::Hisr);
         registers.set(
             Register::Hisr,
-            standing | flags << PLACES[self.place.stream - 4],
+            before | flags << FLAG_SHIFTS[self.id.stream - 4],
         );
         self.flagged = true;
     }
@@ -195,10 +196,10 @@ impl Ring {
         if self.running.is_none() {
             if row == Row::Count {
                 self.programmed = self.held(registers, Row::Count) & NDT;
-                self.left.0 = None;
+                self.remaining.0 = None;
             }
             if row == Row::Memory0 {
-                self.left.1 = None;
+                self.remaining.1 = None;
             }
             let starts = !self.enabled && self.held(registers, Row::Control) & EN != 0;
             let is_ring = starts && self.start(registers, context);
@@ -228,14 +229,14 @@ impl Ring {
         let is_ring = control & (CIRC | MINC | OTHER_MODES | DMEIE) == CIRC | MINC
             && direction < 2
             && size < 3
-            && control >> 25 & 7 == self.place.channel
+            && control >> 25 & 7 == self.id.channel
             && fifo & (DMDIS | FEIE) == 0
             && self.programmed > 0;
         if !is_ring {
             return false;
         }
-        // Its flags have to be cleared before (RM0383 section 9.5.5).
-        if registers.get(Register::Hisr) >> PLACES[self.place.stream - 4] & FLAGS != 0 {
+        // It starts only with its flags cleared (RM0383 section 9.5.5).
+        if registers.get(Register::Hisr) >> FLAG_SHIFTS[self.id.stream - 4] & FLAGS != 0 {
             self.set(registers, Row::Control, EN, 0);
             return true;
         }
@@ -243,19 +244,21 @@ impl Ring {
         registers.set(self.register(Row::Control), forced);
         let bytes = 1 << size;
         let total = self.programmed * bytes;
-        let (left, next) = std::mem::take(&mut self.left);
-        let left = left.filter(|_| self.streams.keeps_count).unwrap_or(total);
+        let (remaining, next) = std::mem::take(&mut self.remaining);
+        let remaining = remaining
+            .filter(|_| self.streams.keeps_count)
+            .unwrap_or(total);
         let next = next.filter(|_| self.streams.keeps_address);
         self.running = Some(Running {
             from_memory: direction == 1,
             bytes,
             total,
-            to_load: left,
-            to_store: left,
+            to_load: remaining,
+            to_store: remaining,
             memory_at: next.unwrap_or(self.held(registers, Row::Memory0)),
             held: None,
             outstanding: false,
-            halved: left * 2 <= total,
+            halved: remaining * 2 <= total,
         });
         self.count(registers);
         self.report(registers);
@@ -265,12 +268,12 @@ impl Ring {
 
     fn stop(&mut self, registers: &mut RegisterFile, flags: u64) {
         if let Some(run) = self.running.take() {
-            // An item that was read ahead is dropped; its place comes again.
+            // An item that was read ahead is dropped and will be read again.
             let ahead = run
                 .held
                 .filter(|_| run.from_memory)
                 .map_or(0, |_| run.bytes);
-            self.left = (Some(run.to_store), Some(run.memory_at - ahead));
+            self.remaining = (Some(run.to_store), Some(run.memory_at - ahead));
         }
         self.flag(registers, flags);
         self.set(registers, Row::Control, EN, 0);
@@ -280,12 +283,12 @@ impl Ring {
     /// Updates NDTR, which follows the peripheral port.
     fn count(&self, registers: &mut RegisterFile) {
         let Some(run) = self.running else { return };
-        let left = if run.from_memory {
+        let remaining = if run.from_memory {
             run.to_store
         } else {
             run.to_load
         };
-        self.set(registers, Row::Count, NDT, left / run.bytes);
+        self.set(registers, Row::Count, NDT, remaining / run.bytes);
     }
 
     fn report(&self, registers: &mut RegisterFile) {
@@ -296,10 +299,7 @@ impl Ring {
 
     fn pump(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         let Some(mut run) = self.running else { return };
-        let (load, store) = (
-            2 * self.place.stream as u64,
-            2 * self.place.stream as u64 + 1,
-        );
+        let (load, store) = (2 * self.id.stream as u64, 2 * self.id.stream as u64 + 1);
         let peripheral_at = self.held(registers, Row::Peripheral);
         let (from, to) = if run.from_memory {
             (run.memory_at, peripheral_at)
@@ -393,14 +393,14 @@ impl Ring {
 
     pub(super) fn reset(&mut self) {
         let requested = self.requested;
-        *self = Self::new(self.place, self.streams);
+        *self = Self::new(self.id, self.streams);
         self.requested = requested;
     }
 }
 
-/// A ring at rest, and the changes when many items are moved at once.
+/// A ring that waits for its next request, with the data for moving many items at once.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Rest {
+pub(super) struct IdleRing {
     pub(super) from_memory: bool,
     pub(super) bytes: u64,
     /// Its start in memory, and its number of items.
@@ -418,26 +418,26 @@ pub(super) struct Rest {
 
 impl Ring {
     /// The state of a ring that is running and waits for its next request, else none.
-    pub(super) fn rest(&self, registers: &RegisterFile) -> Option<Rest> {
+    pub(super) fn idle(&self, registers: &RegisterFile) -> Option<IdleRing> {
         let run = self
             .running
             .filter(|run| !run.outstanding && !self.requested)?;
         if run.held.is_some() != run.from_memory {
             return None;
         }
-        let left = run.to_store / run.bytes;
+        let remaining = run.to_store / run.bytes;
         let items = run.total / run.bytes;
         let control = self.held(registers, Row::Control);
         // Half is reached, as for the flag, when twice the stored bytes are at least all bytes.
         let half = items.div_ceil(2);
-        let next = items - left;
+        let next = items - remaining;
         let to_half = (control & HTIE != 0).then_some(if next < half {
             half - next
         } else {
-            left + half
+            remaining + half
         });
-        let to_end = (control & TCIE != 0).then_some(left);
-        Some(Rest {
+        let to_end = (control & TCIE != 0).then_some(remaining);
+        Some(IdleRing {
             from_memory: run.from_memory,
             bytes: run.bytes,
             base: self.held(registers, Row::Memory0),

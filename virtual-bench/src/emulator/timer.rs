@@ -1,6 +1,6 @@
 //! A timer that records the exact instant of each change of its outputs.
 
-use super::forward::forward;
+use super::delegate::delegate;
 use rigless::device::{Device, DeviceContext, Level, RegisterFile, RequestChange};
 use rigless::soc::st::tim::{Channel, Family, Tim, UPDATE_REQUEST};
 use rigless::soc::stm32f427::generated::tim1;
@@ -8,7 +8,7 @@ use rigless::soc::stm32f427::peripherals::tim::Advanced;
 use rigless::soc::{Bus, Layout};
 use rigless::time::{EventId, VirtualNanos};
 
-use super::course::{Course, Slot, Standing, WORDS, Words};
+use super::fast_forward::{FastForward, Position, Slot, WORDS, Words};
 
 /// A change of one compare output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,12 +36,12 @@ pub(super) struct Watched<F: Family> {
     /// The shortcut for bursts; `None` disables it.
     burst: Option<Burst<F::Register>>,
     /// The shortcut for pulses; `None` disables it.
-    late: Option<Late<F::Register>>,
-    /// It stands still while its course is followed elsewhere, see [`super::course`].
+    deferred: Option<Deferred<F::Register>>,
+    /// It is frozen during a fast-forward, see [`super::fast_forward`].
     pub(super) parked: bool,
-    /// An event scheduled for the timer without its knowledge.
+    /// An event scheduled on behalf of the timer, which does not know its number.
     awaited: Option<EventId>,
-    /// Instant of an event that came while it stood still.
+    /// Instant of an event that came while it was frozen.
     missed: Option<VirtualNanos>,
 }
 
@@ -61,9 +61,9 @@ const COUNTS: u64 = 1 << 0;
 const PRELOADED_ODD_CHANNEL: u64 = 1 << 3;
 const INPUTS: u64 = 0x0303;
 
-/// The bursts that load the next period. Each of their words makes the timer compute its course again, four times,
-/// although preloaded registers change nothing before the next update. So if all of them are preloaded, the words
-/// bypass the timer and go straight to its registers. The timer gets the last word only.
+/// The bursts that load the next period. Each of their words makes the timer compute its events again, four times,
+/// although preloaded registers change nothing before the next update. If all of them are preloaded, the words
+/// therefore bypass the timer and go straight to its registers. The timer gets the last word only.
 #[derive(Debug)]
 struct Burst<R> {
     cr1: R,
@@ -140,20 +140,20 @@ impl<R: Layout> Burst<R> {
     }
 }
 
-/// Registers by which an event of the timer is noticed by anything but the board: interrupts and DMA requests, the
-/// trigger output, and the inputs that steer the counter.
+/// Registers through which others than the board notice an event of the timer: interrupts and DMA requests, the trigger
+/// output, and the inputs that control the counter.
 const CR2: u32 = 0x04;
 const SMCR: u32 = 0x08;
 const DIER: u32 = 0x0C;
 
-/// Pulses that only the board sees. Their events go to a bus without listeners, so the emulator does not stop for them.
-/// They are handled later, each at its exact instant, before anybody looks at the timer or its outputs.
+/// Pulses that only the board sees. Their events go to the null bus, so the emulator does not stop for them. They are
+/// handled later, each at its exact instant, before the timer or its outputs are read.
 #[derive(Debug)]
-struct Late<R> {
-    nowhere: Bus,
+struct Deferred<R> {
+    null_bus: Bus,
     cr1: R,
-    /// The registers as they were written last, by offset over 4. A write is in the register before the timer hears of
-    /// it, and must not change the pulses before it.
+    /// The last written value of each register, by offset over 4. A write reaches the register before the timer is
+    /// called, and must not change the pulses before it.
     written: [Option<u64>; 32],
 }
 
@@ -174,7 +174,7 @@ impl<F: Family> Watched<F> {
     pub(super) fn new(tim: Tim<F>, watched: &'static [u8], shortens_bursts: bool) -> Self {
         Self {
             burst: shortens_bursts.then(Burst::new).flatten(),
-            late: None,
+            deferred: None,
             tim,
             watched,
             high: [false; 4],
@@ -187,72 +187,75 @@ impl<F: Family> Watched<F> {
         }
     }
 
-    /// Handles the timer's events late, when it is looked at. `nowhere` is a bus without listeners.
-    pub(super) fn made_up_late(mut self, nowhere: Bus) -> Self {
-        self.late = register_at(CR1).map(|cr1| Late {
-            nowhere,
+    /// Defers the timer's events until it is read. `null_bus` has no listeners.
+    pub(super) fn with_deferred_events(mut self, null_bus: Bus) -> Self {
+        self.deferred = register_at(CR1).map(|cr1| Deferred {
+            null_bus,
             cr1,
             written: [None; 32],
         });
         self
     }
 
-    /// Handles the withheld events until `at`.
-    pub(super) fn make_up(&mut self, registers: &mut RegisterFile, at: VirtualNanos) {
-        while let Some(late) = &mut self.late
-            && let Some(due) = late.nowhere.next_event().filter(|due| *due <= at)
+    /// Handles the deferred events until `at`.
+    pub(super) fn handle_deferred(&mut self, registers: &mut RegisterFile, at: VirtualNanos) {
+        while let Some(deferred) = &mut self.deferred
+            && let Some(due) = deferred.null_bus.next_event().filter(|due| *due <= at)
         {
-            late.nowhere.reset();
-            let (_, mut unheard) = late.nowhere.drive(due, 0);
+            deferred.null_bus.reset();
+            let (_, mut null_context) = deferred.null_bus.drive(due, 0);
             // Reading a register without side effects brings the timer up to date.
-            Device::read(&mut self.tim, late.cr1, registers, &mut unheard);
+            Device::read(&mut self.tim, deferred.cr1, registers, &mut null_context);
             self.note(registers, due.0);
         }
     }
 
-    /// Handles the withheld events until now, with a register's value from before the write that has just changed it.
-    fn make_up_before_write(
+    /// Handles the deferred events until now, with the value of a register before the write that has just changed it.
+    fn handle_deferred_before_write(
         &mut self,
         register: F::Register,
         registers: &mut RegisterFile,
         at: VirtualNanos,
     ) {
         let nth = register.spec().offset as usize / 4;
-        let Some(late) = self
-            .late
+        let Some(deferred) = self
+            .deferred
             .as_mut()
             .filter(|_| !CHANGED_BY_TIMER.contains(&nth))
         else {
-            return self.make_up(registers, at);
+            return self.handle_deferred(registers, at);
         };
         let now = registers.get(register);
-        let before = late.written[nth].replace(now);
+        let before = deferred.written[nth].replace(now);
         registers.set(register, before.unwrap_or(register.spec().reset));
-        self.make_up(registers, at);
+        self.handle_deferred(registers, at);
         registers.set(register, now);
     }
 
-    /// Lets its events reach the emulator from now on.
-    fn be_heard(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
-        self.make_up(registers, context.now());
-        if let Some(late) = self.late.take() {
-            self.awaited = late.nowhere.next_event().map(|at| context.schedule(at));
+    /// Passes its events to the emulator from now on.
+    fn stop_deferring(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
+        self.handle_deferred(registers, context.now());
+        if let Some(deferred) = self.deferred.take() {
+            self.awaited = deferred
+                .null_bus
+                .next_event()
+                .map(|at| context.schedule(at));
         }
     }
 
-    /// Handles the withheld events, then calls the timer with the context that its events have to reach.
+    /// Handles the deferred events, then calls the timer with the context that its events have to reach.
     fn call<T>(
         &mut self,
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
         call: impl FnOnce(&mut Tim<F>, &mut RegisterFile, &mut DeviceContext<'_>) -> T,
     ) -> T {
-        self.make_up(registers, context.now());
-        let Some(late) = &mut self.late else {
+        self.handle_deferred(registers, context.now());
+        let Some(deferred) = &mut self.deferred else {
             return call(&mut self.tim, registers, context);
         };
-        let (_, mut unheard) = late.nowhere.drive(context.now(), 0);
-        call(&mut self.tim, registers, &mut unheard)
+        let (_, mut null_context) = deferred.null_bus.drive(context.now(), 0);
+        call(&mut self.tim, registers, &mut null_context)
     }
 
     pub(super) fn high(&self, channel: u8) -> bool {
@@ -337,8 +340,8 @@ impl<F: Family> Watched<F> {
     }
 }
 
-/// Registers of the step timer as a course requires them: it counts up on its internal clock, each output is high at
-/// the beginning of a period, and only DMA is notified of an update (RM0383 section 12.4).
+/// Registers of the step timer as a fast-forward requires them: it counts up on its internal clock, each output is high
+/// at the start of a period, and only DMA is notified of an update (RM0383 section 12.4).
 const AS_STEP_TIMER: [(tim1::Register, u64); 7] = [
     (tim1::Register::Cr1, PRELOADED_PERIOD | COUNTS),
     (tim1::Register::Cr2, 0),
@@ -368,12 +371,12 @@ const OF_BURST: [tim1::Register; WORDS] = [
 ];
 
 impl Watched<Advanced> {
-    /// The timer's position and the length of its ticks, ns, if its course follows from the ring.
-    pub(super) fn standing(
+    /// The timer's position and the length of its ticks, ns, if the ring alone decides its edges.
+    pub(super) fn position(
         &self,
         registers: &RegisterFile,
         now: VirtualNanos,
-    ) -> Option<(Standing, u64)> {
+    ) -> Option<(Position, u64)> {
         let burst = self.burst.as_ref()?;
         let ((playing, updated_ns), preloaded) = burst.playing.zip(burst.words)?;
         let bdtr = registers.get(tim1::Register::Bdtr);
@@ -399,49 +402,49 @@ impl Watched<Advanced> {
         let (playing, preloaded) = (Slot(playing), Slot(preloaded));
         let round_ns = (playing.0[0] + 1) * tick_ns;
         let round = (now.0 - updated_ns) / round_ns;
-        let standing = Standing {
+        let position = Position {
             playing,
             preloaded,
             begun_ns: updated_ns + round * round_ns,
             left: (playing.0[1] & 0xFF).checked_sub(round)?,
         };
-        let counted = (now.0 - standing.begun_ns) / tick_ns;
-        (count(now.0) == Some(counted)).then_some((standing, tick_ns))
+        let counted = (now.0 - position.begun_ns) / tick_ns;
+        (count(now.0) == Some(counted)).then_some((position, tick_ns))
     }
 
-    /// Moves the timer to where its course is at `to`; `nowhere` is a bus without listeners.
+    /// Sets the timer to the position of the fast-forward at `to`; `null_bus` has no listeners.
     pub(super) fn resume(
         &mut self,
-        course: &Course,
+        forward: &FastForward,
         to: VirtualNanos,
-        nowhere: &mut Bus,
+        null_bus: &mut Bus,
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        let Standing {
+        let Position {
             playing,
             preloaded,
             begun_ns,
             left,
-        } = course.at;
-        if begun_ns != course.first_ns {
+        } = forward.at;
+        if begun_ns != forward.first_ns {
             let kept = [tim1::Register::Dier, tim1::Register::Sr]
                 .map(|register| (register, registers.get(register)));
             registers.set(tim1::Register::Dier, 0);
             // A period of 0 blocks the counter until the present round begins.
             let present = [playing.0[0], left, playing.0[2], playing.0[3], playing.0[4]];
-            for (words, at_ns) in [([0; WORDS], course.from_ns), (present, begun_ns)] {
+            for (words, at_ns) in [([0; WORDS], forward.from_ns), (present, begun_ns)] {
                 for (register, word) in OF_BURST.into_iter().zip(words) {
                     registers.set(register, word);
                 }
-                nowhere.reset();
-                let (_, mut unheard) = nowhere.drive(VirtualNanos(at_ns), 0);
+                null_bus.reset();
+                let (_, mut null_context) = null_bus.drive(VirtualNanos(at_ns), 0);
                 Device::write(
                     &mut self.tim,
                     tim1::Register::Egr,
                     UPDATE,
                     registers,
-                    &mut unheard,
+                    &mut null_context,
                 );
             }
             for (register, value) in kept {
@@ -451,20 +454,25 @@ impl Watched<Advanced> {
                 registers.write_over_bus(register, word);
             }
             if let Some(burst) = &mut self.burst {
-                let round_ns = (playing.0[0] + 1) * course.tick_ns;
+                let round_ns = (playing.0[0] + 1) * forward.tick_ns;
                 let updated_ns = begun_ns - ((playing.0[1] & 0xFF) - left) * round_ns;
                 burst.playing = Some((playing.0, updated_ns));
                 burst.words = Some(preloaded.0);
             }
         }
-        let planned = nowhere.next_event();
-        nowhere.reset();
-        let (_, mut unheard) = nowhere.drive(to, 0);
-        Device::read(&mut self.tim, tim1::Register::Cr1, registers, &mut unheard);
-        // Without a new plan the timer waits for its earlier event, which may have come and been missed.
+        let planned = null_bus.next_event();
+        null_bus.reset();
+        let (_, mut null_context) = null_bus.drive(to, 0);
+        Device::read(
+            &mut self.tim,
+            tim1::Register::Cr1,
+            registers,
+            &mut null_context,
+        );
+        // If the timer plans no event, it waits for an earlier one, which it may have missed while frozen.
         let missed = self.missed.take();
-        let next = nowhere.next_event().or(planned).or(missed);
-        nowhere.reset();
+        let next = null_bus.next_event().or(planned).or(missed);
+        null_bus.reset();
         self.awaited = next.map(|at| context.schedule(at)).or(self.awaited);
         self.parked = false;
         for &number in self.watched {
@@ -478,7 +486,7 @@ impl Watched<Advanced> {
 impl<F: Family> Device for Watched<F> {
     type Register = F::Register;
 
-    forward!(tim: layout, peek, on_refused, poll);
+    delegate!(tim: layout, peek, on_refused, poll);
 
     fn read(
         &mut self,
@@ -486,9 +494,9 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) -> Option<u64> {
-        assert!(!self.parked, "a timer that stands still is read");
+        assert!(!self.parked, "a frozen timer is read");
         if register.spec().offset == DMAR {
-            // The firmware never reads DMAR. A read advances the burst, so the shortcut would lose step: drop it.
+            // The firmware never reads DMAR. A read advances the burst, which the shortcut does not follow: drop it.
             self.burst = None;
         }
         let value = self.call(registers, context, |tim, registers, context| {
@@ -509,16 +517,16 @@ impl<F: Family> Device for Watched<F> {
         registers: &mut RegisterFile,
         context: &mut DeviceContext<'_>,
     ) {
-        assert!(!self.parked, "a timer that stands still is written");
+        assert!(!self.parked, "a frozen timer is written");
         if register.spec().offset == DMAR {
             if !self.pass(value, registers, context) {
                 Device::write(&mut self.tim, register, value, registers, context);
             }
         } else {
             self.before_write(register, registers, context);
-            self.make_up_before_write(register, registers, context.now());
+            self.handle_deferred_before_write(register, registers, context.now());
             if value != 0 && matches!(register.spec().offset, CR2 | SMCR | DIER) {
-                self.be_heard(registers, context);
+                self.stop_deferring(registers, context);
             }
             self.call(registers, context, |tim, registers, context| {
                 Device::write(tim, register, value, registers, context);
@@ -594,9 +602,9 @@ impl<F: Family> Device for Watched<F> {
         if let Some(burst) = &mut self.burst {
             burst.reset();
         }
-        if let Some(late) = &mut self.late {
-            late.nowhere.reset();
-            late.written = [None; 32];
+        if let Some(deferred) = &mut self.deferred {
+            deferred.null_bus.reset();
+            deferred.written = [None; 32];
         }
     }
 
@@ -608,8 +616,8 @@ impl<F: Family> Device for Watched<F> {
         self.call(registers, context, |tim, registers, context| {
             Device::reset_line(tim, registers, context);
         });
-        if let Some(late) = &mut self.late {
-            late.written = [None; 32];
+        if let Some(deferred) = &mut self.deferred {
+            deferred.written = [None; 32];
         }
         self.note(registers, context.now().0);
     }
@@ -626,7 +634,7 @@ mod tests {
 
     const TIM3: usize = 1;
     const HZ: u64 = 16_000_000;
-    /// When the firmware writes what: two channels with preloaded pulses, duties that change, a stop and a start.
+    /// Writes of the firmware: two channels with preloaded pulses, changing duties, a stop and a start.
     const WRITES: [(u64, Register, u64); 14] = [
         (1_000, Register::Arr, 199),
         (1_010, Register::Ccmr1Output, 0x6868),
@@ -644,11 +652,11 @@ mod tests {
         (150_000, Register::Ccr1, 199),
     ];
 
-    /// A bus with this timer alone.
-    fn nowhere() -> Bus {
+    /// A bus with this timer only.
+    fn null_bus() -> Bus {
         let part = Stm32f427::new().expect("a part");
         let slot = part.bus().slot("TIM3").expect("a timer");
-        super::super::nowhere(part.bus(), slot).expect("a bus")
+        super::super::null_bus(part.bus(), slot).expect("a bus")
     }
 
     fn timer() -> Watched<General> {
@@ -656,47 +664,51 @@ mod tests {
         Watched::new(tim, &[1, 2], false)
     }
 
-    /// The writes, with a look at the timer after each of `looks`. The context's own events are not delivered.
-    fn written(mut timer: Watched<General>, looks: impl Iterator<Item = u64>) -> Vec<OutputEdge> {
-        let mut bus = nowhere();
+    /// The writes, and a read of the timer at each of `reads`. The context's own events are not delivered.
+    fn written(mut timer: Watched<General>, reads: impl Iterator<Item = u64>) -> Vec<OutputEdge> {
+        let mut bus = null_bus();
         let mut writes = WRITES.into_iter().peekable();
-        for look_ns in looks {
-            while let Some((at_ns, register, value)) = writes.next_if(|write| write.0 <= look_ns) {
+        for read_ns in reads {
+            while let Some((at_ns, register, value)) = writes.next_if(|write| write.0 <= read_ns) {
                 let (registers, mut context) = bus.drive(VirtualNanos(at_ns), 0);
                 // As the bus does before it calls the device.
                 registers.write_over_bus(register, value);
                 Device::write(&mut timer, register, value, registers, &mut context);
             }
-            let (registers, mut context) = bus.drive(VirtualNanos(look_ns), 0);
+            let (registers, mut context) = bus.drive(VirtualNanos(read_ns), 0);
             Device::read(&mut timer, Register::Cr1, registers, &mut context);
         }
         timer.edges
     }
 
     #[test]
-    fn pulses_that_are_made_up_late_are_those_of_a_timer_that_is_looked_at_each_nanosecond() {
+    fn deferred_pulses_are_those_of_a_timer_that_is_read_each_nanosecond() {
         let always = written(timer(), 0..200_000);
         assert!(always.len() > 30, "{always:?}");
         for every_ns in [7, 1_000, 12_500, 49_000, 200_000] {
-            let late = timer().made_up_late(nowhere());
-            let looks = (0..200_000).step_by(every_ns).chain([200_000]);
-            assert_eq!(written(late, looks), always, "a look every {every_ns} ns");
+            let deferred = timer().with_deferred_events(null_bus());
+            let reads = (0..200_000).step_by(every_ns).chain([200_000]);
+            assert_eq!(
+                written(deferred, reads),
+                always,
+                "a read every {every_ns} ns"
+            );
         }
     }
 
     #[test]
-    fn an_interrupt_that_is_enabled_is_heard() {
-        let mut bus = nowhere();
-        let mut late = timer().made_up_late(nowhere());
+    fn an_enabled_interrupt_is_not_deferred() {
+        let mut bus = null_bus();
+        let mut deferred = timer().with_deferred_events(null_bus());
         for (at_ns, register, value) in WRITES.into_iter().take(7) {
             let (registers, mut context) = bus.drive(VirtualNanos(at_ns), 0);
             registers.write_over_bus(register, value);
-            Device::write(&mut late, register, value, registers, &mut context);
+            Device::write(&mut deferred, register, value, registers, &mut context);
         }
         assert_eq!(bus.next_event(), None);
         let (registers, mut context) = bus.drive(VirtualNanos(5_000), 0);
         registers.write_over_bus(Register::Dier, 1);
-        Device::write(&mut late, Register::Dier, 1, registers, &mut context);
+        Device::write(&mut deferred, Register::Dier, 1, registers, &mut context);
         // The period began with the clock before 1,060 ns, and lasts 12.5 us.
         assert_eq!(bus.next_event(), Some(VirtualNanos(13_500)));
     }

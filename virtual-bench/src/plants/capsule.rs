@@ -14,7 +14,7 @@ const SUPPLY_FILTER: f64 = 50e-6;
 /// Longest step of the integration, ns.
 const STEP_NS: u64 = 20_000;
 /// Interval at which a moving motor is sampled, ns.
-const LOOK_NS: u64 = 50_000;
+const SAMPLE_NS: u64 = 50_000;
 
 /// The capsule.
 #[derive(Debug)]
@@ -117,7 +117,7 @@ impl Capsule {
         self.driven_ns = None;
     }
 
-    /// Number of erasures begun while the motor turned. A record of the position is written meanwhile.
+    /// Number of erasures begun while the motor turned. Writing a record of the position is allowed then.
     #[must_use]
     pub fn flash_moving(&self) -> u64 {
         self.flash_moving
@@ -228,7 +228,7 @@ impl Capsule {
     /// When the capsule must be advanced even if no pin changes, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
-        let moving = (!self.plant.is_quiet()).then_some(self.now_ns + LOOK_NS);
+        let moving = (!self.plant.is_quiet()).then_some(self.now_ns + SAMPLE_NS);
         moving.into_iter().chain(self.faults.next_ns()).min()
     }
 

@@ -25,7 +25,7 @@ pub struct Contact {
     /// Pending changes in their order: instant in ns, and whether it opens.
     coming: Vec<(u64, bool)>,
     noise: Option<Noise>,
-    /// Its level at the last look, and when it last opened, ns.
+    /// Its level at the last update, and when it last opened, ns.
     was_open: bool,
     opened_ns: Option<u64>,
 }

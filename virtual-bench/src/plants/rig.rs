@@ -17,7 +17,7 @@ const MOVING_NS: u64 = 10_000_000;
 /// Longest time from the opening of the E-stop loop to the last pulse, ns: the chip's break input ends the pulses.
 const LOOP_CUTS_NS: u64 = 10_000;
 /// Longest time from the opening of the far limit to the last pulse, ns: the firmware's filter and two sampling windows
-/// of 24 us, the masking of a noisy line, which may keep it busy for a millisecond, and its next look.
+/// of 24 us, the masking of a noisy line, which may keep it busy for a millisecond, and its next poll.
 const LIMIT_CUTS_NS: u64 = 5_000_000;
 
 /// Parameters of the rig.
@@ -124,19 +124,19 @@ pub enum Action {
     Bounce(Switch, Option<Bounce>),
     /// Inject a pulse of this width, ns, on a contact's wire.
     Disturb(Switch, u64),
-    /// Put noise on a contact's wire that toggles at this interval in ns, or take it off.
+    /// Put noise on a contact's wire that toggles at this interval in ns, or remove it.
     Noise(Switch, Option<u64>),
     /// Make the motor ignore this many steps.
     LoseSteps(u64),
-    /// Actuate (or let go) an end-of-travel switch by hand.
+    /// Actuate (or release) an end-of-travel switch by hand.
     Loop(LoopContact, bool),
-    /// Actuate (or let go) the home flag or the far limit by hand.
+    /// Actuate (or release) the home flag or the far limit by hand.
     Actuate(Switch, bool),
     /// Switch the motor supply.
     Supply(bool),
     /// Move the carriage by hand to this position, steps. Works only while the motor has no supply.
     Place(i64),
-    /// Do something so many ns later.
+    /// Carry out an action after this delay, ns.
     Later(u64, Box<Action>),
 }
 
@@ -496,8 +496,8 @@ impl Rig {
         self.armed = armed;
     }
 
-    /// Nothing drives DIR any more, as after a reset: its pull-down makes it low. That is no order to turn, and no pulse
-    /// comes before the firmware drives it again.
+    /// DIR is no longer driven, as after a reset, and its pull-down makes it low. This is no change of direction: no
+    /// pulse comes before the firmware drives it again.
     pub fn let_go_of_direction(&mut self, at_ns: u64) {
         if std::mem::take(&mut self.away) {
             self.turned_ns = Some(at_ns);

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use client::{Device, Observer, Unobserved};
 
-use crate::common::{Any, flash_operations, log_of, refusal, sabotage};
+use crate::common::{Any, flash_operations, inject_fault, log_of, refusal};
 use crate::watchdog::A_PANIC;
 use capsule_plant::verdict::name;
 use protocol::{
@@ -19,9 +19,9 @@ use protocol::{
 use virtual_bench::{
     bench::{Bench, BenchOptions},
     boards::capsule::{self, CapsuleBoard},
+    fault_injection::Misbehaviour,
     link::VirtualLink,
     plants::capsule::{Capsule, Defect, Parameters},
-    sabotage::Misbehaviour,
 };
 
 pub(crate) struct CapsuleRun {
@@ -55,7 +55,7 @@ fn referenced_with(parameters: Parameters, mut options: BenchOptions) -> Capsule
         capsule.completes(Reference);
         capsule.rest();
         let flash = capsule.bench.visit(|visit| visit.flash());
-        let wound_mm = capsule.look(|capsule| capsule.wound_mm());
+        let wound_mm = capsule.with(|capsule| capsule.wound_mm());
         (flash.expect("the bench runs"), wound_mm)
     });
     options.flash = Some(flash.clone());
@@ -69,7 +69,7 @@ fn referenced_with(parameters: Parameters, mut options: BenchOptions) -> Capsule
 }
 
 impl CapsuleRun {
-    pub(crate) fn look<T: Send + 'static>(
+    pub(crate) fn with<T: Send + 'static>(
         &self,
         look: impl FnOnce(&mut Capsule) -> T + Send + 'static,
     ) -> T {
@@ -79,7 +79,7 @@ impl CapsuleRun {
     }
 
     pub(crate) fn suffer(&self, defect: Defect) {
-        self.look(move |capsule| capsule.suffer(defect));
+        self.with(move |capsule| capsule.suffer(defect));
     }
 
     pub(crate) fn log(&self) -> String {
@@ -144,7 +144,7 @@ impl CapsuleRun {
     }
 
     fn wound_mm(&self) -> f64 {
-        self.look(|capsule| capsule.wound_mm())
+        self.with(|capsule| capsule.wound_mm())
     }
 
     /// Total time for which encoder and amplifier were powered.
@@ -163,13 +163,13 @@ impl CapsuleRun {
             let driven = capsule.is_awake() || capsule.is_moving();
             (driven, capsule.wound_mm())
         };
-        let (driven, before_mm) = self.look(look);
+        let (driven, before_mm) = self.with(look);
         let powered_ns = self.sensors_ns();
         self.idle(1_000_000);
         // Encoder and amplifier are switched on for an occasional reading.
         let powered_ms = (self.sensors_ns() - powered_ns) / 1_000_000;
         assert!((1..23).contains(&powered_ms), "{powered_ms} ms of a second");
-        assert_eq!(self.look(look), (false, before_mm), "{}", self.log());
+        assert_eq!(self.with(look), (false, before_mm), "{}", self.log());
         assert!(!driven, "driven at rest\n{}", self.log());
     }
 
@@ -182,7 +182,7 @@ impl CapsuleRun {
         let bus = self.bench.bus().expect("the bench runs");
         let checked = bus.check(resets);
         checked.unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
-        assert_eq!(self.look(|capsule| capsule.flash_moving()), 0);
+        assert_eq!(self.with(|capsule| capsule.flash_moving()), 0);
     }
 }
 
@@ -213,13 +213,13 @@ fn folds_and_unfolds(capsule: &mut CapsuleRun, pause_us: u64) {
     assert!(powered_ms >= fold.duration_ms.into(), "{powered_ms} ms");
     assert!((100..=fold.peak_current_ma).contains(&fold.end_current_ma));
     let (force_n, travel_mm) =
-        capsule.look(|capsule| (capsule.peak_force_n(), capsule.travel_mm()));
+        capsule.with(|capsule| (capsule.peak_force_n(), capsule.travel_mm()));
     assert!((19.5..=22.5).contains(&travel_mm), "{travel_mm} mm");
     assert!((4.0..=9.0).contains(&force_n), "{force_n} N");
     assert_eq!(capsule.state().0, CapsuleState::Folded);
     capsule.idle(pause_us);
     says_what_it_did(capsule, Unfold, 1..=3_000, 200.0);
-    let least_mm = capsule.look(|capsule| capsule.extremes_mm().0);
+    let least_mm = capsule.with(|capsule| capsule.extremes_mm().0);
     let wound_mm = capsule.wound_mm();
     assert!(
         least_mm >= 0.0 && wound_mm < 0.2,
@@ -235,9 +235,9 @@ fn says_what_it_did(
     takes_ms: std::ops::RangeInclusive<u32>,
     most_mj: f64,
 ) -> ActuationRecord {
-    let before_j = capsule.look(|capsule| capsule.energy_j());
+    let before_j = capsule.with(|capsule| capsule.energy_j());
     let record = capsule.completes(motion);
-    let drawn_mj = capsule.look(move |capsule| (capsule.energy_j() - before_j) * 1e3);
+    let drawn_mj = capsule.with(move |capsule| (capsule.energy_j() - before_j) * 1e3);
     let off_mm = f64::from(record.thread_um) / 1e3 - capsule.wound_mm();
     let what = format!("{drawn_mj:.1} mJ drawn, {off_mm} mm off, {record:?}");
     assert!(off_mm.abs() < 0.5 && drawn_mj < most_mj, "{what}");
@@ -260,7 +260,7 @@ fn a_capsule_moves_alike_if_the_bench_stops_for_each_pulse() {
         let motions = [capsule.completes(fold_to), capsule.completes(Unfold)];
         let [fold_ms, unfold_ms] = motions.map(|record| f64::from(record.duration_ms));
         let look = |capsule: &mut Capsule| (capsule.peak_force_n(), capsule.energy_j());
-        let (force_n, energy_j) = capsule.look(look);
+        let (force_n, energy_j) = capsule.with(look);
         [fold_ms, unfold_ms, force_n, energy_j]
     });
     // Noise is drawn per step of the mechanics: one unfolding takes up to 3 % more than the next, and the largest force
@@ -294,7 +294,7 @@ fn each_defect_is_stopped_named_and_latched() {
         let mut capsule = referenced();
         let at_ns = capsule.bench.now_ns() + after_ms * 1_000_000;
         for defect in defects.iter().copied() {
-            capsule.look(move |capsule| capsule.plan(at_ns, defect));
+            capsule.with(move |capsule| capsule.plan(at_ns, defect));
         }
         let record = capsule.ends(Fold);
         let what = format!("{defects:?}: {record:?}\n{}", capsule.log());
@@ -305,7 +305,7 @@ fn each_defect_is_stopped_named_and_latched() {
         if let CapsuleFault::Jam { thread_um } = fault {
             assert!((12_800..13_400).contains(&thread_um), "{what}");
         }
-        assert!(capsule.look(|capsule| capsule.peak_force_n()) < 18.0);
+        assert!(capsule.with(|capsule| capsule.peak_force_n()) < 18.0);
         capsule.check_at_rest();
         let (state, latched, _) = capsule.state();
         assert_eq!((state, latched), (CapsuleState::Faulted, Some(fault)));
@@ -320,7 +320,7 @@ fn each_defect_is_stopped_named_and_latched() {
 fn a_motor_that_is_held_while_it_pays_out_is_a_jam_at_once() {
     let mut capsule = referenced();
     capsule.completes(FoldTo { thread_um: 8_000 });
-    capsule.look(|capsule| capsule.plant_mut().hold(true));
+    capsule.with(|capsule| capsule.plant_mut().hold(true));
     let record = capsule.ends(Unfold);
     let what = format!("{record:?}\n{}", capsule.log());
     let fault = |outcome| matches!(outcome, ActuationOutcome::Faulted(CapsuleFault::Jam { .. }));
@@ -338,7 +338,7 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     capsule.rest();
     let before = capsule.device.call(GetCapsuleTotals).expect("an answer");
     assert_eq!(before.actuations, earlier.actuations + 1);
-    let drawn_mj = capsule.look(|capsule| capsule.energy_j() * 1e3);
+    let drawn_mj = capsule.with(|capsule| capsule.energy_j() * 1e3);
     let energy_mj = (before.energy_mj - earlier.energy_mj) as f64;
     assert!(
         (energy_mj / drawn_mj - 1.0).abs() < 0.05,
@@ -359,7 +359,7 @@ fn what_is_kept_outlives_the_power_and_a_check_stays_folded() {
     assert_eq!(capsule.state(), (CapsuleState::Folded, None, true));
     let (off_mm, force_n) = (
         capsule.wound_mm() - folded_mm,
-        capsule.look(|capsule| capsule.peak_force_n()),
+        capsule.with(|capsule| capsule.peak_force_n()),
     );
     assert!(
         off_mm.abs() < 0.1 && force_n < 9.0,
@@ -412,7 +412,7 @@ fn a_cut_within_a_motion_leaves_a_way_out() {
             assert!(off_mm.abs() < 0.3, "{what}: {off_mm} mm, {status:?}");
             capsule.completes(Fold);
         }
-        let least_mm = capsule.look(|capsule| capsule.extremes_mm().0);
+        let least_mm = capsule.with(|capsule| capsule.extremes_mm().0);
         assert!(least_mm >= 0.0, "{what}: {least_mm} mm");
         capsule.check_clean();
     }
@@ -558,12 +558,12 @@ fn a_latched_estop_survives_a_reset() {
 
 /// Makes `client` misbehave while the capsule folds, until the device has restarted: motor off, bridge asleep, fault
 /// latched. Returns how long that took, and the last words.
-fn sabotaged(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String) {
+fn after_injection(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, String) {
     let mut capsule = referenced();
     capsule.begin(Fold);
     capsule.idle(300_000);
-    assert!(capsule.look(|capsule| capsule.is_moving()));
-    let armed_ns = sabotage(&capsule.bench, &capsule::image(), client, deed);
+    assert!(capsule.with(|capsule| capsule.is_moving()));
+    let armed_ns = inject_fault(&capsule.bench, &capsule::image(), client, deed);
     if deed == Misbehaviour::Panic {
         stays_asleep(&capsule);
     }
@@ -595,7 +595,7 @@ fn stays_asleep(capsule: &CapsuleRun) {
     let mut was_asleep = false;
     for _ in 0..6_000 {
         capsule.pass(20);
-        let is_awake = capsule.look(|capsule| capsule.is_awake());
+        let is_awake = capsule.with(|capsule| capsule.is_awake());
         assert!(!(was_asleep && is_awake), "the bridge was woken up again");
         was_asleep |= !is_awake;
         let bus = capsule.bench.bus().expect("the bench runs");
@@ -612,7 +612,7 @@ const HANG_NS: u64 = 800_000_000 + 100_000_000 + 150_000_000;
 #[test]
 fn a_task_that_hangs_is_ended_by_the_watchdog() {
     for client in [1, 2, 4] {
-        let (took_ns, words) = sabotaged(client, Misbehaviour::Hang, ResetCause::Watchdog);
+        let (took_ns, words) = after_injection(client, Misbehaviour::Hang, ResetCause::Watchdog);
         assert!(took_ns <= HANG_NS, "client {client}: {took_ns} ns");
         assert_eq!(words, "");
     }
@@ -621,7 +621,7 @@ fn a_task_that_hangs_is_ended_by_the_watchdog() {
 #[test]
 fn a_panic_switches_off_and_leaves_its_words() {
     for client in [1, 2, 4] {
-        let (took_ns, words) = sabotaged(client, Misbehaviour::Panic, ResetCause::Panic);
+        let (took_ns, words) = after_injection(client, Misbehaviour::Panic, ResetCause::Panic);
         assert!(took_ns <= 101_000_000, "client {client}: {took_ns} ns");
         assert!(words.starts_with(A_PANIC), "client {client}: {words:?}");
     }

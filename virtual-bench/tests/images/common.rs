@@ -22,11 +22,11 @@ use virtual_bench::{
     bench::{Bench, BenchOptions, Visit},
     boards::rig::{self, RigBoard},
     emulator::{ChipOptions, Streams, Wiring},
+    fault_injection::{FaultInjection, Misbehaviour},
     faults::When,
     link::VirtualLink,
     pins::EdgeLog,
     plants::rig::{Action, Rig, RigOptions, Violations},
-    sabotage::{Misbehaviour, Sabotage},
     verdicts,
 };
 
@@ -93,9 +93,14 @@ pub fn flash_operations<W: Wiring>(bench: &Bench<W>) -> u64 {
 }
 
 /// Makes a client of the watchdog misbehave. Returns the instant, ns.
-pub fn sabotage<W: Wiring>(bench: &Bench<W>, image: &Path, client: u8, deed: Misbehaviour) -> u64 {
-    let sabotage = Sabotage::new(image, client, deed).expect("an image with its symbols");
-    let applied = bench.visit(move |visit| sabotage.apply(visit));
+pub fn inject_fault<W: Wiring>(
+    bench: &Bench<W>,
+    image: &Path,
+    client: u8,
+    deed: Misbehaviour,
+) -> u64 {
+    let injection = FaultInjection::new(image, client, deed).expect("an image with its symbols");
+    let applied = bench.visit(move |visit| injection.apply(visit));
     applied.expect("the bench runs");
     bench.now_ns()
 }
@@ -209,7 +214,7 @@ impl RigRun {
     }
 
     pub fn carriage(&self) -> i64 {
-        self.look(|rig| rig.carriage())
+        self.with(|rig| rig.carriage())
     }
 
     pub fn visit<T: Send + 'static>(
@@ -219,7 +224,7 @@ impl RigRun {
         self.bench.visit(visit).expect("the bench runs")
     }
 
-    pub fn look<T: Send + 'static>(&self, look: impl FnOnce(&mut Rig) -> T + Send + 'static) -> T {
+    pub fn with<T: Send + 'static>(&self, look: impl FnOnce(&mut Rig) -> T + Send + 'static) -> T {
         self.visit(|visit| look(&mut visit.board().rig))
     }
 
@@ -245,7 +250,7 @@ impl RigRun {
     }
 
     pub fn plan(&self, when: When, action: Action) {
-        self.look(move |rig| rig.plan(when, action));
+        self.with(move |rig| rig.plan(when, action));
     }
 
     /// Plans `action` for an edge from now on, counted from 1. Returns its number.
@@ -258,7 +263,7 @@ impl RigRun {
     /// Applies `action` to the machine at once.
     pub fn act(&self, action: Action) {
         let now_ns = self.bench.now_ns();
-        self.look(move |rig| rig.act(action, now_ns));
+        self.with(move |rig| rig.act(action, now_ns));
     }
 
     /// Puts a request on the line without waiting for its reply. `ahead` tells several of them apart.
@@ -292,11 +297,11 @@ impl RigRun {
 
     /// Edges since edge number `first`.
     pub fn edges(&self, first: usize) -> EdgeLog {
-        self.look(move |rig| rig.edges().since(first))
+        self.with(move |rig| rig.edges().since(first))
     }
 
     pub fn edge_count(&self) -> usize {
-        self.look(|rig| rig.edges().len())
+        self.with(|rig| rig.edges().len())
     }
 
     /// When the last step left the pin.
@@ -323,7 +328,7 @@ impl RigRun {
             .expect("the bench runs")
             .check(resets)
             .unwrap_or_else(|why| panic!("{why}\n{}", self.log()));
-        let (found, cut) = self.look(|rig| (rig.violations(), rig.cut_pulses()));
+        let (found, cut) = self.with(|rig| (rig.violations(), rig.cut_pulses()));
         assert_eq!(found, Violations::default(), "{}", self.log());
         assert!(cut <= cuts as u64, "{cut} pulses cut\n{}", self.log());
     }

@@ -74,7 +74,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         let what = format!("cycle {cycle}, {at_um:?} um");
         // Start at another phase of the telemetry and of the capsule's control period.
         capsule.idle(wait_us, &mut Unobserved).expect("there");
-        let before = rig.look(|rig| rig.edges().len());
+        let before = rig.with(|rig| rig.edges().len());
         let forget = bench.visit(|visit| visit.board().capsule.forget_drive());
         forget.expect("the bench runs");
         let mut clocks = Clocks {
@@ -104,7 +104,7 @@ fn a_fold_at_a_place_of_a_run_begins_within_20_ms() {
         let fold = actuation.expect("it is recorded");
         let defects = check::record(&fold.sidecar, &fold.trial).all();
         assert!(defects.is_empty(), "{what}: {defects:?}");
-        let edges = rig.look(move |rig| rig.edges().since(before));
+        let edges = rig.with(move |rig| rig.edges().since(before));
         assert_eq!(edges.len(), 6 * STEPS, "{what}");
         let cycles = 2 * STEPS * (usize::from(cycle) - 1);
         let place = cycles + at_um.map_or(0, |at_um| at_um as usize * 8 / 10);

@@ -50,7 +50,7 @@ fn the_position_after_an_estop_at_any_edge_is_known_to_the_step() {
         let record = faulted(&mut rig, run, RigFault::EStopLoop, &what);
         let number = rig.edge_count() as u64;
         let left = number - first;
-        let opened_ns = rig.look(|rig| rig.loop_opened_ns()).expect(&what);
+        let opened_ns = rig.with(|rig| rig.loop_opened_ns()).expect(&what);
         let last_ns = opened_ns.checked_sub(rig.last_edge_ns()).expect(&what);
         assert!((within..=within + 1).contains(&left), "{what}: {left} left");
         let carriage = rig.carriage();

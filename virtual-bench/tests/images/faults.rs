@@ -138,7 +138,7 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
     const STOP: i64 = 160 + 160 + 5;
     let what = format!("{lost} lost, homewards: {homewards}");
     let place = 1_000 + if homewards { STROKE } else { 0 };
-    let before = rig.look(|rig| rig.lost());
+    let before = rig.with(|rig| rig.lost());
     rig.plan_at(place, Action::LoseSteps(lost));
     // After a loss on the way out the carriage meets the flag early; after one on the way back, late.
     let residual = lost as i32 * if homewards { -1 } else { 1 };
@@ -149,7 +149,7 @@ fn lose(rig: &mut crate::common::RigRun, lost: u64, homewards: bool, beyond: boo
     let told = recorder.rigs().last().map(|sample| sample.residual_steps);
     assert_eq!(told, Some(residual), "{what}");
     assert_eq!(record.worst_residual_steps, residual, "{what}");
-    assert_eq!(rig.look(|rig| rig.lost()) - before, lost, "{what}");
+    assert_eq!(rig.with(|rig| rig.lost()) - before, lost, "{what}");
     if beyond {
         let fault = RigFault::LostSteps {
             residual_steps: residual,

@@ -80,7 +80,7 @@ fn disturbances_of_19_us_never_stop_a_run_and_are_all_counted() {
     let mut rig = quickly_homed();
     let first = rig.edge_count();
     let start_ns = rig.bench.now_ns() + 100_000_000;
-    rig.look(move |rig| {
+    rig.with(move |rig| {
         for number in 0..each {
             let at = start_ns + number * 1_000_370;
             let [far, home] = [Switch::Far, Switch::Home].map(|at| Action::Disturb(at, 19_000));

@@ -59,7 +59,7 @@ struct Judge {
 
 impl Judge {
     /// Judges every edge since the last look.
-    fn look(&mut self, rig: &RigRun) -> Result<(), String> {
+    fn check(&mut self, rig: &RigRun) -> Result<(), String> {
         let edges = rig.edges(self.edges);
         self.now_ns = rig.bench.now_ns();
         self.edges += edges.len();
@@ -77,16 +77,16 @@ impl Judge {
             self.allowed -= 1;
             self.active_ns = edge.at_ns;
         }
-        let violations = rig.look(|rig| rig.violations());
+        let violations = rig.with(|rig| rig.violations());
         if violations != Violations::default() {
             return Err(format!("{violations:?}"));
         }
-        let opened_ns = rig.look(|rig| rig.loop_opened_ns());
+        let opened_ns = rig.with(|rig| rig.loop_opened_ns());
         if std::mem::replace(&mut self.opened_ns, opened_ns) < opened_ns {
             (self.latched, self.allowed) = (true, 0);
         }
-        let (low, high) = rig.look(|rig| (rig.extremes(), rig.forget_extremes()).0);
-        self.carriage = rig.look(|rig| rig.carriage());
+        let (low, high) = rig.with(|rig| (rig.extremes(), rig.forget_extremes()).0);
+        self.carriage = rig.with(|rig| rig.carriage());
         if !edges.is_empty() && !self.homes && (low < 0 || high > STROKE) {
             return Err(format!("outside the stroke: {low} to {high} steps"));
         }
@@ -191,12 +191,12 @@ impl Scenario {
             }
             self.is_open = true;
         }
-        self.judge.look(&self.rig)?;
+        self.judge.check(&self.rig)?;
         let before = self.judge.clone();
         self.judge.asks(request);
         let answer = self.rig.device.call(Any(request.clone()));
         self.tell(&format!("{request:?}: {answer:?}"));
-        self.judge.look(&self.rig)?;
+        self.judge.check(&self.rig)?;
         self.judge.answered(request, &answer, &before)?;
         match answer {
             Ok(_) => Ok(true),
@@ -214,7 +214,7 @@ impl Scenario {
             } else if let Err(error) = self.rig.device.idle(100_000, &mut Unobserved) {
                 self.unanswered(&error, now_ns)?;
             }
-            self.judge.look(&self.rig)?;
+            self.judge.check(&self.rig)?;
         }
         Ok(())
     }
@@ -225,7 +225,7 @@ impl Scenario {
             return self.unanswered(&error, asked_ns);
         }
         self.tell(&format!("{urgent:?} is confirmed"));
-        self.judge.look(&self.rig)?;
+        self.judge.check(&self.rig)?;
         match urgent {
             Urgent::Stop => self.judge.stopped_ns = Some(self.judge.now_ns + BRAKING_NS),
             Urgent::EStop => (self.judge.latched, self.judge.allowed) = (true, 0),
@@ -235,7 +235,7 @@ impl Scenario {
 
     /// By the reset pin, or by a cut of the supply, which alone forgets an emergency stop.
     fn restart(&mut self, by_supply: bool) -> Result<(), String> {
-        self.judge.look(&self.rig)?;
+        self.judge.check(&self.rig)?;
         let bench = &self.rig.bench;
         if by_supply {
             bench.power_cycle(1_000_000).expect("the bench runs");
@@ -312,7 +312,7 @@ impl Scenario {
         let edge = self.judge.edges as u64 + dice.roll(1..6_000);
         let end = Action::Later(dice.roll(1..900) * MS, Box::new(end));
         self.tell(&format!("{fault:?} at edge {edge}"));
-        self.rig.look(move |rig| {
+        self.rig.with(move |rig| {
             rig.plan(When::Edge(edge), fault);
             rig.plan(When::Edge(edge), end);
         });
@@ -352,7 +352,7 @@ impl Scenario {
         self.rig.visit(|visit| visit.serial().forget_faults());
         // By then the mishaps that have begun are over.
         self.wait(EXCUSED_NS / MS)?;
-        self.rig.look(|rig| rig.forget_faults());
+        self.rig.with(|rig| rig.forget_faults());
         self.stop(Urgent::Stop)?;
         self.wait(500)?;
         self.ask(&Request::Acknowledge(Acknowledge))?;

@@ -39,7 +39,7 @@ fn telemetry_shows_no_impossible_speed_while_homing() {
 fn every_edge_of_the_papers_run_is_where_it_belongs() {
     let mut rig = homed();
     let first = rig.edge_count();
-    rig.look(|rig| rig.forget_extremes());
+    rig.with(|rig| rig.forget_extremes());
     let (accepted, record) = execute(&mut rig, paper(5));
     let edges = rig.edges(first);
     rig.is_exact(&exact(5), first);
@@ -62,10 +62,10 @@ fn every_edge_of_the_papers_run_is_where_it_belongs() {
     }
     assert_eq!((record.min_steps, record.max_steps), (0, 104_000));
     // The mechanics.
-    let mechanics = rig.look(|rig| (rig.carriage(), rig.extremes(), rig.lost()));
+    let mechanics = rig.with(|rig| (rig.carriage(), rig.extremes(), rig.lost()));
     assert_eq!(mechanics, (0, (0, 104_000), 0));
     // One sync pulse at each stroke's first step.
-    let syncs = rig.look(|rig| rig.syncs().to_vec());
+    let syncs = rig.with(|rig| rig.syncs().to_vec());
     let of_the_run: Vec<u64> = syncs
         .into_iter()
         .filter(|at| *at >= edges.iter().next().unwrap().at_ns - 10_000)
@@ -151,7 +151,7 @@ fn a_stop_decelerates_and_keeps_the_position() {
     for trial in 0..trials(10, 20) {
         let first = rig.edge_count();
         // Homing passes position 0, a run does not.
-        rig.look(|rig| rig.forget_extremes());
+        rig.with(|rig| rig.forget_extremes());
         let accepted = rig.device.run(paper(1)).expect("the run is accepted");
         rig.idle(dice.roll(0..7_900_000));
         let sent_ns = rig.bench.now_ns();
@@ -182,7 +182,7 @@ fn a_stop_decelerates_and_keeps_the_position() {
             let slows = braking.windows(2).all(|pair| pair[1] + 20 >= pair[0]);
             assert!(slows && braking[19] > 5 * fastest, "{what}: {braking:?}");
         }
-        let (low, high) = rig.look(|rig| rig.extremes());
+        let (low, high) = rig.with(|rig| rig.extremes());
         assert!(low >= 0 && high <= 104_000, "{what}: {low} to {high}");
         rig.home();
     }
@@ -201,7 +201,7 @@ fn two_virtual_runs_are_identical_to_the_byte() {
         assert_eq!(recorder.missed, 0, "telemetry was lost on a good line");
         let count = recorder.samples.len();
         assert!(count >= 790, "{count} samples in 8 s at 100 Hz");
-        let edges = rig.look(|rig| rig.edges().sha256());
+        let edges = rig.with(|rig| rig.edges().sha256());
         (edges, format!("{:?}", recorder.samples))
     };
     let (first, second) = (record(), record());

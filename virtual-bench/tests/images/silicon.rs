@@ -634,7 +634,7 @@ fn a_clock_that_stops_ends_the_run_and_is_named() {
         rig.pass(1_000_000);
         let more = rig.edge_count() - edges;
         assert!(more <= 1, "{more} steps more");
-        assert!(!rig.look(|rig| rig.is_enabled()), "the driver is off");
+        assert!(!rig.with(|rig| rig.is_enabled()), "the driver is off");
         rig.device.hello(5).expect("it answers");
         let fault = rig.status().fault;
         if comes_back {
@@ -729,7 +729,7 @@ fn a_spike_on_the_read_back_is_not_counted() {
     let first = rig.edge_count();
     let mut dice = Dice(0x0013_5EED);
     let now_ns = rig.bench.now_ns();
-    rig.look(move |rig| {
+    rig.with(move |rig| {
         for _ in 0..200 {
             let at_ns = now_ns + dice.roll(0..9_000_000_000);
             rig.plan(When::At(at_ns), Action::ReadBack(Fault::Spike(SPIKE_NS)));

@@ -86,7 +86,7 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
     );
     let story = format!("{number}: {run:?}, {mishap:?}, {later}");
     if let Some((when, action)) = mishap {
-        rig.look(move |rig| rig.plan(when, action));
+        rig.with(move |rig| rig.plan(when, action));
     }
     let accepted = rig.device.run(run).expect(&story);
     let at_us = dice.roll(10_000..700_000);
@@ -124,7 +124,7 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
         rig.bench.advance_us(200_000).expect(&story);
     }
     tell(&rig.bench.bus().expect(&story).resets);
-    tell(&rig.look(|rig| {
+    tell(&rig.with(|rig| {
         (
             rig.carriage(),
             rig.extremes(),
@@ -138,7 +138,7 @@ fn scenario(number: u64, options: BenchOptions) -> Left {
     Left {
         story,
         edges: rig.edges(0).sha256(),
-        syncs: rig.look(|rig| rig.syncs().to_vec()),
+        syncs: rig.with(|rig| rig.syncs().to_vec()),
         told: told.join("\n"),
         chip: looks,
         now_ns: rig.bench.now_ns(),

@@ -1,7 +1,7 @@
 //! Hanging tasks and processor faults, each triggered where a task checks in with the watchdog.
 
 use crate::capsule::CapsuleRun;
-use crate::common::{RigRun, homed, is_made, paper, refusal, rig_with_chip, sabotage};
+use crate::common::{RigRun, homed, inject_fault, is_made, paper, refusal, rig_with_chip};
 use protocol::{
     capsule::CapsuleFault,
     error::Refusal,
@@ -10,7 +10,7 @@ use protocol::{
 };
 use virtual_bench::{
     boards::{capsule, rig::image},
-    sabotage::{Misbehaviour, NOWHERE},
+    fault_injection::{Misbehaviour, UNMAPPED},
 };
 
 /// Clients of the watchdog, with the value that each passes to `check_in`.
@@ -28,7 +28,7 @@ struct Ended {
 
 /// Lets `client` misbehave at rest or 1 s into a run until the device has restarted. Checks the rules for every such
 /// end: one reset, no edge after it, driver off, motion refused until it is acknowledged.
-fn sabotaged(
+fn after_injection(
     client: u8,
     misbehaviour: Misbehaviour,
     moving: bool,
@@ -41,12 +41,12 @@ fn sabotaged(
     }
     rig.idle(1_000_000);
     assert_eq!(rig.carriage() > 10_000, moving);
-    let armed_ns = sabotage(&rig.bench, &image(), client, misbehaviour);
+    let armed_ns = inject_fault(&rig.bench, &image(), client, misbehaviour);
     rig.pass(1_500_000);
     let resets = rig.bench.bus().expect("the bench runs").resets;
     assert_eq!(resets.len(), 1, "{resets:?}\n{}", rig.log());
     let reset_ns = resets[0].0;
-    let (edges, late, enabled) = rig.look(move |rig| {
+    let (edges, late, enabled) = rig.with(move |rig| {
         let late = rig.edges().after(reset_ns).len();
         (rig.edges().len(), late, rig.is_enabled())
     });
@@ -80,7 +80,7 @@ fn sabotaged(
 /// The watchdog resets a rig with this client, in its time and with no edge after it.
 fn ended_by_the_watchdog(client: u8, name: &str, misbehaviour: Misbehaviour, moving: bool) {
     let (cause, fault) = (ResetCause::Watchdog, RigFault::Watchdog);
-    let mut ended = sabotaged(client, misbehaviour, moving, cause, fault);
+    let mut ended = after_injection(client, misbehaviour, moving, cause, fault);
     let took_ns = ended.reset_ns - ended.armed_ns;
     assert!(
         (WATCHDOG_NS - LAST_FEEDING_NS..=WATCHDOG_NS + LAST_FEEDING_NS).contains(&took_ns),
@@ -116,7 +116,7 @@ fn a_slow_watchdog_ends_a_task_that_hangs_too() {
         rig.home();
         rig.device.run(paper(1)).expect("the run is accepted");
         rig.idle(1_000_000);
-        let armed_ns = sabotage(&rig.bench, &image(), 1, Misbehaviour::Hang);
+        let armed_ns = inject_fault(&rig.bench, &image(), 1, Misbehaviour::Hang);
         rig.pass(2_500_000);
         let resets = rig.bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), nth + 1, "{resets:?}\n{}", rig.log());
@@ -155,7 +155,7 @@ fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str
                 continue;
             }
             let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
-            let mut ended = sabotaged(client, misbehaviour, moving, cause, fault);
+            let mut ended = after_injection(client, misbehaviour, moving, cause, fault);
             // The client checks in within 100 ms. From the misbehaviour to the reset it takes a few hundred
             // instructions.
             let took_ns = ended.reset_ns - ended.armed_ns;
@@ -170,7 +170,7 @@ fn last_words_of_all(misbehaviour: Misbehaviour, mut look: impl FnMut(&str, &str
 #[test]
 fn a_processor_fault_switches_off_at_once_and_leaves_its_words() {
     last_words_of_all(Misbehaviour::Fault, |name, words, ended| {
-        let expected = format!("processor fault at 0x{NOWHERE:x}");
+        let expected = format!("processor fault at 0x{UNMAPPED:x}");
         assert!(words.starts_with(&expected), "{name}: {words:?}");
         // Only the deliberate jump to an address without memory is a gap.
         let gaps = ended.rig.bench.bus().expect("the bench runs").gaps;
@@ -203,7 +203,7 @@ fn a_panic_switches_off_at_once_and_leaves_its_words() {
 fn a_panic_within_the_log_ends_at_once_with_its_words() {
     let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
     for (client, name) in CLIENTS {
-        let mut ended = sabotaged(client, Misbehaviour::PanicInLog, false, cause, fault);
+        let mut ended = after_injection(client, Misbehaviour::PanicInLog, false, cause, fault);
         let took_ns = ended.reset_ns - ended.armed_ns;
         assert!(took_ns <= 101_000_000, "{name}: reset after {took_ns} ns");
         let words = ended.rig.device.last_words().expect("they are kept");
@@ -221,7 +221,7 @@ fn a_stack_overflow_is_a_fault_with_last_words() {
     for misbehaviour in [Misbehaviour::Overflow, Misbehaviour::OverflowByInterrupt] {
         for (client, name) in CLIENTS {
             let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
-            let mut ended = sabotaged(client, misbehaviour, client == 2, cause, fault);
+            let mut ended = after_injection(client, misbehaviour, client == 2, cause, fault);
             let took_ns = ended.reset_ns - ended.armed_ns;
             assert!(took_ns <= 201_000_000, "{name}: reset after {took_ns} ns");
             let words = ended.rig.device.last_words().expect("they are kept");
@@ -241,7 +241,7 @@ fn a_stack_overflow_is_a_fault_with_last_words() {
 #[test]
 fn a_frame_beyond_the_ram_is_not_read() {
     let (cause, fault) = (ResetCause::Panic, RigFault::Panic);
-    let mut ended = sabotaged(4, Misbehaviour::FrameAtRamEnd, false, cause, fault);
+    let mut ended = after_injection(4, Misbehaviour::FrameAtRamEnd, false, cause, fault);
     let words = ended.rig.device.last_words().expect("they are kept");
     assert!(words.starts_with("stack overflow"), "{words:?}");
     ended.rig.recover("control");
@@ -257,7 +257,7 @@ fn the_capsules_stack_has_a_guard_too() {
         (Misbehaviour::PanicInLog, A_PANIC),
     ] {
         let CapsuleRun { bench, mut device } = crate::capsule::start();
-        sabotage(&bench, &capsule::image(), 4, misbehaviour);
+        inject_fault(&bench, &capsule::image(), 4, misbehaviour);
         bench.advance_us(500_000).expect("the bench runs");
         let resets = bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), 1, "{resets:?}");
@@ -275,7 +275,7 @@ fn the_capsules_stack_has_a_guard_too() {
 #[test]
 fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     let mut rig = homed();
-    sabotage(&rig.bench, &image(), 4, Misbehaviour::SetCatches);
+    inject_fault(&rig.bench, &image(), 4, Misbehaviour::SetCatches);
     rig.idle(50_000);
     // The first start finds them set, the second one clear.
     for nonce in [2, 3] {

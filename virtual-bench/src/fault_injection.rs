@@ -1,8 +1,8 @@
-//! Makes one task of the firmware hang, fault, panic, use up its stack or leave out its check-in with the watchdog.
+//! Fault injection into one task of the firmware: it hangs, faults, panics, uses up its stack or leaves out its
+//! check-in with the watchdog.
 //!
-//! The image is not built for this. Like a debugger, the bench overwrites the beginning of the firmware's `check_in`
-//! with a branch to unused flash, where a substitute does the same for every client but one. A reset restores the code,
-//! so the unmodified image runs after it.
+//! The image is unmodified. Like a debugger, the bench overwrites the beginning of the firmware's `check_in` with a
+//! branch to unused flash, where a substitute does the same for every client but one. A reset restores the code.
 
 use object::{Object, ObjectSymbol};
 
@@ -14,7 +14,7 @@ use crate::emulator::Wiring;
 pub enum Misbehaviour {
     /// Loops forever, at its own priority.
     Hang,
-    /// Continues without the check-in, as a task does that waits for something that never comes.
+    /// Continues without the check-in, like a task that waits for an event that never comes.
     Forget,
     /// Jumps to an address without memory.
     Fault,
@@ -32,27 +32,27 @@ pub enum Misbehaviour {
     SetCatches,
 }
 
-/// Where [`Misbehaviour::Fault`] jumps to: the external memory that the chip does not have (RM0383 section 2.3).
-pub const NOWHERE: u32 = 0x6000_0000;
+/// Address to which [`Misbehaviour::Fault`] jumps: external memory, which the chip does not have (RM0383 section 2.3).
+pub const UNMAPPED: u32 = 0x6000_0000;
 /// End of the RAM.
 const RAM_END: u32 = 0x2002_0000;
 /// Debug exception and monitor control (Armv7-M ARM C1.6.5).
 const DEMCR: u32 = 0xE000_EDFC;
 /// Address of the substitute: the end of the flash, which no image reaches.
 const UNUSED: u32 = 0x0807_FF00;
-/// Address of the place that [`Misbehaviour::Panic`] names, also unused.
-const PLACE: u32 = 0x0807_FE00;
-/// File of that place, as the last words tell it.
+/// Address of the source location that [`Misbehaviour::Panic`] reports, also unused.
+const LOCATION: u32 = 0x0807_FE00;
+/// File of that location, as the last words report it.
 pub const FILE: &str = "bench.rs";
 
 /// Code to put into a machine's flash.
 #[derive(Clone, Debug)]
-pub struct Sabotage {
+pub struct FaultInjection {
     /// Addresses and the half-words that go there, in order.
     code: [(u64, Vec<u16>); 3],
 }
 
-impl Sabotage {
+impl FaultInjection {
     /// Makes the client that checks in with `client` misbehave; addresses come from the image at `image`.
     ///
     /// # Errors
@@ -95,7 +95,7 @@ impl Sabotage {
         let payload = match misbehaviour {
             Misbehaviour::Hang => vec![0xE7FE],   // b .
             Misbehaviour::Forget => vec![0x4770], // bx lr
-            Misbehaviour::Fault => jump(NOWHERE),
+            Misbehaviour::Fault => jump(UNMAPPED),
             Misbehaviour::Panic => panic(address("24panic_const_add_overflow")?),
             Misbehaviour::PanicInLog => {
                 let mut code = load(1, symbol_at("_defmt_acquire")? | 1).to_vec();
@@ -123,7 +123,7 @@ impl Sabotage {
         Ok(Self {
             code: [
                 (UNUSED.into(), substitute(client, &payload, check_ins)),
-                (PLACE.into(), place()),
+                (LOCATION.into(), location()),
                 (check_in.into(), branch(check_in, UNUSED).to_vec()),
             ],
         })
@@ -137,7 +137,7 @@ impl Sabotage {
     }
 }
 
-/// `check_in`, but `payload` for one client. r0 holds the client; r1 to r3 are free for the callee to use (AAPCS32
+/// Code of `check_in`, but with `payload` for one client. r0 holds the client; the callee may use r1 to r3 (AAPCS32
 /// section 6.1.1).
 fn substitute(client: u8, payload: &[u16], check_ins: u32) -> Vec<u16> {
     let past = payload.len() as u16 - 1;
@@ -157,14 +157,14 @@ fn jump(to: u32) -> Vec<u16> {
     [&load(1, to | 1)[..], &[0x4708]].concat()
 }
 
-/// Jumps to core's function for a panic, which takes the place in r0.
+/// Jumps to core's function for a panic, which takes the location in r0.
 fn panic(function: u32) -> Vec<u16> {
-    [&load(0, PLACE)[..], &jump(function)].concat()
+    [&load(0, LOCATION)[..], &jump(function)].concat()
 }
 
 /// A `core::panic::Location` as rustc lays it out: file, line and column; and the file's name.
-fn place() -> Vec<u16> {
-    let words = [PLACE + 16, FILE.len() as u32, 1, 1];
+fn location() -> Vec<u16> {
+    let words = [LOCATION + 16, FILE.len() as u32, 1, 1];
     let bytes = words.into_iter().flat_map(u32::to_le_bytes);
     let bytes: Vec<_> = bytes.chain(FILE.bytes()).collect();
     let halves = bytes.chunks_exact(2);
@@ -214,7 +214,7 @@ mod tests {
 
     #[test]
     fn the_substitute_skips_the_payload_for_all_other_clients() {
-        for payload in [vec![0xE7FE], jump(NOWHERE)] {
+        for payload in [vec![0xE7FE], jump(UNMAPPED)] {
             let code = substitute(2, &payload, 0x2000_0434);
             let past = 2 + usize::from(code[1] & 0xFF) + 1;
             assert_eq!(code[past..past + 4], load(1, 0x2000_0434));

@@ -1,10 +1,10 @@
-//! Processors whose machine was dropped, kept with their translated code. The next machine with the same program takes
-//! one instead of translating everything again.
+//! Pool of processors whose machine was dropped, with their translated code. The next machine with the same program
+//! takes one instead of translating everything again.
 //!
 //! A processor is reset to the state in which it was made, and its translations of memory that may have changed are
-//! dropped. Translations of the program stay, because the program is identical to the byte. It executes the same with
-//! and without them. A program that sets the MPU up would lose them: the emulator drops all translations when the MPU
-//! changes, and links no blocks while it is on.
+//! dropped. Translations of the program stay, because the program is identical to the byte; they do not change what it
+//! does. A program that sets the MPU up would lose them: the emulator drops all translations when the MPU changes, and
+//! links no blocks while it is on.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 
 use super::map::{FLASH_BASE, FLASH_BYTES, SECTOR_BYTES};
 
-/// Most spares kept: as many machines as tests run at once, and a few more.
+/// Most processors in the pool: as many machines as tests run at once, and a few more.
 const MOST: usize = 12;
 /// Flash that the firmware programs itself: sectors 1 to 3.
 const SETTINGS: std::ops::Range<u64> = FLASH_BASE + SECTOR_BYTES[0]
@@ -50,9 +50,9 @@ impl Program {
     }
 }
 
-/// A processor, and the data needed to use it again.
+/// A processor, and the data for reusing it.
 #[derive(Debug)]
-pub(super) struct Usable {
+pub(super) struct PooledProcessor {
     pub(super) inner: Box<dyn Processor>,
     pub(super) program: Program,
     /// Its state after a reset, before it has executed anything.
@@ -61,32 +61,34 @@ pub(super) struct Usable {
     pub(super) mapped: Vec<(u64, u64, bool)>,
     /// Flash outside the settings that was changed while it ran.
     pub(super) changed: Vec<(u64, u64)>,
-    /// Memory that it is mapped to while it has no machine. Must be dropped after the processor.
+    /// Memory that it is mapped to while it is in the pool. Must be dropped after the processor.
     pub(super) idle: Vec<Vec<u8>>,
 }
 
-static SPARES: Mutex<Vec<Usable>> = Mutex::new(Vec::new());
+static POOL: Mutex<Vec<PooledProcessor>> = Mutex::new(Vec::new());
 
-/// Takes a spare for `program`, in the state in which it was made.
-pub(super) fn take(program: &Program) -> Option<Usable> {
-    let mut spares = SPARES.lock().unwrap_or_else(PoisonError::into_inner);
-    let nth = spares.iter().rposition(|spare| spare.program == *program)?;
-    let mut usable = spares.remove(nth);
-    drop(spares);
-    usable.inner.load(&usable.fresh).ok()?;
-    for &(start, length, writable) in &usable.mapped {
+/// Takes a processor for `program`, in the state in which it was made.
+pub(super) fn take(program: &Program) -> Option<PooledProcessor> {
+    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    let nth = pool.iter().rposition(|pooled| pooled.program == *program)?;
+    let mut processor = pool.remove(nth);
+    drop(pool);
+    processor.inner.load(&processor.fresh).ok()?;
+    for &(start, length, writable) in &processor.mapped {
         if writable {
-            usable.inner.ask(Queued::Invalidate(start, start + length));
+            processor
+                .inner
+                .ask(Queued::Invalidate(start, start + length));
         }
     }
-    let changed = usable
+    let changed = processor
         .changed
         .drain(..)
         .chain([(SETTINGS.start, SETTINGS.end)]);
     for (start, end) in changed {
-        usable.inner.ask(Queued::Invalidate(start, end));
+        processor.inner.ask(Queued::Invalidate(start, end));
     }
-    Some(usable)
+    Some(processor)
 }
 
 /// Whether a change of these bytes may alter the program.
@@ -96,25 +98,25 @@ pub(super) fn is_program(start: u64, end: u64) -> bool {
     !(outside(&FLASH) || within_settings)
 }
 
-/// Keeps a processor whose machine is about to be dropped together with the memory that it is mapped to.
-pub(super) fn keep(mut usable: Usable) {
+/// Puts a processor into the pool before its machine is dropped together with the memory that it is mapped to.
+pub(super) fn keep(mut processor: PooledProcessor) {
     let mut idle = Vec::new();
-    for &(start, length, writable) in &usable.mapped {
+    for &(start, length, writable) in &processor.mapped {
         let mut bytes = vec![0_u8; length as usize + PAGE];
         let host = bytes.as_mut_ptr();
         let host = host.wrapping_add(host.align_offset(PAGE));
-        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`. Nobody touches them, and they are
-        // dropped after the processor, or when other memory is mapped in their place.
+        // SAFETY: `host` is aligned and followed by `length` bytes of `bytes`. Nothing else accesses them, and they are
+        // dropped after the processor, or when other memory is mapped instead.
         #[allow(unsafe_code)]
         unsafe {
-            usable.inner.map(start, length, host, writable);
+            processor.inner.map(start, length, host, writable);
         }
         idle.push(bytes);
     }
-    usable.idle = idle;
-    let mut spares = SPARES.lock().unwrap_or_else(PoisonError::into_inner);
-    if spares.len() == MOST {
-        spares.remove(0);
+    processor.idle = idle;
+    let mut pool = POOL.lock().unwrap_or_else(PoisonError::into_inner);
+    if pool.len() == MOST {
+        pool.remove(0);
     }
-    spares.push(usable);
+    pool.push(processor);
 }

@@ -1,11 +1,18 @@
-//! The step timer's course while the processor sleeps: only the ring in memory decides it, and nothing can change that.
+//! Fast-forward of the step timer while the processor sleeps. The ring in memory alone decides the timer's edges then,
+//! so they are computed from it, without a stop of the emulator for each.
 //!
-//! The timer, the stream that feeds it, the read-back and the capture stand still meanwhile. Their edges follow from
-//! the ring, each at its exact instant, and the board gets them in order. When the processor wakes, or somebody looks,
-//! they are set to where they would be now: [`Course::advance`] computes how far they have come.
+//! ```text
+//! processor  runs | sleeps                                                | runs
+//! emulator        | timer, stream, read-back and capture are frozen       | they go on
+//!                 ^ new         advance: edges to the board, in order     ^ catch_up
+//! timeline   -----+--_-_-_-_-_-_-_-_-_-_-_------------+-------------------+----> ns
+//!              from_ns      reported_ns ^     clear_ns, end_ns
+//! ```
 //!
-//! The course ends before anything that could be noticed at once: the ring's interrupts, its end, and the events that
-//! the board names.
+//! [`FastForward::advance`] reports the edges up to an instant, each with its exact time. [`FastForward::look_ahead`]
+//! computes `clear_ns`, before which nothing can be noticed, and `end_ns`, where the fast-forward has to end: before an
+//! interrupt of the ring, before the end of the ring, or before a pulse that the board has to see. When the processor
+//! wakes or a register is read, `catch_up` sets the frozen devices to their present state.
 
 use std::collections::VecDeque;
 
@@ -13,7 +20,7 @@ use rigless::emulator::Memory;
 use rigless::soc::Width;
 
 use super::OutputEdge;
-use super::ring::Rest;
+use super::ring::IdleRing;
 
 /// Words of a burst {ARR, RCR, CCR1, CCR2, CCR3}.
 pub(super) const WORDS: usize = 5;
@@ -39,12 +46,12 @@ impl Slot {
         self.0[1] & 0xFF
     }
 
-    /// Ticks for which an output is high at the beginning of a round.
+    /// Ticks for which an output is high at the start of a round.
     fn high(self, channel: u8) -> u64 {
         self.0[usize::from(channel) + 1]
     }
 
-    /// Whether the counter moves at all, and each level at the pin lasts long enough for the inputs that see it.
+    /// Whether the counter counts, and each level at the pin outlasts the filters of the inputs that see it.
     fn is_plain(self, tick_ns: u64) -> bool {
         let shortest = SHORTEST_NS / tick_ns;
         let is_long = |channel| {
@@ -57,52 +64,52 @@ impl Slot {
 
 /// The timer's position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Standing {
+pub(super) struct Position {
     pub(super) playing: Slot,
     pub(super) preloaded: Slot,
     /// When the present round began, on the emulator's clock.
     pub(super) begun_ns: u64,
-    /// Rounds left after it.
-    pub(super) left: u64,
+    /// Rounds after the present one.
+    pub(super) rounds_left: u64,
 }
 
-impl Standing {
+impl Position {
     fn round_ns(&self, tick_ns: u64) -> u64 {
         self.playing.ticks() * tick_ns
     }
 }
 
-/// The course since the processor fell asleep.
+/// Progress since the processor fell asleep.
 #[derive(Debug)]
-pub(super) struct Course {
+pub(super) struct FastForward {
     pub(super) tick_ns: u64,
     pub(super) from_ns: u64,
     /// All edges up to this instant have been reported.
-    told_ns: u64,
-    pub(super) at: Standing,
+    reported_ns: u64,
+    pub(super) at: Position,
     /// The round in which the processor fell asleep.
     pub(super) first_ns: u64,
     /// Slots fetched since.
     pub(super) fetched: u64,
-    /// Slots read from the ring and not fetched yet.
+    /// Slots read from memory that the stream has not fetched yet.
     ahead: VecDeque<Slot>,
-    ring: Rest,
+    ring: IdleRing,
     /// Slots read since.
     read: u64,
-    /// Latest end. The course stops before the event at this instant.
+    /// The fast-forward has to end before the event at this instant.
     pub(super) end_ns: Option<u64>,
-    /// Nothing happens before this instant.
+    /// No event before this instant can be noticed.
     pub(super) clear_ns: u64,
     /// Pulses from now on that the board need not see one by one.
     pub(super) unnoticed: u64,
 }
 
-impl Course {
-    pub(super) fn new(at: Standing, ring: Rest, tick_ns: u64, now_ns: u64) -> Self {
+impl FastForward {
+    pub(super) fn new(at: Position, ring: IdleRing, tick_ns: u64, now_ns: u64) -> Self {
         Self {
             tick_ns,
             from_ns: now_ns,
-            told_ns: now_ns,
+            reported_ns: now_ns,
             at,
             first_ns: at.begun_ns,
             fetched: 0,
@@ -120,7 +127,7 @@ impl Course {
         self.at.playing.is_plain(self.tick_ns) && self.at.preloaded.is_plain(self.tick_ns)
     }
 
-    /// The item of the ring that the stream has read ahead by now.
+    /// The item of the ring that the stream has read ahead.
     pub(super) fn held(&self) -> Option<u64> {
         match self.fetched {
             0 => self.ring.held,
@@ -129,9 +136,9 @@ impl Course {
     }
 
     /// Reports every edge up to `to_ns`.
-    pub(super) fn advance(&mut self, to_ns: u64, tell: &mut dyn FnMut(OutputEdge)) {
+    pub(super) fn advance(&mut self, to_ns: u64, report: &mut dyn FnMut(OutputEdge)) {
         loop {
-            let Standing {
+            let Position {
                 playing, begun_ns, ..
             } = self.at;
             let mut falls = OUTPUTS.map(|channel| {
@@ -142,8 +149,8 @@ impl Course {
                 falls.swap(0, 1);
             }
             for (at_ns, channel, is_high) in falls {
-                if is_high && at_ns > self.told_ns && at_ns <= to_ns {
-                    tell(OutputEdge {
+                if is_high && at_ns > self.reported_ns && at_ns <= to_ns {
+                    report(OutputEdge {
                         at_ns,
                         channel,
                         high: false,
@@ -155,10 +162,10 @@ impl Course {
                 break;
             }
             self.next_round(end_ns);
-            self.told_ns = end_ns;
+            self.reported_ns = end_ns;
             for channel in OUTPUTS {
                 if self.at.playing.high(channel) > 0 {
-                    tell(OutputEdge {
+                    report(OutputEdge {
                         at_ns: end_ns,
                         channel,
                         high: true,
@@ -166,34 +173,34 @@ impl Course {
                 }
             }
         }
-        self.told_ns = self.told_ns.max(to_ns);
+        self.reported_ns = self.reported_ns.max(to_ns);
     }
 
     fn next_round(&mut self, at_ns: u64) {
         self.at.begun_ns = at_ns;
-        if self.at.left > 0 {
-            self.at.left -= 1;
+        if self.at.rounds_left > 0 {
+            self.at.rounds_left -= 1;
             return;
         }
         self.at.playing = self.at.preloaded;
-        self.at.left = self.at.playing.repeats();
+        self.at.rounds_left = self.at.playing.repeats();
         self.at.preloaded = self.ahead.pop_front().expect("looked ahead as far as that");
         self.fetched += 1;
     }
 
-    /// Computes how far the course goes on undisturbed, at most until `until_ns`. Sets [`Course::clear_ns`], before
-    /// which nothing happens, and [`Course::end_ns`] if the course ends there.
+    /// Computes until when no event can be noticed, at most until `until_ns`. Sets [`FastForward::clear_ns`] to that,
+    /// and [`FastForward::end_ns`] if the fast-forward has to end there.
     pub(super) fn look_ahead(&mut self, until_ns: u64, memory: &mut dyn Memory) {
         let mut at = self.at;
         let mut pulses = self.unnoticed;
         let mut next = 0;
         let end_ns = loop {
             let round_ns = at.round_ns(self.tick_ns);
-            // The pulse of the present round has been played.
+            // The pulse of the present round has been output.
             let rounds = if at.playing.high(3) > 0 {
-                pulses.min(at.left)
+                pulses.min(at.rounds_left)
             } else {
-                at.left
+                at.rounds_left
             };
             let end_ns = at.begun_ns + (rounds + 1) * round_ns;
             if end_ns > until_ns {
@@ -201,18 +208,18 @@ impl Course {
                 self.end_ns = None;
                 return;
             }
-            if rounds < at.left {
+            if rounds < at.rounds_left {
                 break end_ns;
             }
             if at.playing.high(3) > 0 {
-                pulses -= at.left;
+                pulses -= at.rounds_left;
             }
             let fetches = self.fetched + next as u64 + 1;
             let interrupts = self
                 .ring
                 .to_interrupt
                 .is_some_and(|items| fetches * WORDS as u64 >= items);
-            // One slot more than is fetched: the stream reads an item ahead.
+            // Know one slot more than is fetched: the stream reads an item ahead.
             let known = self.known(next + 1, memory);
             let Some(fetched) = self.ahead.get(next).copied().filter(|_| known) else {
                 break end_ns;
@@ -222,11 +229,11 @@ impl Course {
                 break end_ns;
             }
             pulses -= pulse;
-            at = Standing {
+            at = Position {
                 playing: at.preloaded,
                 preloaded: fetched,
                 begun_ns: end_ns,
-                left: at.preloaded.repeats(),
+                rounds_left: at.preloaded.repeats(),
             };
             next += 1;
         };
@@ -286,8 +293,8 @@ mod tests {
     const PRELOADED: Slot = Slot([1_999, 0, 300, 0, 200]);
     const NEXT: [u64; 5] = [899, 1, 0, 0, 200];
 
-    fn course(to_interrupt: Option<u64>) -> (Course, Ram) {
-        let ring = Rest {
+    fn forward(to_interrupt: Option<u64>) -> (FastForward, Ram) {
+        let ring = IdleRing {
             from_memory: true,
             bytes: 2,
             base: 0,
@@ -297,24 +304,24 @@ mod tests {
             to_interrupt,
             peripheral_at: 0,
         };
-        let at = Standing {
+        let at = Position {
             playing: PLAYING,
             preloaded: PRELOADED,
             begun_ns: 10_000,
-            left: 1,
+            rounds_left: 1,
         };
         let mut ram = vec![0; 5];
         for _ in 0..3 {
             ram.extend(NEXT);
         }
-        let mut course = Course::new(at, ring, 10, 11_000);
-        course.unnoticed = 1_000;
-        (course, Ram(ram))
+        let mut forward = FastForward::new(at, ring, 10, 11_000);
+        forward.unnoticed = 1_000;
+        (forward, Ram(ram))
     }
 
-    fn edges(course: &mut Course, to_ns: u64) -> Vec<(u64, u8, bool)> {
+    fn edges(forward: &mut FastForward, to_ns: u64) -> Vec<(u64, u8, bool)> {
         let mut edges = Vec::new();
-        course.advance(to_ns, &mut |edge| {
+        forward.advance(to_ns, &mut |edge| {
             edges.push((edge.at_ns, edge.channel, edge.high));
         });
         edges
@@ -322,46 +329,46 @@ mod tests {
 
     #[test]
     fn rounds_and_slots_follow_each_other() {
-        let (mut course, mut ram) = course(None);
-        course.look_ahead(45_000, &mut ram);
-        assert_eq!((course.end_ns, course.clear_ns), (None, 45_000));
+        let (mut forward, mut ram) = forward(None);
+        forward.look_ahead(45_000, &mut ram);
+        assert_eq!((forward.end_ns, forward.clear_ns), (None, 45_000));
         let first = [(12_000, 3, false), (20_000, 3, true), (22_000, 3, false)];
-        assert_eq!(edges(&mut course, 29_999), first);
-        assert_eq!((course.fetched, course.held()), (0, Some(899)));
+        assert_eq!(edges(&mut forward, 29_999), first);
+        assert_eq!((forward.fetched, forward.held()), (0, Some(899)));
         let second = [
             (30_000, 1, true),
             (30_000, 3, true),
             (32_000, 3, false),
             (33_000, 1, false),
         ];
-        assert_eq!(edges(&mut course, 45_000), second);
-        assert_eq!((course.fetched, course.held()), (1, Some(899)));
-        assert_eq!(course.at.preloaded, Slot(NEXT));
+        assert_eq!(edges(&mut forward, 45_000), second);
+        assert_eq!((forward.fetched, forward.held()), (1, Some(899)));
+        assert_eq!(forward.at.preloaded, Slot(NEXT));
     }
 
     #[test]
     fn it_ends_with_the_fetch_that_interrupts_and_with_the_end_of_the_ring() {
-        let (mut course, mut ram) = course(Some(10));
-        course.look_ahead(1_000_000, &mut ram);
-        assert_eq!(course.end_ns, Some(50_000));
-        let (mut course, mut ram) = self::course(None);
+        let (mut forward, mut ram) = forward(Some(10));
+        forward.look_ahead(1_000_000, &mut ram);
+        assert_eq!(forward.end_ns, Some(50_000));
+        let (mut forward, mut ram) = self::forward(None);
         // The second slot after the next one is the end.
         ram.0[10] = 0;
-        course.look_ahead(1_000_000, &mut ram);
-        assert_eq!(course.end_ns, Some(50_000));
+        forward.look_ahead(1_000_000, &mut ram);
+        assert_eq!(forward.end_ns, Some(50_000));
     }
 
-    /// An end beyond the horizon does not count: nothing would stop there.
+    /// An end beyond the horizon is ignored: the emulator does not stop there.
     #[test]
-    fn it_ends_before_the_pulse_that_is_noticed_but_not_beyond_the_look() {
-        let (mut course, mut ram) = course(None);
-        course.unnoticed = 0;
-        course.look_ahead(19_999, &mut ram);
-        assert_eq!((course.end_ns, course.clear_ns), (None, 19_999));
-        course.look_ahead(20_000, &mut ram);
-        assert_eq!(course.end_ns, Some(20_000));
-        course.unnoticed = 2;
-        course.look_ahead(1_000_000, &mut ram);
-        assert_eq!(course.end_ns, Some(50_000));
+    fn it_ends_before_a_pulse_that_is_noticed_but_not_beyond_the_horizon() {
+        let (mut forward, mut ram) = forward(None);
+        forward.unnoticed = 0;
+        forward.look_ahead(19_999, &mut ram);
+        assert_eq!((forward.end_ns, forward.clear_ns), (None, 19_999));
+        forward.look_ahead(20_000, &mut ram);
+        assert_eq!(forward.end_ns, Some(20_000));
+        forward.unnoticed = 2;
+        forward.look_ahead(1_000_000, &mut ram);
+        assert_eq!(forward.end_ns, Some(50_000));
     }
 }

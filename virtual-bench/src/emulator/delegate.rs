@@ -1,9 +1,9 @@
 //! Forwards unchanged methods of a device that wraps another one.
 
 /// Methods of [`rigless::device::Device`] that call the same method of the device in the named field.
-macro_rules! forward {
+macro_rules! delegate {
     ($inner:ident: $($method:ident),+ $(,)?) => {
-        $($crate::emulator::forward::forward!(@ $inner $method);)+
+        $($crate::emulator::delegate::delegate!(@ $inner $method);)+
     };
     (@ $inner:ident layout) => {
         fn layout(&self) -> &'static [rigless::soc::RegisterSpec] {
@@ -31,25 +31,25 @@ macro_rules! forward {
         }
     };
     (@ $inner:ident on_event) => {
-        $crate::emulator::forward::forward!(@ $inner on_event(event: rigless::time::EventId));
+        $crate::emulator::delegate::delegate!(@ $inner on_event(event: rigless::time::EventId));
     };
     (@ $inner:ident on_request) => {
-        $crate::emulator::forward::forward!(@ $inner on_request(request: rigless::device::RequestChange));
+        $crate::emulator::delegate::delegate!(@ $inner on_request(request: rigless::device::RequestChange));
     };
     (@ $inner:ident on_refused) => {
-        $crate::emulator::forward::forward!(@ $inner on_refused(token: u64));
+        $crate::emulator::delegate::delegate!(@ $inner on_refused(token: u64));
     };
     (@ $inner:ident on_clock) => {
-        $crate::emulator::forward::forward!(@ $inner on_clock(hz: u64));
+        $crate::emulator::delegate::delegate!(@ $inner on_clock(hz: u64));
     };
     (@ $inner:ident on_access) => {
-        $crate::emulator::forward::forward!(@ $inner on_access(token: u64, value: u64));
+        $crate::emulator::delegate::delegate!(@ $inner on_access(token: u64, value: u64));
     };
     (@ $inner:ident poll) => {
-        $crate::emulator::forward::forward!(@ $inner poll());
+        $crate::emulator::delegate::delegate!(@ $inner poll());
     };
     (@ $inner:ident reset_line) => {
-        $crate::emulator::forward::forward!(@ $inner reset_line());
+        $crate::emulator::delegate::delegate!(@ $inner reset_line());
     };
     (@ $inner:ident $method:ident($($name:ident: $type:ty),*)) => {
         fn $method(
@@ -63,4 +63,4 @@ macro_rules! forward {
     };
 }
 
-pub(super) use forward;
+pub(super) use delegate;
