@@ -57,7 +57,6 @@ pub enum BenchError {
     /// A server could not be opened.
     #[error("cannot listen on {address}: {why}; `--rig 0 --capsule 0` takes free ports")]
     Listen {
-        /// The address.
         address: String,
         /// The operating system's reason.
         why: std::io::Error,
@@ -67,7 +66,6 @@ pub enum BenchError {
 /// How a machine is run.
 #[derive(Clone, Debug)]
 pub struct BenchOptions {
-    /// The chip.
     pub chip: ChipOptions,
     /// Interval at which the machine can stop for its client, us. Bytes wait for the next such instant.
     pub quantum_us: u64,
@@ -126,12 +124,10 @@ impl<W: Wiring> Visit<'_, W> {
         self.stop.instruction_count
     }
 
-    /// The board.
     pub fn board(&mut self) -> &mut W {
         self.session.board_mut().wiring()
     }
 
-    /// The serial line.
     pub fn serial(&mut self) -> MutexGuard<'_, Serial> {
         self.serial.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -328,9 +324,7 @@ struct Conductor<W: Wiring> {
 enum After {
     /// Wait for the next job.
     Wait,
-    /// Run the machine.
     Run,
-    /// End the emulator.
     End,
 }
 

@@ -2,8 +2,7 @@
 //! interrupt controller, a flash array, and the wires of a board soldered to its pins.
 //!
 //! A board implements [`Wiring`]: it reads the pins after everything that may have changed them, and drives its outputs
-//! in turn. The emulator's clock starts at 0 with each power-up. The bench's clock runs on; all public times refer to
-//! it.
+//! in turn. The emulator's clock starts at 0 with each power-up. All public times are those of the bench's clock.
 
 mod array;
 mod asleep;
@@ -299,10 +298,8 @@ impl<W: Wiring> Chip<W> {
         let tim1 = std::mem::replace(&mut part.advanced[TIM1], placeholder_advanced());
         let tim3 = std::mem::replace(&mut part.tim[TIM3], placeholder_timer(TIM3));
         for (quiet, nth) in [(&mut self.tim2, TIM2), (&mut self.tim5, TIM5)] {
-            quiet.replace(std::mem::replace(
-                &mut part.tim[nth],
-                placeholder_timer(nth),
-            ));
+            let tim = std::mem::replace(&mut part.tim[nth], placeholder_timer(nth));
+            quiet.replace(tim);
         }
         self.tim1 = Watched::new(tim1, &[1, 3], !self.options.every_event);
         let tim3 = Watched::new(tim3, &[1, 2], false);
@@ -403,8 +400,8 @@ impl<W: Wiring> Chip<W> {
         self.update(at)
     }
 
-    /// Updates the board outside the emulator's polling. If that drives a pin, schedules a stop, so that the change
-    /// takes effect.
+    /// Updates the board outside the emulator's polling. If that drives a pin, schedules a stop so that it takes
+    /// effect.
     fn update_between(&mut self, at: VirtualNanos) {
         if self.update_if_changed(at) {
             self.part

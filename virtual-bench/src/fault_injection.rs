@@ -18,7 +18,6 @@ pub enum Misbehaviour {
     Forget,
     /// Jumps to an address without memory.
     Fault,
-    /// Panics.
     Panic,
     /// Begins a frame of the log and panics within it.
     PanicInLog,

@@ -28,7 +28,6 @@ impl<A> Default for Faults<A> {
 }
 
 impl<A> Faults<A> {
-    /// Plans `action`.
     pub fn plan(&mut self, when: When, action: A) {
         let (waiting, moment) = match when {
             When::At(at) => (&mut self.at, at),

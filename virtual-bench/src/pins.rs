@@ -20,7 +20,6 @@ pub struct EdgeLog {
 }
 
 impl EdgeLog {
-    /// Appends an edge.
     pub fn push(&mut self, edge: StepEdge) {
         self.packed.push(edge.at_ns << 1 | u64::from(edge.away));
     }

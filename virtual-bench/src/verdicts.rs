@@ -25,9 +25,7 @@ const PARTS: u128 = 1_000;
 /// One stroke.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stroke {
-    /// Number of steps.
     pub steps: u64,
-    /// Duration, ticks.
     pub duration_ticks: u64,
     /// Duration of each ramp, ticks.
     pub ramp_ticks: u64,
@@ -83,7 +81,6 @@ impl Stroke {
 /// A run: `cycles` times away from home and back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Run {
-    /// Number of cycles.
     pub cycles: u32,
     /// Away from home.
     pub forward: Stroke,

@@ -40,7 +40,6 @@ const AF_ENCODER: Option<u8> = Some(1);
 /// The board with the capsule's mechanics on it.
 #[derive(Debug)]
 pub struct CapsuleBoard {
-    /// The mechanics.
     pub capsule: Capsule,
     inputs: [bool; 2],
     encoder: [Option<bool>; 2],

@@ -52,7 +52,6 @@ const CONTACTS: [(Switch, Pin); 3] = [
 /// The board with the rig on it.
 #[derive(Debug)]
 pub struct RigBoard {
-    /// The rig.
     pub rig: Rig,
     step_high: bool,
     sync_high: bool,

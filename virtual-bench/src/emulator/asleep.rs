@@ -175,13 +175,13 @@ impl<W: Wiring> Chip<W> {
         self.asleep = Some(asleep);
     }
 
+    fn end_ns(&self) -> Option<u64> {
+        self.asleep.as_ref()?.forward.end_ns
+    }
+
     /// Whether the fast-forward ends now.
     pub(super) fn fast_forward_ends(&self, at: VirtualNanos) -> bool {
-        let end_ns = self
-            .asleep
-            .as_ref()
-            .and_then(|asleep| asleep.forward.end_ns);
-        end_ns.is_some_and(|end_ns| end_ns <= at.0)
+        self.end_ns().is_some_and(|end_ns| end_ns <= at.0)
     }
 
     /// Passes all edges up to now to the board.
@@ -229,12 +229,8 @@ impl<W: Wiring> Chip<W> {
 
     /// Brings the timers and streams up to date, before a register is read or the processor wakes.
     pub(super) fn catch_up(&mut self, at: VirtualNanos) {
-        let end_ns = self
-            .asleep
-            .as_ref()
-            .and_then(|asleep| asleep.forward.end_ns);
         // The timer itself handles the event that ends the fast-forward.
-        let to = end_ns.map_or(at, |end_ns| at.min(VirtualNanos(end_ns - 1)));
+        let to = (self.end_ns()).map_or(at, |end_ns| at.min(VirtualNanos(end_ns - 1)));
         self.follow(to);
         let Some(asleep) = self.asleep.take() else {
             return;

@@ -1,5 +1,5 @@
-//! Fast-forward of the step timer while the processor sleeps. The ring in memory alone decides the timer's edges then,
-//! so they are computed from it, without a stop of the emulator for each.
+//! Fast-forward of the step timer while the processor sleeps: only the ring in memory decides its edges then, so they
+//! are computed from it, without a stop of the emulator for each.
 //!
 //! ```text
 //! processor  runs | sleeps                                                | runs
@@ -9,10 +9,9 @@
 //!              from_ns      reported_ns ^     clear_ns, end_ns
 //! ```
 //!
-//! [`FastForward::advance`] reports the edges up to an instant, each with its exact time. [`FastForward::look_ahead`]
-//! computes `clear_ns`, before which nothing can be noticed, and `end_ns`, where the fast-forward has to end: before an
-//! interrupt of the ring, before the end of the ring, or before a pulse that the board has to see. When the processor
-//! wakes or a register is read, `catch_up` sets the frozen devices to their present state.
+//! [`FastForward::advance`] reports the edges, each with its exact instant. [`FastForward::look_ahead`] finds until
+//! when nothing can be noticed (`clear_ns`), and where the fast-forward has to end (`end_ns`): before an interrupt of
+//! the ring, its end, or a pulse that the board has to see. `catch_up` sets the frozen devices to their present state.
 
 use std::collections::VecDeque;
 

@@ -197,21 +197,15 @@ impl Quiet {
 
     /// Counts withheld edges. All of them must have passed the filter before `at`.
     pub(super) fn skip(&mut self, edges: u64, at: VirtualNanos, registers: &mut RegisterFile) {
-        let (_, mut null_context) = self.null_bus.drive(at, 0);
-        Device::read(&mut self.tim, Register::Cr1, registers, &mut null_context);
+        let (_, mut null) = self.null_bus.drive(at, 0);
+        Device::read(&mut self.tim, Register::Cr1, registers, &mut null);
         let count = Device::peek(&self.tim, Register::Cnt, registers, at).unwrap_or(0);
         let count = match registers.get(Register::Cr1) & DOWN {
             0 => count + edges,
             _ => count - edges,
         };
         let kept = registers.get(Register::Cnt);
-        Device::write(
-            &mut self.tim,
-            Register::Cnt,
-            count,
-            registers,
-            &mut null_context,
-        );
+        Device::write(&mut self.tim, Register::Cnt, count, registers, &mut null);
         registers.set(Register::Cnt, kept);
         self.null_bus.reset();
     }
@@ -224,10 +218,10 @@ impl Quiet {
         registers: &mut RegisterFile,
         change: impl FnOnce(&mut Tim<General>, &mut RegisterFile, &mut DeviceContext<'_>),
     ) {
-        let (_, mut null_context) = self.null_bus.drive(edge, 0);
-        change(&mut self.tim, registers, &mut null_context);
-        let (_, mut null_context) = self.null_bus.drive(at, 0);
-        Device::read(&mut self.tim, Register::Ccr2, registers, &mut null_context);
+        let (_, mut null) = self.null_bus.drive(edge, 0);
+        change(&mut self.tim, registers, &mut null);
+        let (_, mut null) = self.null_bus.drive(at, 0);
+        Device::read(&mut self.tim, Register::Ccr2, registers, &mut null);
         self.null_bus.reset();
         self.withheld = at;
     }

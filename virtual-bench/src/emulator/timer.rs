@@ -203,9 +203,9 @@ impl<F: Family> Watched<F> {
             && let Some(due) = deferred.null_bus.next_event().filter(|due| *due <= at)
         {
             deferred.null_bus.reset();
-            let (_, mut null_context) = deferred.null_bus.drive(due, 0);
+            let (_, mut null) = deferred.null_bus.drive(due, 0);
             // Reading a register without side effects brings the timer up to date.
-            Device::read(&mut self.tim, deferred.cr1, registers, &mut null_context);
+            Device::read(&mut self.tim, deferred.cr1, registers, &mut null);
             self.note(registers, due.0);
         }
     }
@@ -235,11 +235,8 @@ impl<F: Family> Watched<F> {
     /// Passes its events to the emulator from now on.
     fn stop_deferring(&mut self, registers: &mut RegisterFile, context: &mut DeviceContext<'_>) {
         self.handle_deferred(registers, context.now());
-        if let Some(deferred) = self.deferred.take() {
-            self.awaited = deferred
-                .null_bus
-                .next_event()
-                .map(|at| context.schedule(at));
+        if let Some(late) = self.deferred.take() {
+            self.awaited = (late.null_bus.next_event()).map(|at| context.schedule(at));
         }
     }
 
@@ -254,8 +251,8 @@ impl<F: Family> Watched<F> {
         let Some(deferred) = &mut self.deferred else {
             return call(&mut self.tim, registers, context);
         };
-        let (_, mut null_context) = deferred.null_bus.drive(context.now(), 0);
-        call(&mut self.tim, registers, &mut null_context)
+        let (_, mut null) = deferred.null_bus.drive(context.now(), 0);
+        call(&mut self.tim, registers, &mut null)
     }
 
     pub(super) fn high(&self, channel: u8) -> bool {
@@ -406,7 +403,7 @@ impl Watched<Advanced> {
             playing,
             preloaded,
             begun_ns: updated_ns + round * round_ns,
-            left: (playing.0[1] & 0xFF).checked_sub(round)?,
+            rounds_left: (playing.0[1] & 0xFF).checked_sub(round)?,
         };
         let counted = (now.0 - position.begun_ns) / tick_ns;
         (count(now.0) == Some(counted)).then_some((position, tick_ns))
@@ -425,26 +422,32 @@ impl Watched<Advanced> {
             playing,
             preloaded,
             begun_ns,
-            left,
+            rounds_left,
         } = forward.at;
         if begun_ns != forward.first_ns {
             let kept = [tim1::Register::Dier, tim1::Register::Sr]
                 .map(|register| (register, registers.get(register)));
             registers.set(tim1::Register::Dier, 0);
             // A period of 0 blocks the counter until the present round begins.
-            let present = [playing.0[0], left, playing.0[2], playing.0[3], playing.0[4]];
+            let present = [
+                playing.0[0],
+                rounds_left,
+                playing.0[2],
+                playing.0[3],
+                playing.0[4],
+            ];
             for (words, at_ns) in [([0; WORDS], forward.from_ns), (present, begun_ns)] {
                 for (register, word) in OF_BURST.into_iter().zip(words) {
                     registers.set(register, word);
                 }
                 null_bus.reset();
-                let (_, mut null_context) = null_bus.drive(VirtualNanos(at_ns), 0);
+                let (_, mut null) = null_bus.drive(VirtualNanos(at_ns), 0);
                 Device::write(
                     &mut self.tim,
                     tim1::Register::Egr,
                     UPDATE,
                     registers,
-                    &mut null_context,
+                    &mut null,
                 );
             }
             for (register, value) in kept {
@@ -455,20 +458,15 @@ impl Watched<Advanced> {
             }
             if let Some(burst) = &mut self.burst {
                 let round_ns = (playing.0[0] + 1) * forward.tick_ns;
-                let updated_ns = begun_ns - ((playing.0[1] & 0xFF) - left) * round_ns;
+                let updated_ns = begun_ns - ((playing.0[1] & 0xFF) - rounds_left) * round_ns;
                 burst.playing = Some((playing.0, updated_ns));
                 burst.words = Some(preloaded.0);
             }
         }
         let planned = null_bus.next_event();
         null_bus.reset();
-        let (_, mut null_context) = null_bus.drive(to, 0);
-        Device::read(
-            &mut self.tim,
-            tim1::Register::Cr1,
-            registers,
-            &mut null_context,
-        );
+        let (_, mut null) = null_bus.drive(to, 0);
+        Device::read(&mut self.tim, tim1::Register::Cr1, registers, &mut null);
         // If the timer plans no event, it waits for an earlier one, which it may have missed while frozen.
         let missed = self.missed.take();
         let next = null_bus.next_event().or(planned).or(missed);
@@ -686,13 +684,9 @@ mod tests {
         let always = written(timer(), 0..200_000);
         assert!(always.len() > 30, "{always:?}");
         for every_ns in [7, 1_000, 12_500, 49_000, 200_000] {
-            let deferred = timer().with_deferred_events(null_bus());
+            let late = timer().with_deferred_events(null_bus());
             let reads = (0..200_000).step_by(every_ns).chain([200_000]);
-            assert_eq!(
-                written(deferred, reads),
-                always,
-                "a read every {every_ns} ns"
-            );
+            assert_eq!(written(late, reads), always, "a read every {every_ns} ns");
         }
     }
 

@@ -88,11 +88,8 @@ impl RigOptions {
 /// The rig's contacts. All are closed to ground in the normal state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Switch {
-    /// Home flag.
     Home,
-    /// Far limit.
     Far,
-    /// E-stop loop.
     EStop,
 }
 

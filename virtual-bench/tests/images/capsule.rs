@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use client::{Device, Observer, Unobserved};
 
-use crate::common::{Any, flash_operations, inject_fault, log_of, refusal};
+use crate::common::{Any, flash_operations, inject, log_of, refusal};
 use crate::watchdog::A_PANIC;
 use capsule_plant::verdict::name;
 use protocol::{
@@ -563,7 +563,7 @@ fn after_injection(client: u8, deed: Misbehaviour, cause: ResetCause) -> (u64, S
     capsule.begin(Fold);
     capsule.idle(300_000);
     assert!(capsule.with(|capsule| capsule.is_moving()));
-    let armed_ns = inject_fault(&capsule.bench, &capsule::image(), client, deed);
+    let armed_ns = inject(&capsule.bench, &capsule::image(), client, deed);
     if deed == Misbehaviour::Panic {
         stays_asleep(&capsule);
     }

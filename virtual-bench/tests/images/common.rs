@@ -93,12 +93,7 @@ pub fn flash_operations<W: Wiring>(bench: &Bench<W>) -> u64 {
 }
 
 /// Makes a client of the watchdog misbehave. Returns the instant, ns.
-pub fn inject_fault<W: Wiring>(
-    bench: &Bench<W>,
-    image: &Path,
-    client: u8,
-    deed: Misbehaviour,
-) -> u64 {
+pub fn inject<W: Wiring>(bench: &Bench<W>, image: &Path, client: u8, deed: Misbehaviour) -> u64 {
     let injection = FaultInjection::new(image, client, deed).expect("an image with its symbols");
     let applied = bench.visit(move |visit| injection.apply(visit));
     applied.expect("the bench runs");

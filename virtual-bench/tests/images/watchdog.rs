@@ -1,7 +1,7 @@
 //! Hanging tasks and processor faults, each triggered where a task checks in with the watchdog.
 
 use crate::capsule::CapsuleRun;
-use crate::common::{RigRun, homed, inject_fault, is_made, paper, refusal, rig_with_chip};
+use crate::common::{RigRun, homed, inject, is_made, paper, refusal, rig_with_chip};
 use protocol::{
     capsule::CapsuleFault,
     error::Refusal,
@@ -41,7 +41,7 @@ fn after_injection(
     }
     rig.idle(1_000_000);
     assert_eq!(rig.carriage() > 10_000, moving);
-    let armed_ns = inject_fault(&rig.bench, &image(), client, misbehaviour);
+    let armed_ns = inject(&rig.bench, &image(), client, misbehaviour);
     rig.pass(1_500_000);
     let resets = rig.bench.bus().expect("the bench runs").resets;
     assert_eq!(resets.len(), 1, "{resets:?}\n{}", rig.log());
@@ -116,7 +116,7 @@ fn a_slow_watchdog_ends_a_task_that_hangs_too() {
         rig.home();
         rig.device.run(paper(1)).expect("the run is accepted");
         rig.idle(1_000_000);
-        let armed_ns = inject_fault(&rig.bench, &image(), 1, Misbehaviour::Hang);
+        let armed_ns = inject(&rig.bench, &image(), 1, Misbehaviour::Hang);
         rig.pass(2_500_000);
         let resets = rig.bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), nth + 1, "{resets:?}\n{}", rig.log());
@@ -257,7 +257,7 @@ fn the_capsules_stack_has_a_guard_too() {
         (Misbehaviour::PanicInLog, A_PANIC),
     ] {
         let CapsuleRun { bench, mut device } = crate::capsule::start();
-        inject_fault(&bench, &capsule::image(), 4, misbehaviour);
+        inject(&bench, &capsule::image(), 4, misbehaviour);
         bench.advance_us(500_000).expect("the bench runs");
         let resets = bench.bus().expect("the bench runs").resets;
         assert_eq!(resets.len(), 1, "{resets:?}");
@@ -275,7 +275,7 @@ fn the_capsules_stack_has_a_guard_too() {
 #[test]
 fn catch_bits_of_a_debugger_are_cleared_at_the_start() {
     let mut rig = homed();
-    inject_fault(&rig.bench, &image(), 4, Misbehaviour::SetCatches);
+    inject(&rig.bench, &image(), 4, Misbehaviour::SetCatches);
     rig.idle(50_000);
     // The first start finds them set, the second one clear.
     for nonce in [2, 3] {
