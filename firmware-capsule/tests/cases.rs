@@ -102,7 +102,7 @@ pub(crate) fn life(parameters: Parameters, seed: u64, friction: f64, warm: bool)
 pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
     let parameters = kind.parameters(seed);
     let mut sim = Simulation::new(parameters, seed);
-    let calibrates = kind.course(seed, 0.0).motion == Motion::Calibrate;
+    let calibrates = kind.scenario(seed, 0.0).motion == Motion::Calibrate;
     let mut verdict = Verdict {
         name: "Complete".to_owned(),
         took_ms: None,
@@ -117,23 +117,23 @@ pub(crate) fn try_case(kind: Kind, seed: u64) -> (Verdict, f64) {
         }
         end_mm = sim.folded_mm() - parameters.slack_mm;
     }
-    let course = kind.course(seed, end_mm);
-    if course.folds_first {
+    let scenario = kind.scenario(seed, end_mm);
+    if scenario.folds_first {
         run(&mut sim, Command::Fold);
     }
-    for defect in &course.defects {
+    for defect in &scenario.defects {
         sim.plant.suffer(*defect);
     }
-    sim.wait(course.rests_ms);
+    sim.wait(scenario.rests_ms);
     sim.plant.forget_extremes();
-    let commands = match course.motion {
+    let commands = match scenario.motion {
         Motion::Calibrate => vec![Command::Calibrate],
         Motion::Fold => vec![Command::Fold],
         Motion::Unfold => vec![Command::Unfold],
         Motion::Cycles(cycles) => [Command::Fold, Command::Unfold].repeat(cycles as usize),
     };
     for command in commands {
-        with_defect(&mut sim, command, course.planned, &mut verdict);
+        with_defect(&mut sim, command, scenario.planned, &mut verdict);
         if sim.capsule.state() == CapsuleState::Folded {
             let holds = sim.plant.force_n() > 0.5;
             let short_mm = if holds {

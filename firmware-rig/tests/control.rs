@@ -70,7 +70,7 @@ struct Board {
 
 impl Surroundings for Board {
     fn now_us(&self) -> u64 {
-        self.carriage.look().time_us
+        self.carriage.observe().time_us
     }
 
     fn chip(&self) -> system::Chip {
@@ -100,7 +100,7 @@ impl Surroundings for Board {
 
 impl control::Rig for Board {
     fn now(&self) -> Now {
-        self.carriage.look()
+        self.carriage.observe()
     }
 
     fn button_is_down(&self) -> bool {

@@ -375,7 +375,7 @@ mod a_closed_flag_at_0 {
         }
         // The button, too.
         let mut rig = lost();
-        let now = rig.look();
+        let now = rig.observe();
         let actions = press_button(&mut rig.machine, &Values::DEFAULT, &now);
         assert_eq!(actions.refusal, Some(Refusal::RigFaulted(LOST)));
         assert_eq!(rig.fault(), Some(LOST));
@@ -527,7 +527,7 @@ fn a_button_runs_nothing_impossible() {
     let values = values(&[(SettingKey::ButtonTotalMs, 20_000)]);
     let mut rig = Rig::homed(SETTINGS);
     let press = |rig: &mut Rig| {
-        let actions = press_button(&mut rig.machine, &values, &rig.carriage.look());
+        let actions = press_button(&mut rig.machine, &values, &rig.carriage.observe());
         let refusal = actions.refusal;
         rig.perform(actions);
         refusal

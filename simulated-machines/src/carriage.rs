@@ -47,7 +47,7 @@ pub fn now(time_us: u64, position: i32, inputs: RigInputs) -> Now {
     }
 }
 
-/// The end of a path whose last step left at tick 1.
+/// The end of a path whose last step was emitted at tick 1.
 pub fn path_ended(end: PathEnd, commanded: i32, counted: i32) -> Event<'static> {
     let report = PathReport {
         commanded: StepPosition(commanded),
@@ -114,7 +114,7 @@ impl Mailbox for Mail {
     }
 }
 
-/// A pulse that left the pin.
+/// A pulse at the pin.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pulse {
     /// Time of the pulse, ticks of 10 ns.
@@ -211,7 +211,7 @@ impl Carriage {
     }
 
     /// The clock, position and switches as they are now.
-    pub fn look(&self) -> Now {
+    pub fn observe(&self) -> Now {
         Now {
             glitches: self.glitches,
             ..now(self.now / 100, self.ring.counted, self.inputs())
@@ -227,7 +227,7 @@ impl Carriage {
         self.pace() != Pace::Idle || self.mail.order.is_some()
     }
 
-    /// Pulses that will still leave whatever is ordered, unless they are cut.
+    /// Pulses that will be emitted whatever is ordered, unless they are cut.
     pub fn queued(&self) -> u64 {
         self.ring.rounds_remaining()
     }
@@ -374,7 +374,7 @@ impl Carriage {
     }
 }
 
-/// The state machine on a carriage. Dereferences to the carriage, because most tests look at that.
+/// The state machine on a carriage. Dereferences to the carriage, because most tests inspect it.
 pub struct Rig {
     pub machine: Machine,
     pub carriage: Carriage,
@@ -433,7 +433,7 @@ impl Rig {
         let before = self.fault();
         let actions = self
             .machine
-            .step(&self.carriage.look(), Event::Command(&command));
+            .step(&self.carriage.observe(), Event::Command(&command));
         let refusal = actions.refusal;
         if refusal.is_some() {
             // Exception: a command may latch a fault if it finds the carriage elsewhere.
@@ -444,7 +444,7 @@ impl Rig {
     }
 
     pub fn event(&mut self, event: Event) {
-        let actions = self.machine.step(&self.carriage.look(), event);
+        let actions = self.machine.step(&self.carriage.observe(), event);
         assert_eq!(actions.refusal, None, "only commands are refused");
         self.perform(actions);
     }
@@ -514,7 +514,7 @@ impl Rig {
         }
     }
 
-    /// Executes this number of pulses, or fewer if nothing moves any more.
+    /// Executes this number of pulses, or fewer if the motion ends.
     pub fn pulses(&mut self, pulses: u64) {
         let until = self.pulses + pulses;
         while self.pulses < until && self.moving() {

@@ -66,7 +66,7 @@ struct Supply {
     /// Operations requested since `fail`, and the range of them that fails.
     asked: usize,
     failing: Range<usize>,
-    /// What a cut operation leaves.
+    /// Random bits that a cut operation leaves.
     noise: Dice,
 }
 

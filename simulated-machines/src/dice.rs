@@ -1,6 +1,6 @@
 //! Random choices of the tests, from a seed.
 
-/// SplitMix64 (Steele, Lea, Flood 2014), written out again: the tests do not draw from the code that they test.
+/// SplitMix64 (Steele, Lea, Flood 2014), implemented again: the tests must not use the code that they test.
 #[derive(Clone, Debug, Default)]
 pub struct Dice(pub u64);
 

@@ -1,5 +1,5 @@
-//! Both machines in this process, in virtual time, for tests and fuzzing. The firmware's own libraries decide; models
-//! stand in for everything around them.
+//! Both machines in this process, in virtual time, for tests and fuzzing: the firmware's own libraries, with models of
+//! everything around them.
 //!
 //! * [`chip`]: the flash, with a supply that can fail.
 //! * [`dice`]: random choices from a seed.

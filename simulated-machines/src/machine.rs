@@ -1,5 +1,5 @@
-//! A machine behind a bad line, in virtual time. The machine is the firmware: its link service and its control decide,
-//! on the mechanics of `rig` or [`capsule`]. Only the line and the world around the machine are scripted.
+//! A machine behind a faulty line, in virtual time. The machine is the firmware, its link service and control, on the
+//! mechanics of `rig` or [`capsule`]. Only the line and the events around the machine are scripted.
 pub mod capsule;
 mod line;
 pub mod pace;
@@ -30,7 +30,7 @@ const UID: [u8; 12] = [0xab; 12];
 /// Chip number of a board that reports itself as simulated.
 pub const VIRTUAL_UID: [u8; 12] = *b"virtual test";
 /// Interval at which the simulation checks whether a machine is driven, us.
-const LOOK_US: u64 = 5_000;
+const POLL_US: u64 = 5_000;
 /// Locating speed for a rig with few steps: homing would otherwise take most of a script's time.
 const FAST_HOMING: (SettingKey, u32) = (SettingKey::LocateUmS, 20_000);
 /// How long a button press lasts, us.
@@ -50,9 +50,9 @@ pub struct Script {
     pub seed: u64,
     /// Events with these indices are lost on the line.
     pub silent_events: Vec<u32>,
-    /// Names of requests that the machine does not hear, and how many times each.
+    /// Names of requests that the line loses, and how many times each.
     pub deaf_to: Vec<(&'static str, u32)>,
-    /// The machine hears nothing at all, not even urgent stops.
+    /// The machine receives nothing, not even urgent stops.
     pub dead: bool,
     /// Another host has already homed or referenced the machine.
     pub ready: bool,
@@ -97,7 +97,7 @@ pub enum World {
     EStopLoop { open: bool },
     /// The start button goes down or up.
     Button { down: bool },
-    /// The step timer stops for good.
+    /// The step timer stops and does not restart.
     TimerStands,
     /// The watchdog resets the device.
     Reset,
@@ -194,7 +194,7 @@ fn stored(flash: &Flash) -> SettingsStore<Flash> {
 /// Control and mechanics of either machine. Times are the device's, us.
 trait Device: Send {
     /// Restarts control; the mechanics keep their state.
-    fn reset(&mut self, left: Retained, cause: ResetCause);
+    fn reset(&mut self, previous: Retained, cause: ResetCause);
     /// Time of the next event inside the device.
     fn due_us(&mut self) -> u64;
     fn live(&mut self, until_us: u64);
@@ -222,7 +222,7 @@ pub struct SimulatedMachine {
     started_us: u64,
     /// When the host connected; the link's clock starts here.
     connected_us: u64,
-    /// When the device next has something to do.
+    /// When the device is next due.
     due_us: u64,
 }
 
@@ -247,11 +247,11 @@ impl SimulatedMachine {
         for (key, value) in &script.settings {
             stored(&flash).set(*key, *value).expect("a good flash");
         }
-        let left = port.start();
-        let service = service(&script, left.boot_id, ResetCause::PowerOn);
+        let previous = port.start();
+        let service = service(&script, previous.boot_id, ResetCause::PowerOn);
         let device: Box<dyn Device> = match script.kind {
-            DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, left, script.few_steps)),
-            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, &flash, left)),
+            DeviceKind::Rig => Box::new(rig::Rig::new(&port, &flash, previous, script.few_steps)),
+            DeviceKind::Capsule => Box::new(capsule::Capsule::new(&port, &flash, previous)),
         };
         let log = Arc::new(Mutex::new(Log::new(&flash)));
         let mut machine = Self {
@@ -313,7 +313,7 @@ impl SimulatedMachine {
         log.executed.len() + log.urgent.len()
     }
 
-    /// It is moving, and the last motion that was requested is a run.
+    /// Whether it is moving, and the last requested motion is a run.
     pub fn is_in_a_run(&mut self) -> bool {
         const MOTIONS: [&str; 4] = ["Home", "Jog", "MoveTo", "Run"];
         let log = self.log();
@@ -344,7 +344,7 @@ impl SimulatedMachine {
     fn live(&mut self, now_us: u64) {
         loop {
             let event_us = self.world.front().map_or(u64::MAX, |(time_us, _)| *time_us);
-            let until_us = event_us.min(now_us).min(self.now_us + LOOK_US);
+            let until_us = event_us.min(now_us).min(self.now_us + POLL_US);
             self.run(until_us);
             if self.device.is_driven() {
                 self.log().driven_us = until_us - self.connected_us;
@@ -375,10 +375,10 @@ impl SimulatedMachine {
         match event {
             World::Reset => {
                 self.send();
-                let (left, cause) = (self.port.start(), ResetCause::Watchdog);
-                self.service = service(&self.script, left.boot_id, cause);
+                let (previous, cause) = (self.port.start(), ResetCause::Watchdog);
+                self.service = service(&self.script, previous.boot_id, cause);
                 self.started_us = self.now_us;
-                self.device.reset(left, cause);
+                self.device.reset(previous, cause);
             }
             World::StopFrame => {
                 let header = Header {

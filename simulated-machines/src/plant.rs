@@ -26,7 +26,7 @@ pub struct Simulation {
     pub now_us: u64,
     /// Events that the firmware has reported.
     pub events: Vec<CapsuleEvent>,
-    /// What the flash has, and how often a motion has written it.
+    /// The record in flash.
     pub kept: Known,
     /// Records written within motions.
     pub writes: u32,
@@ -105,8 +105,8 @@ impl Simulation {
         assert_eq!(actions.refusal, None, "{command:?} refused");
     }
 
-    /// Runs until the capsule rests, the bridge sleeps and the motor stands; at most a minute. Then the flash knows the
-    /// place.
+    /// Runs until the capsule rests, the bridge sleeps and the motor stands, at most a minute. The flash then has the
+    /// position.
     pub fn settle(&mut self) {
         for _ in 0..60_000 {
             self.tick();
@@ -147,8 +147,7 @@ impl Simulation {
         f64::from(self.calibration().folded.0) / 1e3
     }
 
-    /// Cuts the power, or lets a `fault` reset the chip: the motor runs down, and the firmware starts with what the flash
-    /// has.
+    /// Cuts the power, or lets a `fault` reset the chip: the motor runs down, and the firmware starts from the flash.
     pub fn restart(&mut self, fault: Option<CapsuleFault>) {
         self.plant.set_bridge(Bridge::Coast);
         self.plant.advance(2.0, |_| ());

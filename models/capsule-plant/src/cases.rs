@@ -9,7 +9,7 @@ use crate::{Defect, Parameters, Random};
 pub enum Kind {
     /// No defect.
     Healthy,
-    /// Something hard in the way of a fold, anywhere from 2 mm of travel to 0.35 mm before the end.
+    /// A hard obstacle stops the fold, anywhere from 2 mm of travel to 0.35 mm before the end.
     Jam,
     /// The same, but in the last 2 mm.
     LateJam,
@@ -29,7 +29,7 @@ pub enum Kind {
     Channel,
     /// The encoder's lines have been swapped since before the first motion.
     Swapped,
-    /// The bridge falls silent, in a motion or before it.
+    /// The bridge stops driving, in a motion or before it.
     SilentBridge,
     /// The bridge reports a fault.
     DriverFault,
@@ -45,10 +45,10 @@ pub enum Kind {
     Empty,
     /// The cell is tired: a resistance and a polarisation of 1 to 6 ohm each, from before a fold.
     Tired,
-    /// The current amplifier's gain falls to a half to a fifth, before a fold or in it. Not in an unfolding, which
-    /// draws next to no current.
+    /// The current amplifier's gain falls to between a half and a fifth, before or in a fold. Not in an unfolding,
+    /// which draws hardly any current.
     Gain,
-    /// The current amplifier's zero shifts by 10 to 60 mA either way, in a motion.
+    /// The current amplifier's zero shifts by 10 to 60 mA up or down, in a motion.
     Offset,
     /// The encoder loses 5 to 60 % of its counts, in a motion or before it.
     LosesCounts,
@@ -118,7 +118,7 @@ impl Kind {
             Self::Gain | Self::Offset => &["SenseLost", "SenseOrEncoder"],
             Self::Weak | Self::Collapse => &["LowBattery"],
             Self::Empty => &["BatteryLow"],
-            // A tired cell that still manages a fold is no defect.
+            // A tired cell that still completes a fold is accepted.
             Self::Tired => &["LowBattery", "BatteryLow", "Complete"],
         }
     }
@@ -137,23 +137,23 @@ impl Kind {
         }
     }
 
-    /// Course of events for the capsule with this seed. `end_mm` is the travel at which its calibration, if it has
+    /// Scenario for the capsule with this seed. `end_mm` is the travel at which its calibration, if it has
     /// one, found the folded end.
     #[must_use]
-    pub fn course(self, seed: u64, end_mm: f64) -> Course {
+    pub fn scenario(self, seed: u64, end_mm: f64) -> Scenario {
         let mut random = Random::new(seed ^ ((self as u64 + 1) << 32));
-        let fold = Course {
+        let fold = Scenario {
             folds_first: false,
             defects: Vec::new(),
             rests_ms: 0,
             planned: None,
             motion: Motion::Fold,
         };
-        let with = |defects: &[Defect]| Course {
+        let with = |defects: &[Defect]| Scenario {
             defects: defects.to_vec(),
             ..fold.clone()
         };
-        let folded = |defect| Course {
+        let folded = |defect| Scenario {
             folds_first: true,
             defects: vec![defect],
             motion: Motion::Unfold,
@@ -163,7 +163,7 @@ impl Kind {
             let unfolds = either_way && random.unit() < 0.5;
             // The last 3 mm of an unfolding coast without current, so no defect is planned there.
             let whole_ms = if unfolds { 750.0 } else { 1_450.0 };
-            Course {
+            Scenario {
                 folds_first: unfolds,
                 motion: if unfolds {
                     Motion::Unfold
@@ -175,7 +175,7 @@ impl Kind {
             }
         };
         match self {
-            Self::Healthy => Course {
+            Self::Healthy => Scenario {
                 motion: Motion::Cycles(2),
                 ..fold
             },
@@ -192,7 +192,7 @@ impl Kind {
             Self::Encoder => within(&mut random, true, Defect::Encoder),
             Self::Channel if seed.is_multiple_of(2) => within(&mut random, true, Defect::ChannelA),
             Self::Channel => within(&mut random, true, Defect::ChannelB),
-            Self::Swapped => Course {
+            Self::Swapped => Scenario {
                 motion: Motion::Calibrate,
                 ..with(&[Defect::Swapped])
             },
@@ -201,7 +201,7 @@ impl Kind {
             Self::Short => within(&mut random, true, Defect::Short),
             Self::SenseOpen => within(&mut random, true, Defect::SenseOpen),
             Self::Weak => with(&[Defect::Battery(3_100.0), Defect::Weak(20.0)]),
-            Self::Collapse => Course {
+            Self::Collapse => Scenario {
                 planned: Some((random.between(0.0, 800.0), Defect::Collapse)),
                 ..fold
             },
@@ -212,19 +212,19 @@ impl Kind {
             }
             Self::Offset => {
                 let ma = random.between(10.0, 60.0) * if random.unit() < 0.5 { -1.0 } else { 1.0 };
-                let course = within(&mut random, true, Defect::Offset(ma));
-                Course {
-                    planned: course
+                let scenario = within(&mut random, true, Defect::Offset(ma));
+                Scenario {
+                    planned: scenario
                         .planned
                         .map(|(at_ms, defect)| (at_ms.max(0.0), defect)),
-                    ..course
+                    ..scenario
                 }
             }
             Self::LosesCounts => {
-                let share = random.between(0.05, 0.60);
-                within(&mut random, true, Defect::LosesCounts(share))
+                let fraction = random.between(0.05, 0.60);
+                within(&mut random, true, Defect::LosesCounts(fraction))
             }
-            Self::Empty => Course {
+            Self::Empty => Scenario {
                 rests_ms: 120,
                 ..with(&[Defect::Battery(random.between(2_500.0, 2_990.0))])
             },
@@ -245,9 +245,9 @@ pub enum Motion {
     Cycles(u32),
 }
 
-/// Course of events for one capsule, in the order of the fields.
+/// Scenario for one capsule, in the order of the fields.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Course {
+pub struct Scenario {
     /// Fold first, while the capsule is still healthy.
     pub folds_first: bool,
     /// Defects before the motion begins.

@@ -1,8 +1,8 @@
 //! Effects of a real capsule beyond the plain model: variable friction, a plastic origami, play in the gears, an
 //! imperfect encoder and amplifier, a cell that polarises. Each can be switched off or scaled.
 //!
-//! **None is measured**: copper's and the magnet's coefficients are of the material, all other ranges are assumed. They were
-//! chosen before any firmware was tested against them.
+//! **None is measured**: the coefficients of copper and magnet are those of the materials, all other ranges are
+//! assumed. They were chosen before any firmware was tested against them.
 
 use crate::random::Random;
 
@@ -15,7 +15,7 @@ pub enum Effect {
     WarmMotor,
     /// The worm's friction differs between winding and paying out.
     Direction,
-    /// The worm's friction changes over the life.
+    /// The worm's friction changes with the number of cycles.
     Wear,
     /// A standing motor has more friction than a turning one.
     StickSlip,
@@ -27,7 +27,7 @@ pub enum Effect {
     Creep,
     /// The origami resists in proportion to its speed.
     Damping,
-    /// Crescents snap through on the way.
+    /// Crescents snap through during a fold.
     SnapThrough,
     /// Play between motor and spool.
     Backlash,
@@ -59,33 +59,33 @@ impl Effect {
     ];
 }
 
-/// Size of each effect in one capsule; 0 is none.
+/// Size of each effect in one capsule; 0 switches it off.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Effects {
-    /// [`Effect::Grease`]: share of the worm's friction lost per K above 22 degrees.
+    /// [`Effect::Grease`]: fraction of the worm's friction lost per K above 22 degrees.
     pub worm_per_k: f64,
-    /// [`Effect::Grease`]: share of the no-load current lost per K above 22 degrees.
+    /// [`Effect::Grease`]: fraction of the no-load current lost per K above 22 degrees.
     pub no_load_per_k: f64,
     /// [`Effect::WarmMotor`]: scale; 1 is copper's +0.39 % and a magnet's -0.11 % per K.
     pub warm_motor: f64,
     /// [`Effect::Direction`]: friction while paying out over that while winding, less 1.
     pub direction: f64,
-    /// [`Effect::Wear`]: share by which the worm's friction has changed after a long life.
+    /// [`Effect::Wear`]: fraction by which the worm's friction has changed after a long life.
     pub wear: f64,
     /// [`Effect::StickSlip`]: friction of a standing motor over that of a turning one, less 1.
     pub stick: f64,
-    /// [`Effect::Hysteresis`]: share of the force that the origami lacks while it opens.
+    /// [`Effect::Hysteresis`]: fraction of the force that the origami lacks while it opens.
     pub hysteresis: f64,
-    /// [`Effect::Relaxation`]: shares of the force that a held origami loses, with the time constants
+    /// [`Effect::Relaxation`]: fractions of the force that a held origami loses, with the time constants
     /// [`RELAXATION_S`].
     pub relaxation: [f64; 2],
     /// [`Effect::Creep`]: lengthening per tenfold number of cycles, mm.
     pub creep_mm: f64,
-    /// [`Effect::Creep`]: share of the force that the origami loses per tenfold number of cycles.
+    /// [`Effect::Creep`]: fraction of the force that the origami loses per tenfold number of cycles.
     pub softening: f64,
     /// [`Effect::Damping`]: resistance to speed, N s/mm.
     pub damping: f64,
-    /// [`Effect::SnapThrough`]: share of the force that each snap at [`Effects::snap_at_mm`] loses.
+    /// [`Effect::SnapThrough`]: fraction of the force that each snap at [`Effects::snap_at_mm`] loses.
     pub snap_through: f64,
     /// Travel of the snaps, mm.
     pub snap_at_mm: [f64; 3],
@@ -188,7 +188,9 @@ impl Effects {
             Effect::Wear => self.wear *= times,
             Effect::StickSlip => self.stick *= times,
             Effect::Hysteresis => self.hysteresis *= times,
-            Effect::Relaxation => self.relaxation = self.relaxation.map(|share| share * times),
+            Effect::Relaxation => {
+                self.relaxation = self.relaxation.map(|fraction| fraction * times)
+            }
             Effect::Creep => {
                 self.creep_mm *= times;
                 self.softening *= times;
@@ -196,7 +198,7 @@ impl Effects {
             Effect::Damping => self.damping *= times,
             Effect::SnapThrough => self.snap_through *= times,
             Effect::Backlash => self.backlash_mm *= times,
-            // Limit: beyond half a count two edges would change places.
+            // Limit: beyond half a count two edges would swap.
             Effect::EncoderPhase => {
                 self.phase = self.phase.map(|late| (late * times).clamp(-0.49, 0.49));
             }

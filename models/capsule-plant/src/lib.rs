@@ -92,7 +92,7 @@ pub enum Defect {
     Gain(f64),
     /// Adds this to the current amplifier's zero, mA.
     Offset(f64),
-    /// The encoder loses this share of its lines.
+    /// The encoder loses this fraction of its lines.
     LosesCounts(f64),
     /// Temperature of the whole capsule, degrees Celsius.
     Temperature(f64),
@@ -200,7 +200,7 @@ impl Plant {
                 self.parameters.worm_friction *= times;
             }
             Defect::NoLoad(times) => self.parameters.no_load_a *= times,
-            Defect::Relaxed(share) => self.parameters.stiffness *= share,
+            Defect::Relaxed(fraction) => self.parameters.stiffness *= fraction,
             Defect::Snap(travel_mm) => self.snap_mm = Some(travel_mm),
             Defect::Slip(length_mm) => self.slipped_mm += length_mm,
             Defect::Clutch(newton) => self.clutch_n = Some(newton),
@@ -208,7 +208,7 @@ impl Plant {
             Defect::ChannelB => self.encoder.stick([false, true]),
             Defect::Encoder => self.encoder.stick([true, true]),
             Defect::Swapped => self.encoder.swapped = true,
-            Defect::LosesCounts(share) => self.encoder.loses = share,
+            Defect::LosesCounts(fraction) => self.encoder.loses = fraction,
             Defect::SilentBridge => self.silent = true,
             Defect::DriverFault => self.driver_fault = true,
             Defect::Short => self.shorted = true,
@@ -227,7 +227,7 @@ impl Plant {
         }
     }
 
-    /// Holds the motor's shaft, or lets it go.
+    /// Holds or releases the motor's shaft.
     pub fn hold(&mut self, held: bool) {
         self.held = held;
     }
@@ -251,8 +251,8 @@ impl Plant {
     /// Travel of the fold, mm: the thread beyond its slack.
     #[must_use]
     pub fn travel_mm(&self) -> f64 {
-        let crept_mm = self.parameters.effects.creep_mm * self.decades;
-        (self.spool_mm - self.parameters.slack_mm - crept_mm - self.slipped_mm).max(0.0)
+        let creep_mm = self.parameters.effects.creep_mm * self.decades;
+        (self.spool_mm - self.parameters.slack_mm - creep_mm - self.slipped_mm).max(0.0)
     }
 
     fn stiffness(&self) -> f64 {
@@ -325,7 +325,7 @@ impl Plant {
         self.speed
     }
 
-    /// At rest: nothing changes any more by itself.
+    /// Whether it is at rest: nothing changes without a new drive or defect.
     #[must_use]
     pub fn is_quiet(&self) -> bool {
         self.bridge == Bridge::Coast
@@ -389,20 +389,20 @@ impl Plant {
         }
     }
 
-    /// Lets `duration_s` pass. Calls `look` after each integration step of 20 us at most.
-    pub fn advance(&mut self, duration_s: f64, mut look: impl FnMut(&Self)) {
+    /// Lets `duration_s` pass. Calls `observe` after each integration step of 20 us at most.
+    pub fn advance(&mut self, duration_s: f64, mut observe: impl FnMut(&Self)) {
         let steps = (duration_s / STEP_S).ceil().max(1.0);
         let step_s = duration_s / steps;
         for _ in 0..steps as u64 {
             let charge = self.carry(step_s);
             self.turn(charge, step_s);
-            look(self);
+            observe(self);
         }
     }
 
     /// Simulates one period of the bridge, 50 us at most; each phase is a state of the bridge and its duration.
     /// Integrates the current from edge to edge, but the motion over the whole period, in which the speed hardly
-    /// changes. Means cover the whole period, too.
+    /// changes. Means cover the whole period.
     pub fn advance_period(&mut self, phases: &[(Bridge, f64)]) {
         let (mut charge, mut drawn, mut whole_s) = (0.0, 0.0, 0.0);
         for &(bridge, length_s) in phases {

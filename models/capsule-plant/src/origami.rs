@@ -13,7 +13,7 @@ pub(crate) struct Origami {
     /// Mean speed over the last step, mm/s.
     speed: f64,
     /// Direction of the hysteresis: 1 after folding, -1 after opening.
-    way: f64,
+    direction: f64,
     /// Relaxed force of each time constant, N.
     settled_n: [f64; 2],
 }
@@ -22,7 +22,7 @@ impl Origami {
     pub(crate) fn at(folded_mm: f64) -> Self {
         Self {
             folded_mm,
-            way: 1.0,
+            direction: 1.0,
             ..Self::default()
         }
     }
@@ -54,10 +54,10 @@ impl Origami {
     fn plastic_n(&self, stiffness: f64, effects: &Effects) -> f64 {
         let relaxed: f64 = (self.settled_n.iter())
             .zip(effects.relaxation)
-            .map(|(settled, share)| settled * share)
+            .map(|(settled, fraction)| settled * fraction)
             .sum();
         let force = Self::elastic_n(self.folded_mm, stiffness, effects) - relaxed;
-        (force * (1.0 - effects.hysteresis * (1.0 - self.way) / 2.0)).max(0.0)
+        (force * (1.0 - effects.hysteresis * (1.0 - self.direction) / 2.0)).max(0.0)
     }
 
     /// Pull of the origami on a thread at `travel_mm`, N.
@@ -86,7 +86,7 @@ impl Origami {
         self.speed = moved_mm / dt;
         if moved_mm != 0.0 {
             let turned = (moved_mm.abs() / HYSTERESIS_MM).min(1.0);
-            self.way += (moved_mm.signum() - self.way) * turned;
+            self.direction += (moved_mm.signum() - self.direction) * turned;
         }
         if effects.relaxation != [0.0; 2] {
             let force = Self::elastic_n(self.folded_mm, stiffness, effects);
@@ -113,8 +113,8 @@ mod tests {
     fn moved(origami: &mut Origami, to_mm: f64, effects: &Effects) {
         let (steps, from_mm) = (10_000, origami.folded_mm);
         for step in 1..=steps {
-            let share = f64::from(step) / f64::from(steps);
-            origami.follow(from_mm + (to_mm - from_mm) * share, 1.0, effects, 1e-4);
+            let fraction = f64::from(step) / f64::from(steps);
+            origami.follow(from_mm + (to_mm - from_mm) * fraction, 1.0, effects, 1e-4);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Every number of the model, with its source.
+//! The parameters of one capsule, each with its source, and populations drawn from their ranges.
 
 use crate::effects::Effects;
 use crate::random::Random;
@@ -13,8 +13,7 @@ pub enum Shunt {
         /// The filter is ahead of the amplifier.
         filtered_first: bool,
     },
-    /// In series with the motor, with the zero at half of the amplifier's supply: shows the current itself with its
-    /// sign.
+    /// In series with the motor, with the zero at half of the amplifier's supply: shows the current with its sign.
     InSeries,
 }
 
@@ -154,8 +153,8 @@ impl Parameters {
     }
 
     /// Motor torque relative to the ideal one when the worm raises the load, and when it lowers it, with these
-    /// coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart. The worm is self-locking,
-    /// so lowering takes torque, too.
+    /// coefficients of friction: tan(lead + angle of friction) / tan(lead), and its counterpart. The worm is
+    /// self-locking, so lowering takes torque too.
     pub(crate) fn worm_factors(&self, raising: f64, lowering: f64) -> (f64, f64) {
         let lead = self.worm_lead_deg.to_radians().tan();
         (

@@ -42,7 +42,7 @@ pub fn row(kind: Kind, verdicts: &[Verdict]) -> String {
         .map(|(name, count)| format!("{name} {count}"))
         .collect();
     let wrong = wrong(kind, verdicts).count();
-    let share = 100.0 * (1.0 - wrong as f64 / verdicts.len() as f64);
+    let fraction = 100.0 * (1.0 - wrong as f64 / verdicts.len() as f64);
     let latest = verdicts.iter().filter_map(|verdict| verdict.took_ms).max();
     let peak_n = verdicts.iter().fold(0.0, |peak: f64, v| peak.max(v.peak_n));
     let short_mm = verdicts
@@ -50,7 +50,7 @@ pub fn row(kind: Kind, verdicts: &[Verdict]) -> String {
         .filter_map(|verdict| verdict.short_mm)
         .max_by(f64::total_cmp);
     format!(
-        "| {kind:?} | {} | {share:.1} % | {} | {} | {peak_n:.1} | {} |",
+        "| {kind:?} | {} | {fraction:.1} % | {} | {} | {peak_n:.1} | {} |",
         verdicts.len(),
         names.join(", "),
         latest.map_or("-".to_owned(), |ms| ms.to_string()),

@@ -238,10 +238,10 @@ mod tests {
         let real = with(53e-6, Shunt::InSeries);
         let [mean, _] = mean_ma(&real, order, Bridge::Coast, 2.2);
         assert!((40.0..60.0).contains(&mean), "{mean} mA");
-        for (filtered_first, share) in [(false, 0.85..0.99), (true, 0.70..0.95)] {
+        for (filtered_first, fraction) in [(false, 0.85..0.99), (true, 0.70..0.95)] {
             let below = with(53e-6, Shunt::Below { filtered_first });
             let [mean, seen] = mean_ma(&below, order, Bridge::Coast, 2.2);
-            assert!(share.contains(&(seen / mean)), "{seen} of {mean} mA");
+            assert!(fraction.contains(&(seen / mean)), "{seen} of {mean} mA");
         }
     }
 

@@ -1,7 +1,7 @@
 //! The unfolded body as a chain of crescents with Coulomb friction, moved by a wall that presses and retreats.
 //!
 //! Quasi-static and massless: time does not enter, only the order of the wall's shapes. For each new shape:
-//! 1. each crescent is indented by `a_i = coupling * wall(x_i)` at its previous place,
+//! 1. each crescent is indented by `a_i = coupling * wall(x_i)` at its previous position,
 //! 2. the links take their lengths psi(a_i) from Eq. (4), which shifts each crescent by `delta_i` relative to the tail,
 //! 3. the whole body moves by the `S` that costs the least friction work
 //!    `sum mu w_i [ (S + delta_i)^+ + r (-(S + delta_i))^+ ]`, `w_i = preload + mean a_i`,
@@ -65,7 +65,7 @@ impl FrictionRatio {
 pub struct Params {
     /// Its geometry.
     pub design: Design<f64>,
-    /// chi: share of the wall's indentation that reaches a crescent, `0..=1`.
+    /// chi: fraction of the wall's indentation that reaches a crescent, `0..=1`.
     pub coupling: f64,
     /// mu: friction coefficient in the easy direction, `> 0`. Common to all crescents, so it acts through
     /// [`FrictionRatio::Facets`] only.
@@ -90,7 +90,7 @@ impl Params {
     };
 }
 
-/// The body and its place.
+/// The body and its position.
 #[derive(Clone, Debug)]
 pub struct Chain {
     params: Params,
@@ -103,7 +103,7 @@ pub struct Chain {
     link_mm: [f64; LINKS],
     /// From the core's tail end to the middle of each link.
     middle_mm: [f64; LINKS],
-    /// For the next step: indentation and link of each crescent; then how far it is shifted and how hard it holds.
+    /// Scratch memory of a step: indentation and link of each crescent, then its shift and its weight.
     pairs: [(f64, f64); LINKS],
 }
 
@@ -174,8 +174,8 @@ impl Chain {
     /// A shape that is negative, NaN or would push a crescent past its core; the body then stays unchanged.
     pub fn step(&mut self, wall_mm: impl Fn(f64) -> f64) -> Result<(), OutOfRange> {
         let m = self.m();
-        // First the indentation and the link of each crescent, kept apart until all of them are known to be possible;
-        // then, in their place, how far each is shifted and how hard it holds.
+        // First the indentation and the link of each crescent, kept apart until all of them are checked. Then its shift
+        // and its weight replace them.
         let pairs = &mut self.pairs[..m];
         let mut changed = false;
         let before = (self.middle_mm[..m].iter())
@@ -209,7 +209,7 @@ impl Chain {
         Ok(())
     }
 
-    /// Whether no crescent is pressed, nor would be by a wave between two places: such a step changes nothing.
+    /// Whether no crescent is pressed, nor would be by a wave between these two positions: such a step changes nothing.
     pub(crate) fn is_clear_of(&self, (low_mm, high_mm): (f64, f64)) -> bool {
         let middles_mm = &self.middle_mm[..self.m()];
         let before = middles_mm
@@ -269,9 +269,9 @@ pub(crate) fn middles(links_mm: &[f64]) -> [f64; LINKS] {
 
 /// The `S` that minimises `sum w [ (S+delta)^+ + r (-(S+delta))^+ ]` over pairs `(delta, w)`.
 ///
-/// The sum is convex in `S` and its slope changes only at `S = -delta`. Just above that place it is
-/// `sum(w) - (1+r) * (the weight of all pairs with a smaller delta)`. The minimum is at the greatest delta with which
-/// this is not negative. Looks for it from the smallest delta on, because r is large and only a few lie below it.
+/// The sum is convex in `S`, and its slope changes only at `S = -delta`. Just above that point the slope is `sum(w) -
+/// (1+r) * (the weight of all pairs with a smaller delta)`. The minimum is at the greatest delta for which the slope is
+/// not negative. The search begins at the smallest delta, because r is large and only a few lie below it.
 fn least_work_shift(pairs: &[(f64, f64)], ratio: f64) -> f64 {
     let most_below = pairs.iter().map(|(_, w)| w).sum::<f64>() / (1.0 + ratio);
     let mut below = 0.0;

@@ -217,7 +217,7 @@ impl<T: Real> Design<T> {
         })
     }
 
-    /// A design from the share c/W of the core in the width, `0 < ratio < 1`, and the tangents of its angles.
+    /// A design from the ratio c/W of core to width, `0 < ratio < 1`, and the tangents of its angles.
     ///
     /// # Errors
     /// As [`Design::new`].

@@ -1,6 +1,6 @@
 //! The models: named bodies, and one table of all parameters with their sources.
 //!
-//! A model is one body in two worlds: under the rig's rollers and in the paper's tube. Its name says what its free
+//! A model is one body in two set-ups: under the rig's rollers and in the paper's tube. Its name says what its free
 //! parameters were fitted to. A model with changed parameters lists them ([`Model::changes`]).
 
 use crate::body::FrictionRatio;
@@ -163,7 +163,7 @@ impl Model {
         Ok(params)
     }
 
-    /// Refuses a model with a value outside its range, in either world. Checks the folded body's default thread only
+    /// Refuses a model with a value outside its range, in either set-up. Checks the folded body's default thread only
     /// where it is used: a short body has less thread to draw in, and its other runs need none.
     ///
     /// # Errors
@@ -422,7 +422,7 @@ pub static SETTINGS: [Setting; 34] = settings! {
         "2/3: II.A prints 33.69 deg, its arctangent";
     "design.crescents" [""] Paper whole (crescents), "number m of crescents", "II.A: m = 9";
     "body.coupling" [""] Calibrated number (rig.body.coupling),
-        "chi: share of the wall's indentation that reaches a crescent",
+        "chi: fraction of the wall's indentation that reaches a crescent",
         "III.A: displacement rises approximately linearly; II.C: about 1 to about 15 mm";
     "body.friction" [""] Paper number (rig.body.friction), "friction coefficient mu",
         "II.B: 0.15 in the pressure series; the rig's is not given";
@@ -463,7 +463,7 @@ pub static SETTINGS: [Setting; 34] = settings! {
     "tube.period_s" ["s"] Assumed number (tube.period_s), "time between two pulses of a segment",
         "one wave follows the other: 10 segments at 1 s; section I has 15 to 18 waves per minute, 3.3 to 4 s";
     "tube.duration_s" ["s"] Paper number (tube.duration_s), "duration of a run", "II.B: within 20 s";
-    "tube.step_s" ["s"] Assumed number (tube.step_s), "time between two rows of a course",
+    "tube.step_s" ["s"] Assumed number (tube.step_s), "time between two rows of a record",
         "it only decides which moments are listed: see tube.wall_step_mm";
     "tube.wall_step_mm" ["mm"] Assumed number (tube.wall_step_mm),
         "movement of a wall between two evaluations of the model",

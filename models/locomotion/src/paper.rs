@@ -10,6 +10,6 @@ pub fn pressures_pa() -> impl ExactSizeIterator<Item = f64> + Clone {
     (0..11u8).map(|i| f64::from(3000 + 400 * u16::from(i)))
 }
 
-/// The indentations of the roller series, mm. The paper gives 5.05 mm alone, as the condition of the fold test; it is
-/// taken to be a_5, the deepest; the other four are assumed.
+/// The indentations of the roller series, mm. The paper gives only 5.05 mm, as the condition of the fold test; it is
+/// assumed to be a_5, the deepest. The other four are assumed too.
 pub const INDENTATIONS_MM: [f64; 5] = [1.0, 2.0, 3.0, 4.0, 5.05];

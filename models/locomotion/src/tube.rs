@@ -8,7 +8,7 @@ use crate::body::{self, Chain, FrictionRatio};
 use crate::kinematics::Design;
 use crate::range::{Ends, OutOfRange, check};
 
-/// Most parts of a time step. A wall that collapses at once would ask for more, without gain in accuracy.
+/// Most parts of a time step. A wall that collapses at once would need more, without a gain in accuracy.
 const MOST_PARTS: f64 = 1e4;
 
 /// Most segments that a tube may have.
@@ -43,7 +43,7 @@ pub struct Params {
     pub period_s: f64,
     /// Duration of a run, s.
     pub duration_s: f64,
-    /// Time between two rows of a recorded course, s.
+    /// Time between two rows of a record, s.
     pub step_s: f64,
     /// Largest movement of a wall between two evaluations of the body, mm, approximately: a time step in which a wall
     /// moves farther is divided.
@@ -230,7 +230,7 @@ impl Tube {
         let count = self.params.segments as usize;
         for (from_right, wall) in (0..).zip(self.wall_mm[..count].iter_mut().rev()) {
             let pulse = self.params.pulse(from_right, time_s);
-            // Without a pulse, as most segments are, the formula gives exactly 0, too.
+            // A shortcut: without a pulse, as in most segments, the formula also gives exactly 0.
             *wall = if pulse == 0.0 {
                 0.0
             } else {
@@ -344,15 +344,15 @@ pub fn averaged(params: Params, pressure_pa: f64) -> Result<Averaged, OutOfRange
         head_mm: 0.0,
         range_mm: (f64::INFINITY, f64::NEG_INFINITY),
     };
-    let share = 1.0 / f64::from(params.placements);
+    let fraction = 1.0 / f64::from(params.placements);
     for params in placed(params) {
         let mut tube = Tube::new(params, pressure_pa)?;
         for _ in 0..steps(&params) {
             tube.step()?;
         }
         let tail_mm = tube.displacement_mm();
-        mean.tail_mm += share * tail_mm;
-        mean.head_mm += share * tube.head_displacement_mm();
+        mean.tail_mm += fraction * tail_mm;
+        mean.head_mm += fraction * tube.head_displacement_mm();
         mean.range_mm = (mean.range_mm.0.min(tail_mm), mean.range_mm.1.max(tail_mm));
     }
     Ok(mean)

@@ -74,7 +74,7 @@ fn a_returning_roller_hardly_moves_the_default_body() {
         })
     };
     let one = worst(Params::PAPER);
-    assert!(one.iter().all(|share| *share < 0.125), "{one:?}");
+    assert!(one.iter().all(|fraction| *fraction < 0.125), "{one:?}");
     let older = worst(Model::RIG.rig().unwrap());
     assert!((0.33..0.35).contains(&older[0]), "{older:?}");
 }

@@ -25,7 +25,7 @@ pub enum Ahead {
 }
 
 /// Slots that stay empty: they keep the end mark away from the DMA's read position.
-const SPARE: u64 = 4;
+const RESERVED: u64 = 4;
 /// Slots that the hardware has already taken: one plays, one is preloaded.
 const TAKEN: u64 = 2;
 
@@ -116,7 +116,7 @@ impl Slots {
         self.pulses -= if period.pulse { rounds } else { 0 };
     }
 
-    /// Rounds left in the current period. They will play whatever is ordered, unless they are cut.
+    /// Remaining rounds of the current period. They will play whatever is ordered, unless they are cut.
     pub fn rounds_remaining(&self) -> u64 {
         match self.periods.front() {
             Some(period) if self.begun > 0 => u64::from(u32::from(period.repeats) + 1 - self.begun),
@@ -124,7 +124,7 @@ impl Slots {
         }
     }
 
-    /// Queued pulses that have not left yet.
+    /// Queued pulses that are not emitted yet.
     pub fn pulses_remaining(&self) -> u64 {
         let begun = match self.periods.front() {
             Some(period) if period.pulse => self.begun,
@@ -133,7 +133,7 @@ impl Slots {
         u64::from(self.pulses - begun)
     }
 
-    /// Appends periods that come into play together. As on the board, they belong to the path even if they are too late.
+    /// Appends periods that become valid together. As on the board, they belong to the path even if they are too late.
     fn append(&mut self, periods: &[Period]) -> Result<(), Underrun> {
         let too_late = self.ahead == Ahead::Slots && self.running && self.queue() < 2;
         for period in periods {
@@ -194,7 +194,7 @@ impl Ring for Slots {
     fn room(&self) -> u32 {
         match self.ahead {
             Ahead::Nothing => u32::from(self.periods.is_empty()),
-            Ahead::Slots => (SLOTS as i64 - SPARE as i64 - self.queue()).max(0) as u32,
+            Ahead::Slots => (SLOTS as i64 - RESERVED as i64 - self.queue()).max(0) as u32,
         }
     }
 

@@ -70,15 +70,15 @@ impl control::Capsule for At<Board> {
 
 impl Capsule {
     /// A capsule that has just been switched on, unfolded.
-    pub fn new(port: &Port, flash: &Flash, left: Retained) -> Self {
+    pub fn new(port: &Port, flash: &Flash, previous: Retained) -> Self {
         let mechanics = Mechanics::new(Parameters::nominal(), 0);
-        Self::start(port, flash, left, ResetCause::PowerOn, mechanics)
+        Self::start(port, flash, previous, ResetCause::PowerOn, mechanics)
     }
 
     fn start(
         port: &Port,
         flash: &Flash,
-        left: Retained,
+        previous: Retained,
         cause: ResetCause,
         mechanics: Mechanics,
     ) -> Self {
@@ -93,7 +93,7 @@ impl Capsule {
             },
         };
         Self {
-            control: Control::new(at, flash.clone(), left, cause),
+            control: Control::new(at, flash.clone(), previous, cause),
             flash: flash.clone(),
             port: port.clone(),
             next_reading_us: 0,
@@ -110,14 +110,14 @@ impl Capsule {
 }
 
 impl Device for Capsule {
-    fn reset(&mut self, left: Retained, cause: ResetCause) {
+    fn reset(&mut self, previous: Retained, cause: ResetCause) {
         // Let the motor coast to rest with the bridge asleep; then the worm holds.
         let board = &mut self.control.capsule().board;
         board
             .mechanics
             .run(Drive::Off, 2 * COASTS_US / TWO_PERIODS_US);
         let mechanics = board.mechanics.clone();
-        *self = Self::start(&self.port, &self.flash, left, cause, mechanics);
+        *self = Self::start(&self.port, &self.flash, previous, cause, mechanics);
     }
 
     fn due_us(&mut self) -> u64 {

@@ -82,10 +82,11 @@ impl Line {
 
     fn is_deaf_to(&mut self, name: &str) -> bool {
         let mut deaf = self.deaf_to.iter_mut();
-        let Some((_, left)) = deaf.find(|(deaf, left)| *deaf == name && *left > 0) else {
+        let Some((_, remaining)) = deaf.find(|(deaf, remaining)| *deaf == name && *remaining > 0)
+        else {
             return false;
         };
-        *left -= 1;
+        *remaining -= 1;
         true
     }
 

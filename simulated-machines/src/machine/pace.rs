@@ -1,12 +1,11 @@
-//! Real time for a scripted machine, without jumps. If the computer freezes for a second, the machine must not see a
-//! host that was silent for a second.
+//! Real time for a scripted machine, without jumps: if the computer freezes for a second, the machine must not conclude
+//! that the host was silent for a second.
 
 use std::time::{Duration, Instant};
 
-/// Largest advance of the machine's clock between two looks at the line, us of the computer's time.
+/// Largest advance of the machine's clock between two polls of the line, us of the computer's time.
 pub const TURN_US: u64 = 2_000;
-/// Largest lag of the machine's clock, us of the computer's time. Time beyond this is dropped: the machine never sees
-/// it.
+/// Largest lag of the machine's clock, us of the computer's time. Time beyond this is dropped.
 pub const MOST_LATE_US: u64 = 100_000;
 /// Sleep when nothing is due.
 const REST: Duration = Duration::from_micros(500);

@@ -11,9 +11,9 @@ use serde::Serialize;
 
 /// Clones share one port. Times are the device's, us.
 #[derive(Clone)]
-pub struct Port(Arc<Mutex<State>>);
+pub struct Port(Arc<Mutex<PortState>>);
 
-struct State {
+struct PortState {
     now_us: u64,
     /// Number of the present session (0 before the first), and when the host that began the motion was last heard.
     session: u8,
@@ -26,7 +26,7 @@ struct State {
     retained: [u32; WORDS],
 }
 
-impl Words for State {
+impl Words for PortState {
     fn get(&self, index: usize) -> u32 {
         self.retained[index]
     }
@@ -36,7 +36,7 @@ impl Words for State {
     }
 }
 
-impl State {
+impl PortState {
     fn new(retained: [u32; WORDS]) -> Self {
         Self {
             now_us: 0,
@@ -64,17 +64,17 @@ impl State {
 impl Port {
     /// The port of a machine that has never been started.
     pub fn new() -> Self {
-        Self(Arc::new(Mutex::new(State::new([0; WORDS]))))
+        Self(Arc::new(Mutex::new(PortState::new([0; WORDS]))))
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, PortState> {
         self.0.lock().expect("no test panics while it sends")
     }
 
     /// Starts the device; only the retained RAM survives.
     pub fn start(&self) -> Retained {
         let mut state = self.state();
-        *state = State::new(state.retained);
+        *state = PortState::new(state.retained);
         retained::start(&mut *state)
     }
 

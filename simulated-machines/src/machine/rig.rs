@@ -45,7 +45,7 @@ struct Board {
 
 impl control::Rig for At<Board> {
     fn now(&self) -> Now {
-        self.board.carriage.look()
+        self.board.carriage.observe()
     }
 
     fn button_is_down(&self) -> bool {
@@ -99,18 +99,18 @@ impl control::Rig for At<Board> {
 
 impl Rig {
     /// A rig that has just been switched on.
-    pub fn new(port: &Port, flash: &Flash, left: Retained, few_steps: bool) -> Self {
+    pub fn new(port: &Port, flash: &Flash, previous: Retained, few_steps: bool) -> Self {
         let (mounted, place) = match few_steps {
             true => (crate::carriage::small(), FEW_STEPS_START),
             false => (Settings::REFERENCE, START),
         };
-        Self::start(port, flash, left, ResetCause::PowerOn, (mounted, place))
+        Self::start(port, flash, previous, ResetCause::PowerOn, (mounted, place))
     }
 
     fn start(
         port: &Port,
         flash: &Flash,
-        left: Retained,
+        previous: Retained,
         cause: ResetCause,
         (mounted, place): (Settings, i32),
     ) -> Self {
@@ -125,7 +125,7 @@ impl Rig {
             board,
         };
         Self {
-            control: Control::new(at, flash.clone(), left, cause, IMAGE_HASH),
+            control: Control::new(at, flash.clone(), previous, cause, IMAGE_HASH),
             flash: flash.clone(),
             port,
             next_control: CONTROL_ROUND,
@@ -181,10 +181,10 @@ impl Rig {
 }
 
 impl Device for Rig {
-    fn reset(&mut self, left: Retained, cause: ResetCause) {
+    fn reset(&mut self, previous: Retained, cause: ResetCause) {
         let carriage = self.carriage();
         let stays = (carriage.mounted, carriage.place);
-        *self = Self::start(&self.port, &self.flash, left, cause, stays);
+        *self = Self::start(&self.port, &self.flash, previous, cause, stays);
     }
 
     fn due_us(&mut self) -> u64 {
@@ -218,7 +218,7 @@ impl Device for Rig {
 
     fn answer(&mut self, inbound: Inbound) -> Reply {
         if inbound == Inbound::Urgent(Urgent::EStop) {
-            // The pulses end before control hears of it.
+            // The pulses end before control is notified.
             self.carriage().cut();
         }
         self.control.answer(inbound)
@@ -228,7 +228,7 @@ impl Device for Rig {
         let snapshot = self.control.snapshot();
         let carriage = &self.control.rig().board.carriage;
         let (now, commanded_steps, stroke) = (
-            carriage.look(),
+            carriage.observe(),
             carriage.mail.commanded,
             carriage.mail.stroke,
         );

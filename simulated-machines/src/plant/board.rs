@@ -57,7 +57,7 @@ impl Board {
         }
     }
 
-    /// The chip has started again: its counter begins at 0, and it has not measured the amplifier's zero.
+    /// Restarts the chip: its counter begins at 0, and it has not measured the amplifier's zero.
     pub fn restart(&mut self) {
         self.counter = 0;
         self.encoder = self.plant.encoder();
