@@ -9,7 +9,7 @@ use protocol::system::DeviceKind;
 /// A line, or why there is none.
 pub(crate) type Opened = Result<Box<dyn Link>, OpenError>;
 
-/// Opens lines by its function. The time stands still.
+/// Opens lines by its function. Its clock never advances.
 pub(crate) struct Bench<F: Fn(DeviceKind) -> Opened>(pub(crate) F);
 
 impl<F: Fn(DeviceKind) -> Opened + Sync> Connector for Bench<F> {

@@ -3,8 +3,8 @@
 use host_tool::cli::run_on;
 use lab::operations::connector::Connector;
 
-/// Whether a terminal obeys the character, or shows others in another order because of it. Written down once more: the
-/// tool's own list may lack one.
+/// Whether a terminal acts on the character, or reorders others because of it. A second list, because the tool's own
+/// list may lack one.
 fn is_obeyed(c: char) -> bool {
     let turns = matches!(c,
         '\u{061C}' | '\u{200E}' | '\u{200F}' | '\u{2028}'..='\u{202E}' | '\u{2066}'..='\u{2069}');
@@ -14,16 +14,16 @@ fn is_obeyed(c: char) -> bool {
 /// Checks a text that reaches a terminal.
 ///
 /// # Panics
-/// The terminal would obey a part of it.
+/// The terminal would act on a part of it.
 pub fn check(text: &str) {
     let obeyed = text.chars().find(|c| is_obeyed(*c));
     assert_eq!(obeyed, None, "a terminal obeys it: {text:?}");
 }
 
-/// Runs a command line with nobody at the terminal. Returns its exit code and all that it printed.
+/// Runs a command line without a person at the terminal. Returns its exit code and its output.
 ///
 /// # Panics
-/// A terminal would obey a part of it, or a failure says nothing.
+/// A terminal would act on a part of the output, or a failure prints nothing.
 pub fn run(args: &[&str], connector: &dyn Connector) -> (u8, String) {
     let line = ["retrograde"].iter().chain(args).map(Into::into);
     let (mut out, mut err) = (vec![], vec![]);

@@ -1,4 +1,4 @@
-//! A machine that answers each request with the protocol's exemplar of its response, stands still, and logs the
+//! A machine that answers each request with the protocol's exemplar of its response, never moves, and logs the
 //! requests.
 
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -88,7 +88,7 @@ impl Exemplary {
                 };
                 Reply::Accepted(Response::GetEvents(events))
             }
-            // End the recording: the exemplar's points would be requested again and again.
+            // End the recording, or the client would request the exemplar's points for ever.
             Response::GetTrace(mut trace) if !self.endless => {
                 trace.points.clear();
                 Reply::Accepted(Response::GetTrace(trace))
@@ -130,8 +130,8 @@ fn kept(request: &Request, mut events: Events) -> Events {
     events
 }
 
-/// The events that were asked for, as if as many as possible were still to come. A client that connects asks for the
-/// newest index, and is told 0.
+/// The requested events, as if as many as possible were still to come. A client that connects asks for the newest
+/// index, and gets 0.
 fn endless(request: &Request, mut events: Events) -> Events {
     let Request::GetEvents(get) = request else {
         return events;
@@ -148,7 +148,7 @@ fn endless(request: &Request, mut events: Events) -> Events {
     events
 }
 
-/// The exemplar of the response to a request; in a status the machine stands still.
+/// The exemplar of the response to a request; a status shows a machine at rest.
 fn response(request: &Request) -> Response {
     static EXEMPLARS: OnceLock<Vec<Response>> = OnceLock::new();
     let exemplars = EXEMPLARS.get_or_init(|| {

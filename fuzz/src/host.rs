@@ -1,5 +1,4 @@
-//! Target: anything a device might send, right or wrong, into the host tool's client, the server's worker and
-//! command lines.
+//! Target: arbitrary messages of a device, into the host tool's client, the server's worker and command lines.
 
 use std::fs;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -27,17 +26,17 @@ use crate::exemplary::{Asked, Exemplary};
 use crate::model::{self, Good};
 use crate::script::steps;
 
-/// Most steps of a script that are tried.
+/// Most steps of a script that are executed.
 const MOST_STEPS: usize = 64;
 
 /// The host's actions, and the beginning of the device's.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Plan {
+pub struct HostScript {
     /// Whether the device is a capsule.
     pub capsule: bool,
     /// Number of correct answers that the device begins with.
     pub good: u8,
-    /// Use the client or the server.
+    /// The part of the host under test.
     pub wants: Wants,
 }
 
@@ -85,7 +84,7 @@ pub enum Act {
 
 /// The device's next behaviour.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum Step {
+pub enum DeviceStep {
     /// The correct answer.
     Good,
     /// This answer to the last request.
@@ -105,10 +104,10 @@ pub enum Step {
 }
 
 /// The device and the line to it.
-struct State {
+struct LineState {
     now_us: u64,
     good: u8,
-    steps: Vec<Step>,
+    steps: Vec<DeviceStep>,
     /// Gives the correct answers.
     machine: Exemplary,
     last: Option<Good>,
@@ -120,38 +119,38 @@ struct State {
 }
 
 #[derive(Clone)]
-struct Line(Arc<Mutex<State>>);
+struct ScriptedLine(Arc<Mutex<LineState>>);
 
-impl Line {
-    fn state(&self) -> MutexGuard<'_, State> {
+impl ScriptedLine {
+    fn state(&self) -> MutexGuard<'_, LineState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl State {
-    fn say(&mut self, step: Step) {
+impl LineState {
+    fn say(&mut self, step: DeviceStep) {
         let (session, seq) = self
             .last
             .as_ref()
             .map_or((0, 0), |last| (last.session, last.seq));
         let session = session.max(1);
         let bytes = match step {
-            Step::Good => self.machine.give(0),
-            Step::Reply(reply) => {
+            DeviceStep::Good => self.machine.give(0),
+            DeviceStep::Reply(reply) => {
                 let body = postcard::to_stdvec(&reply).expect("short");
                 model::frame(Kind::Reply as u8, session, seq, &body)
             }
-            Step::Telemetry(missed, sample) => {
+            DeviceStep::Telemetry(missed, sample) => {
                 self.telemetry = self.telemetry.wrapping_add(missed).wrapping_add(1);
                 let body = postcard::to_stdvec(&sample).expect("short");
                 model::frame(Kind::Telemetry as u8, session, self.telemetry, &body)
             }
-            Step::Event(event) => {
+            DeviceStep::Event(event) => {
                 self.event = event.index;
                 let body = postcard::to_stdvec(&event).expect("short");
                 model::frame(Kind::Event as u8, session, event.index as u16, &body)
             }
-            Step::Next(what) => {
+            DeviceStep::Next(what) => {
                 self.event = self.event.wrapping_add(1);
                 let event = Event {
                     index: self.event,
@@ -161,9 +160,9 @@ impl State {
                 let body = postcard::to_stdvec(&event).expect("short");
                 model::frame(Kind::Event as u8, session, self.event as u16, &body)
             }
-            Step::Frame(kind, session, seq, body) => model::frame(kind, session, seq, &body),
-            Step::Noise(bytes) => bytes,
-            Step::Silence(us) => {
+            DeviceStep::Frame(kind, session, seq, body) => model::frame(kind, session, seq, &body),
+            DeviceStep::Noise(bytes) => bytes,
+            DeviceStep::Silence(us) => {
                 self.now_us += u64::from(us);
                 return;
             }
@@ -172,7 +171,7 @@ impl State {
     }
 }
 
-impl Link for Line {
+impl Link for ScriptedLine {
     fn place(&self) -> String {
         "bench".to_owned()
     }
@@ -252,19 +251,19 @@ impl Observer for Seen {
 /// Runs a script.
 ///
 /// # Panics
-/// The host violates what it promises.
+/// The host violates a property.
 pub fn target(data: &[u8]) {
-    let Ok((plan, data)) = postcard::take_from_bytes::<Plan>(data) else {
+    let Ok((plan, data)) = postcard::take_from_bytes::<HostScript>(data) else {
         return;
     };
     let kind = match plan.capsule {
         false => DeviceKind::Rig,
         true => DeviceKind::Capsule,
     };
-    let mut steps: Vec<_> = steps::<Step>(data).take(MOST_STEPS).collect();
+    let mut steps: Vec<_> = steps::<DeviceStep>(data).take(MOST_STEPS).collect();
     // Steps are popped from the end.
     steps.reverse();
-    let line = Line(Arc::new(Mutex::new(State {
+    let line = ScriptedLine(Arc::new(Mutex::new(LineState {
         now_us: 0,
         good: plan.good,
         steps,
@@ -290,7 +289,7 @@ pub fn target(data: &[u8]) {
     }
 }
 
-fn client(line: Line, kind: DeviceKind, acts: &[Act]) -> Result<(), ClientError> {
+fn client(line: ScriptedLine, kind: DeviceKind, acts: &[Act]) -> Result<(), ClientError> {
     let mut device = Device::connect(Box::new(line), kind, 1)?;
     let mut seen = Seen::default();
     for act in acts.iter().take(MOST_STEPS) {
@@ -345,7 +344,7 @@ pub(crate) const RUN: Run = Run {
 };
 
 /// Opens the one line, once.
-fn once(line: Line) -> Bench<impl Fn(DeviceKind) -> Opened> {
+fn once(line: ScriptedLine) -> Bench<impl Fn(DeviceKind) -> Opened> {
     let line = Mutex::new(Some(line));
     Bench(move |_| {
         let mut line = line.lock().unwrap_or_else(PoisonError::into_inner);
@@ -354,7 +353,7 @@ fn once(line: Line) -> Bench<impl Fn(DeviceKind) -> Opened> {
     })
 }
 
-/// Command lines that show what a machine says of itself.
+/// Command lines that print data from a machine.
 const LINES: [&[&str]; 7] = [
     &["info"],
     &["health"],
@@ -365,8 +364,8 @@ const LINES: [&[&str]; 7] = [
     &["stop"],
 ];
 
-/// Runs a command line; what the device says must leave the terminal as it is.
-fn command(line: Line, kind: DeviceKind, number: u8, json: bool) {
+/// Runs a command line; the device's data must not control the terminal.
+fn command(line: ScriptedLine, kind: DeviceKind, number: u8, json: bool) {
     static OUT: OnceLock<TempDir> = OnceLock::new();
     let out = OUT.get_or_init(|| tempfile::tempdir().expect("a folder"));
     let out = out.path().to_str().expect("UTF-8");
@@ -395,7 +394,7 @@ fn command(line: Line, kind: DeviceKind, number: u8, json: bool) {
 const COMMANDS: [&str; 5] = ["rig/home", "rig/move", "rig/hold", "rig/ack", "capsule/ack"];
 
 /// Sends a command to the server and reads its pages afterwards; both must work whatever the device has sent.
-fn server(line: Line, kind: DeviceKind, number: u8) {
+fn server(line: ScriptedLine, kind: DeviceKind, number: u8) {
     const TOKEN: &str = "0123456789abcdef";
     let places = [(kind, Address::Serial("bench".to_owned()))];
     let folder = std::env::temp_dir();

@@ -22,7 +22,7 @@ use crate::script::steps;
 const TOKEN: &str = "0123456789abcdef0123456789abcdef";
 const BEARER: &[u8] = b"Bearer 0123456789abcdef0123456789abcdef";
 
-/// Most steps of a script that are tried.
+/// Most steps of a script that are executed.
 const MOST_STEPS: usize = 8;
 
 /// The machines and their behaviour.
@@ -36,11 +36,11 @@ pub struct Machines {
 
 /// A request.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Step {
+pub struct RequestStep {
     /// Whether it comes from this computer.
     pub here: bool,
     /// Method and path.
-    pub line: Line,
+    pub line: RequestLine,
     /// Headers other than `Host`.
     pub headers: Vec<Header>,
     /// Its body.
@@ -49,7 +49,7 @@ pub struct Step {
 
 /// Method and path.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum Line {
+pub enum RequestLine {
     /// An existing route, with this text appended.
     Route(u8, String),
     /// A command, by the names of machine and command.
@@ -139,7 +139,7 @@ const TEXTS: [&str; 8] = [
 /// Runs a script.
 ///
 /// # Panics
-/// The server violates what it promises.
+/// The server violates a property.
 pub fn target(data: &[u8]) {
     let Ok((machines, data)) = postcard::take_from_bytes::<Machines>(data) else {
         return;
@@ -160,7 +160,7 @@ pub fn target(data: &[u8]) {
     });
     server::with(&bench, &places, TOKEN, out, |server| {
         let mut keys = BTreeSet::new();
-        for step in steps::<Step>(data).take(MOST_STEPS) {
+        for step in steps::<RequestStep>(data).take(MOST_STEPS) {
             ask(server, &asked, &step, &mut keys);
         }
         still_serves(server, &asked);
@@ -181,7 +181,7 @@ struct Sent {
 }
 
 impl Sent {
-    fn new(step: &Step) -> Self {
+    fn new(step: &RequestStep) -> Self {
         let (method, uri) = line(&step.line);
         let mut headers: Vec<_> = step.headers.iter().map(header).collect();
         if !headers.iter().any(|(name, _)| *name == "host") {
@@ -237,7 +237,7 @@ impl Sent {
     }
 }
 
-fn ask(server: &mut Server<'_>, asked: &Asked, step: &Step, keys: &mut BTreeSet<Vec<u8>>) {
+fn ask(server: &mut Server<'_>, asked: &Asked, step: &RequestStep, keys: &mut BTreeSet<Vec<u8>>) {
     let sent = Sent::new(step);
     let before = asked.notes().clone();
     let answer = server.ask(sent.asked(&sent.headers()));
@@ -354,17 +354,19 @@ pub fn routes() -> &'static [(String, String)] {
     })
 }
 
-fn line(line: &Line) -> (String, String) {
+fn line(line: &RequestLine) -> (String, String) {
     match line {
-        Line::Route(index, behind) => {
+        RequestLine::Route(index, behind) => {
             let routes = routes();
             let (method, path) = &routes[usize::from(*index) % routes.len()];
             let path = path.replace("{id}", &format!("{INSTANCE}-1"));
             let path = path.replace("{name}", "run-19700101T000000Z.json");
             (method.to_uppercase(), path + behind)
         }
-        Line::Command(machine, name) => ("POST".to_owned(), format!("/api/v1/{machine}/{name}")),
-        Line::Any(method, uri) => (method.clone(), uri.clone()),
+        RequestLine::Command(machine, name) => {
+            ("POST".to_owned(), format!("/api/v1/{machine}/{name}"))
+        }
+        RequestLine::Any(method, uri) => (method.clone(), uri.clone()),
     }
 }
 

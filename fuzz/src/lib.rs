@@ -17,5 +17,5 @@ mod script;
 mod server;
 pub mod stream;
 
-/// Longest input, bytes: enough for two dozen steps, and short enough that changing one of them often has an effect.
+/// Longest input, bytes: enough for two dozen steps, and short enough that a change of one of them often has an effect.
 pub const MAX_LEN: usize = 256;

@@ -81,7 +81,7 @@ fn uncobs(mut block: &[u8]) -> Option<Vec<u8>> {
     Some(raw)
 }
 
-/// Checks a device's executions: only in the present session, and no sequence number twice.
+/// Checks a device's executions: only in the present session, and each sequence number at most once.
 #[derive(Debug, Default)]
 pub struct Once {
     session: Option<u8>,

@@ -14,12 +14,12 @@ use serde::{Deserialize, Serialize};
 use crate::model::{self, Good, Once};
 use crate::script::steps;
 
-/// Most steps of a script that are tried.
+/// Most steps of a script that are executed.
 const MOST_STEPS: usize = 32;
 
 /// A step of a script.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum Step {
+pub enum StreamStep {
     /// Raw bytes.
     Noise(Vec<u8>),
     /// A Hello of this host.
@@ -30,12 +30,12 @@ pub enum Step {
     Frame(u8, u8, u16, Vec<u8>),
     /// A stop.
     Urgent(u16, Urgent),
-    /// The last frame again, with these bits inverted in one byte; without any, a plain repetition.
+    /// The last frame again, with these bits inverted in one byte; 0 is a plain repetition.
     Again(u8, u8),
 }
 
 /// A device and its expected behaviour.
-struct Line {
+struct DeviceLine {
     service: Service,
     once: Once,
     seq: u16,
@@ -51,20 +51,20 @@ struct Line {
 /// # Panics
 /// The device violates the protocol.
 pub fn target(data: &[u8]) {
-    let mut line = Line::new();
+    let mut line = DeviceLine::new();
     line.hear(data);
     line.hear(&[0]);
-    for step in steps::<Step>(data).take(MOST_STEPS) {
+    for step in steps::<StreamStep>(data).take(MOST_STEPS) {
         let bytes = match step {
-            Step::Noise(bytes) => bytes,
-            Step::Hello(nonce) => line.greeting(nonce),
-            Step::Request(ahead, request) => line.request(ahead, &request),
-            Step::Frame(kind, session, seq, body) => model::frame(kind, session, seq, &body),
-            Step::Urgent(seq, urgent) => {
+            StreamStep::Noise(bytes) => bytes,
+            StreamStep::Hello(nonce) => line.greeting(nonce),
+            StreamStep::Request(ahead, request) => line.request(ahead, &request),
+            StreamStep::Frame(kind, session, seq, body) => model::frame(kind, session, seq, &body),
+            StreamStep::Urgent(seq, urgent) => {
                 let body = postcard::to_stdvec(&urgent).expect("short");
                 model::frame(Kind::Urgent as u8, line.once.session(), seq, &body)
             }
-            Step::Again(at, mask) => {
+            StreamStep::Again(at, mask) => {
                 let mut bytes = line.last.clone();
                 if let Some(byte) = bytes.get_mut(usize::from(at)) {
                     *byte ^= mask;
@@ -79,7 +79,7 @@ pub fn target(data: &[u8]) {
     line.still_serves();
 }
 
-impl Line {
+impl DeviceLine {
     fn new() -> Self {
         static IDENTITY: OnceLock<Identity> = OnceLock::new();
         let identity =

@@ -10,7 +10,7 @@ const COMPILER: &str = "fix what the compiler reports above";
 /// Runs one command of the bench, with options as the user typed them.
 ///
 /// # Errors
-/// It does not build, or its verdict is not a pass.
+/// It does not build, or its verdict is a failure.
 pub(crate) fn run_command(command: &str, options: &[String]) -> Result<()> {
     let mut cargo = host_cargo("run");
     // Show only the output of the program itself.

