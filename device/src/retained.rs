@@ -58,7 +58,7 @@ pub struct Retained {
     pub boot_id: u32,
     /// Text of a panic or processor fault; reported once.
     pub last_words: Option<LastWords>,
-    /// An E-stop that nobody has acknowledged.
+    /// An E-stop that is not acknowledged yet.
     pub latched: Option<EStop>,
     /// A stop of the clock ended the previous start; reported once.
     pub clock_failed: bool,
@@ -81,8 +81,8 @@ pub fn start(words: &mut impl Words) -> Retained {
     let place = words.get(CAUSE).wrapping_sub(MAGIC + 1);
     words.set(CAUSE, 0);
     let length = (words.get(LENGTH) as usize).min(LONGEST);
-    let told = words.get(TEXT_MAGIC) == MAGIC && words.get(CHECK) == check(words, length);
-    let last_words = told.then(|| {
+    let is_intact = words.get(TEXT_MAGIC) == MAGIC && words.get(CHECK) == check(words, length);
+    let last_words = is_intact.then(|| {
         let text = (0..length).map(|index| words.get(TEXT + index) as u8 & 0x7F);
         String::from_utf8(text.collect()).unwrap_or_default()
     });

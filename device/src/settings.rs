@@ -207,7 +207,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
     /// Changes a value, which is within its range.
     ///
     /// # Errors
-    /// Nothing has changed that is in force.
+    /// The flash refused the write. The values in force have not changed.
     pub fn set(&mut self, key: SettingKey, value: u32) -> Result<(), StorageFailed> {
         let values = self.values.with(key, value).map_err(|_| StorageFailed)?;
         self.end_conflict()?;
@@ -311,8 +311,8 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         Ok(())
     }
 
-    /// Writes the defaults with this name. In a conflict that comes before [`Self::save`] rewrites an old record, which
-    /// alone might end it, and a power cut would then bring back the others.
+    /// Writes the defaults with this name. In a conflict it bypasses [`Self::save`], which might first rewrite an old
+    /// record: that could end the conflict, and a power cut would then restore the other old values.
     fn save_defaults(&mut self, name: &[u8]) -> Result<(), StorageFailed> {
         match self.found {
             Found::Conflict => self.store.save(DEFAULTS_RECORD, name),
@@ -320,7 +320,7 @@ impl<F: NorFlash, R: Records> SettingsStore<F, R> {
         }
     }
 
-    /// Ends a conflict before [`Self::save`] rewrites one of its old records, which alone might end the conflict.
+    /// Ends a conflict before [`Self::save`] rewrites one of its old records, which could end the conflict halfway.
     fn end_old_conflict(&mut self) -> Result<(), StorageFailed> {
         match self.store.overdue() {
             Some(_) => self.end_conflict(),

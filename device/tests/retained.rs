@@ -92,8 +92,7 @@ fn last_words_are_told_once() {
     keep_latched(&mut ram, Some(EStop::Frame));
     let previous = start(&mut ram);
     assert_eq!(text(&previous), Some("tasks/link.rs:1"));
-    assert_eq!(previous.boot_id, 2);
-    assert_eq!(previous.latched, Some(EStop::Frame));
+    assert!(previous.boot_id == 2 && previous.latched == Some(EStop::Frame));
     assert_eq!(start(&mut ram).last_words, None);
     // Shorter last words do not end in the rest of longer ones.
     keep_last_words(&mut ram, b"oh");

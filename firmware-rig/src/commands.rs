@@ -29,9 +29,9 @@ pub struct Context<'a> {
     pub stroke: u32,
     /// Data for the requests that both machines answer alike.
     pub about: About<'a>,
-    /// Counters, when they are asked for.
+    /// Counters, if the request needs them.
     pub health: Option<RigHealth>,
-    /// Findings about the hardware, when they are asked for.
+    /// Findings about the hardware, if the request needs them.
     pub hardware: Option<RigHardware>,
 }
 
@@ -184,7 +184,7 @@ fn status(machine: &Machine, context: &Context<'_>) -> RigStatus {
     }
 }
 
-/// Solves a run exactly, or says why not.
+/// Solves a run exactly, or refuses it with the reason.
 fn solve(run: &rig::Run, machine: &Machine) -> Result<RunPlan, Refusal> {
     let Settings { axis, limits, .. } = machine.settings();
     planning::solve(run, axis, limits).map_err(|error| planning::refusal(&error, run, axis, limits))

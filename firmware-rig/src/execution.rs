@@ -77,7 +77,7 @@ pub trait Ring {
     /// Ticks from the end of the period that plays to the end of the last one.
     fn lead(&self) -> u32;
 
-    /// Pulses that may not be emitted yet: those of the period that plays, and of all behind it.
+    /// Upper bound of the pulses not emitted yet: those of the period in progress and of all queued after it.
     fn waiting_pulses(&self) -> u32;
 
     /// Pulses that are certainly not emitted yet: those of all periods behind the one that plays.
@@ -138,7 +138,7 @@ pub trait Mailbox {
     fn notify(&mut self, event: Event<'static>) -> bool;
 
     /// Publishes stroke and position of the present path.
-    fn show(&mut self, stroke: u32, commanded: StepPosition);
+    fn publish(&mut self, stroke: u32, commanded: StepPosition);
 }
 
 /// A path, and how to execute it.
@@ -153,7 +153,7 @@ pub struct Order {
     pub pulse_ticks: u16,
 }
 
-/// How soon the next round has to come.
+/// Deadline of the next round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pace {
     /// Nothing to do.
@@ -165,8 +165,8 @@ pub enum Pace {
 }
 
 impl Pace {
-    /// The next round has to come within this time, us. Rounds that find the ring full are most of the load of steady
-    /// motion, so they come as rarely as possible.
+    /// Time until the next round at the latest, us. Rounds that find the ring full are most of the load of steady
+    /// motion, so they are as rare as possible.
     pub const fn within_us(self) -> u32 {
         match self {
             Pace::Idle => CHECK_IN_MS as u32 * 1_000,
@@ -185,7 +185,6 @@ pub struct MotionTask {
 }
 
 impl MotionTask {
-    /// How soon the next round has to come.
     pub fn pace(&self) -> Pace {
         match &self.execution {
             None if self.unreported.is_none() => Pace::Idle,
@@ -272,7 +271,7 @@ impl Execution {
         ring.clear(order.pulse_ticks);
         ring.enable_driver();
         let position = ring.counted();
-        mailbox.show(stroke, position);
+        mailbox.publish(stroke, position);
         let Some(periods) = Periods::new(order.path, position, order.window) else {
             let report = PathReport {
                 commanded: position,
@@ -340,7 +339,7 @@ impl Execution {
         }
         self.fill(ring, mailbox);
         self.time_edges(ring);
-        mailbox.show(self.stroke, self.periods.position());
+        mailbox.publish(self.stroke, self.periods.position());
         let played_out = ring.has_played_out();
         let end = match self.filling {
             Filling::Failed(end) => end,
@@ -390,7 +389,7 @@ impl Execution {
             min_queue: self.min_queue,
             timed: ring.timed(unemitted == 0),
         };
-        mailbox.show(self.stroke, report.commanded);
+        mailbox.publish(self.stroke, report.commanded);
         Event::PathEnded(end, report)
     }
 
@@ -483,12 +482,12 @@ impl Execution {
         let Some(stroke) = self.ended_stroke else {
             return;
         };
-        let told = mailbox.notify(Event::StrokeDone {
+        let notified = mailbox.notify(Event::StrokeDone {
             stroke,
             commanded: self.periods.position(),
             counted: ring.counted(),
         });
-        if told {
+        if notified {
             self.ended_stroke = None;
         }
         self.stroke = stroke + 1;

@@ -125,9 +125,9 @@ pub enum Command {
         /// Reaction to a silent host.
         link_loss: LinkLossPolicy,
     },
-    /// Decelerate within a run, to go on later.
+    /// Decelerate within a run, to continue later.
     Hold,
-    /// Go on with the held run.
+    /// Continue the held run.
     Resume,
     /// Move towards an end of the stroke until the dead-man time has passed without another jog.
     Jog {
@@ -137,7 +137,6 @@ pub enum Command {
         speed: Speed,
     },
     MoveTo {
-        /// Where to.
         target: Position,
         /// Highest speed.
         speed: Speed,

@@ -182,7 +182,7 @@ pub struct Periods {
 }
 
 impl Periods {
-    /// The periods of `path`, begun at `position`. No step leaves `window`, whatever the path says. A path without
+    /// The periods of `path`, begun at `position`. No step leaves `window`, even if the path would. A path without
     /// strokes has no periods.
     pub fn new(path: Path, position: StepPosition, window: Window) -> Option<Self> {
         let stroke = path.first_stroke();

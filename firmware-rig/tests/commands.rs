@@ -252,30 +252,29 @@ fn a_move_says_how_it_will_be() {
 fn moves_and_jogs_out_of_range() {
     let mut rig = Rig::homed(SETTINGS);
     let mut refusals = String::new();
-    for (position_um, speed_um_s) in [
-        (130_001, 1_000),
-        (u32::MAX, 1_000),
-        (10_000, 0),
-        (10_000, 49_001),
-        // Less than a step away.
-        (1, 1_000),
-    ] {
-        let request = Request::MoveTo(rig::MoveTo {
+    let to = |position_um, speed_um_s| {
+        Request::MoveTo(rig::MoveTo {
             position_um,
             speed_um_s,
-        });
-        let (reply, ..) = send(&mut rig, request.clone());
-        refusals += &format!("{request:?}: {reply:?}\n");
-    }
-    for (direction, speed_um_s) in [
-        (rig::Direction::Away, 0),
-        (rig::Direction::Home, 49_001),
-        (rig::Direction::Home, 1_000),
-    ] {
-        let request = Request::Jog(rig::Jog {
+        })
+    };
+    let jog = |direction, speed_um_s| {
+        Request::Jog(rig::Jog {
             direction,
             speed_um_s,
-        });
+        })
+    };
+    for request in [
+        to(130_001, 1_000),
+        to(u32::MAX, 1_000),
+        to(10_000, 0),
+        to(10_000, 49_001),
+        // Less than a step away.
+        to(1, 1_000),
+        jog(rig::Direction::Away, 0),
+        jog(rig::Direction::Home, 49_001),
+        jog(rig::Direction::Home, 1_000),
+    ] {
         let (reply, ..) = send(&mut rig, request.clone());
         refusals += &format!("{request:?}: {reply:?}\n");
     }

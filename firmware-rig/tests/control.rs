@@ -59,7 +59,7 @@ struct Board {
     clock: system::Clock,
     rearmed: u32,
     silence_us: u32,
-    told: Vec<system::Event>,
+    sent: Vec<system::Event>,
     telemetry_ms: Vec<u16>,
     filters_us: Vec<u32>,
     latched: Vec<Option<EStop>>,
@@ -94,7 +94,7 @@ impl Surroundings for Board {
     }
 
     fn send_event(&mut self, event: &system::Event) {
-        self.told.push(*event);
+        self.sent.push(*event);
     }
 }
 
@@ -188,7 +188,7 @@ impl Bench {
             clock: system::Clock::External,
             rearmed: 0,
             silence_us: 0,
-            told: Vec::new(),
+            sent: Vec::new(),
             telemetry_ms: Vec::new(),
             filters_us: Vec::new(),
             latched: Vec::new(),
@@ -217,7 +217,7 @@ impl Bench {
         bench.accepted(Request::Home(rig::Home));
         bench.finish();
         assert_eq!(bench.state(), RigState::Ready);
-        bench.told();
+        bench.sent();
         bench
     }
 
@@ -234,9 +234,9 @@ impl Bench {
     }
 
     /// Events told since the last call.
-    fn told(&mut self) -> Vec<What> {
-        let told = std::mem::take(&mut self.board().told);
-        told.into_iter().map(|event| event.what).collect()
+    fn sent(&mut self) -> Vec<What> {
+        let sent = std::mem::take(&mut self.board().sent);
+        sent.into_iter().map(|event| event.what).collect()
     }
 
     /// Advances to the next round of control and runs it.
@@ -386,7 +386,7 @@ mod start {
                 };
                 let previous = Retained { latched, ..FRESH };
                 let mut bench = Bench::start(Flash::blank(), previous, cause);
-                assert_eq!(bench.told(), [What::Booted(cause)]);
+                assert_eq!(bench.sent(), [What::Booted(cause)]);
                 let status = bench.status();
                 assert_eq!((status.fault, status.homed), (fault, false));
                 let state = if fault.is_some() {
@@ -406,7 +406,7 @@ mod start {
                 }
                 if fault.is_some() {
                     bench.accepted(Request::Acknowledge(Acknowledge));
-                    assert_eq!(bench.told(), [What::Acknowledged]);
+                    assert_eq!(bench.sent(), [What::Acknowledged]);
                     assert_eq!(bench.board().latched, [None]);
                     assert_eq!(bench.state(), RigState::Unhomed);
                 }
@@ -441,7 +441,7 @@ mod start {
         }
         store.set_name("left bench".try_into().unwrap()).unwrap();
         let mut bench = Bench::start(flash, FRESH, ResetCause::Pin);
-        assert_eq!(bench.told(), [What::Booted(ResetCause::Pin)]);
+        assert_eq!(bench.sent(), [What::Booted(ResetCause::Pin)]);
         assert_eq!(bench.board().telemetry_ms, [250]);
         assert_eq!(bench.board().filters_us, [11]);
         assert_eq!(bench.status().stroke_um, 100_000);
@@ -462,7 +462,7 @@ mod start {
         for flash in [no_log, no_rule] {
             let mut bench = Bench::start(flash.clone(), FRESH, ResetCause::PowerOn);
             let unusable = rig_event(RigEvent::SettingsUnusable);
-            assert_eq!(bench.told(), [What::Booted(ResetCause::PowerOn), unusable]);
+            assert_eq!(bench.sent(), [What::Booted(ResetCause::PowerOn), unusable]);
             assert_eq!(bench.board().telemetry_ms, [0]);
             assert_eq!(bench.status().steps_per_rev, 3_200);
             for key in SettingKey::of(DeviceKind::Rig) {
@@ -470,9 +470,9 @@ mod start {
             }
             // A reset to the defaults makes the flash usable again.
             bench.accepted(Request::FactoryReset(FactoryReset));
-            assert_eq!(bench.told(), [rig_event(RigEvent::SettingsReset)]);
+            assert_eq!(bench.sent(), [rig_event(RigEvent::SettingsReset)]);
             let mut bench = Bench::start(flash, FRESH, ResetCause::PowerOn);
-            assert_eq!(bench.told(), [What::Booted(ResetCause::PowerOn)]);
+            assert_eq!(bench.sent(), [What::Booted(ResetCause::PowerOn)]);
         }
     }
 }
@@ -492,7 +492,7 @@ mod settings {
             let response = bench.accepted(set(key, value));
             assert_eq!(response, Response::SetSetting(setting));
             let changed = rig_event(RigEvent::SettingChanged(key));
-            assert_eq!(bench.told(), [changed]);
+            assert_eq!(bench.sent(), [changed]);
             assert_eq!(bench.value(key), value);
         }
         // Each change passes the filter on; telemetry has its own request.
@@ -501,7 +501,7 @@ mod settings {
         assert_eq!(bench.state(), RigState::Ready, "positions mean the same");
         let response = bench.accepted(name("left bench"));
         assert!(matches!(response, Response::SetName(_)));
-        assert_eq!(bench.told(), []);
+        assert_eq!(bench.sent(), []);
         let flash = bench.flash.clone();
         let mut bench = Bench::start(flash, FRESH, ResetCause::Pin);
         assert_eq!(bench.value(SettingKey::DeadManMs), 200);
@@ -553,7 +553,7 @@ mod settings {
         let mut bench = Bench::homed();
         bench.accepted(set(SettingKey::DeadManMs, 200));
         bench.accepted(name("left bench"));
-        bench.told();
+        bench.sent();
         let filters = bench.board().filters_us.clone();
         bench.flash.wear();
         for request in [
@@ -563,7 +563,7 @@ mod settings {
         ] {
             assert_eq!(bench.refused(request), Refusal::StorageFailed);
         }
-        assert_eq!(bench.told(), []);
+        assert_eq!(bench.sent(), []);
         assert_eq!(bench.board().filters_us, filters);
         assert_eq!(bench.value(SettingKey::StrokeUm), 130_000);
         assert_eq!(bench.value(SettingKey::DeadManMs), 200);
@@ -608,11 +608,11 @@ mod supply {
         for request in &moves {
             assert_eq!(bench.refused(request.clone()), Refusal::SupplyLow);
         }
-        bench.told();
+        bench.sent();
         bench.board().button = true;
         bench.ticks(3);
         bench.board().button = false;
-        assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
+        assert_eq!(bench.sent(), [rig_event(RigEvent::ButtonIgnored)]);
         assert_eq!(bench.state(), RigState::Ready);
         bench.board().supply_low = false;
         bench.accepted(moves[0].clone());
@@ -664,7 +664,7 @@ mod button {
         let mut bench = Bench::homed();
         bench.tick();
         hold_down(&mut bench, 3);
-        assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
+        assert_eq!(bench.sent(), [rig_event(RigEvent::ButtonIgnored)]);
         assert_eq!(bench.state(), RigState::Ready);
         bench.ticks(100);
         hold_down(&mut bench, 3);
@@ -673,9 +673,9 @@ mod button {
         bench.accepted(Request::Hold(rig::Hold));
         bench.finish();
         assert_eq!(bench.state(), RigState::Held);
-        bench.told();
+        bench.sent();
         hold_down(&mut bench, 3);
-        assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
+        assert_eq!(bench.sent(), [rig_event(RigEvent::ButtonIgnored)]);
         assert_eq!(bench.state(), RigState::Held);
         bench.ticks(100);
         hold_down(&mut bench, 3);
@@ -702,11 +702,11 @@ mod button {
             assert_eq!(bench.state(), RigState::Ready);
             // The third of these rounds presses.
             bench.next_tick = (moved_us + after_us) * 100 - 2 * CONTROL_ROUND;
-            bench.told();
+            bench.sent();
             hold_down(&mut bench, 3);
             assert_eq!(bench.carriage().now / 100, moved_us + after_us);
             let ignored = rig_event(RigEvent::ButtonIgnored);
-            assert_eq!(bench.told().contains(&ignored), is_ignored);
+            assert_eq!(bench.sent().contains(&ignored), is_ignored);
             assert_eq!(bench.state(), state);
         }
     }
@@ -758,17 +758,17 @@ mod button {
         };
         let mut bench = Bench::start(Flash::blank(), previous, ResetCause::Pin);
         bench.tick();
-        bench.told();
+        bench.sent();
         hold_down(&mut bench, 3);
-        assert_eq!(bench.told(), [rig_event(RigEvent::ButtonIgnored)]);
+        assert_eq!(bench.sent(), [rig_event(RigEvent::ButtonIgnored)]);
         assert_eq!(bench.state(), RigState::Faulted);
         assert!(!bench.carriage().moving());
         // An accepted command does not.
         let mut bench = Bench::new();
         bench.tick();
-        bench.told();
+        bench.sent();
         hold_down(&mut bench, 3);
-        assert_eq!((bench.told(), bench.state()), (vec![], RigState::Homing));
+        assert_eq!((bench.sent(), bench.state()), (vec![], RigState::Homing));
     }
 
     #[test]
@@ -813,19 +813,19 @@ mod link {
             let mut bench = Bench::homed();
             bench.accepted(set(SettingKey::LinkTimeoutMs, TIMEOUT_US / 1_000));
             bench.accepted(request);
-            bench.told();
+            bench.sent();
             bench.board().silence_us = TIMEOUT_US;
             bench.ticks(2);
             assert_ne!(bench.state(), RigState::Stopping, "in time");
-            assert_eq!(bench.told(), []);
+            assert_eq!(bench.sent(), []);
             bench.board().silence_us = TIMEOUT_US + 1;
             bench.tick();
             assert_eq!(bench.state(), RigState::Stopping);
-            assert_eq!(bench.told(), [What::LinkLost]);
+            assert_eq!(bench.sent(), [What::LinkLost]);
             bench.finish();
             bench.ticks(10);
-            let told = bench.told();
-            assert!(!told.contains(&What::LinkLost), "once: {told:?}");
+            let sent = bench.sent();
+            assert!(!sent.contains(&What::LinkLost), "once: {sent:?}");
         }
     }
 
@@ -834,11 +834,11 @@ mod link {
         let mut bench = Bench::homed();
         bench.board().silence_us = u32::MAX;
         bench.ticks(10);
-        assert_eq!((bench.state(), bench.told()), (RigState::Ready, vec![]));
+        assert_eq!((bench.state(), bench.sent()), (RigState::Ready, vec![]));
         bench.accepted(run(LinkLossPolicy::Finish));
         bench.finish();
         assert_eq!(bench.record().outcome, RunOutcome::Complete);
-        assert!(!bench.told().contains(&What::LinkLost));
+        assert!(!bench.sent().contains(&What::LinkLost));
     }
 }
 
@@ -857,17 +857,17 @@ mod emergency_stop {
         bench.ticks(5);
         assert_eq!(bench.state(), RigState::Faulted);
         let fault = RigFault::EStopLoop;
-        assert_eq!(bench.told(), [faulted(fault)], "once");
+        assert_eq!(bench.sent(), [faulted(fault)], "once");
         assert_eq!(bench.board().latched, [Some(EStop::Loop)]);
         assert_eq!(bench.board().cuts, 1);
         let acknowledge = || Request::Acknowledge(Acknowledge);
         assert_eq!(bench.refused(acknowledge()), Refusal::CauseStillPresent);
         assert_eq!(bench.board().latched, [Some(EStop::Loop)]);
-        assert_eq!(bench.told(), []);
+        assert_eq!(bench.sent(), []);
         bench.carriage().pressed = false;
         assert_eq!(bench.accepted(acknowledge()), Response::Acknowledge(Done));
         assert_eq!(bench.board().latched, [Some(EStop::Loop), None]);
-        assert_eq!(bench.told(), [What::Acknowledged]);
+        assert_eq!(bench.sent(), [What::Acknowledged]);
         bench.ticks(5);
         assert_eq!(bench.state(), RigState::Unhomed);
     }
@@ -877,7 +877,7 @@ mod emergency_stop {
         let mut bench = Bench::homed();
         bench.accepted(run(LinkLossPolicy::Stop));
         bench.steps_until(1_000);
-        bench.told();
+        bench.sent();
         let pulses = bench.carriage().pulses;
         bench.press();
         bench.finish();
@@ -885,7 +885,7 @@ mod emergency_stop {
         let fault = RigFault::EStopLoop;
         let (run, outcome) = (1, RunOutcome::Faulted(fault));
         let ended = rig_event(RigEvent::RunEnded { run, outcome });
-        assert_eq!(bench.told(), [ended, faulted(fault)]);
+        assert_eq!(bench.sent(), [ended, faulted(fault)]);
         assert_eq!(bench.board().latched, [Some(EStop::Loop)]);
         assert_eq!(bench.carriage().pulses, pulses);
         assert_eq!(bench.record().counted_edges, 1_000);
@@ -896,7 +896,7 @@ mod emergency_stop {
         let mut bench = Bench::homed();
         bench.accepted(run(LinkLossPolicy::Stop));
         bench.steps_until(1_000);
-        bench.told();
+        bench.sent();
         let pulses = bench.carriage().pulses;
         let reply = bench.control.answer(Inbound::Urgent(Urgent::EStop));
         assert_eq!(reply, Reply::Urgent(Urgent::EStop));
@@ -904,13 +904,13 @@ mod emergency_stop {
         assert_eq!(bench.carriage().pulses, pulses);
         assert_eq!(bench.status().fault, Some(RigFault::EStopFrame));
         assert_eq!(bench.board().latched, [Some(EStop::Frame)]);
-        assert!(bench.told().contains(&faulted(RigFault::EStopFrame)));
+        assert!(bench.sent().contains(&faulted(RigFault::EStopFrame)));
         // Each copy of the frame cuts again, but tells nothing new.
         let cuts = bench.board().cuts;
         let reply = bench.control.answer(Inbound::Urgent(Urgent::EStop));
         assert_eq!(reply, Reply::Urgent(Urgent::EStop));
         assert_eq!(bench.board().cuts, cuts + 1);
-        assert_eq!(bench.told(), []);
+        assert_eq!(bench.sent(), []);
     }
 
     /// The other fault keeps its name, but only an acknowledgement undoes the stop.
@@ -982,7 +982,7 @@ mod requests {
         bench.get(rig::Resume);
         bench.finish();
         assert_eq!(bench.status().elapsed_us, 0);
-        insta::assert_debug_snapshot!("events_of_a_run", bench.told());
+        insta::assert_debug_snapshot!("events_of_a_run", bench.sent());
         insta::assert_debug_snapshot!("record_of_a_run", bench.record());
     }
 
@@ -1001,7 +1001,7 @@ mod requests {
         bench.steps_until(1_000);
         bench.accepted(Request::Hold(rig::Hold));
         bench.finish();
-        bench.told();
+        bench.sent();
         bench.carriage().ring.counted += 1;
         let commanded = bench.carriage().place;
         let counted = commanded + 1;
@@ -1009,7 +1009,7 @@ mod requests {
         let refusal = bench.refused(Request::Resume(rig::Resume));
         assert_eq!(refusal, Refusal::RigFaulted(fault));
         assert_eq!(bench.state(), RigState::Faulted);
-        assert_eq!(bench.told().len(), 2, "the end of the run, and the fault");
+        assert_eq!(bench.sent().len(), 2, "the end of the run, and the fault");
     }
 
     /// Every event is numbered, timed, told at once and kept.
@@ -1020,14 +1020,14 @@ mod requests {
         bench.finish();
         bench.carriage().pressed = true;
         bench.tick();
-        let told = bench.board().told.clone();
-        let indices: Vec<_> = told.iter().map(|event| event.index).collect();
+        let sent = bench.board().sent.clone();
+        let indices: Vec<_> = sent.iter().map(|event| event.index).collect();
         assert_eq!(indices, [0, 1, 2]);
         let now_us = bench.carriage().now / 100;
-        assert_eq!((told[0].time_us, told[2].time_us), (1_234, now_us));
+        assert_eq!((sent[0].time_us, sent[2].time_us), (1_234, now_us));
         let events = bench.get(GetEvents { from: 0 });
         assert_eq!((events.oldest, events.next), (0, 3));
-        assert_eq!(events.events.as_slice(), told);
+        assert_eq!(events.events.as_slice(), sent);
     }
 }
 
@@ -1142,8 +1142,7 @@ fn a_clock_that_comes_starts_the_rig_again() {
     }
 }
 
-/// After the restart, a stopped clock is reported, unless there is something worse to report. Then the rig works
-/// again.
+/// After the restart, a stopped clock is reported, unless a worse fault is. Then the rig works again.
 #[test]
 fn a_clock_that_failed_is_acknowledged() {
     let previous = Retained {

@@ -409,8 +409,7 @@ fn a_stroke_is_reported_with_its_last_pulse() {
     }
 }
 
-/// However a path is cut, the report has the steps that left and the time of the last one. Steps that did not leave
-/// are counted separately.
+/// However a path is cut, the report has the emitted steps, the time of the last one and, separately, the other steps.
 #[test]
 fn a_cut_path_reports_what_left() {
     let path = strokes_of_10_mm();
@@ -469,8 +468,7 @@ fn a_cut_between_slow_steps_reports_the_last_ones_time() {
     }
 }
 
-/// Whether an edge is missing at the end of a path is asked where every step has left, and only there: a cut path has
-/// steps that never left.
+/// An edge can be missing at the end only of a path whose every step was emitted; a cut path has other steps.
 #[test]
 fn a_last_step_without_an_edge_is_told_of_a_whole_path() {
     for cut in [false, true] {

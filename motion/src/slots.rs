@@ -54,7 +54,7 @@ impl Slots {
     /// Makes a slot the end of the queue. Writes its first word first, so that the counter stops before the pulse
     /// widths become 0.
     pub fn end(&self, slot: u32) {
-        self.show(slot, 0);
+        self.publish(slot, 0);
         self.write(slot, 0, 0, 0);
         compiler_fence(Ordering::SeqCst);
     }
@@ -69,7 +69,7 @@ impl Slots {
     }
 
     /// Writes a slot for each group of steps, from `first` on, except the first word of the first one: the queue ends
-    /// there until [`Slots::show`] writes it.
+    /// there until [`Slots::publish`] writes it.
     // Not inlined, so that the loop's state stays in registers.
     #[inline(never)]
     pub fn write_steps(&self, first: u32, groups: &[Equal], pulse_ticks: u16) {
@@ -86,7 +86,7 @@ impl Slots {
     }
 
     /// Writes the first word of a slot, after everything that was written before.
-    pub fn show(&self, slot: u32, last_tick: u16) {
+    pub fn publish(&self, slot: u32, last_tick: u16) {
         compiler_fence(Ordering::SeqCst);
         self.words(slot)[LAST_TICK].store(last_tick, Ordering::Relaxed);
         compiler_fence(Ordering::SeqCst);
@@ -110,7 +110,7 @@ mod tests {
         let slots = Slots::new();
         for slot in 0..SLOTS as u32 {
             slots.write(slot, 7, 7, 7);
-            slots.show(slot, 7);
+            slots.publish(slot, 7);
         }
         let first = SLOTS as u32 - 1;
         slots.end(first);
@@ -123,7 +123,7 @@ mod tests {
         assert_eq!(words(&slots, 1), [65_535, 255, 0, 0, 200]);
         assert_eq!(words(&slots, 2), [0; WORDS]);
         assert_eq!(words(&slots, 3), [7, 7, 7, 0, 7]);
-        slots.show(first, 3_502);
+        slots.publish(first, 3_502);
         assert_eq!(slots.last_tick(first), 3_502);
         assert_eq!(words(&slots, first), [3_502, 0, 0, 0, 200]);
     }

@@ -38,7 +38,7 @@ pub struct FoldTo {
 pub struct ActuationAccepted {
     /// Number of the actuation, counted from 1 since the device started.
     pub actuation: u32,
-    /// It ends by itself within this time, complete or with a fault.
+    /// It ends within this time, complete or with a fault.
     pub timeout_ms: u32,
 }
 
@@ -172,7 +172,7 @@ pub struct GetActuationRecord;
 pub struct ActuationRecord {
     pub actuation: u32,
     pub kind: ActuationKind,
-    /// How it ended, or that it goes on.
+    /// How it ended, or `Running`.
     pub outcome: ActuationOutcome,
     /// From the first drive until the motor is off.
     pub duration_ms: u32,

@@ -14,7 +14,7 @@ use crate::{
 pub const RETRY_AFTER_US: u64 = 100_000;
 /// Times a request is sent before its outcome is reported as unknown.
 pub const ATTEMPTS: u8 = 8;
-/// The same for requests that write to flash: the device receives nothing while it erases, half a second or more.
+/// [`ATTEMPTS`] for requests that write to flash: the device receives nothing while it erases, half a second or more.
 pub const FLASH_ATTEMPTS: u8 = 30;
 
 /// A received message for the owner of a [`Client`].

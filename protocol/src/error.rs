@@ -83,7 +83,7 @@ pub enum Refusal {
         key: SettingKey,
         rule: SettingRule,
     },
-    /// The flash could not be written; the old value stands.
+    /// The flash could not be written; the old value stays in force.
     StorageFailed,
     NothingToHold,
     NothingToResume,

@@ -233,7 +233,7 @@ pub enum RunOutcome {
 pub struct RunRecord {
     /// Number of the run, as in [`RunAccepted`].
     pub run: u32,
-    /// How it ended, or that it goes on.
+    /// How it ended, or `Running`.
     pub outcome: RunOutcome,
     /// Completed strokes.
     pub strokes: u32,
@@ -391,7 +391,7 @@ pub struct RigStatus {
     pub homed: bool,
     /// Position by the read-back counter.
     pub position_steps: i32,
-    /// The same in micrometres.
+    /// Position by the read-back counter in micrometres.
     pub position_um: i32,
     pub stroke_um: u32,
     /// Steps of one revolution of the screw.

@@ -128,8 +128,8 @@ impl Session {
     fn greet(&mut self, hello: &Hello, seq: u16) -> Decision {
         let again = self.open && hello.nonce == self.nonce;
         if !again {
-            // The boot id is 1 again after every power-on, so a program that missed the restart may hold the number
-            // that would follow. Let the first nonce choose it instead: every number but the last one is then equally
+            // The boot id is 1 after every power-on, so a program that missed the restart may still hold the number
+            // that would follow. Let the first nonce choose it instead: every number except the last one is equally
             // likely.
             let on = if self.open { 1 } else { 1 + hello.nonce % 254 };
             self.number = ((u32::from(self.number) - 1 + on) % 255) as u8 + 1;

@@ -182,7 +182,8 @@ pub struct GetSetting {
     pub key: SettingKey,
 }
 
-/// A setting and its value. As a request it changes the setting; as the answer to both requests it is what is in force.
+/// A setting and its value. As a request it changes the setting; as the answer to both requests it is the value in
+/// force.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Setting {
     pub key: SettingKey,
@@ -200,8 +201,8 @@ pub struct GetName;
 /// Longest name, bytes.
 pub const MAX_NAME: usize = 24;
 
-/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it says what it
-/// is.
+/// The machine's name; empty = none. As a request it changes the name; as the answer to both requests it is the name in
+/// force.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Name {
     /// UTF-8 text.

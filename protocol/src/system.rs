@@ -114,7 +114,7 @@ impl SetTelemetry {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct KeepAlive;
 
-/// Clears a latched fault whose cause is gone.
+/// Clears a latched fault whose cause has been removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub struct Acknowledge;
 

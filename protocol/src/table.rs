@@ -9,8 +9,8 @@ use postcard_schema::Schema;
 use postcard_schema::key::Key;
 use serde::{Deserialize, Serialize};
 
-/// The effect of carrying out a request. It tells the sender how long to wait for the answer, whether to give the
-/// request up for a stop, and what is certain without an answer.
+/// The effect of carrying out a request. From it the sender decides how long to wait for the answer, whether to give
+/// the request up for a stop, and what is certain without an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Impact {
     /// Changes nothing that moves or lasts. Safe to send at any time; without an answer nothing was done.

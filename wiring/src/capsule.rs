@@ -4,7 +4,6 @@ use crate::{Pin, Signal, signal};
 
 /// Inputs of the bridge.
 pub const IN1: Pin = Pin::new('B', 4);
-/// See [`IN1`].
 pub const IN2: Pin = Pin::new('B', 5);
 /// Sleep input of the bridge: asleep when low.
 pub const N_SLEEP: Pin = Pin::new('B', 10);

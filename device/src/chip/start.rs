@@ -28,8 +28,8 @@ pub fn init_clearing_stale_flags(config: Config) -> embassy_stm32::Peripherals {
 }
 
 /// Waits until clocks that were just enabled reach their peripherals: an access within two cycles of their bus may be
-/// lost (ES0287 2.1.6, with this remedy; a read alone was found too short on sister parts).
-pub fn let_clocks_come() {
+/// lost (ES0287 2.1.6, with this remedy; a read is too short on sister parts).
+pub fn await_enabled_clocks() {
     cortex_m::asm::dsb();
 }
 

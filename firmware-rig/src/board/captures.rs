@@ -142,10 +142,10 @@ fn written() -> Written {
         DMA1.ifcr(STREAM / 4)
             .write(|w| w.set_tcif(STREAM % 4, true));
     }
-    let left = usize::from(DMA1.st(STREAM).ndtr().read().ndt());
+    let remaining = usize::from(DMA1.st(STREAM).ndtr().read().ndt());
     compiler_fence(Ordering::SeqCst);
     Written {
-        end: (INSTANTS - left) % INSTANTS,
+        end: (INSTANTS - remaining) % INSTANTS,
         at_end,
         stopped: flags.teif(STREAM % 4),
     }

@@ -68,7 +68,7 @@ impl CapturedIntervals {
     }
 
     /// Publishes the counts of the comparison.
-    pub fn show(&self, Intervals { exact, off }: Intervals) {
+    pub fn publish(&self, Intervals { exact, off }: Intervals) {
         for (shown, count) in self.0.iter().zip([exact, off[0], off[1], off[2]]) {
             shown.store(count, Ordering::Relaxed);
         }
@@ -127,8 +127,8 @@ pub fn wake_after_cut() {
 /// Tells motion and control that the pulses were cut.
 pub fn pulses_were_cut(why: Event<'static>) {
     wake_after_cut();
-    // Control takes notices every 10 ms at most, so 16 cannot pile up. If one is lost, the path's end still says that
-    // it was cut.
+    // Control takes notices at least every 10 ms, so 16 cannot pile up. If one is lost, the report of the path's end
+    // still shows the cut.
     let _ = NOTICES.try_send(why);
 }
 
@@ -155,7 +155,7 @@ impl Mailbox for MotionMailbox {
         NOTICES.try_send(event).is_ok()
     }
 
-    fn show(&mut self, stroke: u32, commanded: StepPosition) {
+    fn publish(&mut self, stroke: u32, commanded: StepPosition) {
         STROKE.store(stroke, Ordering::Relaxed);
         COMMANDED.store(commanded.0, Ordering::Relaxed);
     }

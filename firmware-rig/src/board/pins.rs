@@ -62,7 +62,7 @@ pub fn make_outputs_safe() {
         w.set_gpioaen(true);
         w.set_gpioben(true);
     });
-    start::let_clocks_come();
+    start::await_enabled_clocks();
     // The first read after enabling a port's clock may return the reset value.
     let _ = is_high(ENABLE);
     ENABLE_HIGH_AT_START.store(is_high(ENABLE), Ordering::Relaxed);
@@ -180,7 +180,7 @@ fn enable_peripherals() {
         w.set_tim1en(true);
         w.set_syscfgen(true);
     });
-    start::let_clocks_come();
+    start::await_enabled_clocks();
 }
 
 fn configure_pins() {

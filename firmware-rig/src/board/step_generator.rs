@@ -1,8 +1,8 @@
 //! The step generator: TIM1 makes the pulses, with periods that DMA reads from a ring; TIM2 counts them at the pin;
 //! their captured instants are compared with the periods.
 //!
-//! Each ring slot is one period of TIM1, or as many equal ones as its repetition counter is told, five half-words in
-//! register order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
+//! Each ring slot is one period of TIM1, or several equal ones by its repetition counter: five half-words in register
+//! order {ARR, RCR, CCR1, CCR2, CCR3}, written through TIM1_DMAR at every update event (RM0383 sections
 //! 12.3.3, 12.4.19 and 12.4.20). PWM mode 1 puts the pulse at the start of a period; CCR1 makes the sync pulse in the
 //! same way, so both have no latency at all. Everything is preloaded: while slot j plays, slot j+1 sits in the preload
 //! registers and slot j+2 is fetched at the next update. Its first word is already in the stream by then, which in
@@ -67,7 +67,7 @@ const STREAM_READS: u32 = 1_000;
 const CUT_TICKS: i32 = 100;
 /// Reads of STEP before giving up on the end of a pulse. They take longer than any pulse.
 const PULSE_READS: u32 = 2_000;
-/// In TIM1's SR a written 0 clears a flag and a 1 leaves it: everything but the break flag.
+/// Value for TIM1's SR that clears all flags except the break flag: a written 0 clears a flag.
 const ALL_BUT_BREAK: pac::timer::regs::SrAdv = pac::timer::regs::SrAdv(1 << 7);
 
 /// Read by the DMA controller.
@@ -135,10 +135,10 @@ impl StepGenerator {
                 self.update();
                 let slot = self.fetched.wrapping_sub(2);
                 let last_tick = RING.last_tick(slot);
-                let left = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
+                let remaining = i32::from(last_tick) - i32::from(TIM1.cnt().read().cnt());
                 // Safe to cut: the next pulse is too far away to begin before the outputs are off, or the counter is
                 // blocked.
-                let none_begins = left > CUT_TICKS || last_tick == 0;
+                let none_begins = remaining > CUT_TICKS || last_tick == 0;
                 let cut = none_begins && !pins::step_is_high();
                 if cut {
                     pins::cut_pulses();
@@ -159,8 +159,8 @@ impl StepGenerator {
 
     /// Publishes `count` slots from `first` on by writing the first word of the first one, after all other words. If
     /// DMA fetches a half-written slot anyway, its zero stops the counter.
-    fn show(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
-        RING.show(first, last_tick);
+    fn publish(&mut self, first: u32, last_tick: u16, count: i32) -> Result<(), Underrun> {
+        RING.publish(first, last_tick);
         self.update();
         // If no other slot is queued, DMA has fetched the slot before these, and prefetched the first word of the
         // first one: perhaps still the zero that stops the counter.
@@ -216,7 +216,7 @@ impl Ring for StepGenerator {
         let pulse = if period.pulse { self.pulse_ticks } else { 0 };
         RING.end(slot.wrapping_add(1));
         RING.write(slot, period.repeats.into(), sync as u16, pulse);
-        self.show(slot, (period.ticks - 1) as u16, 1)
+        self.publish(slot, (period.ticks - 1) as u16, 1)
     }
 
     fn push_steps(&mut self, groups: &[Equal]) -> Result<(), Underrun> {
@@ -227,7 +227,7 @@ impl Ring for StepGenerator {
         }
         RING.end(first.wrapping_add(groups.len() as u32));
         RING.write_steps(first, groups, self.pulse_ticks);
-        self.show(
+        self.publish(
             first,
             groups[0].interval.wrapping_sub(1) as u16,
             groups.len() as i32,
@@ -267,8 +267,8 @@ impl Ring for StepGenerator {
 
     // Call it at least once per revolution of the ring.
     fn update(&mut self) {
-        let left = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
-        let slot = (RING_WORDS - left) / WORDS as u32 % SLOTS as u32;
+        let remaining = u32::from(DMA2.st(STREAM).ndtr().read().ndt());
+        let slot = (RING_WORDS - remaining) / WORDS as u32 % SLOTS as u32;
         let fetched = slot.wrapping_sub(self.read_slot) % SLOTS as u32;
         self.fetched = self.fetched.wrapping_add(fetched);
         self.read_slot = slot;
@@ -374,7 +374,7 @@ impl Ring for StepGenerator {
             return true;
         };
         self.timing.compare(&self.line, instants);
-        INTERVALS.show(self.timing.intervals());
+        INTERVALS.publish(self.timing.intervals());
         !self.captures.has_more()
     }
 
@@ -417,7 +417,7 @@ fn restart_timer() {
     rearm_loop();
 }
 
-/// Waits until the burst in progress is complete: the stream then stands between two slots for longer than a request
+/// Waits until the burst in progress is complete: the stream then stays between two slots for longer than a request
 /// needs. False if that does not happen.
 fn burst_is_whole() -> bool {
     let between_slots = || u32::from(DMA2.st(STREAM).ndtr().read().ndt()) % WORDS as u32 == 0;

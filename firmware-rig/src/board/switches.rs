@@ -64,14 +64,14 @@ impl Watch {
         EXTI.imr(0).modify(|w| w.set_line(self.line, false));
         self.masked_at_us.store(now_us(), Ordering::Relaxed);
         self.is_masked.store(true, Ordering::Release);
-        // Motion's next round may be 4 ms away: it has to come when the mask ends.
+        // Motion's next round may be 4 ms away, but has to run when the mask ends.
         channels::MOTION_WAKE.signal(());
         count_within(&self.masked_since_us, &self.maskings, 100_000) > MASKINGS_PER_100_MS
     }
 
     /// Unmasks the line when its time is over, and first checks its level.
     fn unmask_when_due(&self) {
-        // Check this first: every round of motion asks, the line is rarely masked, and reading the clock costs more.
+        // Check this first: every round of motion calls this, the line is rarely masked, and reading the clock is slow.
         if !self.is_masked.load(Ordering::Acquire) {
             return;
         }

@@ -17,7 +17,7 @@ use measurements::Measurement as M;
 use motion::slots::WORDS;
 use motion::step_times::Equal;
 
-/// A period of 0, which blocks the counter. It comes into play as in the ring: preloaded, at an update.
+/// Measures a period of 0, which blocks the counter. It becomes active as in the ring: preloaded, at an update.
 pub fn report_blocked() {
     TIM1.arr().write(|w| w.set_arr(999));
     TIM1.egr().write(|w| w.set_ug(true));

@@ -89,7 +89,7 @@ pub fn reset_after_clock_failure(has_moved: bool) -> ! {
         Some((previous, cause)) => pass_on(&mut Ram, previous, *cause),
         None => keep_clock_failed(&mut Ram),
     }
-    // Clear the flag, else the NMI comes again at once.
+    // Clear the flag, or the NMI repeats at once.
     pac::RCC.cir().modify(|w| w.set_cssc(true));
     cortex_m::peripheral::SCB::sys_reset()
 }

@@ -94,7 +94,7 @@ fn with_the_clock_kept<T>(stall: impl FnOnce() -> T) -> T {
         let watch = pac::TIM5;
         let counts = pac::RCC.apb1enr().read().tim5en();
         pac::RCC.apb1enr().modify(|w| w.set_tim5en(true));
-        start::let_clocks_come();
+        start::await_enabled_clocks();
         if !counts {
             watch.cr1().modify(|w| w.set_cen(true));
         }

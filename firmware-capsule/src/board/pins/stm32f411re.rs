@@ -98,7 +98,7 @@ pub(crate) fn init() -> Board {
         w.set_tim3en(true);
     });
     pac::RCC.apb2enr().modify(|w| w.set_adc1en(true));
-    start::let_clocks_come();
+    start::await_enabled_clocks();
     outputs_off();
     pac::GPIOB.moder().modify(|w| {
         w.set_moder(N_SLEEP, Moder::OUTPUT);
