@@ -109,7 +109,7 @@ impl Mailbox for Mail {
         !self.full
     }
 
-    fn show(&mut self, stroke: u32, commanded: StepPosition) {
+    fn publish(&mut self, stroke: u32, commanded: StepPosition) {
         (self.stroke, self.commanded) = (stroke, commanded.0);
     }
 }
@@ -218,7 +218,7 @@ impl Carriage {
         }
     }
 
-    /// How soon motion wants to service the ring again.
+    /// Deadline of motion's next round.
     pub fn pace(&self) -> Pace {
         self.motion.pace()
     }
@@ -227,7 +227,7 @@ impl Carriage {
         self.pace() != Pace::Idle || self.mail.order.is_some()
     }
 
-    /// Pulses that will be emitted whatever is ordered, unless they are cut.
+    /// Pulses that only a cut of the output can still prevent.
     pub fn queued(&self) -> u64 {
         self.ring.rounds_remaining()
     }

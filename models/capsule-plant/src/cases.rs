@@ -11,7 +11,7 @@ pub enum Kind {
     Healthy,
     /// A hard obstacle stops the fold, anywhere from 2 mm of travel to 0.35 mm before the end.
     Jam,
-    /// The same, but in the last 2 mm.
+    /// A hard obstacle in the last 2 mm of a fold.
     LateJam,
     /// The thread snaps in a fold.
     Snap,

@@ -76,8 +76,7 @@ pub struct Effects {
     pub stick: f64,
     /// [`Effect::Hysteresis`]: fraction of the force that the origami lacks while it opens.
     pub hysteresis: f64,
-    /// [`Effect::Relaxation`]: fractions of the force that a held origami loses, with the time constants
-    /// [`RELAXATION_S`].
+    /// [`Effect::Relaxation`]: fractions of the force that a held origami loses, one per [`RELAXATION_S`].
     pub relaxation: [f64; 2],
     /// [`Effect::Creep`]: lengthening per tenfold number of cycles, mm.
     pub creep_mm: f64,
@@ -111,7 +110,7 @@ pub const RELAXATION_S: [f64; 2] = [5.0, 300.0];
 pub const HYSTERESIS_MM: f64 = 0.3;
 /// Travel over which a snap's force builds up, and over which it is lost, mm (assumed).
 pub const SNAP_MM: (f64, f64) = (0.6, 0.05);
-/// Speed at which most of the standing friction is gone, rad/s: 0.4 mm/s of thread (assumed).
+/// Speed at which most of the additional standing friction has vanished, rad/s: 0.4 mm/s of thread (assumed).
 pub const STICK_RAD_S: f64 = 30.0;
 /// Cycles after which half of the wear has occurred (assumed).
 pub const WEAR_CYCLES: f64 = 200.0;

@@ -492,7 +492,7 @@ impl Plant {
         let parameters = &self.parameters;
         let effects = &parameters.effects;
         let (worm, no_load) = effects.friction_at(self.celsius, self.cycles);
-        // Standing friction is gone in a fast motor.
+        // A fast motor has no standing friction.
         let turns = self.speed.abs() / STICK_RAD_S;
         let sticks = match effects.stick > 0.0 && turns < 20.0 {
             true => 1.0 + effects.stick * (-turns).exp(),

@@ -33,7 +33,7 @@ pub struct Parameters {
     pub winding_h: f64,
     /// Torque constant, N m/A, and back-EMF constant, V s/rad, the same number: 2.11e-3 (data sheet).
     pub motor_constant: f64,
-    /// No-load current, A: 0.016 (data sheet). It stands for the friction of motor and gears without load.
+    /// No-load current, A: 0.016 (data sheet). It represents the friction of motor and gears without load.
     pub no_load_a: f64,
     /// Rotor, kg m2: 5.1e-9 (data sheet, 0.051 g cm2).
     pub inertia: f64,

@@ -48,14 +48,14 @@ impl Circuit {
             return (last, last * dt, last * last * dt);
         }
         let tau = self.henry / self.ohm;
-        let left = (-dt / tau).exp();
+        let decay = (-dt / tau).exp();
         let above = from_a - last;
         (
-            last + above * left,
-            last * dt + above * tau * (1.0 - left),
+            last + above * decay,
+            last * dt + above * tau * (1.0 - decay),
             last * last * dt
-                + 2.0 * last * above * tau * (1.0 - left)
-                + above * above * tau / 2.0 * (1.0 - left * left),
+                + 2.0 * last * above * tau * (1.0 - decay)
+                + above * above * tau / 2.0 * (1.0 - decay * decay),
         )
     }
 

@@ -22,7 +22,7 @@ pub(crate) const LINKS: usize = MAX_CRESCENTS as usize;
 pub enum FrictionRatio {
     /// The same at every friction coefficient, `>= 1`; fitted.
     Fixed(f64),
-    /// Coulomb friction on facets that stand at beta: `(1 + mu tan beta)/(1 - mu tan beta)`.
+    /// Coulomb friction on facets at the angle beta: `(1 + mu tan beta)/(1 - mu tan beta)`.
     Facets,
 }
 

@@ -24,7 +24,6 @@ const COASTS_US: u64 = 500_000;
 /// Thread length of the folded capsule, um: 5.6 N at 20.5 mm of travel plus 1 mm of slack.
 pub const FOLDED_UM: i32 = 21_470;
 
-/// A capsule.
 pub struct Capsule {
     control: Control<At<Board>, Flash>,
     flash: Flash,

@@ -14,7 +14,7 @@ const REST: Duration = Duration::from_micros(500);
 pub struct Pace {
     began: Instant,
     speed: u64,
-    /// The computer's time that the machine has been given, and that it has lost for good, us.
+    /// The computer's time that the machine has been given, and that it has lost, us.
     given_us: u64,
     lost_us: u64,
 }

@@ -23,10 +23,9 @@ use crate::chip::Flash;
 const TICKS_PER_US: u64 = 100;
 /// Position of the carriage when the rig is switched on, steps from the reference: 5 mm.
 const START: i32 = 4_000;
-/// The same for a rig with few steps: 2.5 mm.
+/// Start position of a rig with few steps: 2.5 mm.
 const FEW_STEPS_START: i32 = 10;
 
-/// A rig.
 pub struct Rig {
     control: Control<At<Board>, Flash>,
     flash: Flash,
