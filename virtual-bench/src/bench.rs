@@ -38,7 +38,6 @@ pub enum BenchError {
         "no firmware image at {path}: run `cargo xtask images`, or name the folder in RETROGRADE_IMAGES ({why})"
     )]
     NoImage {
-        /// The file that was expected.
         path: PathBuf,
         /// The operating system's reason.
         why: std::io::Error,
@@ -69,7 +68,6 @@ pub struct BenchOptions {
     pub chip: ChipOptions,
     /// Interval at which the machine can stop for its client, us. Bytes wait for the next such instant.
     pub quantum_us: u64,
-    /// The firmware image (ELF).
     pub image: PathBuf,
     /// Contents of the whole flash to start from instead of the image, for example those after a power cut.
     pub flash: Option<Vec<u8>>,
@@ -202,7 +200,7 @@ impl<W: Wiring> Visit<'_, W> {
         self.session.board_mut().fail_step_stream(at);
     }
 
-    /// Keeps the processor from executing anything for `duration_us`. Timers and DMA go on.
+    /// Keeps the processor from executing anything for `duration_us`. Timers and DMA continue.
     pub fn hold_up(&mut self, duration_us: u64) {
         let at = self.stop.at;
         let emulator = self.session.board_mut();
@@ -286,7 +284,6 @@ enum Job<W: Wiring> {
         bytes: Vec<u8>,
     },
     Visit(Visitor<W>),
-    /// Cut the supply for `off_ns` of virtual time.
     PowerCycle {
         off_ns: u64,
     },
@@ -524,7 +521,7 @@ impl<W: Wiring> Conductor<W> {
     }
 }
 
-/// Runs a machine until its client is gone. The error tells why it ended otherwise.
+/// Runs a machine until its client disconnects. The error is the reason of any other end.
 fn conduct<W: Wiring>(
     mut wiring: W,
     options: &BenchOptions,

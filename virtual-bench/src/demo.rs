@@ -84,7 +84,7 @@ pub struct DemoOptions {
 /// Executes the experiment and prints its results.
 ///
 /// # Errors
-/// The first failure. What was recorded until then is kept.
+/// The first failure. Records until then are kept.
 pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     let rig_bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
     let capsule_bench = capsule::start(Parameters::nominal())?;

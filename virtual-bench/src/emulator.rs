@@ -531,7 +531,7 @@ pub struct ChipOptions {
     pub burst: Option<Beats>,
     /// Undocumented behaviour of the DMA streams; not with `burst` or `every_event`.
     pub streams: Streams,
-    /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never comes.
+    /// Delay from power-up to the 8 MHz clock of the ST-LINK, ns; `None` if it never starts.
     pub hse_after_ns: Option<u64>,
     /// The oscillator of the watchdog, Hz: 17,000 to 47,000 (DS10314 table 40).
     pub lsi_hz: u64,
@@ -751,8 +751,8 @@ impl<W: Wiring> Emulator<W> {
         )
     }
 
-    /// Stalls the core: it cannot fetch code while the flash is busy (RM0383 section 3.5). Time, peripherals and DMA go
-    /// on.
+    /// Stalls the core: it cannot fetch code while the flash is busy (RM0383 section 3.5). Time, peripherals and DMA
+    /// continue.
     fn stall(&mut self, erases: bool, host: &mut dyn Host) {
         self.stalled = true;
         host.hold(true);
@@ -891,7 +891,7 @@ pub(crate) fn settled<W: Wiring>(
 pub(crate) fn powered_up(host: &mut dyn Host, seed: u64) {
     let mut state = seed;
     for address in map::RAM.step_by(8) {
-        // SplitMix64: its words look random whatever the seed.
+        // SplitMix64: its words are well mixed for any seed.
         state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
         let mixed = (state ^ (state >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
         let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);

@@ -97,8 +97,8 @@ pub fn run(say: &mut dyn FnMut(&str)) -> Result<(), BenchError> {
         let mut rig = Homed::with(run)?;
         let quiet = rig.load(run, 0, after_us)?;
         let mut rig = Homed::with(run)?;
-        let told = rig.load(run, TELEMETRY_MS, after_us)?;
-        row(what, [quiet, told], &format!("<= {goal} %"));
+        let streaming = rig.load(run, TELEMETRY_MS, after_us)?;
+        row(what, [quiet, streaming], &format!("<= {goal} %"));
     }
     let heads = ["edges counted", "each edge timed"].map(str::to_owned);
     row("virtual seconds per second", heads, "");
@@ -130,7 +130,7 @@ struct Homed {
 }
 
 impl Homed {
-    /// On the mechanics that `run` is for.
+    /// Homes a rig whose mechanics fit `run`.
     fn with(run: Option<Run>) -> Result<Self, BenchError> {
         let fine = run.filter(|run| run.stroke_um < ONE_CYCLE.stroke_um);
         Self::new(RigOptions::WITH_BOTH_JUMPERS, fine)
@@ -181,10 +181,10 @@ impl Homed {
         let instructions = (after.0 - before.0) as f64;
         let steps = (after.1 - before.1) as f64;
         let possible = ChipOptions::default().instructions_per_second as f64 * KEEP_ALIVE_US as f64;
-        let share = instructions / possible * 1e8;
+        let percent = instructions / possible * 1e8;
         Ok(match run {
-            Some(_) => format!("{:.0} per step, {share:.1} %", instructions / steps),
-            None => format!("{share:.1} %"),
+            Some(_) => format!("{:.0} per step, {percent:.1} %", instructions / steps),
+            None => format!("{percent:.1} %"),
         })
     }
 

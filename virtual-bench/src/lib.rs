@@ -6,7 +6,7 @@
 //!                        the ELF that is flashed
 //! ```
 //!
-//! The bench never uses the firmware's arithmetic: it computes the expected run by itself.
+//! The bench never uses the firmware's arithmetic: it has its own.
 
 pub mod bench;
 pub mod boards;

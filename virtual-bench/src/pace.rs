@@ -97,13 +97,13 @@ impl Pace {
         Turn::Rest(early_us + piece_us - late_us)
     }
 
-    /// Input has arrived for the machine: it runs at once, as far as it may.
+    /// Notes that input has arrived: the next turn begins at once, as far as the pace allows.
     pub(crate) fn hurry(&mut self) {
         self.hurried = true;
         self.talked = true;
     }
 
-    /// The machine has sent bytes: the next ones are wanted soon.
+    /// Notes that the machine has sent bytes: the next turns are short.
     pub(crate) fn sent(&mut self) {
         self.talked = true;
     }
@@ -236,11 +236,11 @@ mod tests {
         assert_eq!(pace.turn(3_000_000, 0), Turn::Run(QUIET_TURN_US));
         assert_eq!(pace.lost_us(), 3_000_000 - MOST_LATE_US);
         assert_eq!(pace.report(4_000_000), None);
-        let told = Slow {
+        let expected = Slow {
             lost_us: 3_000_000 - MOST_LATE_US,
             of_us: 5_000_000,
         };
-        assert_eq!(pace.report(5_000_000), Some(told));
+        assert_eq!(pace.report(5_000_000), Some(expected));
         assert_eq!(pace.report(10_000_000), None);
     }
 }

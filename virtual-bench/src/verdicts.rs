@@ -1,4 +1,4 @@
-//! Judges a run by its step edges alone, with its own 128-bit integer arithmetic and no code of the firmware.
+//! Judges a run by its step edges only, with its own 128-bit integer arithmetic and no code of the firmware.
 //!
 //! A stroke of `n` steps in `T` ticks with ramps of `r` ticks is the symmetric trapezoid from rest to rest. Step `k` is
 //! due when the position is `k`:
@@ -148,7 +148,7 @@ pub struct Verdict {
     pub worst: (f64, u64),
     /// Time from the first stroke's start to the last edge, ns, measured on the pin.
     pub duration_ns: u64,
-    /// The same for the exact run.
+    /// Time of the exact run from the first stroke's start to the last edge, ns.
     pub exact_ns: u64,
     /// Extreme positions by the edges, steps from the start of the run.
     pub extremes: (i64, i64),

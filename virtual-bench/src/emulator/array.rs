@@ -351,21 +351,24 @@ mod tests {
                 assert!(!chip.array.has_failed());
                 chip.store(PLACE, value);
                 assert!(chip.array.has_failed());
-                let left = chip.at(PLACE);
+                let content = chip.at(PLACE);
                 match at {
-                    CutAt::Before => assert_eq!(left, old),
+                    CutAt::Before => assert_eq!(content, old),
                     CutAt::Within => {
-                        assert_eq!((left & old, left & (old & value)), (left, old & value));
-                        partial += u32::from(left != old && left != old & value);
+                        assert_eq!(
+                            (content & old, content & (old & value)),
+                            (content, old & value)
+                        );
+                        partial += u32::from(content != old && content != old & value);
                     }
-                    CutAt::After => assert_eq!(left, old & value),
+                    CutAt::After => assert_eq!(content, old & value),
                 }
                 // Without a supply nothing changes.
                 chip.store(PLACE, 0);
                 chip.erase(1);
                 assert_eq!(
                     (chip.at(PLACE), chip.array.operations()),
-                    (left, number + 2)
+                    (content, number + 2)
                 );
             }
         }

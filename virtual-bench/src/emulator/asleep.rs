@@ -17,7 +17,7 @@ use super::{Chip, OutputEdge, TIM5_CHANNEL, Wiring};
 /// The board's answer on the step timer's edges, valid while the firmware changes nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unnoticed {
-    /// Pulses at the step output that have no effect anyone can notice.
+    /// Pulses at the step output that have no noticeable effect.
     pub pulses: u64,
     /// The sync output is routed to its pin.
     pub syncs: bool,

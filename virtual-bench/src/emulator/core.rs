@@ -334,7 +334,7 @@ impl Processor for HookedProcessor {
     }
 
     fn take_reset_request(&mut self) -> bool {
-        // The first call in a run comes after its program has been loaded.
+        // The first call in a run follows the loading of its program.
         self.loading = false;
         self.inner_mut().take_reset_request()
     }

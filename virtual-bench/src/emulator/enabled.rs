@@ -74,7 +74,7 @@ impl Enabled {
     }
 }
 
-/// Whether a barrier stands behind the store at `from`, before the instruction at `to` if that is near.
+/// Whether a barrier follows the store at `from`, before the instruction at `to` if that is near.
 fn has_barrier(from: u64, to: u64, host: &mut dyn Host) -> bool {
     let end = from + 2 * NEAR;
     let end = if (from..end).contains(&to) { to } else { end };

@@ -48,33 +48,33 @@ mod tests {
         let mut part = Stm32f427::new().expect("a part");
         let (_, registers) = part.serial_port(1);
         let on = cr1::UE.mask();
-        let mut told = |bus_hz, divider, control, stops| {
+        let mut found = |bus_hz, divider, control, stops| {
             registers.set(Register::Brr, divider);
             registers.set(Register::Cr1, control);
             registers.set(Register::Cr2, stops);
             mistake(registers, bus_hz)
         };
         // The rig's and the capsule's.
-        assert_eq!(told(50_000_000, 434, on, 0), None);
-        assert_eq!(told(16_000_000, 139, on, 0), None);
+        assert_eq!(found(50_000_000, 434, on, 0), None);
+        assert_eq!(found(16_000_000, 139, on, 0), None);
         // 16 MHz / 8 / 17.375.
         assert_eq!(
-            told(16_000_000, 17 << 4 | 3, on | cr1::OVER8.mask(), 0),
+            found(16_000_000, 17 << 4 | 3, on | cr1::OVER8.mask(), 0),
             None
         );
-        assert_eq!(told(50_000_000, 434, 0, 0), None);
+        assert_eq!(found(50_000_000, 434, 0, 0), None);
         let half = "USART2 is set to 57603 baud, not to 115200";
-        assert_eq!(told(25_000_000, 434, on, 0).as_deref(), Some(half));
+        assert_eq!(found(25_000_000, 434, on, 0).as_deref(), Some(half));
         // 2.1 % too fast, and a port without a divider.
-        assert!(told(50_000_000, 425, on, 0).is_some());
-        assert!(told(50_000_000, 0, on, 0).is_some());
+        assert!(found(50_000_000, 425, on, 0).is_some());
+        assert!(found(50_000_000, 0, on, 0).is_some());
         for (control, stops) in [
             (cr1::M.mask(), 0),
             (cr1::PCE.mask(), 0),
             (0, cr2::STOP.set(0, 2)),
         ] {
-            let told = told(50_000_000, 434, on | control, stops).expect("not 8N1");
-            assert!(told.starts_with("USART2 is not set to 8N1"), "{told}");
+            let found = found(50_000_000, 434, on | control, stops).expect("not 8N1");
+            assert!(found.starts_with("USART2 is not set to 8N1"), "{found}");
         }
     }
 }

@@ -114,7 +114,7 @@ static DMA2_REQUESTS: [Wire; 2] = [
     wire("TIM1", UPDATE_REQUEST, 6, &[5]),
 ];
 
-/// The rings of the step timer's periods and of the captured instants. The tables above list them, too, and that below.
+/// The rings of the step timer's periods and of the captured instants. They are also in the tables above.
 pub(super) const PERIODS: StreamId = StreamId {
     stream: 5,
     channel: 6,

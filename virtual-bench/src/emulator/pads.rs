@@ -177,8 +177,8 @@ impl Pads<'_> {
         drive_input(self.tim5, channel, high, registers, &mut context);
     }
 
-    /// Withholds DMA from TIM5's captures, as a bus that is not granted does, or allows it again. A capture meanwhile
-    /// overwrites the one before it.
+    /// Withholds DMA from TIM5's captures, as a bus that is not granted does, or allows it again. While it is withheld,
+    /// a capture overwrites the previous one.
     pub fn keep_tim5_from_dma(&mut self, kept: bool) {
         self.touched = true;
         let bus = self.part.bus_mut();

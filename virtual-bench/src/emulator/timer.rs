@@ -298,8 +298,8 @@ impl<F: Family> Watched<F> {
         true
     }
 
-    /// Prepares a write of the processor to a register that bursts write to, too. The timer brings itself up to date
-    /// from the old register contents, but knows only those that it was shown.
+    /// Prepares a write of the processor to a register that bursts also write. The timer brings itself up to date from
+    /// the old register contents, but has seen only those that did not bypass it.
     fn before_write(
         &mut self,
         register: F::Register,

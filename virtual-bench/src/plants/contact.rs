@@ -96,7 +96,7 @@ impl Contact {
         self.change(at_ns + width_ns, self.actuated);
     }
 
-    /// Adds a change among those that are pending: it may come between two of a bounce.
+    /// Inserts a pending change by its instant: it may lie between two of a bounce.
     fn change(&mut self, at_ns: u64, open: bool) {
         let place = self.coming.partition_point(|&(at, _)| at <= at_ns);
         self.coming.insert(place, (at_ns, open));
@@ -146,7 +146,7 @@ impl Contact {
         self.is_open() && self.opened_ns.is_some_and(|opened| at_ns > opened + ns)
     }
 
-    /// When it next changes by itself, ns.
+    /// When its next pending change is due, ns.
     #[must_use]
     pub fn next_ns(&self) -> Option<u64> {
         let coming = self.coming.first().map(|&(at, _)| at);

@@ -12,7 +12,7 @@ use crate::pins::{EdgeLog, StepEdge};
 /// STEP, and how long DIR is steady before and after a rising STEP, ns.
 const PULSE_NS: u64 = 1_900;
 const DIR_NS: u64 = 650;
-/// Steps closer together than this count as one movement, ns.
+/// Steps closer together than this belong to one movement, ns.
 const MOVING_NS: u64 = 10_000_000;
 /// Longest time from the opening of the E-stop loop to the last pulse, ns: the chip's break input ends the pulses.
 const LOOP_CUTS_NS: u64 = 10_000;
@@ -323,7 +323,7 @@ impl Rig {
         self.options.enable_pull_up_mv.is_some()
     }
 
-    /// EN while nothing drives it, mV: 10 kohm against the driver's own 100 kohm to ground, or that alone.
+    /// EN while nothing drives it, mV: 10 kohm, if fitted, against the driver's own 100 kohm to ground.
     #[must_use]
     pub fn enable_undriven_mv(&self) -> u32 {
         self.options.enable_pull_up_mv.unwrap_or(0) * 10 / 11
@@ -522,7 +522,7 @@ impl Rig {
         self.read_back.step(high, at_ns);
         self.captured_ns = self.capture.step(high, at_ns);
         if high {
-            self.rise(at_ns);
+            self.rising_edge(at_ns);
         } else {
             self.fall(at_ns);
         }
@@ -538,7 +538,7 @@ impl Rig {
         }
     }
 
-    fn rise(&mut self, at_ns: u64) {
+    fn rising_edge(&mut self, at_ns: u64) {
         let since = |event: Option<u64>| event.map_or(u64::MAX, |event| at_ns - event);
         self.violations.short_low += u64::from(since(self.fell_ns) < PULSE_NS);
         self.violations.dir_setup += u64::from(since(self.turned_ns) < DIR_NS);

@@ -150,8 +150,8 @@ mod tests {
     use super::*;
 
     fn pulse(wire: &mut Wire, at_ns: u64) -> (Option<u64>, Option<u64>) {
-        let rise = wire.step(true, at_ns);
-        (rise, wire.step(false, at_ns + 2_000))
+        let rose_ns = wire.step(true, at_ns);
+        (rose_ns, wire.step(false, at_ns + 2_000))
     }
 
     #[test]
@@ -178,9 +178,9 @@ mod tests {
         wire.act(Fault::Jitter(10), 0);
         let mut by = [0, 0];
         for n in 0..1_000 {
-            let (rise, fall) = pulse(&mut wire, n * 10_000);
-            let late = rise.expect("it comes") - n * 10_000;
-            assert_eq!(fall, Some(n * 10_000 + 2_000 + late));
+            let (rose_ns, fell_ns) = pulse(&mut wire, n * 10_000);
+            let late = rose_ns.expect("it comes") - n * 10_000;
+            assert_eq!(fell_ns, Some(n * 10_000 + 2_000 + late));
             by[usize::from(late == 10)] += 1;
             assert!(late == 0 || late == 10);
         }
