@@ -1,4 +1,4 @@
-//! The bench of a target: opens the lines that it is told to.
+//! The connector of a target: opens the lines that the target provides.
 
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};

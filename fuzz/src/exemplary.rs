@@ -122,7 +122,7 @@ impl Peer for Exemplary {
     }
 }
 
-/// The exemplar's events from the wanted one on.
+/// The exemplar's events from the requested number on.
 fn kept(request: &Request, mut events: Events) -> Events {
     if let Request::GetEvents(get) = request {
         events.events.retain(|event| event.index >= get.from);

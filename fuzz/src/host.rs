@@ -66,7 +66,7 @@ pub enum Act {
     Idle(u8),
     /// Only listens, for this many ms.
     Observe(u8),
-    /// Waits until the rig stands still.
+    /// Waits until the rig is at rest.
     Rest,
     /// References or folds, and waits for the end.
     Actuate(bool),

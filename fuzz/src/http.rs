@@ -40,7 +40,7 @@ pub struct RequestStep {
     /// Whether it comes from this computer.
     pub here: bool,
     /// Method and path.
-    pub line: RequestLine,
+    pub line: Target,
     /// Headers other than `Host`.
     pub headers: Vec<Header>,
     /// Its body.
@@ -49,7 +49,7 @@ pub struct RequestStep {
 
 /// Method and path.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub enum RequestLine {
+pub enum Target {
     /// An existing route, with this text appended.
     Route(u8, String),
     /// A command, by the names of machine and command.
@@ -354,19 +354,17 @@ pub fn routes() -> &'static [(String, String)] {
     })
 }
 
-fn line(line: &RequestLine) -> (String, String) {
+fn line(line: &Target) -> (String, String) {
     match line {
-        RequestLine::Route(index, behind) => {
+        Target::Route(index, behind) => {
             let routes = routes();
             let (method, path) = &routes[usize::from(*index) % routes.len()];
             let path = path.replace("{id}", &format!("{INSTANCE}-1"));
             let path = path.replace("{name}", "run-19700101T000000Z.json");
             (method.to_uppercase(), path + behind)
         }
-        RequestLine::Command(machine, name) => {
-            ("POST".to_owned(), format!("/api/v1/{machine}/{name}"))
-        }
-        RequestLine::Any(method, uri) => (method.clone(), uri.clone()),
+        Target::Command(machine, name) => ("POST".to_owned(), format!("/api/v1/{machine}/{name}")),
+        Target::Any(method, uri) => (method.clone(), uri.clone()),
     }
 }
 

@@ -125,7 +125,7 @@ impl Once {
         self.newest = Some(seq);
     }
 
-    /// Records a refusal because the host speaks another protocol: it uses up the number as well.
+    /// Records a refusal because the host has another protocol; it uses up the number too.
     pub fn refused(&mut self, seq: u16) {
         if self.is_new(seq) {
             self.newest = Some(seq);

@@ -2,7 +2,7 @@
 
 use crate::process::{Result, host_cargo, run};
 
-/// The manifest of the emulator asks for a newer Rust than it needs; this lets cargo build it with ours.
+/// The manifest of the emulator requires a newer Rust than the code needs; with this cargo builds it with ours.
 pub(crate) const ANY_RUST: &str = "--ignore-rust-version";
 
 const COMPILER: &str = "fix what the compiler reports above";

@@ -25,8 +25,8 @@ const RAM: u64 = 0x2000_0000;
 /// reset button, a panic or the watchdog the machine would not restart.
 const KEEP_RESETS: [&str; 2] = ["--no-catch-reset", "--no-catch-hardfault"];
 
-/// Builds all images, checks that each has its vector table where the chip looks for it, and prints the sizes. The
-/// linker has checked regions and budgets: memory.x.
+/// Builds all images, checks that each has its vector table where the chip reads it, and prints the sizes. The linker
+/// checks regions and budgets: memory.x.
 ///
 /// # Errors
 /// No compiler, a compile error, or an image that would not boot.
@@ -128,8 +128,8 @@ pub(crate) fn lint() -> Result<()> {
     )
 }
 
-/// Selects what is built, and the workspace's own target folder, where the bench and `probe-rs` look, whatever the
-/// caller's environment says.
+/// Selects the packages, and the workspace's own target folder, which the bench and `probe-rs` use, whatever the
+/// caller's environment contains.
 fn command(subcommand: &str) -> Command {
     let mut cargo = toolchain::cargo(subcommand);
     cargo.args(["--package", "firmware-rig", "--package", "firmware-capsule"]);

@@ -62,8 +62,8 @@ pub(crate) fn target() -> PathBuf {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     let asked = || {
         let mut cargo = host_cargo("metadata");
-        let told = output_of(cargo.args(["--no-deps", "--format-version", "1"]))?;
-        let (_, rest) = told.split_once("\"target_directory\":\"")?;
+        let output = output_of(cargo.args(["--no-deps", "--format-version", "1"]))?;
+        let (_, rest) = output.split_once("\"target_directory\":\"")?;
         Some(PathBuf::from(rest.split('"').next()?))
     };
     FOLDER

@@ -28,7 +28,7 @@ pub(crate) fn test() -> Result<()> {
     )
 }
 
-/// A program that comes as a wheel, installed into an environment of its own.
+/// Installs a program from its wheel into a separate environment.
 ///
 /// # Errors
 /// The environment cannot be created, or the wheel cannot be installed.
@@ -36,8 +36,8 @@ pub(crate) fn tool(package: &str, version: &str, program: &str) -> Result<PathBu
     let python = environment(program)?;
     let path = python.with_file_name(program);
     let has = || {
-        let told = Command::new(&path).arg("--version").output();
-        told.is_ok_and(|told| String::from_utf8_lossy(&told.stdout).contains(version))
+        let output = Command::new(&path).arg("--version").output();
+        output.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).contains(version))
     };
     if has() || (installs(&python, &format!("{package}=={version}")) && has()) {
         return Ok(path);
