@@ -8,9 +8,16 @@ import subprocess
 import tempfile
 import time
 import unittest
-from typing import IO, Callable, List, Optional
+from typing import IO, Any, Callable, List, Optional, Tuple
 
 import retrograde
+
+try:
+    import jsonschema  # comes with bluesky
+except ImportError:
+    jsonschema = None
+
+DOCUMENT = json.loads((pathlib.Path(__file__).parents[2] / "docs" / "openapi.json").read_text(encoding="utf-8"))
 
 # Longest wait for the machines, s: more than a busy computer needs.
 SOON_S = 120.0
@@ -23,6 +30,29 @@ def until(is_so: Callable[[], bool]) -> None:
         if time.monotonic() > end:
             raise AssertionError("it does not come so far")
         time.sleep(0.02)
+
+
+def conforms(schema: Any, value: object) -> None:
+    """Raises unless a value is as a schema of docs/openapi.json says."""
+    if jsonschema is not None:
+        jsonschema.Draft202012Validator({**schema, "components": DOCUMENT["components"]}).validate(value)
+
+
+def checked(once: Callable[..., Tuple[int, bytes]]) -> Callable[..., Tuple[int, bytes]]:
+    """Asks the server, and holds status and body of its answer against docs/openapi.json."""
+
+    def asked(method: str, path: str, *more: object) -> Tuple[int, bytes]:
+        status, content = once(method, path, *more)
+        name = path.split("?")[0]
+        [methods] = [of for known, of in DOCUMENT["paths"].items() if re.fullmatch(re.sub(r"{\w+}", "[^/]+", known), name)]
+        response = methods[method.lower()]["responses"][str(status)]
+        response = DOCUMENT["components"]["responses"].get(response.get("$ref", "").rpartition("/")[2], response)
+        schema = response.get("content", {}).get("application/json", {}).get("schema")
+        if schema and content.startswith(b"{"):
+            conforms(schema, json.loads(content))
+        return status, content
+
+    return asked
 
 
 def programs() -> pathlib.Path:
@@ -57,6 +87,7 @@ class Bench:
         server = self._start("serve", command)
         address = self._find(server, r"(http://\S+#token=\S+)")
         self.lab = retrograde.connect(address)
+        setattr(self.lab, "_once", checked(self.lab._once))
         until = time.monotonic() + SOON_S
         while True:
             machines = self.lab.state()["machines"]

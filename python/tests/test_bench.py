@@ -8,7 +8,7 @@ from unittest import mock
 
 import retrograde
 
-from bench import BenchTest, until
+from bench import BenchTest, conforms, until
 
 # One cycle of 20 mm, 800 steps per mm.
 SHORT: Dict[str, Any] = {"cycles": 1, "stroke_mm": 20, "duration_s": 2, "accel_mm_s2": 400}
@@ -112,6 +112,7 @@ class MachinesTest(BenchTest):
             for message in stream:
                 if message.event == "rig":
                     self.assertIn("position_um", message.data["samples"][0])
+                    conforms({"$ref": "#/components/schemas/RigSamples"}, message.data)
                     break
 
     def test_6_without_the_token_nothing_moves(self) -> None:

@@ -1,4 +1,4 @@
-"""The package knows what docs/openapi.json lists: each request, each field, each end of an action."""
+"""The package knows what docs/openapi.json lists, and the server answers as it says."""
 
 import json
 import pathlib

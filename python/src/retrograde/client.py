@@ -1,4 +1,4 @@
-"""The client: one method per request of docs/serve.md.
+"""The client: one method per request of docs/openapi.json.
 
 Every command carries a key, so that it is executed once however often it is sent; this client sends it again where an answer is lost.
 Waiting for the end of a motion that is interrupted, by Ctrl-C or an exception in `on_progress`, stops the machine.

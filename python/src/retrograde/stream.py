@@ -10,7 +10,7 @@ from .errors import NoServer, RetrogradeError
 
 
 class Message(NamedTuple):
-    """One event of the stream; docs/serve.md lists them."""
+    """One event of the stream; docs/openapi.json lists them."""
 
     event: str
     data: Any

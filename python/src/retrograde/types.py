@@ -1,4 +1,4 @@
-"""Types of the server's answers; docs/serve.md says it in words.
+"""Types of the server's answers; docs/openapi.json has them for other languages.
 
 Units are in the names. A server may send more than this, and leaves out what is not known.
 """
@@ -13,7 +13,7 @@ Number = Union[int, float, str, Decimal]
 
 
 class RunOptions(TypedDict, total=False):
-    """Options of a run; docs/serve.md has the defaults."""
+    """Options of a run; docs/openapi.json has the defaults."""
 
     cycles: Optional[Number]
     stroke_mm: Optional[Number]
