@@ -88,9 +88,7 @@ impl Origin {
     pub const fn meaning(self) -> &'static str {
         match self {
             Self::Board => "board: measured on a machine",
-            Self::Unknown => {
-                "unknown: the record does not say whether a machine or a simulation made it"
-            }
+            Self::Unknown => "unknown: the record does not say what made it",
             Self::Virtual => "virtual: simulated, not a measurement",
         }
     }

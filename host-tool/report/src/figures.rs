@@ -1,7 +1,7 @@
-//! Figures as SVG: each has a title, and states the origin of its values in words and in its description.
+//! Figures as SVG: each states the origin of its values in words and in its description. Its title is for its caption.
 //!
-//! The size of a chart makes its letters 12 px high on a telephone 390 px wide, and lets two charts fit beside each
-//! other on a desktop screen.
+//! A figure is as wide as one column of a paper, 85 mm, or two, 170 mm, and its letters have 8 pt in both. The narrow one
+//! has letters of 12 px on a telephone 390 px wide.
 
 pub(crate) mod escaped;
 mod heading;
@@ -19,13 +19,21 @@ pub use crate::figures::heading::{Heading, ModelName, Source};
 use crate::figures::palette::{INK, MEASURED, PLANNED};
 pub use crate::figures::profile::{Planned, planned, position_at};
 
-/// Size of one chart in units of the drawing. The drawing library rounds to whole units, so charts are drawn large
-/// and displayed small.
-const SIZE: (u32, u32) = (1_200, 760);
-/// Font size for the drawing library, which writes 1 / 1.24 of it: a telephone shows the 1,200 units on 358 px.
+/// Size of one chart in units of the drawing, 85 mm wide. The drawing library rounds to whole units, so charts are drawn
+/// large and displayed small.
+const SIZE: (u32, u32) = (1_200, 780);
+/// Height of the line above the charts.
+const HEADING: u32 = 50;
+/// Height of a chart that is alone on 170 mm.
+const WIDE_HEIGHT: u32 = 1_000;
+/// Units of the drawing for each millimetre.
+const PER_MM: f64 = 1_200.0 / 85.0;
+/// Font size for the drawing library, which writes 1 / 1.24 of it: 40 units, 8 pt.
 const LETTERS: i32 = 50;
 /// Mean width of a letter.
-const LETTER_WIDTH: i32 = 22;
+const LETTER_WIDTH: i32 = 21;
+/// Room around the plot of a chart: at the left, right, top and bottom.
+const ROOM: [i32; 4] = [156, 30, 10, 112];
 
 #[derive(Debug, thiserror::Error)]
 #[error("a figure could not be drawn: {0}")]
@@ -35,6 +43,8 @@ pub struct FigureError(String);
 pub(crate) enum Mark {
     Line(u32),
     Dots(i32),
+    /// Open dots: one that is filled can be seen within.
+    Rings(i32),
     /// Each pair of points is a line of this width.
     Segments(u32),
 }
@@ -223,20 +233,36 @@ fn over_time(heading: &Heading, y_label: &str, curves: Vec<Curve>) -> Result<Str
     figure(heading, vec![chart])
 }
 
-/// Draws charts one below the other, as one SVG.
+/// Draws charts one below the other, as one SVG, 85 mm wide.
 pub(crate) fn figure(heading: &Heading, charts: Vec<Chart>) -> Result<String, FigureError> {
-    let (width, height) = SIZE;
-    let height = heading.height() + height * charts.len() as u32;
-    let mut svg = String::new();
-    let backend = SVGBackend::with_string(&mut svg, (width, height));
-    draw(backend, heading, &charts).map_err(|error| FigureError(error.to_string()))?;
-    described(&svg, heading).ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
+    figure_in(1, heading, &charts)
 }
 
-/// Adds title and description, for screen readers and for a file that is passed on alone.
-fn described(svg: &str, heading: &Heading) -> Option<String> {
-    let body = svg.find("<svg")?;
-    let (opening, rest) = svg[body..].split_once('>')?;
+/// Draws charts as one SVG, as wide as so many columns of a paper, and that many beside each other.
+pub(crate) fn figure_in(
+    columns: u32,
+    heading: &Heading,
+    charts: &[Chart],
+) -> Result<String, FigureError> {
+    let beside = columns.min(charts.len() as u32).max(1);
+    let rows = (charts.len() as u32).div_ceil(beside);
+    let row = if beside < columns {
+        WIDE_HEIGHT
+    } else {
+        SIZE.1
+    };
+    let size = (SIZE.0 * columns, HEADING + row * rows);
+    let mut svg = String::new();
+    let backend = SVGBackend::with_string(&mut svg, size);
+    draw(backend, heading, charts, (rows, beside))
+        .map_err(|error| FigureError(error.to_string()))?;
+    described(&svg, size, heading).ok_or_else(|| FigureError("the drawing is no SVG".to_owned()))
+}
+
+/// Adds title and description, for screen readers and for a file that is passed on alone, and the size on paper.
+fn described(svg: &str, (width, height): (u32, u32), heading: &Heading) -> Option<String> {
+    let (_, rest) = svg.split_once("<svg")?.1.split_once('>')?;
+    let mm = |units: u32| format!("{:.1}mm", f64::from(units) / PER_MM);
     let title = escaped(&heading.title);
     let source = escaped(heading.description());
     // A model's figure is a file of its own. On a dark page its dark letters need a white background; a report's page
@@ -246,22 +272,34 @@ fn described(svg: &str, heading: &Heading) -> Option<String> {
         None => "",
     };
     Some(format!(
-        "{opening} role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{paper}{rest}"
+        "<svg width=\"{}\" height=\"{}\" viewBox=\"0 0 {width} {height}\" xmlns=\"http://www.w3.org/2000/svg\" \
+         role=\"img\">\n<title>{title}</title>\n<desc>Origin: {source}</desc>{paper}{rest}",
+        mm(width),
+        mm(height)
     ))
 }
 
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 type Sheet<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-fn draw(backend: SVGBackend<'_>, heading: &Heading, charts: &[Chart]) -> Drawn {
+fn draw(
+    backend: SVGBackend<'_>,
+    heading: &Heading,
+    charts: &[Chart],
+    (rows, beside): (u32, u32),
+) -> Drawn {
     let root = backend.into_drawing_area();
-    let (head, body) = root.split_vertically(heading.height());
-    for line in heading.lines() {
-        let style = ("sans-serif", line.size).into_font().color(&line.colour);
-        let style = style.pos(Pos::new(HPos::Left, VPos::Center));
-        head.draw(&Text::new(line.text, line.at, style))?;
-    }
-    let areas = body.split_evenly((charts.len(), 1));
+    let (head, body) = root.split_vertically(HEADING);
+    let style = ("sans-serif", LETTERS - 4).into_font();
+    let style = style
+        .color(&heading.source.colour())
+        .pos(Pos::new(HPos::Left, VPos::Center));
+    head.draw(&Text::new(
+        heading.line().to_owned(),
+        (24, HEADING as i32 / 2),
+        style,
+    ))?;
+    let areas = body.split_evenly((rows as usize, beside as usize));
     for (chart, area) in charts.iter().zip(&areas) {
         draw_chart(area, chart)?;
     }
@@ -278,20 +316,31 @@ fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
     } = chart;
     let all = || curves.iter().flat_map(|curve| &curve.points);
     // Leave room for dots and bars at the ends.
-    let wide = |curve: &Curve| matches!(curve.mark, Mark::Dots(_) | Mark::Segments(_));
+    let wide = |curve: &Curve| !matches!(curve.mark, Mark::Line(_));
     let x_margin = if curves.iter().any(wide) { 0.03 } else { 0.0 };
     let (x_low, x_high) = span(all().map(|point| point.0), x_margin);
     let zero = (*y_from_zero).then_some(0.0);
-    let heights = all().map(|point| point.1);
-    let (y_low, y_high) = span(heights.chain(zero), 0.06);
-    let legend = Legend::of(curves);
+    let heights = || all().map(|point| point.1).chain(zero);
+    let (mut y_low, mut y_high) = span(heights(), 0.06);
+    if *y_from_zero && heights().all(|y| y >= 0.0) {
+        y_low = 0.0;
+    }
+    let (width, height) = root.dim_in_pixel();
+    let [left, right, top, below] = ROOM;
+    let plot = (width as i32 - left - right, height as i32 - top - below);
+    let legend = Legend::of(curves, plot);
+    let corner = legend.corner(curves, [(x_low, x_high), (y_low, y_high)]);
+    if corner.is_none() {
+        // Room above all curves.
+        y_high = y_low + (y_high - y_low) / (1.0 - legend.part().1);
+    }
     let text = |size: i32| ("sans-serif", size).into_font().color(&INK);
     let mut chart = ChartBuilder::on(root)
-        .margin(16)
-        .margin_top(legend.height())
-        .margin_right(44)
-        .x_label_area_size(124)
-        .y_label_area_size(176)
+        .margin_left(10)
+        .margin_top(top)
+        .margin_right(right)
+        .x_label_area_size(below)
+        .y_label_area_size(left - 10)
         .build_cartesian_2d(x_low..x_high, y_low..y_high)?;
     chart
         .configure_mesh()
@@ -307,10 +356,9 @@ fn draw_chart(root: &Sheet<'_>, chart: &Chart) -> Drawn {
         .x_desc(*x_label)
         .y_desc(y_label)
         .draw()?;
-    // Put the legend above the plot, where no curve runs.
-    let labelled = curves.iter().filter(|curve| !curve.label.is_empty());
-    for (entry, curve) in labelled.enumerate() {
-        draw_entry(root, legend.place(entry), curve)?;
+    for (entry, curve) in labelled(curves).enumerate() {
+        let (x, y) = legend.place(entry, corner.unwrap_or_default());
+        draw_entry(root, (left + x, top + y), curve)?;
     }
     for curve in curves {
         draw_curve(&mut chart, curve)?;
@@ -326,11 +374,21 @@ fn draw_entry(root: &Sheet<'_>, (x, y): (i32, i32), curve: &Curve) -> Drawn {
             root.draw(&line(y, colour.stroke_width(width)))?;
         }
         Mark::Dots(radius) => root.draw(&Circle::new((x + 30, y), radius, colour.filled()))?,
+        Mark::Rings(radius) => root.draw(&Circle::new((x + 30, y), radius, ring(colour)))?,
     }
     let letters = ("sans-serif", LETTERS - 2).into_font().color(&INK);
     let anchored = letters.pos(Pos::new(HPos::Left, VPos::Center));
     root.draw(&Text::new(curve.label.clone(), (x + 76, y), anchored))?;
     Ok(())
+}
+
+/// The line of an open dot.
+fn ring(colour: RGBColor) -> ShapeStyle {
+    colour.stroke_width(4)
+}
+
+fn labelled(curves: &[Curve]) -> impl Iterator<Item = &Curve> {
+    curves.iter().filter(|curve| !curve.label.is_empty())
 }
 
 type Plot<'a, 'b> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
@@ -348,6 +406,10 @@ fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve) -> Drawn {
             let dots = points.into_iter();
             plot.draw_series(dots.map(|at| Circle::new(at, radius, colour.filled())))?;
         }
+        Mark::Rings(radius) => {
+            let rings = points.into_iter();
+            plot.draw_series(rings.map(|at| Circle::new(at, radius, ring(colour))))?;
+        }
         Mark::Segments(width) => {
             let segments = points.chunks_exact(2);
             let style = colour.stroke_width(width);
@@ -357,40 +419,100 @@ fn draw_curve(plot: &mut Plot<'_, '_>, curve: &Curve) -> Drawn {
     Ok(())
 }
 
-/// Left edge of the legend, units of the drawing.
-const LEFT: i32 = 60;
-
-/// Layout of a legend: rows of entries above the plot.
+/// A legend in a corner of the plot: up to three entries below each other, more in rows over the whole width.
 struct Legend {
-    entries: usize,
+    plot: (i32, i32),
     column: i32,
-    columns: usize,
+    columns: i32,
+    rows: i32,
 }
 
-impl Legend {
-    const ROW: i32 = 56;
+/// Whether a legend is at the right and at the bottom.
+type Corner = [bool; 2];
 
-    fn of(curves: &[Curve]) -> Self {
-        let labels = || curves.iter().filter(|curve| !curve.label.is_empty());
-        let longest = labels().map(|curve| curve.label.chars().count()).max();
-        let column = (110 + LETTER_WIDTH * longest.unwrap_or(0) as i32).max(300);
+impl Legend {
+    const ROW: i32 = 54;
+    const MARGIN: i32 = 14;
+
+    fn of(curves: &[Curve], plot: (i32, i32)) -> Self {
+        let entries = labelled(curves).count() as i32;
+        let longest = labelled(curves)
+            .map(|curve| curve.label.chars().count())
+            .max();
+        let column = 100 + LETTER_WIDTH * longest.unwrap_or(0) as i32;
+        let columns = if entries <= 3 {
+            1
+        } else {
+            (plot.0 / column).max(1)
+        };
+        let rows = (entries + columns - 1) / columns;
         Self {
-            entries: labels().count(),
+            plot,
             column,
-            columns: usize::max(1, ((SIZE.0 as i32 - LEFT) / column) as usize),
+            columns,
+            rows,
         }
     }
 
-    fn height(&self) -> i32 {
-        16 + Self::ROW * self.entries.div_ceil(self.columns).max(1) as i32
+    /// The parts of the plot's width and height that it takes.
+    fn part(&self) -> (f64, f64) {
+        let width = self.column * self.columns + Self::MARGIN;
+        let height = Self::ROW * self.rows + Self::MARGIN;
+        let part = |of: i32, all: i32| (f64::from(of) / f64::from(all)).min(0.8);
+        (part(width, self.plot.0), part(height, self.plot.1))
     }
 
-    fn place(&self, entry: usize) -> (i32, i32) {
+    /// A corner in which no curve runs.
+    fn corner(&self, curves: &[Curve], [x, y]: [(f64, f64); 2]) -> Option<Corner> {
+        let (width, height) = self.part();
+        let within = |(low, high): (f64, f64), value: f64| (value - low) / (high - low);
+        let is_free = |[right, bottom]: &Corner| {
+            let is_in = |at: (f64, f64)| {
+                let (x, y) = (within(x, at.0), within(y, at.1));
+                (if *right { 1.0 - x } else { x }) < width
+                    && (if *bottom { y } else { 1.0 - y }) < height
+            };
+            !curves.iter().flat_map(trace).any(is_in)
+        };
+        let corners = [[false, false], [true, false], [false, true], [true, true]];
+        corners.into_iter().find(is_free)
+    }
+
+    /// Where an entry begins, from the upper left of the plot.
+    fn place(&self, entry: usize, [right, bottom]: Corner) -> (i32, i32) {
+        let entry = entry as i32;
+        let x = if right {
+            self.plot.0 - self.column * self.columns
+        } else {
+            Self::MARGIN
+        };
+        let y = if bottom {
+            self.plot.1 - Self::ROW * self.rows
+        } else {
+            Self::MARGIN
+        };
         let (row, column) = (entry / self.columns, entry % self.columns);
         (
-            LEFT + self.column * column as i32,
-            30 + Self::ROW * row as i32,
+            x + self.column * column,
+            y + Self::ROW * row + Self::ROW / 2,
         )
+    }
+}
+
+/// Points of what is drawn for a curve, so near to each other that none of it is missed.
+fn trace(curve: &Curve) -> Vec<(f64, f64)> {
+    const STEPS: u32 = 24;
+    let line = |ends: &[(f64, f64)]| {
+        let (a, b) = (ends[0], ends[1]);
+        (0..=STEPS).map(move |step| {
+            let part = f64::from(step) / f64::from(STEPS);
+            (a.0 + part * (b.0 - a.0), a.1 + part * (b.1 - a.1))
+        })
+    };
+    match curve.mark {
+        Mark::Line(_) => curve.points.windows(2).flat_map(line).collect(),
+        Mark::Segments(_) => curve.points.chunks_exact(2).flat_map(line).collect(),
+        Mark::Dots(_) | Mark::Rings(_) => curve.points.clone(),
     }
 }
 
@@ -401,7 +523,7 @@ fn tick_label(value: f64) -> String {
     if text == "-0" { "0" } else { text }.to_owned()
 }
 
-/// Range of finite values with a margin; never empty.
+/// Range of finite values with a margin, between round numbers; never empty.
 fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
     let (low, high) = values
         .filter(|value| value.is_finite())
@@ -413,7 +535,12 @@ fn span(values: impl Iterator<Item = f64>, margin: f64) -> (f64, f64) {
         return (middle - 1.0, middle + 1.0);
     }
     let margin = (high - low) * margin;
-    (low - margin, high + margin)
+    // Round numbers, so that the axis ends where a label can stand.
+    let unit = 10_f64.powf((high - low).log10().floor() - 1.0);
+    (
+        ((low - margin) / unit).floor() * unit,
+        ((high + margin) / unit).ceil() * unit,
+    )
 }
 
 #[cfg(test)]

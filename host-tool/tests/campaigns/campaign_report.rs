@@ -19,7 +19,7 @@ use lab::campaign::form::Form;
 use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use lab::campaign::manifest;
 use lab::campaign::order::Planned;
-use lab::campaign::plan::{Lubrication, Millimetres, Purpose};
+use lab::campaign::plan::{Millimetres, Purpose};
 use lab::campaign::readings::{Kind, ReadingRow};
 use lab::campaign::statistics::{FittedLine, Spread};
 use lab::trials::experiment;
@@ -254,7 +254,7 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     };
     assert_eq!(why(5), "excluded: the tail was <caught>");
     assert_eq!(why(14), "not done yet");
-    let wanted = "figure7.svg figure8.svg trials.csv attempts.csv conditions.csv lines.csv readings.csv report.html";
+    let wanted = "figure7.svg figure7-wide.svg figure8.svg figure8-wide.svg trials.csv attempts.csv conditions.csv lines.csv readings.csv report.html";
     let wanted = wanted
         .split(' ')
         .map(|name| report_folder(&path).join(name));
@@ -267,8 +267,8 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     assert!(html.contains("A. &lt;Person&gt; &amp; Co") && html.contains("&lt;caught&gt;"));
     assert!(!html.contains("<script") && !html.contains("src=") && !html.contains("http-equiv"));
     assert!(!html.contains("class=\"banner\""), "measured and verified");
-    // The campaign's two figures, and one for each run.
-    assert_eq!(html.matches("<svg").count(), 2 + 13);
+    // The campaign's two figures, narrow and wide, and one for each run.
+    assert_eq!(html.matches("<svg").count(), 4 + 13);
     // The report's own files must not count as a change of the campaign.
     assert_eq!(
         write(&path, Existing::Replace).expect("again").findings,
@@ -589,34 +589,13 @@ fn every_colour_of_a_figure_changes_on_a_dark_page() {
     assert!(count > 100, "{count}");
 }
 
-/// Horizontal positions of an SVG's dots of this colour, without the one in the legend.
-fn dots(svg: &str, colour: &str) -> BTreeSet<String> {
+/// Horizontal positions of an SVG's marks of this colour, without the one in the legend, which is the first.
+fn marks(svg: &str, colour: &str) -> BTreeSet<String> {
     let tags = svg.split("<circle ").skip(1);
     let tags = tags.filter_map(|rest| rest.split('>').next());
-    let of_colour = tags.filter(|tag| tag.contains(colour));
+    let of_colour = tags.filter(|tag| tag.contains(colour)).skip(1);
     let sideways = of_colour.filter_map(|tag| tag.split("cx=\"").nth(1)?.split('"').next());
-    let in_plot = sideways.filter(|x| *x != "90");
-    in_plot.map(str::to_owned).collect()
-}
-
-#[test]
-fn figures_show_the_trials_beside_each_other_and_what_is_the_same_once() {
-    let (_place, path) = made();
-    write(&path, Existing::Keep).expect("written");
-    let read = |name: &str| fs::read_to_string(report_folder(&path).join(name)).expect(name);
-    let (figure7, page) = (read("figure7.svg"), read("report.html"));
-    // Dry and lubricated at the same indentation do not hide each other.
-    let (dry, wet) = (dots(&figure7, "#C06A10"), dots(&figure7, "#1F5AA8"));
-    assert!(dry.len() > 1 && dry.is_disjoint(&wet), "{dry:?} {wet:?}");
-    assert!(page.contains("residual / µm") && !page.contains("/ um"));
-    // The caption names the line that is drawn: that of the clampings, as in the table.
-    let caption = page.split("<figcaption>").nth(1).expect("a caption");
-    let caption = caption.split("</figcaption>").next().expect("its end");
-    assert!(
-        caption.contains("least squares through the means of the clampings")
-            && !caption.contains("through all dots"),
-        "{caption}"
-    );
+    sideways.map(str::to_owned).collect()
 }
 
 /// An x coordinate of an SVG as a number of its axis, by the numbers below the plot.
@@ -640,39 +619,43 @@ fn on_axis(svg: &str, x: f64) -> f64 {
     from + (to - from) * (x - x0) / (x1 - x0)
 }
 
-/// A dot at 1.00 mm stood at 0.96 although nothing else was there.
 #[test]
-fn dots_stand_at_their_indentation_if_no_others_do() {
+fn figure_7_shows_each_trial_at_its_indentation_within_its_plot() {
     let (_place, path) = made();
-    let mut clock = Clock(100_000);
-    let (mut folder, _) = Folder::resume(&path, clock.now()).expect("a campaign");
-    for planned in folder.campaign().order.clone() {
-        let is_dry_a1 = planned.lubrication == Lubrication::Dry && planned.indentation == "a1";
-        if is_dry_a1 && ![5, 14].contains(&planned.trial) {
-            let attempt = Some(if planned.trial == 2 { 2 } else { 1 });
-            let row = LedgerRow::of(LedgerEvent::Excluded, planned.trial, attempt);
-            let row = row.saying(Some("for this figure".to_owned()));
-            add(&mut folder, &mut clock, row);
+    write(&path, Existing::Keep).expect("written");
+    let read = |name: &str| fs::read_to_string(report_folder(&path).join(name)).expect(name);
+    for (name, width) in [("figure7.svg", "85.0mm"), ("figure7-wide.svg", "170.0mm")] {
+        let svg = read(name);
+        assert!(
+            svg.starts_with(&format!("<svg width=\"{width}\"")),
+            "{name}"
+        );
+        for (colour, is_open) in [("#C06A10", false), ("#1F5AA8", true)] {
+            let at: Vec<_> = (marks(&svg, colour).iter())
+                .map(|x| on_axis(&svg, x.parse().expect("a number")))
+                .collect();
+            for a_mm in [0.99, 2.995] {
+                let is_there = at.iter().any(|x| (x - a_mm).abs() < 0.02);
+                assert!(is_there, "{name}, {colour}, {a_mm}: {at:?}");
+            }
+            let mut tags = svg.split("<circle ").filter(|tag| tag.contains(colour));
+            assert_eq!(
+                tags.all(|tag| tag.contains("fill=\"none\"")),
+                is_open,
+                "{name}, {colour}"
+            );
         }
     }
-    folder.seal().expect("written");
-    drop(folder);
-    write(&path, Existing::Keep).expect("written");
-    let svg = fs::read_to_string(report_folder(&path).join("figure7.svg")).expect("a figure");
-    let places = |colour| -> Vec<f64> {
-        let dots = dots(&svg, colour).into_iter();
-        dots.map(|x| on_axis(&svg, x.parse().expect("a number")))
-            .collect()
-    };
-    let (dry, wet) = (places("#C06A10"), places("#1F5AA8"));
-    let is_at = |all: &[f64], a_mm: f64| all.iter().any(|x| (x - a_mm).abs() < 0.02);
-    assert!(is_at(&wet, 0.99), "alone at a1: {wet:?}");
+    let page = read("report.html");
+    assert!(page.contains("residual / µm") && !page.contains("/ um"));
+    // The caption names the line that is drawn: that of the clampings, as in the table.
+    let caption = page.split("<figcaption>").nth(1).expect("a caption");
+    let caption = caption.split("</figcaption>").next().expect("its end");
     assert!(
-        !is_at(&wet, 2.995) && !is_at(&dry, 2.995),
-        "{dry:?} {wet:?}"
+        caption.contains("least squares through the means of the clampings")
+            && !caption.contains("through all dots"),
+        "{caption}"
     );
-    let page = fs::read_to_string(report_folder(&path).join("report.html")).expect("a page");
-    assert!(page.contains("Dots that would lie on each other stand beside their indentation"));
 }
 
 /// A telephone shows 102 trials as 102 lines, and paper none of them, unless the reader opens them.

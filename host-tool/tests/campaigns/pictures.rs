@@ -23,7 +23,7 @@ fn the_manuals_figures_are_those_of_a_virtual_campaign() {
     let at = Place::of(&plan);
     let memory = machines(Some(VIRTUAL_UID));
     at.unattended(&memory, 0, &["--yes"]);
-    for name in ["figure7.svg", "figure8.svg"] {
+    for name in ["figure7.svg", "figure8-wide.svg"] {
         let drawn = fs::read(Path::new(&at.out).join("report").join(name)).expect("a figure");
         let picture = Path::new("../docs/pictures").join(name);
         if std::env::var_os("RETROGRADE_PICTURES").is_some() {

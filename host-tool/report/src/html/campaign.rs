@@ -138,11 +138,17 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         Ok::<_, ReportError>(())
     };
     for (name, drawings) in [("figure7", &figures.figure7), ("figure8", &figures.figure8)] {
-        let svg = format!("{name}.svg");
-        match drawings {
-            Some(drawings) => keep(&svg, drawings.svg.as_bytes())?,
-            // An earlier report drew this figure from trials that no longer count.
-            None => plain::remove(&into.join(&svg)).map_err(failed(&svg))?,
+        let drawings = drawings.as_ref();
+        for (ending, svg) in [
+            ("", drawings.map(|drawn| &drawn.narrow)),
+            ("-wide", drawings.map(|drawn| &drawn.wide)),
+        ] {
+            let file = format!("{name}{ending}.svg");
+            match svg {
+                Some(svg) => keep(&file, svg.as_bytes())?,
+                // An earlier report drew this figure from trials that no longer count.
+                None => plain::remove(&into.join(&file)).map_err(failed(&file))?,
+            }
         }
     }
     let lines: Vec<_> = evaluation.lines.iter().map(|(row, _)| row).collect();
@@ -289,8 +295,14 @@ fn figure(svg: Option<&str>, otherwise: &str, caption: &str) -> Markup {
 
 /// A figure of the campaign, or the words that stand for it.
 fn drawn(drawings: Option<&Captioned>, otherwise: &str) -> Markup {
-    let caption = drawings.map_or("", |drawings| &drawings.caption);
-    figure(drawings.map(|drawings| &*drawings.svg), otherwise, caption)
+    html! {
+        @match drawings {
+            Some(Captioned { narrow, wide, caption }) => figure.both {
+                (PreEscaped(narrow)) (PreEscaped(wide)) figcaption { (caption) }
+            },
+            None => p { (otherwise) },
+        }
+    }
 }
 
 fn condition_key(row: &ConditionRow) -> String {

@@ -1,17 +1,16 @@
 //! The figures of a campaign: displacement against indentation (the paper's Fig. 7), folded against unfolded (its
 //! Fig. 8), and each run against its plan.
 
+use crate::figures::palette::{DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
+use crate::figures::{
+    Chart, Curve, FigureError, Heading, Mark, Source, Thin, curve, figure, figure_in, planned,
+    sampled, since,
+};
+use crate::html::evaluation::{Evaluation, LINE, Part, deviation, run_of};
 use lab::campaign::form::Form;
 use lab::campaign::plan::{Lubrication, Purpose};
 use lab::trials::check;
 use lab::trials::trial::{Action, RigSample};
-use plotters::style::RGBColor;
-
-use crate::figures::palette::{DRY, IN_RUN, MEASURED, MEASURED as WET, PLANNED};
-use crate::figures::{
-    Chart, Curve, FigureError, Heading, Mark, Source, Thin, curve, figure, planned, sampled, since,
-};
-use crate::html::evaluation::{Evaluation, LINE, Part, deviation, run_of};
 
 /// Number of time intervals for which a run's figure shows the extremes.
 const STRETCHES: usize = 250;
@@ -31,158 +30,78 @@ fn bar(x: f64, mean: f64, sd: f64, half_width: f64) -> [(f64, f64); 8] {
     ]
 }
 
-/// A figure with the caption that says what was drawn in it.
+/// A figure, 85 mm and 170 mm wide, with the caption that says what was drawn in it.
 pub struct Captioned {
-    pub svg: String,
+    pub narrow: String,
+    pub wide: String,
     pub caption: String,
 }
 
-/// Explains the dots and bars of a condition.
-const BARS: &str = "each bar the mean of a condition with one standard deviation up and down.";
-
-/// Walls and purpose: what stands at an indentation in a colour of its own.
-type Kind = (Purpose, Lubrication);
-
-/// Places of dots over indentation. Those of two kinds that would lie on each other stand beside their indentation,
-/// all others at theirs.
-struct Places {
-    dots: Vec<(Kind, f64)>,
-    /// Distance between neighbours that stand beside their indentation, mm.
-    room_mm: f64,
-    /// Whether any dot stands beside its indentation.
-    any_beside: bool,
-}
-
-impl Places {
-    /// Share of the room within which dots of two kinds touch.
-    const TOUCHING: f64 = 0.4;
-
-    fn of(evaluation: &Evaluation, purposes: &[Purpose]) -> Self {
-        let walls = [Lubrication::Dry, Lubrication::Lubricated];
-        let kinds = purposes
-            .iter()
-            .flat_map(|purpose| walls.map(|wall| (*purpose, wall)));
-        let of = |kind: Kind| {
-            let points = evaluation.points(kind.0, kind.1).into_iter();
-            points.map(move |(a_mm, _)| (kind, a_mm))
-        };
-        let dots: Vec<_> = kinds.flat_map(of).collect();
-        let depths = dots.iter().map(|dot| dot.1);
-        let (least, most) = depths.fold((f64::MAX, f64::MIN), |(a, b), x| (a.min(x), b.max(x)));
-        let room_mm = if least < most {
-            0.04 * (most - least)
-        } else {
-            0.08
-        };
-        let mut places = Self {
-            dots,
-            room_mm,
-            any_beside: false,
-        };
-        places.any_beside = (places.dots.iter()).any(|(kind, a_mm)| places.is_shared(*kind, *a_mm));
-        places
+impl Captioned {
+    fn of(
+        title: &str,
+        evaluation: &Evaluation,
+        charts: &[Chart],
+        caption: String,
+    ) -> Result<Self, FigureError> {
+        let heading = Heading::new(title, Source::Records(evaluation.origin));
+        Ok(Self {
+            narrow: figure_in(1, &heading, charts)?,
+            wide: figure_in(2, &heading, charts)?,
+            caption,
+        })
     }
-
-    /// Whether a dot of another kind touches one of this kind at an indentation.
-    fn is_shared(&self, kind: Kind, a_mm: f64) -> bool {
-        let near = Self::TOUCHING * self.room_mm;
-        let mut others = self.dots.iter().filter(|(other, _)| *other != kind);
-        others.any(|(_, other_mm)| (other_mm - a_mm).abs() <= near)
-    }
-
-    /// Where a dot of a kind stands, if its kind steps aside by a number of rooms.
-    fn x(&self, kind: Kind, a_mm: f64, aside: f64) -> f64 {
-        match self.is_shared(kind, a_mm) {
-            true => a_mm + aside * self.room_mm,
-            false => a_mm,
-        }
-    }
-
-    /// The sentence about them in a caption; none where each stands at its indentation.
-    fn caption(&self) -> &'static str {
-        match self.any_beside {
-            true => {
-                " Dots that would lie on each other stand beside their indentation, dry on the left."
-            }
-            false => "",
-        }
-    }
-}
-
-/// Dots and bars of a kind's trials, which steps aside by a number of rooms where it is not alone.
-fn dots_and_bars(
-    evaluation: &Evaluation,
-    kind: Kind,
-    (label, colour, size): (&str, RGBColor, i32),
-    (places, aside): (&Places, f64),
-) -> Option<[Curve; 2]> {
-    let (purpose, lubrication) = kind;
-    let points: Vec<_> = (evaluation.points(purpose, lubrication).into_iter())
-        .map(|(a_mm, y)| (places.x(kind, a_mm, aside), y))
-        .collect();
-    if points.is_empty() {
-        return None;
-    }
-    let rows = evaluation
-        .conditions
-        .iter()
-        .filter(|row| row.purpose == purpose && row.lubrication == lubrication && row.n > 0);
-    let label = format!("{label}, n = {}", points.len());
-    let bars = rows.filter_map(|row| {
-        let (a_mm, mean, sd) = (row.indentation_mm?.0, row.mean_mm?.0, row.sd_mm?.0);
-        let x = places.x(kind, a_mm, aside);
-        Some(bar(x, mean, sd, 0.2 * places.room_mm))
-    });
-    Some([
-        curve(label, colour, Mark::Dots(size), points),
-        curve("", colour, Mark::Segments(4), bars.flatten().collect()),
-    ])
 }
 
 /// Displacement against indentation; none without a trial that counts.
 pub fn figure7(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError> {
+    let looks = [
+        (Lubrication::Lubricated, WET, Mark::Rings(13), 0.01),
+        (Lubrication::Dry, DRY, Mark::Dots(7), 0.006),
+    ];
+    let of = |wall| evaluation.points(Purpose::Series, wall);
+    let all = || looks.iter().flat_map(|look| of(look.0));
+    let ends = |points: &mut dyn Iterator<Item = (f64, f64)>| {
+        points.fold((f64::MAX, f64::MIN), |(a, b), (x, _)| (a.min(x), b.max(x)))
+    };
+    let (least, most) = ends(&mut all());
     let mut curves = vec![];
-    let mut has_line = false;
-    let places = Places::of(evaluation, &[Purpose::Series]);
-    for (lubrication, colour) in [(Lubrication::Dry, DRY), (Lubrication::Lubricated, WET)] {
-        let points = evaluation.points(Purpose::Series, lubrication);
+    let mut caption = "Each mark is a trial, dry filled and lubricated open, each bar the mean of a condition with one \
+                       standard deviation up and down."
+        .to_owned();
+    for (wall, colour, mark, width) in looks {
+        let points = of(wall);
         if points.is_empty() {
             continue;
         }
-        let ends = points.iter().fold((f64::MAX, f64::MIN), |(a, b), (x, _)| {
-            (a.min(*x), b.max(*x))
-        });
-        let line = evaluation
-            .lines
-            .iter()
-            .find(|(row, _)| row.lubrication == lubrication)
-            .map(|(_, line)| line);
-        if let Some(line) = line {
-            let through = vec![(ends.0, line.at(ends.0)), (ends.1, line.at(ends.1))];
+        if let Some((_, line)) = (evaluation.lines.iter()).find(|(row, _)| row.lubrication == wall)
+        {
+            let (from, to) = ends(&mut points.iter().copied());
+            let through = vec![(from, line.at(from)), (to, line.at(to))];
             curves.push(curve("", colour, Mark::Line(3), through));
-            has_line = true;
         }
-        let aside = if lubrication == Lubrication::Dry {
-            -0.5
-        } else {
-            0.5
-        };
-        let condition = (Purpose::Series, lubrication);
-        let look = (lubrication.name(), colour, 7);
-        curves.extend(
-            dots_and_bars(evaluation, condition, look, (&places, aside))
-                .into_iter()
-                .flatten(),
-        );
+        let rows = evaluation
+            .conditions
+            .iter()
+            .filter(|row| row.purpose == Purpose::Series && row.lubrication == wall && row.n > 0);
+        let bars = rows.filter_map(|row| {
+            let (a_mm, mean, sd) = (row.indentation_mm?.0, row.mean_mm?.0, row.sd_mm?.0);
+            Some(bar(a_mm, mean, sd, width * (most - least).max(1.0)))
+        });
+        let bars = bars.flatten().collect();
+        let label = format!("{}, n = {}", wall.name(), points.len());
+        curves.push(curve(label, colour, mark, points));
+        curves.push(curve("", colour, Mark::Segments(3), bars));
     }
     if curves.is_empty() {
         return Ok(None);
     }
-    let mut caption = format!("Each dot is a trial, {BARS}");
-    if has_line {
+    if curves
+        .iter()
+        .any(|curve| matches!(curve.mark, Mark::Line(_)))
+    {
         caption.push_str(&format!(" {LINE}."));
     }
-    caption.push_str(places.caption());
     let chart = Chart {
         x_label: "indentation a / mm",
         y_label: "displacement / mm".to_owned(),
@@ -190,21 +109,19 @@ pub fn figure7(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
         curves,
     };
     let title = "Fig. 7: displacement over indentation";
-    let heading = Heading::new(title, Source::Records(evaluation.origin));
-    let svg = figure(&heading, vec![chart])?;
-    Ok(Some(Captioned { svg, caption }))
+    Captioned::of(title, evaluation, &[chart], caption).map(Some)
 }
 
 /// Folded against unfolded over time; none without a trial that counts. The displacement is known at the beginning,
 /// where it is zero, and at the end; between them the figure shows the carriage.
 pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError> {
     let shapes = [
-        (Form::Unfolded, WET),
-        (Form::Folded, DRY),
-        (Form::Folding, IN_RUN),
+        (Form::Unfolded, WET, Mark::Rings(12)),
+        (Form::Folded, DRY, Mark::Dots(8)),
+        (Form::Folding, IN_RUN, Mark::Rings(8)),
     ];
     let (mut displacements, mut carriages) = (vec![], vec![]);
-    for (shape, colour) in shapes {
+    for (shape, colour, mark) in shapes {
         let rows = evaluation.trials.iter().zip(&evaluation.parts);
         let rows: Vec<_> = rows
             .filter(|(row, _)| row.counts && row.purpose == Purpose::FoldTest && row.shape == shape)
@@ -230,7 +147,7 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
         let label = format!("{name}, n = {}", ends.len());
         let from_zero = ends.iter().flat_map(|end| [(0.0, 0.0), *end]).collect();
         displacements.push(curve("", colour, Mark::Segments(2), from_zero));
-        displacements.push(curve(label, colour, Mark::Dots(9), ends));
+        displacements.push(curve(label, colour, mark, ends));
         if let Some((_, parts)) = rows.first()
             && let Some(run) = run_of(parts)
             && let Some(points) = positions(run)
@@ -261,20 +178,16 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
         y_from_zero,
         curves,
     };
-    let heading = Heading::new(
-        "Fig. 8: folded against unfolded",
-        Source::Records(evaluation.origin),
-    );
     let mut caption = "The displacement is read at the beginning, where it is zero, and at the end: the straight lines \
                        join the two and say nothing of the way between."
         .to_owned();
     let mut charts = vec![chart("displacement / mm", true, displacements)];
     if !carriages.is_empty() {
         charts.push(chart("carriage / mm", false, carriages));
-        caption.push_str(" Below, the carriage in the first trial of each shape.");
+        caption.push_str(" The other chart has the carriage in the first trial of each shape.");
     }
-    let svg = figure(&heading, charts)?;
-    Ok(Some(Captioned { svg, caption }))
+    let title = "Fig. 8: folded against unfolded";
+    Captioned::of(title, evaluation, &charts, caption).map(Some)
 }
 
 /// Largest difference of curves that one line can stand for, relative to their height: less than the line is wide.

@@ -19,7 +19,8 @@ h3{font-size:1rem;margin:1.2rem 0 .3rem}a{color:var(--link)}\
 th,td{border-bottom:1px solid var(--line);padding:.22rem .8rem .22rem 0;text-align:left;vertical-align:top;font-variant-numeric:tabular-nums;overflow-wrap:normal}\
 .short table{width:auto}.short th{padding-right:2rem}td.n,th.n{text-align:right}td.n{white-space:nowrap}td.hash{overflow-wrap:anywhere}\
 th{font-weight:600;color:var(--soft)}figure{margin:.6rem 0;display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,27rem),1fr));gap:.6rem 1.2rem}\
-figure.one{max-width:36rem;grid-template-columns:1fr}\
+figure.one{max-width:36rem;grid-template-columns:1fr}figure.both{display:block}\
+@media (min-width:50rem){.both svg:first-child{display:none}}@media (max-width:49.99rem){.both svg+svg{display:none}}\
 .within{display:grid;grid-template-columns:minmax(0,1fr) minmax(0,1fr);column-gap:1.4rem;align-items:start}\
 .trial{border-top:1px solid var(--line)}summary{cursor:pointer;padding:.5rem 0;font-weight:600}.within>.bad{grid-column:1/-1}figcaption{color:var(--soft);font-size:.9rem;grid-column:1/-1}svg{width:100%;height:auto;display:block}\
 .ok{color:var(--ok)}.bad{color:var(--bad);font-weight:600}ul.bad{font-weight:400;padding-left:1.2rem;margin:.3rem 0}\
@@ -31,7 +32,7 @@ code{font-size:.92em}.hash{font-family:ui-monospace,monospace;font-size:.8rem;ov
 figure,tr,.banner,li,.trial{break-inside:avoid}.trial{font-size:8.5pt}.within{grid-template-columns:60mm minmax(0,1fr)}details:not([open]){display:none}\
 thead{display:table-header-group}.wide{overflow:visible}.short{break-inside:avoid}\
 .banner{-webkit-print-color-adjust:exact;print-color-adjust:exact}a{color:inherit;text-decoration:none}\
-section>p,section>ul{break-after:avoid}figure{grid-template-columns:minmax(0,1fr) minmax(0,1fr)}figure.one{grid-template-columns:1fr;max-width:150mm}}";
+section>p,section>ul{break-after:avoid}figure{grid-template-columns:minmax(0,1fr) minmax(0,1fr)}figure.one{grid-template-columns:1fr;max-width:150mm}.both{max-width:170mm}}";
 
 /// A complete page that loads nothing, and in which no foreign text can change the direction of writing.
 pub(crate) fn page(title: &str, body: &Markup) -> String {
