@@ -1,7 +1,6 @@
 """The package knows what docs/openapi.json lists, and the server answers as it says."""
 
 import json
-import pathlib
 import re
 import unittest
 from typing import Any, Callable, Dict, List, Optional, Set, Tuple
@@ -9,7 +8,8 @@ from typing import Any, Callable, Dict, List, Optional, Set, Tuple
 import retrograde
 from retrograde import client, types
 
-FILE = pathlib.Path(__file__).parents[2] / "docs" / "openapi.json"
+from bench import DOCUMENT
+
 # Paths that only browsers and generators ask for.
 OTHERS = {("GET", "/"), ("GET", "/openapi.json")}
 
@@ -33,11 +33,8 @@ class Noted(retrograde.Lab):
         return 200, json.dumps(answer).encode()
 
 
-@unittest.skipUnless(FILE.exists(), f"no {FILE}: it comes with `retrograde serve`")
 class OpenApiTest(unittest.TestCase):
-    def setUp(self) -> None:
-        self.document = json.loads(FILE.read_text(encoding="utf-8"))
-        self.schemas = self.document["components"]["schemas"]
+    schemas = DOCUMENT["components"]["schemas"]
 
     def fields(self, name: str) -> Set[str]:
         """Fields of a schema, with those that it takes over."""
@@ -59,7 +56,7 @@ class OpenApiTest(unittest.TestCase):
             call()
         # These two are asked for in another way.
         lab.asked |= {("GET", "/api/v1/stream"), ("POST", "/api/v1/rig/jog/renew")}
-        listed = {(method.upper(), path) for path, methods in self.document["paths"].items() for method in methods}
+        listed = {(method.upper(), path) for path, methods in DOCUMENT["paths"].items() for method in methods}
         concrete = {(method, re.sub(r"\{(\w+)\}", lambda name: name.group(1).upper(), path)) for method, path in listed - OTHERS}
         self.assertEqual(concrete - lab.asked, set(), "the package has no method for these")
         self.assertEqual(lab.asked - concrete, set(), "the server has no such requests")
