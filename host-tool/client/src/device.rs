@@ -30,7 +30,7 @@ use crate::link::{Link, LinkError};
 /// rig's `link_timeout_ms`; a third of that is used if it is shorter than this.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
-/// Time for the owner of a line to answer before a window gives up, us. Its door has answered, so the owner is alive:
+/// Time for the owner of a line to answer before a broker client gives up, us. Its broker has answered, so the owner is alive:
 /// it may be setting up, or its computer may be busy.
 const OWNER_PATIENCE_US: u64 = 3_000_000;
 
@@ -85,7 +85,7 @@ pub struct Device {
     commanding: bool,
     /// A request sent by [`Device::post`], whose answer is still to come.
     posted: Option<Posted>,
-    /// The guest's question that was posted.
+    /// The client's question that was posted.
     asked_by: Option<Question>,
     /// The relation of the two clocks, from the last exchange that contained the device's time.
     clock: Option<Clock>,

@@ -3,7 +3,7 @@
 //! * [`Device`]: typed requests, events, telemetry, waiting, stops.
 //! * [`address`]: addresses of machines.
 //! * [`link`]: a byte pipe with its own clock: serial port, TCP, memory, or the virtual bench.
-//! * [`door`]: one process owns a line, others look through its door and can stop.
+//! * [`broker`]: one process owns a line, others use its broker and can stop.
 //! * [`diagnosis`]: the other end when no machine answers.
 //! * [`error`]: the reason why a request failed, and the remedy.
 //! * [`identity`]: names of machines, images and versions.
@@ -19,7 +19,7 @@ pub mod address;
 pub mod decimal;
 mod device;
 pub mod diagnosis;
-pub mod door;
+pub mod broker;
 pub mod error;
 pub mod exit;
 pub mod identity;

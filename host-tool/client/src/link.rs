@@ -19,7 +19,7 @@ pub enum Reason {
     Permission,
     /// Another program uses it.
     Busy,
-    /// Another `retrograde` owns it and does not answer at its door.
+    /// Another `retrograde` owns it and does not answer at its socket.
     OwnerSilent,
     /// It does not exist.
     Absent,
@@ -60,7 +60,7 @@ pub enum LinkError {
         /// The reason.
         why: String,
     },
-    /// The process that owned the line has ended or given the line up, so its door is closed.
+    /// The process that owned the line has ended or given the line up, so its socket is closed.
     #[error("{place} belonged to {owner}, which has ended, or has given the line up")]
     OwnerGone { place: String, owner: Box<Owner> },
 }
@@ -111,7 +111,7 @@ pub trait Link: Send {
         false
     }
 
-    // Tasks of a line's owner for other processes that look at the machine through it; see `crate::door`.
+    // Tasks of a line's owner for other processes that look at the machine through it; see `crate::broker`.
 
     /// Notes the machine that has answered Hello.
     fn introduce(&mut self, identity: &Identity) {
@@ -124,7 +124,7 @@ pub trait Link: Send {
         let _ = mark;
     }
 
-    /// Whether a stop was ordered on this line since the orders were given. Only a window says so here: the owner
+    /// Whether a stop was ordered on this line since the orders were given. Only a broker client says so here: the owner
     /// learns it from [`Link::stopped`].
     fn is_overtaken(&self) -> bool {
         false

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use client::Interrupt;
 use client::address::Address;
-use client::door::lock::Doorway;
+use client::broker::lock::LineFiles;
 use client::identity::{IdentityRecord, Origin, kind_name};
 use client::link::owner::StopMark;
 use jiff::Timestamp;
@@ -71,8 +71,8 @@ pub struct Machine {
     notices: AtomicU64,
     identity: Mutex<Option<(Identity, String)>>,
     pub stops: Arc<Stops>,
-    /// Lock and door of the machine's line, once a line is known.
-    doorway: Mutex<Option<Doorway>>,
+    /// Lock and socket of the machine's line, once a line is known.
+    line_files: Mutex<Option<LineFiles>>,
     /// This server is moving the machine, or has begun a motion whose end it has not seen.
     pub acting: Arc<AtomicBool>,
     /// The run that this server began last; none if it began another motion after that.
@@ -103,7 +103,7 @@ impl Machine {
             notices: AtomicU64::new(0),
             identity: Mutex::default(),
             stops: Arc::default(),
-            doorway: Mutex::default(),
+            line_files: Mutex::default(),
             acting: Arc::default(),
             run: Mutex::default(),
             orders,
@@ -159,14 +159,14 @@ impl Machine {
     // Stops.
 
     /// Sets the line that the machine is connected to.
-    pub fn is_behind(&self, doorway: Option<Doorway>) {
-        *lock(&self.doorway) = doorway;
+    pub fn is_behind(&self, line_files: Option<LineFiles>) {
+        *lock(&self.line_files) = line_files;
     }
 
     /// Requests a stop. The worker sends it as soon as it sees the request: within 20 ms if there is a connection.
     pub fn stop(&self, urgent: Urgent) -> Ask {
-        if let Some(doorway) = &*lock(&self.doorway) {
-            doorway.mark_stop(urgent);
+        if let Some(line_files) = &*lock(&self.line_files) {
+            line_files.mark_stop(urgent);
         }
         self.stops.with(|stops| stops.ask(urgent))
     }
@@ -175,7 +175,7 @@ impl Machine {
     pub fn last_stop(&self) -> (u64, StopMark) {
         (
             self.stops.with(|stops| stops.asked()),
-            Doorway::last_stops(lock(&self.doorway).as_ref()),
+            LineFiles::last_stops(lock(&self.line_files).as_ref()),
         )
     }
 
@@ -336,7 +336,7 @@ impl Board {
         let (contact, contact_text) = match &panel.contact {
             Contact::Lost(why) => ("lost", why.clone()),
             Contact::Owned => ("owned", "this server owns the line".to_owned()),
-            Contact::Window(owner) => ("window", format!("through {owner}")),
+            Contact::Broker(owner) => ("broker", format!("through {owner}")),
         };
         let met = lock(&machine.identity).clone();
         let origin = met.as_ref().map_or(Origin::Unknown, |(identity, place)| {

@@ -1,5 +1,5 @@
 //! Direct requests bypass the worker, each on a thread of its own: stops, which wait for nothing, and questions.
-//! Questions go through the door like those of other processes, so they are answered while the worker works.
+//! Questions go through the broker like those of other processes, so they are answered while the worker works.
 
 use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, Scope};
@@ -122,7 +122,7 @@ pub fn run<'scope>(
     }
 }
 
-/// Stops a machine once for everybody who waits for it. The stop goes through the door of the line's owner (usually
+/// Stops a machine once for everybody who waits for it. The stop goes through the broker of the line's owner (usually
 /// the worker) or over a line of its own. If that fails, it waits for the worker, which sends the stop as well, for
 /// `patience` at most.
 pub fn stop(

@@ -3,7 +3,7 @@
 //! ```text
 //!  browser, program --HTTP--> http: access, orders --bounded channel--> worker (one thread a machine) --> line
 //!                                   |                                                                      ^
-//!                                   +-- a stop --> direct (a thread of its own) --> door of the line's owner
+//!                                   +-- a stop --> direct (a thread of its own) --> broker of the line's owner
 //!  browser <--server-sent events-- stream <-- board <-- worker
 //! ```
 //!
@@ -51,7 +51,7 @@ use std::time::{Duration, SystemTime};
 
 use client::Interrupt;
 use client::address::Address;
-use client::door::lock;
+use client::broker::lock;
 use client::identity::kind_name;
 use client::limited;
 use client::plain::{self, Locked};

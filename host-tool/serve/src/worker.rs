@@ -1,4 +1,4 @@
-//! Keeps one machine, on a thread of its own. It owns the line or looks through the door of its owner, executes
+//! Keeps one machine, on a thread of its own. It owns the line or goes through the broker of its owner, executes
 //! orders, and reports what happens. Stops do not pass through here; this thread only notices them.
 
 mod busy;
@@ -192,7 +192,7 @@ impl Worker<'_> {
     /// the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (places, machine) = (self.places, self.machine);
-        machine.is_behind(places.connector.doorway(&machine.address));
+        machine.is_behind(places.connector.line_files(&machine.address));
         let mut device = places.open(machine.kind, &machine.address, Purpose::Watch)?;
         device.ask_once(true);
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
@@ -209,7 +209,7 @@ impl Worker<'_> {
             machine,
             match device.owner() {
                 None => Contact::Owned,
-                Some(owner) => Contact::Window(owner.to_string()),
+                Some(owner) => Contact::Broker(owner.to_string()),
             },
         );
         if owned && self.machine.panel().moves() {

@@ -132,7 +132,7 @@ fn line(panel: &Panel, in_json: bool) -> String {
     let (lost, owner) = match &panel.contact {
         Contact::Lost(why) => (Some(why), None),
         Contact::Owned => (None, None),
-        Contact::Window(owner) => (None, Some(owner)),
+        Contact::Broker(owner) => (None, Some(owner)),
     };
     let line = json!({
         "machine": identity::kind_name(panel.kind),
@@ -192,7 +192,7 @@ fn connection(
     }
     machine.panel().contact = match device.owner() {
         None => Contact::Owned,
-        Some(owner) => Contact::Window(owner.to_string()),
+        Some(owner) => Contact::Broker(owner.to_string()),
     };
     let mut asked_us = None;
     while !leaving.load(Ordering::Relaxed) && !device.is_line_wanted() {

@@ -11,7 +11,7 @@ mod campaign_run;
 mod counting;
 mod folded;
 mod gone;
-mod guests;
+mod observers;
 #[cfg(unix)]
 mod hostile;
 mod in_python;

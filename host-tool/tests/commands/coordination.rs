@@ -273,16 +273,16 @@ fn the_host_does_not_wait_for_the_answer_to_a_guest() {
         while capsule.now_us() < 3_000_000 {
             let began_us = capsule.now_us();
             let answer = capsule.attend(began_us + 5_000, &mut Unobserved);
-            assert_eq!(answer.expect("there"), None, "it is the guest's");
+            assert_eq!(answer.expect("there"), None, "it is the client's");
             longest_us = longest_us.max(capsule.now_us() - began_us);
         }
         assert!(longest_us <= 5_000, "{longest_us} us");
-        let reply = answered.try_recv().expect("the guest is told");
+        let reply = answered.try_recv().expect("the client is told");
         assert_eq!(reply.is_none(), dead, "{reply:?}");
     }
 }
 
-/// The run ends in the dwell before the fold, and a guest's question keeps the capsule's line busy beyond that.
+/// The run ends in the dwell before the fold, and a client's question keeps the capsule's line busy beyond that.
 #[test]
 fn nothing_is_folded_after_the_run() {
     let (link, log) = link(Script {

@@ -195,7 +195,7 @@ fn a_rig_at_rest_that_is_lost_raises_no_alarm_before_an_order() {
     assert!(error.may_move(), "{error:?}");
 }
 
-/// Whoever looks through another process's door goes on by itself when that process ends, also during a motion.
+/// Whoever goes through another process's broker goes on by itself when that process ends, also during a motion.
 #[test]
 fn a_line_that_its_owner_has_given_up_is_not_a_lost_rig() {
     let cable = Cable {

@@ -87,7 +87,7 @@ struct State {
     courier: Courier,
     /// The rig answers.
     alive: bool,
-    /// Its door lets guests in.
+    /// Its broker admits clients.
     open: bool,
     motion: Option<Motion>,
     /// Number of the last press before the latest stop that the rig has seen.

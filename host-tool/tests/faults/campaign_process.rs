@@ -125,7 +125,7 @@ fn a_campaign_survives_being_killed_at_any_instant() {
     );
 }
 
-/// While a question waits, the tool keeps the link alive, others look through its door, and Ctrl-C leaves.
+/// While a question waits, the tool keeps the link alive, others use its broker, and Ctrl-C leaves.
 #[test]
 fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     let bench = Bench::on_tcp_as(&ready(DeviceKind::Rig), SPEED);

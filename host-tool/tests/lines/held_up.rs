@@ -1,4 +1,4 @@
-//! A guest of a door whose owner takes its questions too late, as after the whole computer stood still: in memory,
+//! A client of a broker whose owner takes its questions too late, as after the whole computer stood still: in memory,
 //! with times that the test makes up.
 
 use std::io::sink;
@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use client::Device;
-use client::door::server::{Core, Visit, WAITING_FRAMES};
+use client::broker::server::{Core, ClientSession, WAITING_FRAMES};
 use client::error::ClientError;
 use client::link::owner::Owner;
 use client::link::{Link, LinkError};
@@ -16,26 +16,26 @@ use protocol::system::{DeviceKind, Urgent};
 use protocol::table::{Reply, Request, Response};
 use simulated_machines::machine::{Log, Script, link};
 
-/// Longer than a guest waits for an answer.
+/// Longer than a client waits for an answer.
 const STILL: Duration = Duration::from_secs(2);
 
-/// Longer than the pause that a door makes between two questions.
+/// Longer than the pause that a broker makes between two questions.
 const SOON: Duration = Duration::from_millis(20);
 
-/// The guest's link, with door and owner behind it.
+/// The client's link, with broker and owner behind it.
 struct Late {
     core: Arc<Core>,
-    visit: Visit,
+    session: ClientSession,
     frames: Receiver<Vec<u8>>,
     owner: Device,
     process: Owner,
     now_us: u64,
-    /// The door's clock.
+    /// The broker's clock.
     now: Instant,
     standstill: Arc<Mutex<Standstill>>,
 }
 
-/// How the door is held up at the next acknowledgement.
+/// How the broker is held up at the next acknowledgement.
 #[derive(Default)]
 struct Standstill {
     /// The owner takes it too late this many times.
@@ -69,7 +69,7 @@ impl Link for Late {
         self.now_us
     }
     fn send(&mut self, bytes: &[u8]) -> Result<(), LinkError> {
-        let taken = self.visit.take(bytes, self.now);
+        let taken = self.session.take(bytes, self.now);
         taken.expect("the rules are kept");
         let mut standstill = self.standstill.lock().expect("free");
         if standstill.times > 0 {
@@ -100,8 +100,8 @@ impl Link for Late {
     }
 }
 
-/// A guest at a rig with a latched emergency stop.
-fn guest() -> (Device, Arc<Mutex<Standstill>>, Arc<Mutex<Log>>) {
+/// A client at a rig with a latched emergency stop.
+fn client() -> (Device, Arc<Mutex<Standstill>>, Arc<Mutex<Log>>) {
     let mut script = Script::new(DeviceKind::Rig);
     script.ready = true;
     let (line, log) = link(script);
@@ -111,11 +111,11 @@ fn guest() -> (Device, Arc<Mutex<Standstill>>, Arc<Mutex<Log>>) {
     let core = Core::new(Box::new(sink()), false, None);
     core.introduce(owner.identity().expect("known"));
     let (sender, frames) = sync_channel(WAITING_FRAMES);
-    let visit = Visit::new(&core, Box::new(|| {}), sender).expect("a line");
+    let session = ClientSession::new(&core, Box::new(|| {}), sender).expect("a line");
     let standstill = Arc::<Mutex<Standstill>>::default();
     let late = Late {
         core,
-        visit,
+        session,
         frames,
         owner,
         process: Owner::this_process(),
@@ -123,8 +123,8 @@ fn guest() -> (Device, Arc<Mutex<Standstill>>, Arc<Mutex<Log>>) {
         now: Instant::now(),
         standstill: Arc::clone(&standstill),
     };
-    let guest = Device::connect(Box::new(late), DeviceKind::Rig, 2).expect("a door");
-    (guest, standstill, log)
+    let client = Device::connect(Box::new(late), DeviceKind::Rig, 2).expect("a broker");
+    (client, standstill, log)
 }
 
 fn acknowledgements(log: &Mutex<Log>) -> usize {
@@ -135,23 +135,23 @@ fn acknowledgements(log: &Mutex<Log>) -> usize {
 
 #[test]
 fn a_command_that_waited_too_long_is_asked_again_and_carried_out_once() {
-    let (mut guest, standstill, log) = guest();
+    let (mut client, standstill, log) = client();
     standstill.lock().expect("free").times = 3;
-    guest.acknowledge().expect("carried out");
+    client.acknowledge().expect("carried out");
     assert_eq!(acknowledgements(&log), 1);
 }
 
 /// The order is older than the stop, and must not undo it.
 #[test]
 fn a_command_that_waited_too_long_is_not_asked_again_after_a_stop() {
-    let (mut guest, standstill, log) = guest();
+    let (mut client, standstill, log) = client();
     let set = Standstill {
         times: 1,
         stop: true,
         overtaken: false,
     };
     *standstill.lock().expect("free") = set;
-    let error = guest.acknowledge().expect_err("stopped");
+    let error = client.acknowledge().expect_err("stopped");
     // It was certainly not carried out.
     assert!(
         matches!(error, ClientError::Interrupted { .. }),

@@ -114,8 +114,8 @@ fn a_server_that_leaves_stops_no_run_of_another_process() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let served = server(&bench);
     let mut run = bench.run(&["--cycles", "1", "--duration-s", "60"]);
-    served.until("a window", |rig| {
-        rig["contact"] == "window" && rig["state"] == "running"
+    served.until("a broker", |rig| {
+        rig["contact"] == "broker" && rig["state"] == "running"
     });
     let (code, said) = left(served, &bench);
     assert_eq!((code, bench.urgent()), (Some(0), vec![]), "{said}");

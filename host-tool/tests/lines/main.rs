@@ -6,7 +6,7 @@ mod support;
 
 mod bad_inputs;
 mod doctor;
-mod door;
+mod broker;
 mod held_up;
 mod leaving;
 mod remedies;

@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use crate::support::bench::{Bench, at_a_port, ready, through_the_door_alone};
 use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
-use client::door::lock::Doorway;
-use client::door::window::Window;
+use client::broker::lock::LineFiles;
+use client::broker::client::BrokerClient;
 use protocol::frame::{Deframer, Kind};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
@@ -439,11 +439,11 @@ fn a_run_that_was_to_finish_without_its_host_finishes() {
 
 #[test]
 fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
-    // The stop uses the door: another connection breaks the owner's.
+    // The stop uses the broker: another connection breaks the owner's.
     through_the_door_alone(|| {
         let bench = Bench::on_tcp(DeviceKind::Rig);
         let mut run = bench.run(&[]);
-        let guests: Vec<_> = (0..32).map(|_| bench.window()).collect();
+        let clients: Vec<_> = (0..32).map(|_| bench.broker_client()).collect();
         let (code, _, err) = bench.retrograde(&["info"]);
         assert_eq!(code, Some(4), "{err}");
         assert!(err.contains("32 other processes look"), "{err}");
@@ -451,13 +451,13 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
         assert_eq!(code, Some(0), "{out}{err}");
         assert!(bench.urgent().contains(&Urgent::EStop));
         assert_eq!(run.wait().expect("ended").code(), Some(6));
-        drop(guests);
+        drop(clients);
         bench
     });
 }
 
 /// Cleaners of `/tmp` delete old files: the file with the owner's name, or its lock. Without the lock, a later command
-/// once made a new one for itself and removed the door. A serial port has no second way in.
+/// once made a new one for itself and removed the socket. A serial port has no second way in.
 #[test]
 fn a_stop_finds_the_door_without_its_owner_file() {
     for gone in ["owner", "lock"] {
@@ -567,7 +567,7 @@ impl Drop for Processes {
     }
 }
 
-/// Waits until a command has noted its age, after which it connects to the line or its door. Systems other than Linux
+/// Waits until a command has noted its age, after which it connects to the line or its socket. Systems other than Linux
 /// get a fixed time instead.
 pub(super) fn has_begun(child: &mut Child) {
     let fds = format!("/proc/{}/fd", child.id());
@@ -652,14 +652,14 @@ fn scenario(seed: u64) -> (bool, bool) {
         all.0.push(child);
     }
     let mut watches = Processes::default();
-    let mut windows = vec![];
+    let mut clients = vec![];
     if dice.one_in(4) {
         watches.0.push(spawn(&["watch"]));
         let address = bench.address.parse().expect("an address");
-        let doorway = Doorway::within(&bench.locks(), &address).expect("a line");
-        // Exceed the limit of windows. One that arrives while the line changes hands may fail.
-        let more = (0..dice.below(40)).map(|_| Window::open(&doorway, Duration::from_secs(1)));
-        windows.extend(more);
+        let line_files = LineFiles::within(&bench.locks(), &address).expect("a line");
+        // Exceed the limit of clients. One that arrives while the line changes hands may fail.
+        let more = (0..dice.below(40)).map(|_| BrokerClient::open(&line_files, Duration::from_secs(1)));
+        clients.extend(more);
     }
     let idle: Vec<_> = (0..[0, 0, 100, 200][dice.below(4) as usize])
         .map(|_| server.connect())
@@ -717,7 +717,7 @@ fn scenario(seed: u64) -> (bool, bool) {
             "seed {seed}: it moves {} ms after a confirmed stop: {answers:?}",
             (driven_us - confirmed_us) / 1_000
         );
-        drop((idle, windows));
+        drop((idle, clients));
         (moved, true)
     })
 }

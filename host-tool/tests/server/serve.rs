@@ -684,7 +684,7 @@ fn it_gives_the_line_to_a_command_that_moves_and_shows_it() {
     let server = Server::start(&bench);
     let is_contact = |name| move |state: &Value| contact(state, DeviceKind::Rig) == name;
     let mut run = bench.run(&["--cycles", "1", "--stroke-mm", "20", "--duration-s", "6"]);
-    let state = server.until("a window", is_contact("window"));
+    let state = server.until("a broker", is_contact("broker"));
     let text = state["machines"]["rig"]["contact_text"].to_string();
     assert!(text.contains("retrograde run"), "{text}");
     server.until("the run", |state| {

@@ -1,4 +1,4 @@
-//! A link at whose door another process asks something.
+//! A link over which another process asks something.
 
 use client::link::owner::Question;
 use client::link::{Link, LinkError};

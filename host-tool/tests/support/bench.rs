@@ -13,8 +13,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use client::Device;
-use client::door::lock::Doorway;
-use client::door::window::Window;
+use client::broker::lock::LineFiles;
+use client::broker::client::BrokerClient;
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
@@ -184,12 +184,12 @@ impl Bench {
         }
     }
 
-    /// A client in this process that looks through the door.
-    pub fn window(&self) -> Device {
+    /// A client in this process that goes through the broker.
+    pub fn broker_client(&self) -> Device {
         let address = self.address.parse().expect("an address");
-        let doorway = Doorway::within(&self.locks(), &address).expect("a line");
-        let window = Window::open(&doorway, Duration::from_secs(1)).expect("a door");
-        Device::connect(Box::new(window), self.kind, 1).expect("a machine")
+        let line_files = LineFiles::within(&self.locks(), &address).expect("a line");
+        let client = BrokerClient::open(&line_files, Duration::from_secs(1)).expect("a broker");
+        Device::connect(Box::new(client), self.kind, 1).expect("a machine")
     }
 
     pub fn locks(&self) -> PathBuf {
@@ -346,8 +346,8 @@ pub fn limited(command: &Command, limit: &str) -> Command {
     shell
 }
 
-/// Tries until a stop has used the door alone. One that a busy computer does not answer within 250 ms, or whose owner
-/// leaves before it has answered, also goes the direct way, as it should, and shows nothing of the door.
+/// Tries until a stop has used the broker alone. One that a busy computer does not answer within 250 ms, or whose owner
+/// leaves before it has answered, also goes the direct way, as it should, and shows nothing of the broker.
 pub fn through_the_door_alone(stop: impl Fn() -> Bench) {
     assert!(
         (0..25).any(|_| stop().connections() == 1),

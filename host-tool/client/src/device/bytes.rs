@@ -9,7 +9,7 @@ use protocol::table::{Endpoint, Impact, Reply, Request, Response};
 use crate::device::observer::{Clock, Observer};
 use crate::device::{Device, Posted, Turn, moves};
 use crate::diagnosis::{OVERHEARD, Sign};
-use crate::door;
+use crate::broker;
 use crate::error::{ClientError, Missing};
 use crate::link::LinkError;
 use crate::link::owner::Question;
@@ -78,7 +78,7 @@ impl Device {
         Ok(())
     }
 
-    /// Whether a posted request has no answer yet: this process's, or that of a guest.
+    /// Whether a posted request has no answer yet: this process's, or that of a client.
     #[must_use]
     pub fn is_posted(&self) -> bool {
         self.posted.is_some()
@@ -94,7 +94,7 @@ impl Device {
         until_us: u64,
         observer: &mut dyn Observer,
     ) -> Result<Option<Response>, ClientError> {
-        // Post a guest's question as well: a machine that does not answer it must not block a caller that serves two
+        // Post a client's question as well: a machine that does not answer it must not block a caller that serves two
         // machines.
         if self.posted.is_none()
             && let Some(question) = self.question()
@@ -189,7 +189,7 @@ impl Device {
     /// Refuses requests that the owner of the line would not send for this process.
     pub(crate) fn admit(&self, request: &Request) -> Result<(), ClientError> {
         match self.link.owner() {
-            Some(owner) if !door::admits(request) => Err(ClientError::Owned {
+            Some(owner) if !broker::admits(request) => Err(ClientError::Owned {
                 place: self.place(),
                 request: request.name(),
                 owner: Box::new(owner.clone()),
@@ -468,7 +468,7 @@ impl Device {
         }
     }
 
-    /// No answer to Hello, or to the request of a guest whose owner is busy.
+    /// No answer to Hello, or to the request of a client whose owner is busy.
     pub(crate) fn no_answer(&self, request: &'static str, sign: Sign) -> ClientError {
         let place = self.place();
         match self.link.owner() {

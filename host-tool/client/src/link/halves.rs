@@ -22,7 +22,7 @@ pub struct Halves {
     pub end: &'static str,
 }
 
-/// A line that this process uses alone, without lock and door.
+/// A line that this process uses alone, without lock and broker.
 pub struct Direct {
     place: String,
     start: Instant,

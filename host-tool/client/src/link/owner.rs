@@ -1,4 +1,4 @@
-//! Shared knowledge of a line's owner and its guests: the owner, the stops, the guests' questions.
+//! Shared knowledge of a line's owner and its clients: the owner, the stops, the clients' questions.
 
 use std::fmt;
 use std::time::{Duration, Instant, SystemTime};
@@ -119,9 +119,9 @@ impl Began {
     }
 }
 
-/// A guest's question to the machine, which the owner sends.
+/// A client's question to the machine, which the owner sends.
 pub struct Question {
-    /// The request. [`crate::door::admits`] has let it through.
+    /// The request. [`crate::broker::admits`] has let it through.
     pub request: Request,
     pub(crate) asked: Instant,
     pub(crate) answer: Box<dyn FnOnce(Option<Reply>) + Send>,
@@ -137,7 +137,7 @@ impl Question {
         }
     }
 
-    /// Sends the answer to the guest; `None` if there was none.
+    /// Sends the answer to the client; `None` if there was none.
     pub fn answer(self, reply: Option<Reply>) {
         (self.answer)(reply);
     }

@@ -8,10 +8,10 @@ use std::time::{Duration, Instant};
 use crate::commissioning::hands::Hands;
 use client::Device;
 use client::address::Address;
-use client::door::lock::Doorway;
-use client::door::server::GUESTS;
-use client::door::shared::Shared;
-use client::door::window::Window;
+use client::broker::lock::LineFiles;
+use client::broker::server::MAX_CLIENTS;
+use client::broker::shared::Shared;
+use client::broker::client::BrokerClient;
 use client::error::ClientError;
 use client::link::halves::{Direct, Halves};
 use client::link::owner::Owner;
@@ -68,8 +68,8 @@ pub trait Connector: Sync {
         false
     }
 
-    /// Lock and door of the line there, if several processes can share it.
-    fn doorway(&self, address: &Address) -> Option<Doorway> {
+    /// Lock and socket of the line there, if several processes can share it.
+    fn line_files(&self, address: &Address) -> Option<LineFiles> {
         let _ = address;
         None
     }
@@ -96,9 +96,9 @@ pub trait Connector: Sync {
 struct Patience {
     /// For a connection.
     connect: Duration,
-    /// For an owner with an open door to answer a greeting.
+    /// For an owner that listens to answer a greeting.
     answer: Duration,
-    /// For a line that is taken but has no door: its owner is starting or leaving, and its disk may be slow.
+    /// For a line that is taken but has no socket: its owner is starting or leaving, and its disk may be slow.
     change: Duration,
 }
 
@@ -147,39 +147,39 @@ impl Purpose {
 /// Interval between attempts at a line whose owner is starting or leaving.
 const AGAIN: Duration = Duration::from_millis(5);
 
-/// Opens the line as its owner, or a window through its owner's door if another process has it.
+/// Opens the line as its owner, or connects to its owner's broker if another process has it.
 fn way_in(
-    doorway: &Doorway,
+    line_files: &LineFiles,
     purpose: Purpose,
     halves: &dyn Fn() -> Result<Halves, OpenError>,
 ) -> Result<Box<dyn Link>, OpenError> {
     let (patience, yields) = (purpose.patience(), purpose == Purpose::Watch);
     let begin = Instant::now();
     loop {
-        if let Some(lock) = doorway.claim()? {
+        if let Some(lock) = line_files.claim()? {
             lock.announce()?;
             return Ok(Box::new(Shared::new(lock, halves()?, yields)?));
         }
-        let owner = doorway.owner();
-        let limit = if owner.is_some() && doorway.is_open() {
+        let owner = line_files.owner();
+        let limit = if owner.is_some() && line_files.is_open() {
             patience.answer
         } else {
             patience.change
         };
         let left = limit.saturating_sub(begin.elapsed());
         if left.is_zero() {
-            return Err(silent(doorway, owner));
+            return Err(silent(line_files, owner));
         }
-        if let Ok(window) = Window::open(doorway, left) {
-            if window.is_full() && purpose != Purpose::Stop {
+        if let Ok(client) = BrokerClient::open(line_files, left) {
+            if client.is_full() && purpose != Purpose::Stop {
                 return Err(OpenError {
-                    place: doorway.place().to_owned(),
+                    place: line_files.place().to_owned(),
                     reason: Reason::Busy,
-                    why: format!("{GUESTS} other processes look at it already"),
+                    why: format!("{MAX_CLIENTS} other processes look at it already"),
                     remedy: "close a `watch` or a page that nobody needs; a stop goes through all the same".to_owned(),
                 });
             }
-            return Ok(Box::new(window));
+            return Ok(Box::new(client));
         }
         thread::sleep(AGAIN);
     }
@@ -204,7 +204,7 @@ fn way_to_stop<L>(
 }
 
 /// Error for an owner of the line that does not answer. If this server is the owner, does not advise to end it.
-fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
+fn silent(line_files: &LineFiles, owner: Option<Owner>) -> OpenError {
     let (why, remedy) = match owner {
         Some(owner) if owner.pid == std::process::id() => {
             ("this server is busy with it".to_owned(), "try again")
@@ -221,7 +221,7 @@ fn silent(doorway: &Doorway, owner: Option<Owner>) -> OpenError {
         }
     };
     OpenError {
-        place: doorway.place().to_owned(),
+        place: line_files.place().to_owned(),
         reason: Reason::OwnerSilent,
         why,
         remedy: remedy.to_owned(),
@@ -237,7 +237,7 @@ fn halves(address: &Address, baud: u32, limit: Duration) -> Result<Halves, OpenE
     }
 }
 
-/// Opens the line without lock or door, whatever other processes do.
+/// Opens the line without lock or broker, whatever other processes do.
 fn direct(address: &Address, baud: u32, limit: Duration) -> Result<Box<dyn Link>, OpenError> {
     let halves = halves(address, baud, limit)?;
     Ok(Box::new(Direct::new(address.to_string(), halves)))
@@ -278,30 +278,30 @@ impl Connector for Ports {
     ) -> Result<Box<dyn Link>, OpenError> {
         let limit = purpose.patience().connect;
         let through =
-            |doorway: &Doorway| way_in(doorway, purpose, &|| halves(address, baud, limit));
-        let doorway = match (Doorway::of(address), purpose) {
-            // If lock or door do not work, send a stop the direct way.
+            |line_files: &LineFiles| way_in(line_files, purpose, &|| halves(address, baud, limit));
+        let line_files = match (LineFiles::of(address), purpose) {
+            // If lock or broker do not work, send a stop the direct way.
             (Err(_), Purpose::Stop | Purpose::StopDirectly) => None,
-            (doorway, _) => doorway?,
+            (line_files, _) => line_files?,
         };
-        match (doorway, purpose) {
-            (Some(doorway), Purpose::Stop) => {
+        match (line_files, purpose) {
+            (Some(line_files), Purpose::Stop) => {
                 let begin = Instant::now();
                 return way_to_stop(
-                    || through(&doorway),
+                    || through(&line_files),
                     || direct(address, baud, limit),
                     || begin.elapsed() < limit,
                 );
             }
             (Some(_), Purpose::StopDirectly) | (None, _) => {}
-            (Some(doorway), _) => return through(&doorway),
+            (Some(line_files), _) => return through(&line_files),
         }
         direct(address, baud, limit)
     }
 
-    fn doorway(&self, address: &Address) -> Option<Doorway> {
+    fn line_files(&self, address: &Address) -> Option<LineFiles> {
         // Ignore errors of the lock: opening the line reports them.
-        Doorway::of(address).ok().flatten()
+        LineFiles::of(address).ok().flatten()
     }
 
     fn candidates(&self) -> Vec<Candidate> {
@@ -369,14 +369,14 @@ mod tests {
         assert_eq!(opened.ok(), Some("port"));
     }
 
-    /// A slow disk or port may delay an owner between writing its name and opening its door.
+    /// A slow disk or port may delay an owner between writing its name and listening.
     #[test]
     fn an_owner_without_a_door_is_waited_for_longer_than_one_that_does_not_answer() {
         let folder = tempfile::tempdir().expect("a folder");
-        let doorway = Doorway::new(folder.path().to_owned(), "line", "line".to_owned());
-        let owned = doorway.claim().expect("possible").expect("free");
+        let line_files = LineFiles::new(folder.path().to_owned(), "line", "line".to_owned());
+        let owned = line_files.claim().expect("possible").expect("free");
         owned.announce().expect("possible");
-        assert!(doorway.owner().is_some() && !doorway.is_open());
+        assert!(line_files.owner().is_some() && !line_files.is_open());
         let leaves = thread::spawn(move || {
             thread::sleep(Purpose::Look.patience().answer + Duration::from_millis(500));
             drop(owned);
@@ -389,7 +389,7 @@ mod tests {
                 remedy: String::new(),
             })
         };
-        let error = way_in(&doorway, Purpose::Look, &opened).err();
+        let error = way_in(&line_files, Purpose::Look, &opened).err();
         leaves.join().expect("it left");
         assert_eq!(
             error.map(|error| error.why).as_deref(),

@@ -29,8 +29,8 @@ pub enum Contact {
     Lost(String),
     /// This process owns the line.
     Owned,
-    /// Through the door of this owner.
-    Window(String),
+    /// Through the broker of this owner.
+    Broker(String),
 }
 
 /// The last message to the user: a stop that was confirmed, an order that failed.

@@ -7,7 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use client::address::Address;
-use client::door::lock::Doorway;
+use client::broker::lock::LineFiles;
 use client::error::{ClientError, Missing};
 use client::identity;
 use client::link::owner::{Began, StopMark};
@@ -22,7 +22,7 @@ use crate::operations::interrupt;
 
 pub const KINDS: [DeviceKind; 2] = [DeviceKind::Rig, DeviceKind::Capsule];
 
-/// Maximum owners of a line that may end while this process looks through their doors.
+/// Maximum owners of a line that may end while this process looks through their brokers.
 const OWNERS: u32 = 5;
 
 /// Time for an owner that only looks to give up its line.
@@ -160,11 +160,11 @@ impl Places<'_> {
     pub fn greet(&self, kind: DeviceKind, need: Purpose) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
         // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
-        let doorway = self.connector.doorway(&address);
-        let now = Doorway::last_stops(doorway.as_ref());
+        let line_files = self.connector.line_files(&address);
+        let now = LineFiles::last_stops(line_files.as_ref());
         let mark = self.beginning.mark(kind, now);
         let pressed = interrupt::install();
-        let interrupt = told(doorway, Arc::clone(&pressed));
+        let interrupt = told(line_files, Arc::clone(&pressed));
         let mut device = self.open_stoppable(kind, &address, need, &pressed)?;
         // The owner of the line may end while it is asked; then the line is free, and a new attempt succeeds.
         for attempt in 1.. {
@@ -192,8 +192,8 @@ impl Places<'_> {
             Some(address) => address,
             None => &self.resolve(kind)?,
         };
-        if let Some(doorway) = self.connector.doorway(address) {
-            doorway.mark_stop(urgent);
+        if let Some(line_files) = self.connector.line_files(address) {
+            line_files.mark_stop(urgent);
         }
         for _ in 1..OWNERS {
             match self.stop_by(kind, address, urgent, Purpose::Stop) {
@@ -436,21 +436,21 @@ fn interrupted(need: Purpose) -> Failure {
 }
 
 /// This process's interrupt, extended to announce each stop to the other processes before it is sent.
-fn told(doorway: Option<Doorway>, interrupt: Interrupt) -> Interrupt {
+fn told(line_files: Option<LineFiles>, interrupt: Interrupt) -> Interrupt {
     let told = [AtomicBool::new(false), AtomicBool::new(false)];
     Arc::new(move || {
         let wanted = interrupt();
         if let Some(urgent) = wanted
-            && let Some(doorway) = &doorway
+            && let Some(line_files) = &line_files
             && !told[usize::from(urgent == Urgent::EStop)].swap(true, Ordering::Relaxed)
         {
-            doorway.mark_stop(urgent);
+            line_files.mark_stop(urgent);
         }
         wanted
     })
 }
 
-/// Looks through the door of a line's owner. Repeats if the owner ends meanwhile: then the line is free.
+/// Uses the broker of a line's owner. Repeats if the owner ends meanwhile: then the line is free.
 pub fn past_owners<T>(look: impl Fn() -> Result<T, Failure>) -> Result<T, Failure> {
     let mut found = look();
     for _ in 1..OWNERS {

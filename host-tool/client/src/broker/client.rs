@@ -1,12 +1,12 @@
-//! A guest's side of a door: a link to the machine that another process owns.
+//! A client's side of a broker: a link to the machine that another process owns.
 
 use std::io::{self, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::time::{Duration, Instant};
 
-use crate::door::lock::Doorway;
-use crate::door::stream::read_line;
-use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome};
+use crate::broker::lock::LineFiles;
+use crate::broker::stream::read_line;
+use crate::broker::{Greeting, LONGEST_LINE, VERSION, Welcome};
 use crate::link::halves::{nothing_yet, timeout, wall_us};
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{Link, LinkError};
@@ -14,34 +14,34 @@ use crate::link::{Link, LinkError};
 /// A link through another process. Stops are sent at once; reading goes between the owner's requests.
 /// [`crate::device::Device`] refuses everything that is for the owner alone, before it is sent.
 #[derive(Debug)]
-pub struct Window {
+pub struct BrokerClient {
     place: String,
     owner: Owner,
     yields: bool,
     full: bool,
-    doorway: Doorway,
+    line_files: LineFiles,
     stream: UnixStream,
     start: Instant,
     /// The last stop that was known when the orders were given.
     ordered_at: StopMark,
 }
 
-impl Window {
-    /// Connects to the door and introduces itself; the owner has `limit` to answer. A [full](Window::is_full) window
+impl BrokerClient {
+    /// Connects to the socket and introduces itself; the owner has `limit` to answer. A [full](BrokerClient::is_full) client
     /// only passes stops.
     ///
     /// # Errors
-    /// There is no door, nobody answers, or something else than a door answers.
-    pub fn open(doorway: &Doorway, limit: Duration) -> io::Result<Self> {
-        Self::greet(doorway, limit, false)
+    /// There is no socket, nobody answers, or something else answers.
+    pub fn open(line_files: &LineFiles, limit: Duration) -> io::Result<Self> {
+        Self::greet(line_files, limit, false)
     }
 
-    fn greet(doorway: &Doorway, limit: Duration, wants_line: bool) -> io::Result<Self> {
-        let mut stream = doorway.connect()?;
+    fn greet(line_files: &LineFiles, limit: Duration, wants_line: bool) -> io::Result<Self> {
+        let mut stream = line_files.connect()?;
         stream.set_read_timeout(Some(limit))?;
         stream.set_write_timeout(Some(limit))?;
         let greeting = Greeting {
-            retrograde_window: VERSION,
+            retrograde_client: VERSION,
             wants_line,
         };
         let mut line = serde_json::to_vec(&greeting)?;
@@ -50,18 +50,18 @@ impl Window {
         let welcome = read_line(&mut stream, LONGEST_LINE)?;
         let welcome: Welcome = serde_json::from_slice(&welcome)?;
         Ok(Self {
-            place: doorway.place().to_owned(),
+            place: line_files.place().to_owned(),
             owner: welcome.owner,
             yields: welcome.yields,
             full: welcome.full,
-            doorway: doorway.clone(),
+            line_files: line_files.clone(),
             stream,
             start: Instant::now(),
-            ordered_at: Doorway::last_stops(Some(doorway)),
+            ordered_at: LineFiles::last_stops(Some(line_files)),
         })
     }
 
-    /// Whether the limit of guests is reached: this window only passes stops.
+    /// Whether the limit of clients is reached: this client only passes stops.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.full
@@ -75,7 +75,7 @@ impl Window {
     }
 }
 
-impl Link for Window {
+impl Link for BrokerClient {
     fn place(&self) -> String {
         self.place.clone()
     }
@@ -110,13 +110,13 @@ impl Link for Window {
     }
 
     fn is_overtaken(&self) -> bool {
-        (Doorway::last_stops(Some(&self.doorway)).since(self.ordered_at)).is_some()
+        (LineFiles::last_stops(Some(&self.line_files)).since(self.ordered_at)).is_some()
     }
 
     fn want_line(&mut self) -> bool {
         // An owner that has ended has also given the line up.
         if self.yields {
-            let _ = Self::greet(&self.doorway, Duration::from_secs(1), true);
+            let _ = Self::greet(&self.line_files, Duration::from_secs(1), true);
         }
         self.yields
     }
@@ -128,36 +128,36 @@ mod tests {
 
     use super::*;
 
-    /// A window, and the owner's side of it.
-    fn opened() -> (Window, UnixStream, Doorway, tempfile::TempDir) {
+    /// A client, and the owner's side of it.
+    fn opened() -> (BrokerClient, UnixStream, LineFiles, tempfile::TempDir) {
         let folder = tempfile::tempdir().expect("a folder");
-        let doorway = Doorway::new(folder.path().to_owned(), "one", "there".to_owned());
-        let lock = doorway.claim().expect("possible").expect("free");
-        let listener = lock.listen().expect("a door");
+        let line_files = LineFiles::new(folder.path().to_owned(), "one", "there".to_owned());
+        let lock = line_files.claim().expect("possible").expect("free");
+        let listener = lock.listen().expect("a broker");
         let owner = std::thread::spawn(move || {
-            let (mut guest, _) = listener.accept().expect("a guest");
-            read_line(&mut guest, LONGEST_LINE).expect("a greeting");
+            let (mut client, _) = listener.accept().expect("a client");
+            read_line(&mut client, LONGEST_LINE).expect("a greeting");
             let welcome = Welcome {
-                retrograde_door: VERSION,
+                retrograde_broker: VERSION,
                 owner: lock.owner().clone(),
                 yields: false,
                 full: true,
             };
             let line = serde_json::to_string(&welcome).expect("text") + "\n";
-            guest.write_all(line.as_bytes()).expect("connected");
-            guest
+            client.write_all(line.as_bytes()).expect("connected");
+            client
         });
-        let window = Window::open(&doorway, Duration::from_secs(10)).expect("welcome");
-        (window, owner.join().expect("no panic"), doorway, folder)
+        let client = BrokerClient::open(&line_files, Duration::from_secs(10)).expect("welcome");
+        (client, owner.join().expect("no panic"), line_files, folder)
     }
 
     #[test]
     fn orders_are_overtaken_by_a_stop_that_came_after_them() {
-        let (mut window, _owner, doorway, _folder) = opened();
-        assert!(!window.is_overtaken());
-        doorway.mark_stop(Urgent::Stop);
-        assert!(window.is_overtaken());
-        window.ordered_at(Doorway::last_stops(Some(&doorway)));
-        assert!(!window.is_overtaken());
+        let (mut client, _owner, line_files, _folder) = opened();
+        assert!(!client.is_overtaken());
+        line_files.mark_stop(Urgent::Stop);
+        assert!(client.is_overtaken());
+        client.ordered_at(LineFiles::last_stops(Some(&line_files)));
+        assert!(!client.is_overtaken());
     }
 }

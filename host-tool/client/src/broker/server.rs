@@ -1,4 +1,4 @@
-//! The owner's side of a door: guests, their stops and questions, and the traffic passed on to them.
+//! The owner's side of a broker: clients, their stops and questions, and the traffic passed on to them.
 
 use std::collections::{HashMap, VecDeque};
 use std::hash::{BuildHasher, RandomState};
@@ -17,34 +17,34 @@ use protocol::session::{Decision, Session, Ticket};
 use protocol::system::{Done, Identity, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 
-use crate::door::lock::Doorway;
-use crate::door::stream::read_line;
-use crate::door::{Greeting, LONGEST_LINE, VERSION, Welcome, admits};
+use crate::broker::lock::LineFiles;
+use crate::broker::stream::read_line;
+use crate::broker::{Greeting, LONGEST_LINE, VERSION, Welcome, admits};
 use crate::link::owner::{Owner, Question, StopMark};
 
 /// Buffer for an owner that does not read, bytes: 90 s of a full line. Beyond that new bytes are lost.
 const UNREAD: usize = 1 << 20;
 
-/// Forget a question that the owner has not taken for this long: the guest no longer waits for it, unless the whole
+/// Forget a question that the owner has not taken for this long: the client no longer waits for it, unless the whole
 /// computer stood still.
 const STALE: Duration = Duration::from_millis(600);
 
-/// Minimum time between two questions, so that guests cannot saturate the line.
-const BREATH: Duration = Duration::from_millis(10);
+/// Minimum time between two questions, so that clients cannot saturate the line.
+const QUESTION_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Maximum guests that may look. Guests that only stop are not limited.
-pub const GUESTS: usize = 32;
+/// Maximum clients that may look. Clients that only stop are not limited.
+pub const MAX_CLIENTS: usize = 32;
 
-/// Frames buffered for a guest that does not read; beyond that it misses some.
+/// Frames buffered for a client that does not read; beyond that it misses some.
 pub const WAITING_FRAMES: usize = 512;
 
-/// Time for a guest to introduce itself, and longest silence of a guest that can only stop.
+/// Time for a client to introduce itself, and longest silence of a client that can only stop.
 const GREETING_TIME: Duration = Duration::from_secs(2);
 
-/// Stack of a guest's thread, bytes; small, because many guests may come at once.
-const GUEST_STACK: usize = 256 * 1024;
+/// Stack of a client's thread, bytes; small, because many clients may come at once.
+const CLIENT_STACK: usize = 256 * 1024;
 
-/// State shared by owner, pump and guests.
+/// State shared by owner, pump and clients.
 pub struct Core {
     state: Mutex<State>,
     woken: Condvar,
@@ -54,8 +54,8 @@ pub struct Core {
     yields: AtomicBool,
     /// Somebody wants the line.
     wanted: AtomicBool,
-    /// Where processes announce stops that do not come through this door.
-    doorway: Option<Doorway>,
+    /// Where processes announce stops that do not come through this broker.
+    line_files: Option<LineFiles>,
 }
 
 #[derive(Default)]
@@ -69,10 +69,10 @@ struct State {
     questions: VecDeque<Question>,
     last_question: Option<Instant>,
     stopped: Option<Urgent>,
-    /// Stops that guests have sent on the line, newest last.
+    /// Stops that clients have sent on the line, newest last.
     stops: VecDeque<Stop>,
-    guests: HashMap<u64, Guest>,
-    next_guest: u64,
+    clients: HashMap<u64, Client>,
+    next_client: u64,
 }
 
 impl State {
@@ -84,28 +84,28 @@ impl State {
         };
     }
 
-    /// Removes and returns the guests' commands when a stop comes: executed later, they would undo the stop.
+    /// Removes and returns the clients' commands when a stop comes: executed later, they would undo the stop.
     fn take_orders(&mut self) -> VecDeque<Question> {
-        let looks = |question: &Question| question.request.impact() == Impact::None;
-        let (look, orders) = self.questions.drain(..).partition(looks);
+        let observes = |question: &Question| question.request.impact() == Impact::None;
+        let (look, orders) = self.questions.drain(..).partition(observes);
         self.questions = look;
         orders
     }
 }
 
-/// A stop that a guest has sent.
+/// A stop that a client has sent.
 struct Stop {
-    guest: u64,
-    /// The guest's own header, for the answer.
+    client: u64,
+    /// The client's own header, for the answer.
     header: Header,
     urgent: Urgent,
     /// Its sequence number on the line.
     seq: u16,
 }
 
-struct Guest {
+struct Client {
     /// May receive the machine's messages and ask questions.
-    looks: bool,
+    observes: bool,
     frames: SyncSender<Vec<u8>>,
     /// Ends its connection.
     shut: Box<dyn Fn() + Send>,
@@ -114,10 +114,10 @@ struct Guest {
 /// Output side of the line. A thread locks it while it writes a frame.
 struct Out {
     line: Box<dyn Write + Send>,
-    /// Sequence number of the guests' next stop. It begins at random: a late answer to a stop that went out before this
+    /// Sequence number of the clients' next stop. It begins at random: a late answer to a stop that went out before this
     /// line was opened confirms no other.
     next_seq: u16,
-    /// Number of stops that guests have sent, and how many of them the owner has noticed.
+    /// Number of stops that clients have sent, and how many of them the owner has noticed.
     stops: u32,
     noticed: u32,
     /// The last stop that the owner knows of, among those of all processes on this line.
@@ -126,7 +126,7 @@ struct Out {
 
 impl Core {
     /// The owner's side of the line that `line` writes to. With `yields` it gives the line up when somebody wants it.
-    pub fn new(line: Box<dyn Write + Send>, yields: bool, doorway: Option<Doorway>) -> Arc<Self> {
+    pub fn new(line: Box<dyn Write + Send>, yields: bool, line_files: Option<LineFiles>) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(State::default()),
             woken: Condvar::new(),
@@ -135,12 +135,12 @@ impl Core {
                 next_seq: RandomState::new().hash_one(0) as u16,
                 stops: 0,
                 noticed: 0,
-                mark: Doorway::last_stops(doorway.as_ref()),
+                mark: LineFiles::last_stops(line_files.as_ref()),
             }),
             closing: AtomicBool::new(false),
             yields: AtomicBool::new(yields),
             wanted: AtomicBool::new(false),
-            doorway,
+            line_files,
         })
     }
 
@@ -158,13 +158,13 @@ impl Core {
         self.closing.load(Ordering::Relaxed)
     }
 
-    /// Ends all threads that wait for guests.
+    /// Ends all threads that wait for clients.
     pub fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
-        // Threads of guests may live on for a moment. Close the line now: somebody is about to open it.
+        // Threads of clients may live on for a moment. Close the line now: somebody is about to open it.
         self.out().line = Box::new(Closed);
-        for guest in self.state().guests.values() {
-            (guest.shut)();
+        for client in self.state().clients.values() {
+            (client.shut)();
         }
         self.woken.notify_all();
     }
@@ -218,11 +218,11 @@ impl Core {
         self.state().identity = Some(*identity);
     }
 
-    /// The strongest stop that others have sent so far: guests, and processes that bypassed this door.
+    /// The strongest stop that others have sent so far: clients, and processes that bypassed this broker.
     pub fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
-        let mark = Doorway::last_stops(self.doorway.as_ref());
+        let mark = LineFiles::last_stops(self.line_files.as_ref());
         let elsewhere = mark.since(std::mem::replace(&mut out.mark, mark));
         drop(out);
         let mut state = self.state();
@@ -232,12 +232,12 @@ impl Core {
         state.stopped
     }
 
-    /// Whether a guest wants the line.
+    /// Whether a client wants the line.
     pub fn is_line_wanted(&self) -> bool {
         self.wanted.load(Ordering::Relaxed)
     }
 
-    /// Offers the line to others or withdraws the offer. Guests that wanted it before have to ask again.
+    /// Offers the line to others or withdraws the offer. Clients that wanted it before have to ask again.
     pub fn offer_line(&self, offered: bool) {
         let _state = self.state();
         self.yields.store(offered, Ordering::Relaxed);
@@ -258,8 +258,8 @@ impl Core {
         offered
     }
 
-    /// Forgets the stops that the owner has noticed; others remain. Orders of guests that waited meanwhile are not sent:
-    /// a guest whose order is younger than the stop asks again.
+    /// Forgets the stops that the owner has noticed; others remain. Orders of clients that waited meanwhile are not sent:
+    /// a client whose order is younger than the stop asks again.
     pub fn forget_stop(&self) {
         let out = self.out();
         if out.stops != out.noticed {
@@ -274,10 +274,10 @@ impl Core {
         }
     }
 
-    /// The next question from a guest to the machine.
+    /// The next question from a client to the machine.
     pub fn question(&self, now: Instant) -> Option<Question> {
         let mut state = self.state();
-        let early = |last: Instant| now.duration_since(last) < BREATH;
+        let early = |last: Instant| now.duration_since(last) < QUESTION_INTERVAL;
         if state.questions.is_empty() || state.last_question.is_some_and(early) {
             return None;
         }
@@ -293,7 +293,7 @@ impl Core {
         state.last_question = Some(now);
         drop(state);
         for question in stale {
-            // The machine has not seen it. A guest that is still there may ask again.
+            // The machine has not seen it. A client that is still there may ask again.
             question.answer(Some(Reply::Wire(WireError::Stale)));
         }
         question
@@ -310,13 +310,13 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Disconnects all guests: the line is lost.
+    /// Disconnects all clients: the line is lost.
     pub fn lost(&self, why: String) {
         let mut state = self.state();
         state.lost.get_or_insert(why);
-        // Without the line a guest has nothing to look at.
-        for guest in state.guests.values() {
-            (guest.shut)();
+        // Without the line a client has nothing to look at.
+        for client in state.clients.values() {
+            (client.shut)();
         }
         self.woken.notify_all();
     }
@@ -325,9 +325,9 @@ impl Core {
     pub fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
-                for guest in self.state().guests.values().filter(|guest| guest.looks) {
-                    // A guest that does not read misses frames, as on a bad line.
-                    let _ = guest.frames.try_send(wire.to_vec());
+                for client in self.state().clients.values().filter(|client| client.observes) {
+                    // A client that does not read misses frames, as on a bad line.
+                    let _ = client.frames.try_send(wire.to_vec());
                 }
             }
             Kind::Reply => {
@@ -346,33 +346,33 @@ impl Core {
             .iter()
             .find(|stop| stop.seq == seq && stop.urgent == urgent);
         if let Some(stop) = stop
-            && let Some(guest) = state.guests.get(&stop.guest)
+            && let Some(client) = state.clients.get(&stop.client)
             && let Some(frame) = reply(stop.header, &Reply::Urgent(urgent))
         {
-            let _ = guest.frames.try_send(frame.to_vec());
+            let _ = client.frames.try_send(frame.to_vec());
         }
     }
 
-    // Calls by guests.
+    // Calls by clients.
 
-    /// Writes a guest's stop to the line at once. A repetition is sent again under the same number.
-    fn stop(&self, guest: u64, header: Header, urgent: Urgent) -> io::Result<()> {
+    /// Writes a client's stop to the line at once. A repetition is sent again under the same number.
+    fn stop(&self, client: u64, header: Header, urgent: Urgent) -> io::Result<()> {
         let mut out = self.out();
         let mut state = self.state();
         let known = state
             .stops
             .iter()
-            .find(|stop| (stop.guest, stop.header, stop.urgent) == (guest, header, urgent));
+            .find(|stop| (stop.client, stop.header, stop.urgent) == (client, header, urgent));
         let seq = match known {
             Some(stop) => stop.seq,
             None => {
                 let seq = out.next_seq;
                 out.next_seq = seq.wrapping_add(1);
-                if state.stops.len() == GUESTS {
+                if state.stops.len() == MAX_CLIENTS {
                     state.stops.pop_front();
                 }
                 state.stops.push_back(Stop {
-                    guest,
+                    client,
                     header,
                     urgent,
                     seq,
@@ -393,11 +393,11 @@ impl Core {
         };
         let frame = encode(header, &urgent).map_err(|_| io::ErrorKind::InvalidData)?;
         let written = out.line.write_all(&frame);
-        let is_marked = Doorway::last_stops(self.doorway.as_ref()).since(out.mark);
+        let is_marked = LineFiles::last_stops(self.line_files.as_ref()).since(out.mark);
         drop(out);
         self.woken.notify_all();
         for question in older {
-            // It was not sent. Say so only if the mark of the stop is there: a guest that does not see the mark would
+            // It was not sent. Say so only if the mark of the stop is there: a client that does not see the mark would
             // send it again.
             question.answer(is_marked.map(|_| Reply::Wire(WireError::Stale)));
         }
@@ -411,7 +411,7 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Admits a guest, if only to stop; `None` if the line is gone.
+    /// Admits a client, if only to stop; `None` if the line is gone.
     fn admit(
         &self,
         shut: Box<dyn Fn() + Send>,
@@ -421,20 +421,20 @@ impl Core {
         if state.lost.is_some() || self.is_closing() {
             return None;
         }
-        let number = state.next_guest;
-        state.next_guest += 1;
-        let looks = state.guests.values().filter(|guest| guest.looks).count() < GUESTS;
-        let guest = Guest {
-            looks,
+        let number = state.next_client;
+        state.next_client += 1;
+        let observes = state.clients.values().filter(|client| client.observes).count() < MAX_CLIENTS;
+        let client = Client {
+            observes,
             frames,
             shut,
         };
-        state.guests.insert(number, guest);
-        Some((number, looks))
+        state.clients.insert(number, client);
+        Some((number, observes))
     }
 
-    fn left(&self, guest: u64) {
-        self.state().guests.remove(&guest);
+    fn left(&self, client: u64) {
+        self.state().clients.remove(&client);
     }
 }
 
@@ -451,7 +451,7 @@ impl Write for Closed {
     }
 }
 
-/// Accepts guests until the core closes.
+/// Accepts clients until the core closes.
 pub fn serve(listener: &UnixListener, owner: &Owner, core: &Arc<Core>) {
     loop {
         let stream = listener.accept();
@@ -465,48 +465,48 @@ pub fn serve(listener: &UnixListener, owner: &Owner, core: &Arc<Core>) {
         };
         let (core, owner) = (Arc::clone(core), owner.clone());
         let host = thread::Builder::new()
-            .name("guest".to_owned())
-            .stack_size(GUEST_STACK);
-        // If there is no thread for it, the guest finds its connection closed.
+            .name("client".to_owned())
+            .stack_size(CLIENT_STACK);
+        // If there is no thread for it, the client finds its connection closed.
         let _ = host.spawn(move || {
-            // A guest that leaves or breaks the rules affects nobody else.
-            let _ = receive_guest(stream, &owner, &core);
+            // A client that leaves or breaks the rules affects nobody else.
+            let _ = receive_client(stream, &owner, &core);
         });
     }
 }
 
-fn receive_guest(mut stream: UnixStream, owner: &Owner, core: &Arc<Core>) -> io::Result<()> {
+fn receive_client(mut stream: UnixStream, owner: &Owner, core: &Arc<Core>) -> io::Result<()> {
     stream.set_read_timeout(Some(GREETING_TIME))?;
     stream.set_write_timeout(Some(GREETING_TIME))?;
     let greeting = serde_json::from_slice(&read_line(&mut stream, LONGEST_LINE)?)?;
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
     let shut = stream.try_clone()?;
-    // Admit the guest before the welcome: once welcomed, it has to be able to stop the machine.
-    let Some(mut visit) = Visit::new(core, Box::new(move || close(&shut)), frames) else {
+    // Admit the client before the welcome: once welcomed, it has to be able to stop the machine.
+    let Some(mut session) = ClientSession::new(core, Box::new(move || close(&shut)), frames) else {
         return Ok(());
     };
-    stream.write_all(&visit.welcome(&greeting, owner)?)?;
-    if visit.looks {
+    stream.write_all(&session.welcome(&greeting, owner)?)?;
+    if session.observes {
         stream.set_read_timeout(None)?;
     }
-    let mut to_guest = stream.try_clone()?;
-    // Ends when the last sender is dropped: core, visit and open questions hold one each.
+    let mut to_client = stream.try_clone()?;
+    // Ends when the last sender is dropped: core, session and open questions hold one each.
     let writer = thread::Builder::new()
-        .name("guest's frames".to_owned())
-        .stack_size(GUEST_STACK);
+        .name("client's frames".to_owned())
+        .stack_size(CLIENT_STACK);
     let writing = writer.spawn(move || {
         for frame in waiting {
-            if to_guest.write_all(&frame).is_err() {
-                close(&to_guest);
+            if to_client.write_all(&frame).is_err() {
+                close(&to_client);
                 return;
             }
         }
     });
     let result = match writing {
-        Ok(_) => visit.receive(&mut stream),
+        Ok(_) => session.receive(&mut stream),
         Err(why) => Err(why),
     };
-    drop(visit);
+    drop(session);
     close(&stream);
     result
 }
@@ -516,8 +516,8 @@ fn close(stream: &UnixStream) {
     let _ = stream.shutdown(Shutdown::Both);
 }
 
-/// A guest's session with the door.
-struct Asking {
+/// A client's session with the broker.
+struct SessionState {
     session: Session,
     /// The owner is working on a question.
     pending: bool,
@@ -525,37 +525,37 @@ struct Asking {
     unanswered: Option<u16>,
 }
 
-/// A guest that was admitted; it leaves when this value is dropped.
-pub struct Visit {
+/// A client that was admitted; it leaves when this value is dropped.
+pub struct ClientSession {
     core: Arc<Core>,
     number: u64,
     /// May do more than stop.
-    looks: bool,
+    observes: bool,
     frames: SyncSender<Vec<u8>>,
-    session: Arc<Mutex<Asking>>,
+    asking: Arc<Mutex<SessionState>>,
     deframer: Deframer,
 }
 
-impl Drop for Visit {
+impl Drop for ClientSession {
     fn drop(&mut self) {
         self.core.left(self.number);
     }
 }
 
-impl Visit {
+impl ClientSession {
     /// `None` if the line is gone.
     pub fn new(
         core: &Arc<Core>,
         shut: Box<dyn Fn() + Send>,
         frames: SyncSender<Vec<u8>>,
     ) -> Option<Self> {
-        let (number, looks) = core.admit(shut, frames.clone())?;
+        let (number, observes) = core.admit(shut, frames.clone())?;
         Some(Self {
             core: Arc::clone(core),
             number,
-            looks,
+            observes,
             frames,
-            session: Arc::new(Mutex::new(Asking {
+            asking: Arc::new(Mutex::new(SessionState {
                 session: Session::new(number as u32),
                 pending: false,
                 unanswered: None,
@@ -564,16 +564,16 @@ impl Visit {
         })
     }
 
-    /// The first line sent to the guest.
+    /// The first line sent to the client.
     pub fn welcome(&self, greeting: &Greeting, owner: &Owner) -> io::Result<Vec<u8>> {
         if greeting.wants_line {
             self.core.want_line();
         }
         let welcome = Welcome {
-            retrograde_door: VERSION,
+            retrograde_broker: VERSION,
             owner: owner.clone(),
             yields: self.core.yields.load(Ordering::Relaxed),
-            full: !self.looks,
+            full: !self.observes,
         };
         let mut line = serde_json::to_vec(&welcome)?;
         line.push(b'\n');
@@ -593,7 +593,7 @@ impl Visit {
         }
     }
 
-    /// Processes the guest's bytes.
+    /// Processes the client's bytes.
     pub fn take(&mut self, bytes: &[u8], now: Instant) -> io::Result<()> {
         let mut deframer = std::mem::take(&mut self.deframer);
         let frames = bytes
@@ -607,10 +607,10 @@ impl Visit {
     }
 
     fn frame(&self, frame: &Frame<'_>, now: Instant) -> io::Result<()> {
-        let mut asking = self.session.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut asking = self.asking.lock().unwrap_or_else(PoisonError::into_inner);
         let left = asking.unanswered == Some(frame.header.seq);
-        if (asking.pending || left || !self.looks) && frame.header.kind == Kind::Request {
-            // The question is a repetition of an unanswered one, or the guest was told that it can only stop.
+        if (asking.pending || left || !self.observes) && frame.header.kind == Kind::Request {
+            // The question is a repetition of an unanswered one, or the client was told that it can only stop.
             return Ok(());
         }
         let header = |session, seq| Header {
@@ -623,7 +623,7 @@ impl Visit {
                 drop(asking);
                 return self.core.stop(self.number, frame.header, urgent);
             }
-            // Until the owner knows the machine's identity, the guest has to ask again.
+            // Until the owner knows the machine's identity, the client has to ask again.
             Decision::Greet { session, seq } => {
                 let identity = self.core.state().identity;
                 if let Some(identity) = identity {
@@ -634,7 +634,7 @@ impl Visit {
                     self.say(reply(header(session, seq), &Reply::Accepted(hello)));
                 }
             }
-            // Only the owner keeps the machine alive; a guest cannot.
+            // Only the owner keeps the machine alive; a client cannot.
             Decision::Execute {
                 request: Request::KeepAlive(_),
                 ticket,
@@ -667,12 +667,12 @@ impl Visit {
     }
 
     fn ask(&self, request: Request, ticket: Ticket, now: Instant) {
-        let (session, frames) = (Arc::clone(&self.session), self.frames.clone());
+        let (asking, frames) = (Arc::clone(&self.asking), self.frames.clone());
         self.core.ask(Question {
             request,
             asked: now,
             answer: Box::new(move |answer| {
-                let mut asking = session.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut asking = asking.lock().unwrap_or_else(PoisonError::into_inner);
                 asking.pending = false;
                 asking.unanswered = answer.is_none().then_some(ticket.seq);
                 let frame =
@@ -686,7 +686,7 @@ impl Visit {
 
     fn say(&self, frame: Option<Encoded>) {
         if let Some(frame) = frame {
-            // A guest that does not read loses the answer and asks again.
+            // A client that does not read loses the answer and asks again.
             let _ = self.frames.try_send(frame.to_vec());
         }
     }

@@ -1,4 +1,4 @@
-//! The door, its owner and its guests within one process.
+//! The broker, its owner and its clients within one process.
 
 use std::sync::mpsc::{Receiver, channel};
 
@@ -25,9 +25,9 @@ fn core() -> (Arc<Core>, Receiver<Vec<u8>>) {
     core_at(None)
 }
 
-fn core_at(doorway: Option<Doorway>) -> (Arc<Core>, Receiver<Vec<u8>>) {
+fn core_at(line_files: Option<LineFiles>) -> (Arc<Core>, Receiver<Vec<u8>>) {
     let (tap, written) = channel();
-    (Core::new(Box::new(Tap(tap)), false, doorway), written)
+    (Core::new(Box::new(Tap(tap)), false, line_files), written)
 }
 
 #[test]
@@ -36,7 +36,7 @@ fn a_line_that_is_no_longer_offered_is_given_to_nobody() {
     assert!(!core.want_line() && !core.is_line_wanted());
     core.offer_line(true);
     assert!(core.want_line() && core.is_line_wanted());
-    // The owner begins to work: a guest that wanted the line has to ask again.
+    // The owner begins to work: a client that wanted the line has to ask again.
     core.offer_line(false);
     assert!(!core.is_line_wanted() && !core.want_line());
     assert!(!core.is_line_wanted());
@@ -80,16 +80,16 @@ fn a_command_that_comes_after_a_stop_nobody_has_noticed_is_not_sent() {
 #[test]
 fn an_order_that_a_stop_has_removed_was_certainly_not_sent() {
     let folder = tempfile::tempdir().expect("a folder");
-    let doorway = Doorway::new(folder.path().to_owned(), "one", "one".to_owned());
-    let (core, written) = core_at(Some(doorway.clone()));
-    // A guest that does not see the mark of the stop would send the order again.
+    let line_files = LineFiles::new(folder.path().to_owned(), "one", "one".to_owned());
+    let (core, written) = core_at(Some(line_files.clone()));
+    // A client that does not see the mark of the stop would send the order again.
     for is_marked in [false, true] {
         let (answers, answered) = channel();
         core.ask(Question::new(rig::Resume.into_request(), move |reply| {
             answers.send(reply).expect("heard");
         }));
         if is_marked {
-            doorway.mark_stop(Urgent::Stop);
+            line_files.mark_stop(Urgent::Stop);
         }
         core.stop(0, STOP, Urgent::Stop).expect("sent");
         assert_eq!(written.try_iter().count(), 1);
@@ -129,10 +129,10 @@ fn a_question_that_waited_too_long_is_not_asked() {
     assert!(core.question(Instant::now()).is_none());
     let stale = Reply::Wire(WireError::Stale);
     assert_eq!(answered.try_recv(), Ok(Some(stale)));
-    thread::sleep(BREATH);
+    thread::sleep(QUESTION_INTERVAL);
     core.ask(question(Instant::now()));
     assert!(core.question(Instant::now()).is_some());
-    // The next question has to wait, however often the owner looks.
+    // The next question has to wait, however often the owner observes.
     core.ask(question(Instant::now()));
     assert!(core.question(Instant::now()).is_none());
 }
@@ -165,8 +165,8 @@ fn a_confirmation_goes_to_the_one_who_stopped() {
         (number, told)
     };
     let ((one, to_one), (other, to_other)) = (come(), come());
-    let [first, second] = [one, other].map(|guest| {
-        core.stop(guest, STOP, Urgent::Stop).expect("sent");
+    let [first, second] = [one, other].map(|client| {
+        core.stop(client, STOP, Urgent::Stop).expect("sent");
         header(&written.recv().expect("written"))
             .expect("a frame")
             .seq
@@ -188,7 +188,7 @@ fn a_confirmation_goes_to_the_one_who_stopped() {
 fn a_stop_keeps_its_number_beside_those_of_others() {
     let (core, written) = core();
     let other = Header { seq: 8, ..STOP };
-    let more = (100..100 + GUESTS as u16).map(|seq| Header { seq, ..STOP });
+    let more = (100..100 + MAX_CLIENTS as u16).map(|seq| Header { seq, ..STOP });
     // The last one is so long ago that it is forgotten.
     let all = [STOP, other, STOP, other]
         .into_iter()
@@ -203,7 +203,7 @@ fn a_stop_keeps_its_number_beside_those_of_others() {
         .collect();
     let after = |count| numbers[0].wrapping_add(count);
     assert_eq!(numbers[1..4], [after(1), after(0), after(1)]);
-    assert_eq!(numbers.last(), Some(&after(2 + GUESTS as u16)));
+    assert_eq!(numbers.last(), Some(&after(2 + MAX_CLIENTS as u16)));
 }
 
 /// Regression: each opening of the line began at the same number, so a late answer to a stop of an earlier one
@@ -221,7 +221,7 @@ fn stops_are_numbered_anew_at_each_opening() {
     assert!((one, two) != (two, three), "{one}");
 }
 
-/// An answer `Stale` would say that the machine has not seen it, and the guest would ask again.
+/// An answer `Stale` would say that the machine has not seen it, and the client would ask again.
 #[test]
 fn a_question_without_an_answer_is_not_called_unseen() {
     let (core, _written) = core();
@@ -240,7 +240,7 @@ fn a_question_without_an_answer_is_not_called_unseen() {
         session: 1,
     });
     let (frames, told) = sync_channel(WAITING_FRAMES);
-    let mut visit = Visit::new(&core, Box::new(|| {}), frames).expect("a line");
+    let mut session = ClientSession::new(&core, Box::new(|| {}), frames).expect("a line");
     let frame = |session, seq, request: &Request| {
         let header = Header {
             kind: Kind::Request,
@@ -255,16 +255,16 @@ fn a_question_without_an_answer_is_not_called_unseen() {
         nonce: 5,
     });
     let mut now = Instant::now();
-    visit.take(&frame(0, 1, &hello), now).expect("taken");
+    session.take(&frame(0, 1, &hello), now).expect("taken");
     let welcome = told.try_recv().expect("told");
     let session = header(&welcome).expect("a frame").session;
     let resume = frame(session, 2, &rig::Resume.into_request());
-    visit.take(&resume, now).expect("taken");
-    now += BREATH;
+    session.take(&resume, now).expect("taken");
+    now += QUESTION_INTERVAL;
     core.question(now).expect("asked").answer(None);
-    now += BREATH;
-    visit.take(&resume, now).expect("taken");
-    now += BREATH;
+    now += QUESTION_INTERVAL;
+    session.take(&resume, now).expect("taken");
+    now += QUESTION_INTERVAL;
     assert!(core.question(now).is_none());
     assert!(told.try_recv().is_err(), "nothing is known of it");
 }

@@ -1,5 +1,5 @@
-//! A link over a line that this process owns, with a door for others. A separate thread reads the line, so that a
-//! guest's stop is sent and confirmed whatever the owner is doing.
+//! A link over a line that this process owns, with a broker for others. A separate thread reads the line, so that a
+//! client's stop is sent and confirmed whatever the owner is doing.
 
 use std::io::Read;
 use std::sync::Arc;
@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 use protocol::frame::{Deframer, MAX_FRAME};
 use protocol::system::{Identity, Urgent};
 
-use crate::door::lock::Lock;
-use crate::door::server::{Core, serve};
+use crate::broker::lock::Lock;
+use crate::broker::server::{Core, serve};
 use crate::link::halves::{Halves, nothing_yet, wall_us};
 use crate::link::owner::{Question, StopMark};
 use crate::link::{Link, LinkError, OpenError, Reason};
 
-/// A link with a door.
+/// A link with a broker.
 pub struct Shared {
     place: String,
     start: Instant,
@@ -28,8 +28,8 @@ pub struct Shared {
 impl Shared {
     /// With `yields` the line is offered to other processes: see [`Link::is_line_wanted`].
     pub fn new(lock: Lock, halves: Halves, yields: bool) -> Result<Self, OpenError> {
-        let place = lock.doorway().place().to_owned();
-        let core = Core::new(halves.writer, yields, Some(lock.doorway().clone()));
+        let place = lock.line_files().place().to_owned();
+        let core = Core::new(halves.writer, yields, Some(lock.line_files().clone()));
         let (listener, owner) = (lock.listen()?, lock.owner().clone());
         let failed = |why: std::io::Error| OpenError {
             place: place.clone(),
@@ -52,7 +52,7 @@ impl Shared {
             lock,
         };
         thread::Builder::new()
-            .name("door".to_owned())
+            .name("socket".to_owned())
             .spawn(move || serve(&listener, &owner, &served))
             .map_err(failed)?;
         Ok(shared)
@@ -69,8 +69,8 @@ impl Shared {
 impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
-        // Wake the door's thread with a connection; otherwise it would not see the end until somebody connects.
-        let _ = self.lock.doorway().connect();
+        // Wake the broker's thread with a connection; otherwise it would not see the end until somebody connects.
+        let _ = self.lock.line_files().connect();
         if let Some(pump) = self.pump.take() {
             let _ = pump.join();
         }
@@ -128,7 +128,7 @@ impl Link for Shared {
     }
 }
 
-/// Passes the machine's bytes to the owner and, frame by frame, to its guests.
+/// Passes the machine's bytes to the owner and, frame by frame, to its clients.
 #[derive(Default)]
 pub struct Pump {
     deframer: Deframer,
@@ -144,7 +144,7 @@ impl Pump {
                 self.block.push(*byte);
             }
             if let Some(frame) = self.deframer.push(*byte) {
-                // Include the delimiter of the preceding block, which a guest may have missed.
+                // Include the delimiter of the preceding block, which a client may have missed.
                 let wire = [&[0], &self.block[..]].concat();
                 core.passed(&frame, &wire);
             }

@@ -1,10 +1,10 @@
-//! Connections of a door: Unix sockets, guarded by the permissions of their folder.
+//! Connections of a broker: Unix sockets, guarded by the permissions of their folder.
 
 use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 
-/// Connects to the socket. Never waits: guests that nobody has taken in fill the queue of an owner that is frozen, and
+/// Connects to the socket. Never waits: clients that nobody has taken in fill the queue of an owner that is frozen, and
 /// behind a full one the system would wait for ever.
 ///
 /// # Errors
@@ -49,13 +49,13 @@ mod tests {
     #[test]
     fn a_full_queue_of_guests_is_an_error_at_once() {
         let folder = tempfile::tempdir().expect("a folder");
-        let socket = folder.path().join("door");
+        let socket = folder.path().join("socket");
         let frozen = UnixListener::bind(&socket).expect("bound");
         rustix::net::listen(&frozen, 1).expect("a short queue");
         let (tell, told) = std::sync::mpsc::channel();
         std::thread::spawn(move || {
-            let guests = (0..9).map(|_| connect(&socket));
-            let full = guests.filter_map(Result::err).next();
+            let clients = (0..9).map(|_| connect(&socket));
+            let full = clients.filter_map(Result::err).next();
             let _ = tell.send(full.map(|why| why.kind()));
         });
         let full = told.recv_timeout(Duration::from_secs(10));

@@ -1,9 +1,9 @@
-//! The lock of a line, and the path of its door.
+//! The lock of a line, and its files.
 //!
 //! All files are in one folder of the user's, by default `/tmp/retrograde-UID`. It is not below `XDG_RUNTIME_DIR`,
-//! because that differs in a `cron` job or after `su`, and a stop has to find the door from everywhere. A line has
+//! because that differs in a `cron` job or after `su`, and a stop has to find the socket from everywhere. A line has
 //! five files there, named by a hash of the device or address that it resolves to. The owner keeps `.lock` locked as
-//! long as it lives; `.owner` describes the owner; `.door` is the socket. The modification times of `.stop` and
+//! long as it lives; `.owner` describes the owner; `.socket` is the socket. The modification times of `.stop` and
 //! `.estop` tell each process that a stop was requested since it last looked.
 
 use std::fs::{self, File, TryLockError};
@@ -17,18 +17,18 @@ use protocol::session::fnv1a;
 use protocol::system::Urgent;
 
 use crate::address::Address;
-use crate::door::stream;
+use crate::broker::stream;
 use crate::limited;
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{OpenError, Reason};
 use crate::plain::{self, Locked};
 
-/// Environment variable that names another folder for locks and doors.
+/// Environment variable that names another folder for locks and sockets.
 const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
-/// Location of lock and door of one line.
+/// Location of lock and socket of one line.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Doorway {
+pub struct LineFiles {
     folder: PathBuf,
     key: String,
     place: String,
@@ -37,19 +37,19 @@ pub struct Doorway {
 /// Exclusive ownership of a line, until dropped.
 #[derive(Debug)]
 pub struct Lock {
-    doorway: Doorway,
+    line_files: LineFiles,
     owner: Owner,
     // The system releases the lock however the process ends.
     _locked: Locked,
 }
 
-impl Doorway {
-    /// The last stops on this line; empty without a doorway, where no other process can send one.
-    pub fn last_stops(doorway: Option<&Self>) -> StopMark {
-        doorway.map_or_else(StopMark::default, Self::stop_mark)
+impl LineFiles {
+    /// The last stops on this line; empty without a line_files, where no other process can send one.
+    pub fn last_stops(line_files: Option<&Self>) -> StopMark {
+        line_files.map_or_else(StopMark::default, Self::stop_mark)
     }
 
-    /// Locates lock and door of the line behind an address; `None` if there is no line to own.
+    /// Locates lock and socket of the line behind an address; `None` if there is no line to own.
     ///
     /// # Errors
     /// The folder cannot be made, or belongs to somebody else.
@@ -69,7 +69,7 @@ impl Doorway {
         Ok(Some(Self::new(folder, &line, place)))
     }
 
-    /// Like [`Doorway::of`], in another folder, which must exist and be safe from other users.
+    /// Like [`LineFiles::of`], in another folder, which must exist and be safe from other users.
     pub fn within(folder: &Path, address: &Address) -> Option<Self> {
         Some(Self::new(
             folder.to_owned(),
@@ -78,7 +78,7 @@ impl Doorway {
         ))
     }
 
-    /// The doorway of a line, with its lock in this folder.
+    /// The line_files of a line, with its lock in this folder.
     pub fn new(folder: PathBuf, line: &str, place: String) -> Self {
         // A hash that is the same in every build, and short: the path of a socket may have at most 107 bytes.
         let hash = fnv1a(line.as_bytes());
@@ -112,14 +112,14 @@ impl Doorway {
     pub fn claim(&self) -> Result<Option<Lock>, OpenError> {
         let file = plain::open_or_create(&self.file("lock")).map_err(|why| self.error(why))?;
         match Locked::new(file) {
-            // Somebody listens at the door, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
+            // Somebody listens at the socket, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
             Ok(_) if self.is_attended() => Ok(None),
             Ok(locked) => {
                 // Left by an owner that was killed.
-                let _ = fs::remove_file(self.file("door"));
+                let _ = fs::remove_file(self.file("socket"));
                 let _ = fs::remove_file(self.file("owner"));
                 Ok(Some(Lock {
-                    doorway: self.clone(),
+                    line_files: self.clone(),
                     owner: Owner::this_process(),
                     _locked: locked,
                 }))
@@ -161,13 +161,13 @@ impl Doorway {
         serde_json::from_slice(&text.ok()?).ok()
     }
 
-    /// Whether the owner seems to listen. It does not if there is a description but no door: the owner is setting up
+    /// Whether the owner seems to listen. It does not if there is a description but no socket: the owner is setting up
     /// or leaving.
     pub fn is_open(&self) -> bool {
-        self.file("door").exists()
+        self.file("socket").exists()
     }
 
-    /// Whether somebody listens at the door, taking guests in or not.
+    /// Whether somebody listens at the socket, taking clients in or not.
     fn is_attended(&self) -> bool {
         match self.connect() {
             Ok(_) => true,
@@ -175,38 +175,38 @@ impl Doorway {
         }
     }
 
-    /// Connects to the door. Its path is fixed: it works even if somebody has removed the owner's description.
+    /// Connects to the socket. Its path is fixed: it works even if somebody has removed the owner's description.
     pub fn connect(&self) -> io::Result<UnixStream> {
-        stream::connect(&self.file("door"))
+        stream::connect(&self.file("socket"))
     }
 }
 
 impl Lock {
-    /// Opens the door and publishes its owner.
+    /// Opens the socket and publishes its owner.
     pub fn listen(&self) -> Result<UnixListener, OpenError> {
-        let listener = UnixListener::bind(self.doorway.file("door"));
-        let listener = listener.map_err(|why| self.doorway.error(why))?;
+        let listener = UnixListener::bind(self.line_files.file("socket"));
+        let listener = listener.map_err(|why| self.line_files.error(why))?;
         self.publish()?;
         Ok(listener)
     }
 
     fn publish(&self) -> Result<(), OpenError> {
-        let doorway = &self.doorway;
+        let line_files = &self.line_files;
         // Write and rename, so that a reader finds the old file or the new one, never a part.
-        let (new, file) = (doorway.file("new"), doorway.file("owner"));
-        let text = serde_json::to_vec(&self.owner).map_err(|why| doorway.error(why))?;
+        let (new, file) = (line_files.file("new"), line_files.file("owner"));
+        let text = serde_json::to_vec(&self.owner).map_err(|why| line_files.error(why))?;
         // Left by an owner that was killed. Whatever it is, it is not opened.
         let _ = fs::remove_file(&new);
         File::create_new(&new)
             .and_then(|mut part| part.write_all(&text))
             .and_then(|()| fs::rename(&new, &file))
-            .map_err(|why| doorway.error(why))
+            .map_err(|why| line_files.error(why))
     }
 
-    /// Publishes the owner before its door is open.
+    /// Publishes the owner before its socket is open.
     pub fn announce(&self) -> Result<(), OpenError> {
-        // Remove the door of an owner that was killed: nobody answers there.
-        let _ = fs::remove_file(self.doorway.file("door"));
+        // Remove the socket of an owner that was killed: nobody answers there.
+        let _ = fs::remove_file(self.line_files.file("socket"));
         self.publish()
     }
 
@@ -214,16 +214,16 @@ impl Lock {
         &self.owner
     }
 
-    pub fn doorway(&self) -> &Doorway {
-        &self.doorway
+    pub fn line_files(&self) -> &LineFiles {
+        &self.line_files
     }
 }
 
 impl Drop for Lock {
     fn drop(&mut self) {
         // The lock itself stays: another process may be about to take it.
-        let _ = fs::remove_file(self.doorway.file("door"));
-        let _ = fs::remove_file(self.doorway.file("owner"));
+        let _ = fs::remove_file(self.line_files.file("socket"));
+        let _ = fs::remove_file(self.line_files.file("owner"));
     }
 }
 
@@ -251,7 +251,7 @@ fn line(address: &Address) -> Option<String> {
 }
 
 /// Gives `localhost` in IPv4 and IPv6 the same name. Other loopback addresses are apart: each may be a tunnel to another
-/// machine, and a stop must not take the door of the wrong one.
+/// machine, and a stop must not use the broker of the wrong one.
 fn host(at: SocketAddr) -> String {
     let is_local = match at.ip().to_canonical() {
         IpAddr::V4(ip) => ip == Ipv4Addr::LOCALHOST,
@@ -301,17 +301,17 @@ mod tests {
     use super::*;
     use crate::link::owner::Began;
 
-    fn doorway(folder: &Path, line: &str) -> Doorway {
-        Doorway::new(folder.to_owned(), line, line.to_owned())
+    fn line_files(folder: &Path, line: &str) -> LineFiles {
+        LineFiles::new(folder.to_owned(), line, line.to_owned())
     }
 
     #[test]
     fn one_owner_at_a_time_and_another_line_is_another_lock() {
         let folder = tempfile::tempdir().expect("a folder");
-        let one = doorway(folder.path(), "one");
+        let one = line_files(folder.path(), "one");
         let owned = one.claim().expect("possible").expect("free");
         assert!(one.claim().expect("possible").is_none());
-        let other = doorway(folder.path(), "other");
+        let other = line_files(folder.path(), "other");
         assert!(other.claim().expect("possible").is_some());
         owned.announce().expect("possible");
         let pid = one.owner().expect("announced").pid;
@@ -344,8 +344,8 @@ mod tests {
     fn every_stop_changes_the_mark_of_its_line_and_of_no_other() {
         let folder = tempfile::tempdir().expect("a folder");
         let (one, other) = (
-            doorway(folder.path(), "one"),
-            doorway(folder.path(), "other"),
+            line_files(folder.path(), "one"),
+            line_files(folder.path(), "other"),
         );
         let began = Began::now();
         let mut marks = vec![one.stop_mark()];
@@ -373,14 +373,14 @@ mod tests {
     #[test]
     fn a_mark_that_is_cleaned_away_is_no_stop() {
         let folder = tempfile::tempdir().expect("a folder");
-        let doorway = doorway(folder.path(), "one");
+        let line_files = line_files(folder.path(), "one");
         for urgent in [Urgent::Stop, Urgent::EStop] {
-            doorway.mark_stop(urgent);
-            let before = doorway.stop_mark();
-            fs::remove_file(doorway.file(stop_file(urgent))).expect("as a cleaner does");
-            assert_eq!(doorway.stop_mark().since(before), None);
-            doorway.mark_stop(urgent);
-            assert_eq!(doorway.stop_mark().since(before), Some(urgent));
+            line_files.mark_stop(urgent);
+            let before = line_files.stop_mark();
+            fs::remove_file(line_files.file(stop_file(urgent))).expect("as a cleaner does");
+            assert_eq!(line_files.stop_mark().since(before), None);
+            line_files.mark_stop(urgent);
+            assert_eq!(line_files.stop_mark().since(before), Some(urgent));
         }
     }
 
@@ -388,21 +388,21 @@ mod tests {
     #[test]
     fn a_pipe_in_place_of_any_file_is_waited_for_by_nobody() {
         let place = tempfile::tempdir().expect("a folder");
-        let pipes = ["lock", "owner", "door", "new", "stop", "estop"];
+        let pipes = ["lock", "owner", "socket", "new", "stop", "estop"];
         let (tell, told) = std::sync::mpsc::channel();
         for name in pipes {
-            let doorway = doorway(place.path(), name);
+            let line_files = line_files(place.path(), name);
             let mode = rustix::fs::Mode::from_raw_mode(0o600);
-            rustix::fs::mkfifoat(rustix::fs::CWD, doorway.file(name), mode).expect("a FIFO");
+            rustix::fs::mkfifoat(rustix::fs::CWD, line_files.file(name), mode).expect("a FIFO");
             let tell = tell.clone();
             std::thread::spawn(move || {
-                assert!(doorway.owner().is_none());
+                assert!(line_files.owner().is_none());
                 for urgent in [Urgent::Stop, Urgent::EStop] {
-                    let before = doorway.stop_mark();
-                    doorway.mark_stop(urgent);
-                    assert_eq!(doorway.stop_mark().since(before), Some(urgent));
+                    let before = line_files.stop_mark();
+                    line_files.mark_stop(urgent);
+                    assert_eq!(line_files.stop_mark().since(before), Some(urgent));
                 }
-                let claimed = doorway
+                let claimed = line_files
                     .claim()
                     .map(|lock| lock.expect("free").listen().map(drop));
                 tell.send((name, claimed.is_ok_and(|opened| opened.is_ok())))

@@ -1,31 +1,31 @@
-//! Doors: one owner of a line, many windows.
+//! Broker: one owner of a line, many clients.
 //!
-//! The process that opens a line (a serial port or a TCP server) takes the line's lock and opens a *door* beside it.
-//! Any other process of the same user finds the door through the lock and looks through it: a [`window::Window`] is a
+//! The process that opens a line (a serial port or a TCP server) takes the line's lock and starts a *broker* for it.
+//! Any other process of the same user finds the broker's socket through the lock and connects to it: a [`client::BrokerClient`] is a
 //! [`crate::link::Link`], so that the whole client works over it.
 //!
-//! Traffic through a door:
+//! Traffic through a broker:
 //!
-//! * A stop is written to the line at once by the door's own thread, whatever the owner is doing.
+//! * A stop is written to the line at once by the broker's own thread, whatever the owner is doing.
 //! * Reading, holding, resuming and acknowledging are questions. The owner sends them between two requests of its own,
 //!   in its own session, so that nothing is executed twice and the owner's requests keep their answers.
 //! * Telemetry and events are passed on as they come.
 //! * Everything else is for the owner alone: motion, writing settings, the interval of telemetry.
 //!
-//! # The door's protocol
+//! # The broker's protocol
 //!
-//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the guest a
-//! [`Greeting`], the door a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
-//! and the door acts as the device's end of a separate session. It rejects requests that are not allowed with
+//! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the client a
+//! [`Greeting`], the broker a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
+//! and the broker acts as the device's end of a separate session. It rejects requests that are not allowed with
 //! [`protocol::error::WireError::Malformed`]. It answers a question that its owner could not send in time, or that a stop
-//! has overtaken, with [`protocol::error::WireError::Stale`]: the machine has not seen it. A guest need not wait for the welcome before it
+//! has overtaken, with [`protocol::error::WireError::Stale`]: the machine has not seen it. A client need not wait for the welcome before it
 //! sends a stop.
 //!
-//! Once the limit of guests is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says
+//! Once the limit of clients is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says
 //! so.
 //!
-//! An owner that only looks at the machine offers its line. A guest that greets with [`Greeting::wants_line`] gets it:
-//! the owner closes line and door, the guest opens the line, and the former owner comes back as a guest.
+//! An owner that only looks at the machine offers its line. A client that greets with [`Greeting::wants_line`] gets it:
+//! the owner closes line and socket, the client opens the line, and the former owner comes back as a client.
 //!
 //! New versions only add fields to the two lines. Stops work between all versions.
 
@@ -37,43 +37,43 @@ use crate::link::owner::Owner;
 
 #[doc(hidden)]
 pub mod stream;
-pub mod window;
+pub mod client;
 
 use protocol::table::{Impact, Request};
 use serde::{Deserialize, Serialize};
 
-/// Version of the door's protocol.
+/// Version of the broker's protocol.
 pub const VERSION: u32 = 1;
 
 /// Longest first line of either side, bytes.
 pub const LONGEST_LINE: usize = 2_048;
 
-/// The guest's first line.
+/// The client's first line.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Greeting {
-    /// [`VERSION`] of the guest.
-    pub retrograde_window: u32,
-    /// The guest wants the line for itself if the owner gives it up. The guest then has to open the line itself.
+    /// [`VERSION`] of the client.
+    pub retrograde_client: u32,
+    /// The client wants the line for itself if the owner gives it up. The client then has to open the line itself.
     #[serde(default)]
     pub wants_line: bool,
 }
 
-/// The door's first line.
+/// The broker's first line.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Welcome {
-    /// [`VERSION`] of the door.
-    pub retrograde_door: u32,
+    /// [`VERSION`] of the broker.
+    pub retrograde_broker: u32,
     /// The process that owns the line.
     pub owner: Owner,
-    /// The owner only looks: it gives the line up to a guest that wants it.
+    /// The owner only looks: it gives the line up to a client that wants it.
     #[serde(default)]
     pub yields: bool,
-    /// The limit of guests is reached: this one can only stop the machine.
+    /// The limit of clients is reached: this one can only stop the machine.
     #[serde(default)]
     pub full: bool,
 }
 
-/// Whether the door lets a request through.
+/// Whether the broker lets a request through.
 #[must_use]
 pub fn admits(request: &Request) -> bool {
     match request.impact() {

@@ -1,5 +1,5 @@
-//! One owner of a line and many windows: several real processes at one machine on TCP, in real time. The server takes
-//! only the first connection, so any process that gets through has used the door.
+//! One owner of a line and many clients: several real processes at one machine on TCP, in real time. The server takes
+//! only the first connection, so any process that gets through has used the broker.
 
 use std::fs::Permissions;
 use std::io::Write;
@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use crate::support::bench::{Bench, at_a_port, read, ready, through_the_door_alone};
 use crate::support::server::Killed;
 use crate::support::signal::{Signal, kill};
-use client::door::lock::Doorway;
-use client::door::window::Window;
+use client::broker::lock::LineFiles;
+use client::broker::client::BrokerClient;
 use client::error::ClientError;
 use client::link::Link;
 use client::{Observer, Unobserved};
@@ -61,7 +61,7 @@ fn others_look_while_a_run_goes_on_and_it_is_not_disturbed() {
     let (rows, missed) = bench.telemetry();
     assert_eq!(missed, 0);
     assert!(rows >= 1_180, "{rows}");
-    // The door closes with its owner, so this command opens the line itself.
+    // The socket closes with its owner, so this command opens the line itself.
     assert_eq!(bench.retrograde(&["info"]).0, Some(0));
     assert_eq!(bench.connections(), 2);
 }
@@ -88,7 +88,7 @@ impl Observer for Seen {
 fn windows_and_a_subscriber_take_nothing_from_the_owner() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&["--cycles", "2", "--stroke-mm", "20", "--duration-s", "12"]);
-    // It waits for its guests, however long a busy computer takes to let them in.
+    // It waits for its clients, however long a busy computer takes to let them in.
     let (code, _, err) = bench.retrograde(&["hold"]);
     assert_eq!(code, Some(0), "{err}");
     let over = Arc::new(AtomicBool::new(false));
@@ -96,7 +96,7 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
         let watches: Vec<_> = (0..5)
             .map(|_| {
                 scope.spawn(|| {
-                    let mut rig = bench.window();
+                    let mut rig = bench.broker_client();
                     let mut looks = 0;
                     while !over.load(Ordering::Relaxed) && rig.rig_status().is_ok() {
                         looks += 1;
@@ -106,21 +106,21 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
                 })
             })
             .collect();
-        let mut subscriber = bench.window();
+        let mut subscriber = bench.broker_client();
         assert_eq!(subscriber.owner().expect("another").pid, run.id());
         let (code, _, err) = bench.retrograde(&["resume"]);
         assert_eq!(code, Some(0), "{err}");
         let mut seen = Seen::default();
         let gone = loop {
             match subscriber.idle(50_000, &mut seen) {
-                // Five windows ask as well, and a busy computer takes its time for each of them.
+                // Five clients ask as well, and a busy computer takes its time for each of them.
                 Ok(()) | Err(ClientError::Owned { busy: true, .. }) => {}
                 Err(error) => break error,
             }
         };
         assert!(matches!(gone, ClientError::Link(_)), "{gone:?}");
         over.store(true, Ordering::Relaxed);
-        // 100 a second, less the time before the window opened and after the last look.
+        // 100 a second, less the time before the client opened and after the last look.
         assert!(seen.samples > 300, "{seen:?}");
         assert_eq!(seen.missed, 0);
         // These are the ends of strokes.
@@ -140,12 +140,12 @@ fn windows_and_a_subscriber_take_nothing_from_the_owner() {
     assert!(rows >= 1_180, "{rows}");
 }
 
-/// An owner whose door answers is alive. Its computer may just be busy, so the question waits.
+/// An owner whose broker answers is alive. Its computer may just be busy, so the question waits.
 #[test]
 fn a_question_waits_for_an_owner_that_is_held_up() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&["--on-link-loss", "finish"]);
-    let mut window = bench.window();
+    let mut client = bench.broker_client();
     kill(Signal::STOP, run.id());
     thread::scope(|scope| {
         scope.spawn(|| {
@@ -153,12 +153,12 @@ fn a_question_waits_for_an_owner_that_is_held_up() {
             thread::sleep(Duration::from_millis(1_200));
             kill(Signal::CONT, run.id());
         });
-        window.rig_status().expect("an answer");
+        client.rig_status().expect("an answer");
     });
     // A client in a hurry is told that the owner does not answer.
     kill(Signal::STOP, run.id());
-    window.ask_once(true);
-    let error = window.rig_status().expect_err("no answer");
+    client.ask_once(true);
+    let error = client.rig_status().expect_err("no answer");
     assert!(
         matches!(error, ClientError::Owned { busy: true, .. }),
         "{error:?}"
@@ -178,7 +178,7 @@ fn a_question_that_the_machine_does_not_answer_does_not_end_the_run() {
     let run = bench.run(&SHORT);
     let (code, out, err) = bench.retrograde(&["health"]);
     assert_eq!(code, Some(0), "{out}{err}");
-    // It went through the door.
+    // It went through the broker.
     assert_eq!(bench.connections(), 1);
     let (code, out, err) = end(run);
     assert_eq!(code, Some(0), "{out}{err}");
@@ -189,13 +189,13 @@ fn a_window_knows_of_stops_that_are_newer_than_its_orders() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&SHORT);
     let address = bench.address.parse().expect("an address");
-    let doorway = Doorway::within(&bench.locks(), &address).expect("a line");
-    let mut window = Window::open(&doorway, Duration::from_secs(20)).expect("a door");
-    assert!(!window.is_overtaken());
-    doorway.mark_stop(Urgent::Stop);
-    assert!(window.is_overtaken());
-    window.ordered_at(Doorway::last_stops(Some(&doorway)));
-    assert!(!window.is_overtaken());
+    let line_files = LineFiles::within(&bench.locks(), &address).expect("a line");
+    let mut client = BrokerClient::open(&line_files, Duration::from_secs(20)).expect("a broker");
+    assert!(!client.is_overtaken());
+    line_files.mark_stop(Urgent::Stop);
+    assert!(client.is_overtaken());
+    client.ordered_at(LineFiles::last_stops(Some(&line_files)));
+    assert!(!client.is_overtaken());
     assert_eq!(end(run).0, Some(130));
 }
 
@@ -268,7 +268,7 @@ fn the_capsule_has_a_door_of_its_own() {
 fn a_guest_learns_at_once_that_the_owner_was_killed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut run = bench.run(&SHORT);
-    let mut rig = bench.window();
+    let mut rig = bench.broker_client();
     rig.rig_status().expect("a look");
     run.kill().expect("killed");
     let begin = Instant::now();
@@ -290,14 +290,14 @@ fn whoever_does_not_keep_the_rules_harms_nobody() {
     use std::os::unix::net::UnixStream;
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&SHORT);
-    let door = std::fs::read_dir(bench.locks())
+    let socket = std::fs::read_dir(bench.locks())
         .expect("locks")
         .map(|entry| entry.expect("an entry").path())
-        .find(|path| path.extension().is_some_and(|kind| kind == "door"))
-        .expect("a door");
-    let greeting = b"{\"retrograde_window\":1}\n";
-    let mut visitors = vec![];
-    // Visitors: silent ones, other protocols, endless lines, one that never reads, and more of them than are let in.
+        .find(|path| path.extension().is_some_and(|kind| kind == "socket"))
+        .expect("a broker");
+    let greeting = b"{\"retrograde_client\":1}\n";
+    let mut clients = vec![];
+    // Clients: silent ones, other protocols, endless lines, one that never reads, and more of them than are let in.
     for words in [
         &b""[..],
         b"GET / HTTP/1.1\r\n\r\n",
@@ -305,18 +305,18 @@ fn whoever_does_not_keep_the_rules_harms_nobody() {
         &[b'x'; 5_000],
         &[0; 5_000],
     ] {
-        let mut visitor = UnixStream::connect(&door).expect("open");
-        let _ = visitor.write_all(words);
-        visitors.push(visitor);
+        let mut client = UnixStream::connect(&socket).expect("open");
+        let _ = client.write_all(words);
+        clients.push(client);
     }
     for _ in 0..40 {
-        let mut visitor = UnixStream::connect(&door).expect("open");
-        let _ = visitor.write_all(greeting);
-        let _ = visitor.write_all(&[0xa5; 300]);
-        visitors.push(visitor);
+        let mut client = UnixStream::connect(&socket).expect("open");
+        let _ = client.write_all(greeting);
+        let _ = client.write_all(&[0xa5; 300]);
+        clients.push(client);
     }
     thread::sleep(Duration::from_secs(1));
-    drop(visitors);
+    drop(clients);
     thread::sleep(Duration::from_millis(300));
     assert_eq!(bench.retrograde(&["info"]).0, Some(0));
     let (code, out, err) = end(run);
