@@ -3,7 +3,7 @@
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
-use lab::operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, LinkPurpose};
 use protocol::system::DeviceKind;
 
 /// A line, or why there is none.
@@ -13,7 +13,7 @@ pub(crate) type Opened = Result<Box<dyn Link>, OpenError>;
 pub(crate) struct Bench<F: Fn(DeviceKind) -> Opened>(pub(crate) F);
 
 impl<F: Fn(DeviceKind) -> Opened + Sync> Connector for Bench<F> {
-    fn open(&self, kind: DeviceKind, _: &Address, _: u32, _: Purpose) -> Opened {
+    fn open(&self, kind: DeviceKind, _: &Address, _: u32, _: LinkPurpose) -> Opened {
         (self.0)(kind)
     }
 

@@ -23,7 +23,7 @@ use protocol::system::DeviceKind;
 use tokio::runtime::{Builder, Runtime};
 use tower_service::Service as _;
 
-use lab::operations::connector::{Candidate, Connector, Purpose};
+use lab::operations::connector::{Candidate, Connector, LinkPurpose};
 use lab::operations::places::{Beginning, Places};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
@@ -90,7 +90,7 @@ impl Connector for Ends<'_> {
         kind: DeviceKind,
         address: &Address,
         baud: u32,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         match self.connector.open(kind, address, baud, purpose) {
             Ok(link) => Ok(Box::new(EndingLink {

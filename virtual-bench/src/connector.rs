@@ -7,7 +7,7 @@ use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
 use lab::commissioning::hands::Hands;
-use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
+use lab::operations::connector::{Candidate, Connector, Ports, LinkPurpose};
 use protocol::system::DeviceKind;
 
 use crate::boards::{capsule, rig};
@@ -42,7 +42,7 @@ impl Connector for BenchPorts {
         kind: DeviceKind,
         address: &Address,
         baud: u32,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let elsewhere = *address != Address::Virtual;
         self.elsewhere.store(elsewhere, Ordering::Relaxed);
@@ -125,7 +125,7 @@ mod tests {
         let nobody = "tcp:127.0.0.1:1".parse().expect("an address");
         assert!(
             ports
-                .open(DeviceKind::Rig, &nobody, 115_200, Purpose::Own("run"))
+                .open(DeviceKind::Rig, &nobody, 115_200, LinkPurpose::Own("run"))
                 .is_err()
         );
         assert_ne!(ports.nonce(), ports.nonce());

@@ -22,7 +22,7 @@ pub enum Demand {
     /// Load the page, which shows nothing until it asks for more.
     Page,
     /// Read.
-    Look,
+    Observe,
     /// Stop a machine.
     Stop,
     /// Move or change something.
@@ -51,8 +51,8 @@ pub fn demand(method: &Method, path: &str) -> Demand {
         "/" if reads => Demand::Page,
         "/api/v1/stop" | "/api/v1/estop" => Demand::Stop,
         // Planning only calculates.
-        "/api/v1/plan" => Demand::Look,
-        _ if reads => Demand::Look,
+        "/api/v1/plan" => Demand::Observe,
+        _ if reads => Demand::Observe,
         _ => Demand::Change,
     }
 }
@@ -89,7 +89,7 @@ impl Access {
         }
         let needed = match demand {
             Demand::Page => false,
-            Demand::Look | Demand::Stop => !peer.here,
+            Demand::Observe | Demand::Stop => !peer.here,
             Demand::Change => true,
         };
         if needed && !self.has_token(headers) {
@@ -202,11 +202,11 @@ mod tests {
         let host = ("host", "127.0.0.1:7080");
         for (peer, demand, without) in [
             (HERE, Demand::Page, None),
-            (HERE, Demand::Look, None),
+            (HERE, Demand::Observe, None),
             (HERE, Demand::Stop, None),
             (HERE, Demand::Change, Some(StatusCode::UNAUTHORIZED)),
             (ELSEWHERE, Demand::Page, None),
-            (ELSEWHERE, Demand::Look, Some(StatusCode::UNAUTHORIZED)),
+            (ELSEWHERE, Demand::Observe, Some(StatusCode::UNAUTHORIZED)),
             (ELSEWHERE, Demand::Stop, Some(StatusCode::UNAUTHORIZED)),
             (ELSEWHERE, Demand::Change, Some(StatusCode::UNAUTHORIZED)),
         ] {
@@ -247,14 +247,14 @@ mod tests {
             "bench.lab.evil.example",
             "",
         ] {
-            for demand in [Demand::Page, Demand::Look, Demand::Stop, Demand::Change] {
+            for demand in [Demand::Page, Demand::Observe, Demand::Stop, Demand::Change] {
                 let denied = check(HERE, demand, &[("host", bad), BEARER]);
                 assert_eq!(denied, Some(StatusCode::FORBIDDEN), "{bad} {demand:?}");
             }
         }
         let twice = [("host", "localhost"), ("host", "evil.example"), BEARER];
-        assert!(check(HERE, Demand::Look, &twice).is_some());
-        assert!(check(HERE, Demand::Look, &[]).is_some());
+        assert!(check(HERE, Demand::Observe, &twice).is_some());
+        assert!(check(HERE, Demand::Observe, &[]).is_some());
     }
 
     #[test]
@@ -269,14 +269,14 @@ mod tests {
             "null",
             "http://127.0.0.1:7080.evil.example",
         ] {
-            for demand in [Demand::Look, Demand::Stop, Demand::Change] {
+            for demand in [Demand::Observe, Demand::Stop, Demand::Change] {
                 let denied = check(HERE, demand, &[host, ("origin", origin), BEARER]);
                 assert_eq!(denied, Some(StatusCode::FORBIDDEN), "{origin} {demand:?}");
             }
         }
         for site in ["cross-site", "same-site"] {
             let site = ("sec-fetch-site", site);
-            assert!(check(HERE, Demand::Look, &[host, site]).is_some());
+            assert!(check(HERE, Demand::Observe, &[host, site]).is_some());
             // Other sites may link to the page.
             assert_eq!(check(HERE, Demand::Page, &[host, site]), None);
         }
@@ -287,8 +287,8 @@ mod tests {
         for (method, path, expected) in [
             (Method::GET, "/", Demand::Page),
             (Method::POST, "/", Demand::Change),
-            (Method::GET, "/api/v1/state", Demand::Look),
-            (Method::POST, "/api/v1/plan", Demand::Look),
+            (Method::GET, "/api/v1/state", Demand::Observe),
+            (Method::POST, "/api/v1/plan", Demand::Observe),
             (Method::POST, "/api/v1/estop", Demand::Stop),
             (Method::DELETE, "/api/v1/state", Demand::Change),
             (Method::POST, "/api/v1/rig/run", Demand::Change),

@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
 use crate::board::{Board, Machine};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{DO_NOW, Delivery, Told};
 use lab::operations::failure::Failure;
 use lab::operations::panel::Notice;
@@ -176,7 +176,7 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         ));
     };
     past_owners(|| {
-        let mut device = places.open(machine.kind, &machine.address, Purpose::Glance)?;
+        let mut device = places.open(machine.kind, &machine.address, LinkPurpose::Glance)?;
         device.hello(places.connector.nonce())?;
         device.require(machine.kind)?;
         match question {

@@ -14,7 +14,7 @@ use client::error::{ClientError, Missing};
 use client::{Device, Interrupt, Observer, while_moving};
 use lab::commissioning::warning;
 use lab::operations::arguments::{DATA_FOLDER, RecordArgs};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
@@ -193,7 +193,7 @@ impl Worker<'_> {
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
         let (places, machine) = (self.places, self.machine);
         machine.is_behind(places.connector.line_files(&machine.address));
-        let mut device = places.open(machine.kind, &machine.address, Purpose::Watch)?;
+        let mut device = places.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
         device.ask_once(true);
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
         device.hello(places.connector.nonce())?;
@@ -389,7 +389,7 @@ impl Worker<'_> {
 
     fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<ActionResult, Failure> {
         if work.is_for_owner() {
-            Purpose::Own(work.kind()).admit(device)?;
+            LinkPurpose::Own(work.kind()).admit(device)?;
         }
         let mut busy = Busy {
             board: self.board,

@@ -3,7 +3,7 @@
 use client::error::ClientError;
 use client::identity;
 use lab::operations::arguments::Which;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use protocol::error::Refusal;
@@ -21,7 +21,7 @@ pub(crate) fn acknowledge(
     // Try both machines: one without a fault must not keep the other from being acknowledged.
     for kind in places.machines(which)? {
         let name = identity::kind_name(kind);
-        let result = places.connect(kind, Purpose::Look).and_then(|mut device| {
+        let result = places.connect(kind, LinkPurpose::Observe).and_then(|mut device| {
             device.acknowledge()?;
             Ok(device.place())
         });

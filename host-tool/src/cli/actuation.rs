@@ -4,7 +4,7 @@ use std::path::Path;
 
 use client::{Device, decimal};
 use lab::operations::arguments::RecordArgs;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::{FIND_THREAD, Failure};
 use lab::operations::places::Places;
@@ -31,7 +31,7 @@ pub(crate) fn actuate(
     let motion = motion.into();
     let kind = motion.kind;
     let (what, after) = words(kind);
-    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own(command))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own(command))?;
     if matches!(
         kind,
         ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo

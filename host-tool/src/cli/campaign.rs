@@ -20,7 +20,7 @@ use lab::campaign::remaining::{remaining_s, text as time_text};
 use lab::campaign::{make_room, resumption};
 use lab::commissioning::warning;
 use lab::operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use lab::trials::experiment::ExperimentError;
@@ -373,10 +373,10 @@ fn sit_down(
             )
         })?;
     }
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own(COMMAND))?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own(COMMAND))?;
     let capsule = plan
         .needs_capsule()
-        .then(|| places.connect(DeviceKind::Capsule, Purpose::Own(COMMAND)))
+        .then(|| places.connect(DeviceKind::Capsule, LinkPurpose::Own(COMMAND)))
         .transpose()?;
     let origin = rig.origin().max(
         capsule
@@ -413,7 +413,7 @@ fn sit_down(
     };
     let mut desk = Counter::new(screen, places, who);
     let mut connect = |kind| {
-        let device = places.connect(kind, Purpose::Own(COMMAND));
+        let device = places.connect(kind, LinkPurpose::Own(COMMAND));
         device.map_err(|why| why.in_one_line())
     };
     let ended =

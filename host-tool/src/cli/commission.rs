@@ -15,7 +15,7 @@ use lab::commissioning::session::{self, Broken, Ending};
 use lab::commissioning::work::{Options, Work};
 use lab::commissioning::{procedure, step};
 use lab::operations::arguments::{DATA_FOLDER, MachineKind};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::{FAULT, Failure, REFUSED, STOPPED};
 use lab::operations::interrupt;
 use lab::operations::places::Places;
@@ -72,7 +72,7 @@ pub(crate) fn commission(
 ) -> Result<Value, Failure> {
     let kind = args.machine.into();
     let mut hands = hands(args, kind, places, screen)?;
-    let mut device = places.connect(kind, Purpose::Own("commission"))?;
+    let mut device = places.connect(kind, LinkPurpose::Own("commission"))?;
     let subject = Subject::of(&mut device)?;
     let path = args
         .record
@@ -109,7 +109,7 @@ pub(crate) fn commission(
     };
     let reopen = || {
         places
-            .connect(kind, Purpose::Own("commission"))
+            .connect(kind, LinkPurpose::Own("commission"))
             .map_err(|failure| failure.to_string())
     };
     let mut say = |text: &str| screen.say(text);

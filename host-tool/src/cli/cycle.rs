@@ -6,7 +6,7 @@ use clap::Args;
 use client::identity::Origin;
 use client::{Device, decimal};
 use lab::operations::arguments::RecordArgs;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
@@ -74,7 +74,7 @@ pub(crate) fn cycle(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own("capsule cycle"))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own("capsule cycle"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     require(CapsuleState::Unfolded, "a cycle", &mut capsule)?;
     let folder = &args.record.out;

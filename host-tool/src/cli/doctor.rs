@@ -10,7 +10,7 @@ use client::error::ClientError;
 use client::identity::{self, IdentityRecord};
 use client::link::{OpenError, Reason};
 use lab::operations::arguments::Which;
-use lab::operations::connector::{Candidate, Purpose};
+use lab::operations::connector::{Candidate, LinkPurpose};
 use lab::operations::failure::{DONE, FAILED, FAULT, Failure, NO_DEVICE};
 use lab::operations::places::{KINDS, Places, past_owners};
 use protocol::system::{DeviceKind, Identity};
@@ -222,7 +222,7 @@ type Trouble = Option<(&'static str, String, &'static str)>;
 fn examine(place: &Place, places: &Places<'_>) -> Result<(Identity, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
-    let mut device = places.open(kind, address, Purpose::Glance)?;
+    let mut device = places.open(kind, address, LinkPurpose::Glance)?;
     device.ask_once(true);
     let identity = device.hello(places.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;

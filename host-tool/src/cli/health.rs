@@ -1,7 +1,7 @@
 //! `health`: the rig's counters.
 
 use client::decimal;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use protocol::rig::{self, RigHardware, RigHealth};
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 
 pub(crate) fn health(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Look)?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
     let health = rig.call(rig::GetRigHealth)?;
     let hardware = rig.call(rig::GetRigHardware)?;
     let now_us = rig.rig_status()?.time_us;

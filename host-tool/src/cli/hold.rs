@@ -1,6 +1,6 @@
 //! `hold` and `resume`: pauses a run and continues it.
 
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::{held, millimetres};
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 
 pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let status = held(&mut places.connect(DeviceKind::Rig, Purpose::Look)?)?;
+    let status = held(&mut places.connect(DeviceKind::Rig, LinkPurpose::Observe)?)?;
     screen.say(&format!(
         "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
         millimetres(&status)
@@ -20,7 +20,7 @@ pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value
 }
 
 pub(crate) fn resume(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Look)?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
     rig.call(rig::Resume)?;
     let status = rig.rig_status()?;
     screen.say(&format!(

@@ -1,6 +1,6 @@
 //! `home`: finds the rig's position.
 
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::homed_text;
 use lab::operations::failure::Failure;
 use lab::operations::panel::SETTINGS_UNUSABLE;
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use crate::cli::screen::Screen;
 
 pub(crate) fn home(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("home"))?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("home"))?;
     // Homing is the first motion after a start, which nobody has heard of.
     let (kept, _) = rig.kept_events()?;
     let last = kept.iter().rev().find_map(|event| match event.what {

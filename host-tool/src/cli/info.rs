@@ -3,7 +3,7 @@
 use client::identity::{self, IdentityRecord};
 use client::{decimal, matches, visible};
 use lab::operations::arguments::Which;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::panel::{in_run, run_text};
 use lab::operations::places::Places;
@@ -21,7 +21,7 @@ pub(crate) fn info(
 ) -> Result<Value, Failure> {
     let mut all = Map::new();
     for kind in places.machines(which)? {
-        let mut device = places.greet(kind, Purpose::Look)?;
+        let mut device = places.greet(kind, LinkPurpose::Observe)?;
         let Some(identity) = device.identity().copied() else {
             continue;
         };

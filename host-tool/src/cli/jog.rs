@@ -3,7 +3,7 @@
 use client::error::ClientError;
 use client::{Unobserved, while_moving};
 use lab::operations::arguments::JogArgs;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::{cut_short, millimetres};
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
@@ -23,7 +23,7 @@ pub(crate) fn jog(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("jog"))?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("jog"))?;
     fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let jog = rig::Jog {
         direction: args.direction,

@@ -3,7 +3,7 @@
 use client::error::ClientError;
 use client::{Unobserved, decimal};
 use lab::operations::arguments::MoveArgs;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::{cut_short, millimetres};
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
@@ -20,7 +20,7 @@ pub(crate) fn move_to(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("move"))?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("move"))?;
     fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let accepted = match rig.call(rig::MoveTo {
         position_um: args.position_mm.0,

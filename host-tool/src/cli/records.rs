@@ -6,7 +6,7 @@ use clap::Args;
 use client::decimal;
 use client::identity::kind_name;
 use lab::operations::arguments::{DATA_FOLDER, Which};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use lab::trials::fetched::{self, Fetched, Kept, Nothing};
@@ -42,7 +42,7 @@ pub(crate) fn records(
     let mut files = Map::new();
     for kind in places.machines(which)? {
         let machine = kind_name(kind);
-        let mut device = places.connect(kind, Purpose::Look)?;
+        let mut device = places.connect(kind, LinkPurpose::Observe)?;
         match fetched::fetch(&mut device, places.connector.now())? {
             Ok(fetched) => {
                 let path = fetched.write(out)?;

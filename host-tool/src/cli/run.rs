@@ -3,7 +3,7 @@
 use client::{Device, decimal};
 use lab::commissioning::warning;
 use lab::operations::arguments::{DATA_FOLDER, RunArgs};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
@@ -44,7 +44,7 @@ fn ready(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Device, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own("run"))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own("run"))?;
     fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
     let begins = match shaping {
         Shaping::Fold => CapsuleState::Unfolded,
@@ -65,7 +65,7 @@ pub(crate) fn run(
         Some((shaping, cue)) => Some((ready(shaping, places, screen)?, shaping, cue)),
         None => None,
     };
-    let mut rig = places.connect(DeviceKind::Rig, Purpose::Own("run"))?;
+    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("run"))?;
     fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
     let folders = [args.record.out.clone(), DATA_FOLDER.into()];
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {

@@ -7,7 +7,7 @@ use clap::Args;
 use client::named;
 use client::{Device, Recorded};
 use lab::operations::arguments::DATA_FOLDER;
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::places::Places;
 use lab::trials::force;
@@ -31,7 +31,7 @@ pub(crate) fn trace(
     places: &Places<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, Purpose::Own("capsule trace"))?;
+    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own("capsule trace"))?;
     let (recorded, no_load_ma) = fetch(&mut capsule)?;
     if recorded.points.is_empty() {
         screen.say("The capsule has not moved since its start: there is no recording.");

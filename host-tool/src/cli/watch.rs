@@ -12,7 +12,7 @@ use client::decimal::ShortSeconds;
 use client::error::ClientError;
 use client::{Observer, identity, visible};
 use lab::operations::arguments::{Which, above_zero};
-use lab::operations::connector::Purpose;
+use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::{DONE, Failure};
 use lab::operations::interrupt;
 use lab::operations::panel::{self, Contact, Panel, TELEMETRY_MS};
@@ -182,7 +182,7 @@ fn connection(
     places: &Places<'_>,
     leaving: &AtomicBool,
 ) -> Result<(), Failure> {
-    let mut device = places.open(machine.kind, &machine.address, Purpose::Watch)?;
+    let mut device = places.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
     device.ask_once(true);
     device.hello(places.connector.nonce())?;
     device.require(machine.kind)?;

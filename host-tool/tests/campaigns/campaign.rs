@@ -16,7 +16,7 @@ use lab::campaign::ledger::{
 };
 use lab::campaign::manifest;
 use lab::campaign::order::order;
-use lab::campaign::plan::{CampaignPlan, Millimetres, Purpose};
+use lab::campaign::plan::{CampaignPlan, Millimetres, TrialPurpose};
 use lab::campaign::prompts::{self, Answer};
 use lab::campaign::readings::{Kind, Quantity, ReadingRow, Readings, Summary, questions, refusal};
 use lab::campaign::verify::verify;
@@ -90,8 +90,8 @@ fn the_papers_plan_is_a_hundred_runs_and_the_fold_test() {
     }
     for (condition, repeats) in &repeats {
         let wanted = match condition.purpose {
-            Purpose::Series => 1..=10,
-            Purpose::FoldTest => 1..=1,
+            TrialPurpose::Series => 1..=10,
+            TrialPurpose::FoldTest => 1..=1,
         };
         assert!(repeats.iter().copied().eq(wanted), "{condition:?}");
     }

@@ -357,7 +357,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     }
     assert_eq!(evaluation.lines.len(), 2);
     for (row, line) in &evaluation.lines {
-        let points = evaluation.points(Purpose::Series, row.lubrication);
+        let points = evaluation.points(TrialPurpose::Series, row.lubrication);
         assert_eq!(FittedLine::through(&clampings(&points)), Some(*line));
         assert!(points.len() >= 5 && row.n == points.len());
     }
@@ -370,7 +370,7 @@ fn the_numbers_are_those_of_the_trials_that_count() {
     // (24.39 - 22.41)/2, (24.39 - 18.40)/2, (24.39 - 14.305)/2 to the micrometre.
     assert_eq!(a, ["0.990", "2.995", "5.043"]);
     let excluded = &evaluation.trials[4];
-    assert!(!excluded.counts && excluded.purpose == Purpose::Series);
+    assert!(!excluded.counts && excluded.purpose == TrialPurpose::Series);
     for row in &evaluation.trials[..13] {
         let steps = [row.planned_steps, row.counted_steps];
         assert_eq!(steps, [Some(16_000); 2]);

@@ -10,7 +10,7 @@ use client::{Device, Unobserved};
 use jiff::Timestamp;
 use lab::campaign::conduct::Machines;
 use lab::campaign::ledger::{AttemptOutcome, Standing};
-use lab::operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, LinkPurpose};
 use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{Hold, MoveTo};
 use protocol::settings::SettingKey;
@@ -76,7 +76,7 @@ impl Connector for Restarted {
         kind: DeviceKind,
         address: &Address,
         baud: u32,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         if kind == DeviceKind::Capsule || self.rigs.fetch_add(1, Ordering::SeqCst) == 0 {
             let link = self.first.open(kind, address, baud, purpose)?;

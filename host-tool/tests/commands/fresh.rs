@@ -6,7 +6,7 @@ use crate::support::tool;
 use client::address::Address;
 use client::link::{Link, OpenError};
 use jiff::Timestamp;
-use lab::operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, LinkPurpose};
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Log, Script, link};
 
@@ -32,7 +32,7 @@ impl Connector for New {
         kind: DeviceKind,
         _: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let (link, log) = link(Script::new(kind));
         self.0.lock().expect("free").push(log);

@@ -5,7 +5,7 @@ use client::link::owner::Owner;
 use client::link::{Link, LinkError, OpenError};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
-use lab::operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, LinkPurpose};
 use lab::operations::failure::Failure;
 use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::Home;
@@ -96,7 +96,7 @@ impl Connector for Computer {
         _: DeviceKind,
         _: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         Ok(Box::new(Cable {
             link: link(self.script.clone()).0,

@@ -9,7 +9,7 @@ use crate::support::tool::{self, Memory, ready};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use jiff::Timestamp;
-use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
+use lab::operations::connector::{Candidate, Connector, Ports, LinkPurpose};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
@@ -43,7 +43,7 @@ impl Connector for Hall {
         _: DeviceKind,
         address: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let place = address.to_string();
         if place == "live" {
@@ -354,7 +354,7 @@ impl Connector for Desk {
         _: DeviceKind,
         _: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let (link, log) = link(ready(DeviceKind::Rig));
         *self.log.lock().expect("free") = Some(log);

@@ -20,7 +20,7 @@ use lab::campaign::chance::Chance;
 use lab::campaign::contents::Campaign;
 use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
 use lab::campaign::verify::verify;
-use lab::operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, LinkPurpose};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
 use simulated_machines::link::{Memory, Peer};
@@ -351,7 +351,7 @@ impl Connector for Computer {
         _: DeviceKind,
         _: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         Ok(Box::new(Faulty {
             link: Memory::new("test rig", Shared(Arc::clone(&self.machine))),

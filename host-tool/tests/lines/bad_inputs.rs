@@ -8,7 +8,7 @@ use crate::support::offline::retrograde;
 use client::Device;
 use client::address::Address;
 use lab::operations::connector::Ports;
-use lab::operations::connector::{Connector as _, Purpose};
+use lab::operations::connector::{Connector as _, LinkPurpose};
 use protocol::rig::{GetRigHealth, RigHealth, RigStatus, RunRecord};
 use protocol::system::DeviceKind;
 use serde_json::Value;
@@ -104,7 +104,7 @@ const INPUTS: &str = r#"
 fn counters(rig: &str) -> (RigStatus, RunRecord, RigHealth) {
     let address: Address = rig.parse().expect("an address");
     let link = Ports
-        .open(DeviceKind::Rig, &address, 115_200, Purpose::Glance)
+        .open(DeviceKind::Rig, &address, 115_200, LinkPurpose::Glance)
         .expect("open");
     let mut rig = Device::connect(link, DeviceKind::Rig, Ports.nonce()).expect("a rig");
     (

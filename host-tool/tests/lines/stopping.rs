@@ -446,7 +446,7 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
         let clients: Vec<_> = (0..32).map(|_| bench.broker_client()).collect();
         let (code, _, err) = bench.retrograde(&["info"]);
         assert_eq!(code, Some(4), "{err}");
-        assert!(err.contains("32 other processes look"), "{err}");
+        assert!(err.contains("32 other processes observe"), "{err}");
         let (code, out, err) = bench.retrograde(&["estop"]);
         assert_eq!(code, Some(0), "{out}{err}");
         assert!(bench.urgent().contains(&Urgent::EStop));

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError};
 use jiff::Timestamp;
-use lab::operations::connector::{Connector, Purpose};
+use lab::operations::connector::{Connector, LinkPurpose};
 use protocol::system::{DeviceKind, Urgent};
 use simulated_machines::machine::{Log, Script, link};
 
@@ -18,7 +18,7 @@ impl<F: Fn(DeviceKind) -> Box<dyn Link> + Sync> Connector for Opened<F> {
         kind: DeviceKind,
         _: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         Ok((self.0)(kind))
     }

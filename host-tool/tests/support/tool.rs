@@ -8,7 +8,7 @@ use client::link::{Link, OpenError};
 use host_tool::cli::run_on;
 use host_tool::cli::screen::Keyboard;
 use jiff::Timestamp;
-use lab::operations::connector::{Candidate, Connector, Purpose};
+use lab::operations::connector::{Candidate, Connector, LinkPurpose};
 use protocol::system::DeviceKind;
 
 use simulated_machines::machine::{Log, Script, link};
@@ -69,7 +69,7 @@ impl Connector for Memory {
         _: DeviceKind,
         address: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let Address::Serial(index) = address else {
             panic!("only the test's own places");

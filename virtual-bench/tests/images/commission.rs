@@ -15,7 +15,7 @@ use lab::commissioning::hands::{Act, Bench as Remote, Hands, Part, Reading};
 use lab::commissioning::image;
 use lab::commissioning::record::{Commissioning, StepOutcome};
 use lab::commissioning::step;
-use lab::operations::connector::{Candidate, Connector, Ports, Purpose};
+use lab::operations::connector::{Candidate, Connector, Ports, LinkPurpose};
 use protocol::capsule::CapsuleState;
 use protocol::rig::GetRigHealth;
 use protocol::system::DeviceKind;
@@ -77,7 +77,7 @@ impl Connector for Workshop {
         _: DeviceKind,
         _: &Address,
         _: u32,
-        _: Purpose,
+        _: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         Ok(self.link())
     }

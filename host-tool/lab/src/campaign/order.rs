@@ -8,12 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::campaign::chance::Chance;
 use crate::campaign::form::Form;
-use crate::campaign::plan::{CampaignPlan, Lubrication, Purpose};
+use crate::campaign::plan::{CampaignPlan, Lubrication, TrialPurpose};
 
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Condition {
     /// Figure that the trial is for.
-    pub purpose: Purpose,
+    pub purpose: TrialPurpose,
     pub lubrication: Lubrication,
     pub indentation: String,
     pub shape: Form,
@@ -27,7 +27,7 @@ pub struct Planned {
     /// Its block, from 1. The rollers are clamped again at the start of each block.
     pub block: u32,
     /// Figure that it is for.
-    pub purpose: Purpose,
+    pub purpose: TrialPurpose,
     pub lubrication: Lubrication,
     pub indentation: String,
     pub shape: Form,

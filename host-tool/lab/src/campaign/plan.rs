@@ -124,14 +124,14 @@ impl Lubrication {
 /// Figure of the paper that a trial is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Purpose {
+pub enum TrialPurpose {
     /// Displacement against indentation: figure 7.
     Series,
     /// Folded against unfolded: figure 8.
     FoldTest,
 }
 
-impl Purpose {
+impl TrialPurpose {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Series => "series",
@@ -284,7 +284,7 @@ pub struct Group {
     pub indentations: Vec<String>,
     /// Figure that they are for, and shape of the body.
     #[serde(skip)]
-    pub kinds: Vec<(Purpose, Form)>,
+    pub kinds: Vec<(TrialPurpose, Form)>,
     /// Trials of each combination of indentation and kind.
     pub repeats: u32,
 }
@@ -394,7 +394,7 @@ impl CampaignPlan {
         self.groups
             .iter()
             .flat_map(|group| &group.kinds)
-            .any(|(purpose, _)| *purpose == Purpose::FoldTest)
+            .any(|(purpose, _)| *purpose == TrialPurpose::FoldTest)
     }
 
     /// Duration of a run, ignoring the rounding of a solved plan, s.
@@ -568,7 +568,7 @@ fn series_groups(series: &SeriesTable) -> Result<Vec<Group>, String> {
     let group = |lubrication: &Lubrication| Group {
         lubrication: *lubrication,
         indentations: indentation.clone(),
-        kinds: vec![(Purpose::Series, Form::Unfolded)],
+        kinds: vec![(TrialPurpose::Series, Form::Unfolded)],
         repeats: series.repeats,
     };
     Ok(lubrication.iter().map(group).collect())
@@ -591,7 +591,7 @@ impl FoldTable {
         repeats("fold_test.repeats", self.repeats)?;
         let mut forms = vec![Form::Unfolded, Form::Folded];
         forms.extend(self.fold_at_cycle.map(|_| Form::Folding));
-        let kinds = forms.into_iter().map(|form| (Purpose::FoldTest, form));
+        let kinds = forms.into_iter().map(|form| (TrialPurpose::FoldTest, form));
         Ok(Group {
             lubrication: self.lubrication,
             indentations: vec![self.indentation],

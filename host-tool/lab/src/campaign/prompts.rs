@@ -7,7 +7,7 @@ use client::error::ClientError;
 use crate::campaign::form::Form;
 use crate::campaign::ledger::Attempt;
 use crate::campaign::order::Planned;
-use crate::campaign::plan::{Lubrication, Millimetres, Purpose};
+use crate::campaign::plan::{Lubrication, Millimetres, TrialPurpose};
 use crate::campaign::readings::Quantity;
 
 #[derive(Debug)]
@@ -209,7 +209,7 @@ pub fn checks(
         Lubrication::Dry => "  [ ] the walls are dry".to_owned(),
         Lubrication::Lubricated => "  [ ] soapy water is on both walls, anew".to_owned(),
     });
-    if planned.purpose == Purpose::FoldTest {
+    if planned.purpose == TrialPurpose::FoldTest {
         lines.push(match planned.shape {
             Form::Unfolded => "  [ ] the capsule is connected; it will be unfolded".to_owned(),
             Form::Folded => "  [ ] the capsule is connected; it will be folded now".to_owned(),

@@ -18,7 +18,7 @@ use crate::commissioning::work::{LOOK_US, Work};
 const PLAIN: Step = Step {
     name: "",
     shows: "",
-    look: "",
+    observe: "",
     of_image: true,
     settings: &[],
     needs_hands: false,
@@ -54,7 +54,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "held",
         shows: "with the motor held, the current measured is the one ordered, at three duties",
-        look: "the shaft must not turn",
+        observe: "the shaft must not turn",
         needs_hands: true,
         check: held,
         ..PLAIN
@@ -62,21 +62,21 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "reference",
         shows: "the thread's zero is found",
-        look: "begin unfolded: the crescents meet slowly, then the thread is paid out again",
+        observe: "begin unfolded: the crescents meet slowly, then the thread is paid out again",
         check: reference,
         ..PLAIN
     },
     Step {
         name: "fold",
         shows: "the motor's current ends the fold at its calibrated end",
-        look: "the crescents meet",
+        observe: "the crescents meet",
         check: fold,
         ..PLAIN
     },
     Step {
         name: "unfold",
         shows: "the thread is paid out to its zero",
-        look: "the origami springs back",
+        observe: "the origami springs back",
         check: unfold,
         ..PLAIN
     },

@@ -17,7 +17,7 @@ pub use travel::wrong_travel;
 const PLAIN: Step = Step {
     name: "",
     shows: "",
-    look: "",
+    observe: "",
     of_image: true,
     settings: &[],
     needs_hands: true,
@@ -28,7 +28,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "image",
         shows: "the image on the board is the one that was built; its last start was no failure",
-        look: "the LED blinks slowly: not homed",
+        observe: "the LED blinks slowly: not homed",
         needs_hands: false,
         check: board::image_is_the_one,
         ..PLAIN
@@ -58,7 +58,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "e-stop",
         shows: "the E-stop button opens the loop, is latched, and closes it again",
-        look: "the LED blinks fast while the fault is latched",
+        observe: "the LED blinks fast while the fault is latched",
         check: switches::e_stop,
         ..PLAIN
     },
@@ -91,7 +91,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "pulses",
         shows: "homing without motor power: each step is counted, the flag is not found",
-        look: "on an oscilloscope STEP stays low after the last pulse",
+        observe: "on an oscilloscope STEP stays low after the last pulse",
         settings: HOMING,
         check: travel::pulses,
         ..PLAIN
@@ -99,7 +99,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "home",
         shows: "the motor turns the right way, and the carriage finds its flag",
-        look: "the carriage has to go to the RIGHT; a hand on the supply switch",
+        observe: "the carriage has to go to the RIGHT; a hand on the supply switch",
         settings: HOMING,
         check: travel::home,
         ..PLAIN
@@ -149,7 +149,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "cable",
         shows: "a cable that is pulled ends a run, and the board outlives it",
-        look: "the carriage stands after about link_timeout_ms",
+        observe: "the carriage stands after about link_timeout_ms",
         settings: &[
             Key::LinkTimeoutMs,
             Key::LeadUm,
@@ -185,7 +185,7 @@ pub const STEPS: &[Step] = &[
     Step {
         name: "stroke",
         shows: "the whole stroke is free: far limit and end switches lie beyond it",
-        look: "nothing touches on the way",
+        observe: "nothing touches on the way",
         // The flag's place is that of position 0, from which the stroke counts.
         settings: &[
             Key::StrokeUm,

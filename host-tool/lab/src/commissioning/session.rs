@@ -87,8 +87,8 @@ fn announce(work: &mut Work<'_>, number: usize, count: usize, step: &Step) {
         &format!("[{number}/{count}] {}: {}", step.name, step.shows),
         "  ",
     );
-    if !step.look.is_empty() {
-        say_wrapped(work, &format!("  look: {}", step.look), "        ");
+    if !step.observe.is_empty() {
+        say_wrapped(work, &format!("  observe: {}", step.observe), "           ");
     }
 }
 

@@ -14,7 +14,7 @@ pub struct Step {
     /// One line: what a pass proves.
     pub shows: &'static str,
     /// Hint for the operator: what to watch meanwhile, because nothing measures it; may be empty.
-    pub look: &'static str,
+    pub observe: &'static str,
     /// Its result is that of an image: another image needs another result.
     pub of_image: bool,
     /// The settings on which its result depends.

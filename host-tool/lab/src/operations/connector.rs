@@ -33,9 +33,9 @@ pub struct Candidate {
 
 /// Purpose of a link. It decides how long opening may take, and how a line is treated that somebody else owns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Purpose {
+pub enum LinkPurpose {
     /// Reading, holding, acknowledging: the owner of the line does this for other processes as well.
-    Look,
+    Observe,
     /// Moving something, writing settings, or using the whole line: only for the owner. The text is the command's
     /// name.
     Own(&'static str),
@@ -58,7 +58,7 @@ pub trait Connector: Sync {
         kind: DeviceKind,
         address: &Address,
         baud: u32,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError>;
 
     /// Whether the machine there is created when it is opened: it is neither homed nor referenced, and nobody is near
@@ -102,7 +102,7 @@ struct Patience {
     change: Duration,
 }
 
-impl Purpose {
+impl LinkPurpose {
     /// The command, if only the owner of the line may send it.
     pub(crate) fn of_owner(self) -> Option<&'static str> {
         match self {
@@ -129,7 +129,7 @@ impl Purpose {
 
     fn patience(self) -> Patience {
         let [connect, answer, change] = match self {
-            Self::Look | Self::Own(_) | Self::Watch => [5_000, 2_000, 5_000],
+            Self::Observe | Self::Own(_) | Self::Watch => [5_000, 2_000, 5_000],
             // A diagnosis should take at most 1 s. Declaring a machine silent takes 0.8 s of that.
             Self::Glance => [200, 500, 500],
             // After this time the user should be at the emergency stop button.
@@ -150,10 +150,10 @@ const AGAIN: Duration = Duration::from_millis(5);
 /// Opens the line as its owner, or connects to its owner's broker if another process has it.
 fn way_in(
     line_files: &LineFiles,
-    purpose: Purpose,
+    purpose: LinkPurpose,
     halves: &dyn Fn() -> Result<Halves, OpenError>,
 ) -> Result<Box<dyn Link>, OpenError> {
-    let (patience, yields) = (purpose.patience(), purpose == Purpose::Watch);
+    let (patience, yields) = (purpose.patience(), purpose == LinkPurpose::Watch);
     let begin = Instant::now();
     loop {
         if let Some(lock) = line_files.claim()? {
@@ -171,11 +171,11 @@ fn way_in(
             return Err(silent(line_files, owner));
         }
         if let Ok(client) = BrokerClient::open(line_files, left) {
-            if client.is_full() && purpose != Purpose::Stop {
+            if client.is_full() && purpose != LinkPurpose::Stop {
                 return Err(OpenError {
                     place: line_files.place().to_owned(),
                     reason: Reason::Busy,
-                    why: format!("{MAX_CLIENTS} other processes look at it already"),
+                    why: format!("{MAX_CLIENTS} other processes observe it already"),
                     remedy: "close a `watch` or a page that nobody needs; a stop goes through all the same".to_owned(),
                 });
             }
@@ -274,18 +274,18 @@ impl Connector for Ports {
         _kind: DeviceKind,
         address: &Address,
         baud: u32,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> Result<Box<dyn Link>, OpenError> {
         let limit = purpose.patience().connect;
         let through =
             |line_files: &LineFiles| way_in(line_files, purpose, &|| halves(address, baud, limit));
         let line_files = match (LineFiles::of(address), purpose) {
             // If lock or broker do not work, send a stop the direct way.
-            (Err(_), Purpose::Stop | Purpose::StopDirectly) => None,
+            (Err(_), LinkPurpose::Stop | LinkPurpose::StopDirectly) => None,
             (line_files, _) => line_files?,
         };
         match (line_files, purpose) {
-            (Some(line_files), Purpose::Stop) => {
+            (Some(line_files), LinkPurpose::Stop) => {
                 let begin = Instant::now();
                 return way_to_stop(
                     || through(&line_files),
@@ -293,7 +293,7 @@ impl Connector for Ports {
                     || begin.elapsed() < limit,
                 );
             }
-            (Some(_), Purpose::StopDirectly) | (None, _) => {}
+            (Some(_), LinkPurpose::StopDirectly) | (None, _) => {}
             (Some(line_files), _) => return through(&line_files),
         }
         direct(address, baud, limit)
@@ -378,7 +378,7 @@ mod tests {
         owned.announce().expect("possible");
         assert!(line_files.owner().is_some() && !line_files.is_open());
         let leaves = thread::spawn(move || {
-            thread::sleep(Purpose::Look.patience().answer + Duration::from_millis(500));
+            thread::sleep(LinkPurpose::Observe.patience().answer + Duration::from_millis(500));
             drop(owned);
         });
         let opened = || {
@@ -389,7 +389,7 @@ mod tests {
                 remedy: String::new(),
             })
         };
-        let error = way_in(&line_files, Purpose::Look, &opened).err();
+        let error = way_in(&line_files, LinkPurpose::Observe, &opened).err();
         leaves.join().expect("it left");
         assert_eq!(
             error.map(|error| error.why).as_deref(),

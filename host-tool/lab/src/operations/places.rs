@@ -15,7 +15,7 @@ use client::{Device, Interrupt};
 use protocol::system::{DeviceKind, Identity, Urgent};
 
 use crate::operations::arguments::Which;
-use crate::operations::connector::{Candidate, Connector, Purpose};
+use crate::operations::connector::{Candidate, Connector, LinkPurpose};
 use crate::operations::delivery::{Delivery, Told};
 use crate::operations::failure::Failure;
 use crate::operations::interrupt;
@@ -150,14 +150,14 @@ impl Places<'_> {
     }
 
     /// Opens a session with a machine that speaks the same protocol. From then on Ctrl-C stops the machine.
-    pub fn connect(&self, kind: DeviceKind, need: Purpose) -> Result<Device, Failure> {
+    pub fn connect(&self, kind: DeviceKind, need: LinkPurpose) -> Result<Device, Failure> {
         let device = self.greet(kind, need)?;
         device.require(kind)?;
         Ok(device)
     }
 
     /// Opens a session with a machine of this kind, whatever protocol version it speaks.
-    pub fn greet(&self, kind: DeviceKind, need: Purpose) -> Result<Device, Failure> {
+    pub fn greet(&self, kind: DeviceKind, need: LinkPurpose) -> Result<Device, Failure> {
         let address = self.resolve(kind)?;
         // Note the last stops before waiting for the line: a stop that comes meanwhile also applies to this command.
         let line_files = self.connector.line_files(&address);
@@ -196,18 +196,18 @@ impl Places<'_> {
             line_files.mark_stop(urgent);
         }
         for _ in 1..OWNERS {
-            match self.stop_by(kind, address, urgent, Purpose::Stop) {
+            match self.stop_by(kind, address, urgent, LinkPurpose::Stop) {
                 // The owner of the line has ended, so the line is free.
                 (Err(Failure::Client(error)), _) if error.is_owner_gone() => {}
                 (Err(failure), true) => {
-                    let (past, _) = self.stop_by(kind, address, urgent, Purpose::StopDirectly);
+                    let (past, _) = self.stop_by(kind, address, urgent, LinkPurpose::StopDirectly);
                     return past.map_err(|_| failure);
                 }
                 // A stop sent without an owner has already been sent directly.
                 (result, _) => return result,
             }
         }
-        self.stop_by(kind, address, urgent, Purpose::StopDirectly).0
+        self.stop_by(kind, address, urgent, LinkPurpose::StopDirectly).0
     }
 
     /// Sends a stop one way; also returns whether it went through the owner of the line.
@@ -216,7 +216,7 @@ impl Places<'_> {
         kind: DeviceKind,
         address: &Address,
         urgent: Urgent,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> (Result<String, Failure>, bool) {
         let mut device = match self.open(kind, address, purpose) {
             Ok(device) => device,
@@ -262,7 +262,7 @@ impl Places<'_> {
         &self,
         kind: DeviceKind,
         address: &Address,
-        need: Purpose,
+        need: LinkPurpose,
         interrupt: &Interrupt,
     ) -> Result<Device, Failure> {
         // The session sends a stop that was pressed before.
@@ -303,7 +303,7 @@ impl Places<'_> {
     }
 
     /// Stops the machine of a command that has no session yet. Returns the failure of the command.
-    fn stopped(&self, target: &Target, urgent: Urgent, need: Purpose) -> Failure {
+    fn stopped(&self, target: &Target, urgent: Urgent, need: LinkPurpose) -> Failure {
         let told = target.told(self.urgent(target, urgent));
         match told.delivery {
             Delivery::Stopped => interrupted(need),
@@ -317,12 +317,12 @@ impl Places<'_> {
         &self,
         kind: DeviceKind,
         address: &Address,
-        need: Purpose,
+        need: LinkPurpose,
         pressed: &dyn Fn() -> Option<Urgent>,
     ) -> Result<Device, Failure> {
         let begin = Instant::now();
         loop {
-            let mut device = self.open(kind, address, Purpose::Look)?;
+            let mut device = self.open(kind, address, LinkPurpose::Observe)?;
             if need.of_owner().is_none() || device.owner().is_none() {
                 return Ok(device);
             }
@@ -344,7 +344,7 @@ impl Places<'_> {
         &self,
         kind: DeviceKind,
         address: &Address,
-        purpose: Purpose,
+        purpose: LinkPurpose,
     ) -> Result<Device, Failure> {
         let link = self.connector.open(kind, address, self.baud, purpose)?;
         Ok(Device::new(link, self.connector.nonce()))
@@ -397,7 +397,7 @@ impl Places<'_> {
             });
         }
         let kind = candidate.kind.or(wanted).unwrap_or(DeviceKind::Rig);
-        let mut device = self.open(kind, &candidate.address, Purpose::Look)?;
+        let mut device = self.open(kind, &candidate.address, LinkPurpose::Observe)?;
         Ok(device.hello(self.connector.nonce())?)
     }
 
@@ -430,7 +430,7 @@ impl Places<'_> {
 }
 
 /// The failure of a command that was stopped before it sent anything.
-fn interrupted(need: Purpose) -> Failure {
+fn interrupted(need: LinkPurpose) -> Failure {
     let request = need.of_owner().unwrap_or("Hello");
     Failure::Client(ClientError::Interrupted { request })
 }

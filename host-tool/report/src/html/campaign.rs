@@ -14,7 +14,7 @@ use client::identity::Origin;
 use client::plain;
 use lab::campaign::CampaignError;
 use lab::campaign::manifest;
-use lab::campaign::plan::Purpose;
+use lab::campaign::plan::TrialPurpose;
 use lab::campaign::readings::Quantity;
 use maud::{Markup, PreEscaped, html};
 use miette::Diagnostic;
@@ -215,13 +215,13 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
         section {
             h2 { "Displacement over indentation" }
             (drawn(figures.figure7.as_ref(), "No trial of the series counts yet: no figure."))
-            (conditions(evaluation, Purpose::Series))
+            (conditions(evaluation, TrialPurpose::Series))
             (lines(evaluation))
         }
         section {
             h2 { "Folded against unfolded" }
             (drawn(figures.figure8.as_ref(), "No trial of the fold test counts yet: no figure."))
-            (conditions(evaluation, Purpose::FoldTest))
+            (conditions(evaluation, TrialPurpose::FoldTest))
         }
         section { h2 { "Left out" } (left_out(evaluation)) }
         section { h2 { "Conditions" } (setting(evaluation)) }
@@ -315,8 +315,8 @@ fn condition_key(row: &ConditionRow) -> String {
     )
 }
 
-fn conditions(evaluation: &Evaluation, purpose: Purpose) -> Markup {
-    let has_shapes = purpose == Purpose::FoldTest;
+fn conditions(evaluation: &Evaluation, purpose: TrialPurpose) -> Markup {
+    let has_shapes = purpose == TrialPurpose::FoldTest;
     let rows = || {
         let rows = evaluation.conditions.iter();
         rows.filter(|row| row.purpose == purpose)

@@ -8,7 +8,7 @@ use crate::figures::{
 };
 use crate::html::evaluation::{Evaluation, LINE, Part, deviation, run_of};
 use lab::campaign::form::Form;
-use lab::campaign::plan::{Lubrication, Purpose};
+use lab::campaign::plan::{Lubrication, TrialPurpose};
 use lab::trials::check;
 use lab::trials::trial::{Action, RigSample};
 
@@ -124,7 +124,7 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
     for (shape, colour, mark) in shapes {
         let rows = evaluation.trials.iter().zip(&evaluation.parts);
         let rows: Vec<_> = rows
-            .filter(|(row, _)| row.counts && row.purpose == Purpose::FoldTest && row.shape == shape)
+            .filter(|(row, _)| row.counts && row.purpose == TrialPurpose::FoldTest && row.shape == shape)
             .collect();
         let ends: Vec<(f64, f64)> = rows
             .iter()

@@ -13,7 +13,7 @@ use lab::campaign::form::Form;
 use lab::campaign::ledger::{Attempt, AttemptOutcome, Source, Standing, TrialState};
 use lab::campaign::manifest::{self, Manifest};
 use lab::campaign::order::Condition;
-use lab::campaign::plan::{Lubrication, Millimetres, Purpose};
+use lab::campaign::plan::{Lubrication, Millimetres, TrialPurpose};
 use lab::campaign::readings::{Quantity, Summary};
 use lab::campaign::statistics::{FittedLine, Spread};
 use lab::campaign::verify::{Finding, verify};
@@ -50,7 +50,7 @@ impl<const DECIMALS: usize> Serialize for Rounded<DECIMALS> {
 pub struct TrialRow {
     pub trial: u32,
     pub block: u32,
-    pub purpose: Purpose,
+    pub purpose: TrialPurpose,
     pub lubrication: Lubrication,
     pub indentation: String,
     pub shape: Form,
@@ -98,7 +98,7 @@ pub struct TrialRow {
 /// Equal trials: a row of `report/conditions.csv`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ConditionRow {
-    pub purpose: Purpose,
+    pub purpose: TrialPurpose,
     pub lubrication: Lubrication,
     pub indentation: String,
     pub shape: Form,
@@ -229,7 +229,7 @@ pub fn evaluate(folder: &Path) -> Result<Evaluation, CampaignError> {
     evaluation.lines = [Lubrication::Dry, Lubrication::Lubricated]
         .into_iter()
         .filter_map(|lubrication| {
-            let points = evaluation.points(Purpose::Series, lubrication);
+            let points = evaluation.points(TrialPurpose::Series, lubrication);
             line(lubrication, &points, origin)
         })
         .collect();
@@ -498,7 +498,7 @@ impl Evaluation {
     }
 
     /// (a_n, displacement) of the trials that count for a purpose, mm.
-    pub fn points(&self, purpose: Purpose, lubrication: Lubrication) -> Vec<(f64, f64)> {
+    pub fn points(&self, purpose: TrialPurpose, lubrication: Lubrication) -> Vec<(f64, f64)> {
         self.trials
             .iter()
             .filter(|row| row.counts && row.purpose == purpose)

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 
 use crate::campaign::conduct::{Broken, Conduct, Then};
 use crate::campaign::order::Planned;
-use crate::campaign::plan::{Millimetres, Purpose};
+use crate::campaign::plan::{Millimetres, TrialPurpose};
 use crate::campaign::prompts::{Answer, Question};
 use crate::campaign::readings::{Kind, Quantity, ReadingRow, Set, Summary, questions, refusal};
 
@@ -37,8 +37,8 @@ impl Conduct<'_> {
                 planned.block,
                 planned.lubrication.name(),
                 match planned.purpose {
-                    Purpose::Series => "",
-                    Purpose::FoldTest => ", folded against unfolded",
+                    TrialPurpose::Series => "",
+                    TrialPurpose::FoldTest => ", folded against unfolded",
                 }
             ),
             format!("  Clamp both rollers at {name}, in the same notch on either side."),

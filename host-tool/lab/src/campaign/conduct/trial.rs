@@ -21,7 +21,7 @@ use crate::campaign::files::RUN;
 use crate::campaign::form::Form;
 use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
 use crate::campaign::order::Planned;
-use crate::campaign::plan::{Millimetres, Purpose};
+use crate::campaign::plan::{Millimetres, TrialPurpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
 use crate::campaign::{remaining, resumption};
 
@@ -170,7 +170,7 @@ impl Conduct<'_> {
         fs::create_dir_all(folder).map_err(|io| RecordError::write(folder, io))?;
         self.go_home(planned.block)?;
         self.write_conditions(planned, attempt, began, folder)?;
-        if planned.purpose == Purpose::FoldTest {
+        if planned.purpose == TrialPurpose::FoldTest {
             self.shape(planned.shape, folder)?;
         }
         let plan = &self.folder.campaign().plan;
