@@ -257,13 +257,13 @@ pub struct Conduct<'a> {
 }
 
 /// The step after an answer.
-enum Then {
+enum Next {
     /// Begin the trial; or the value is in the ledger.
-    Go,
+    Proceed,
     /// Find out again what comes next.
-    Look,
+    Reread,
     /// Leave: the operator has asked to.
-    Leave,
+    Quit,
 }
 
 impl<'a> Conduct<'a> {
@@ -299,7 +299,7 @@ impl<'a> Conduct<'a> {
         loop {
             self.folder.seal()?;
             // A stop since the last question is older than the next one.
-            if !self.gone && matches!(self.heed_stop()?, Then::Leave) {
+            if !self.gone && matches!(self.report_stop()?, Next::Quit) {
                 return Ok(Ending::Left);
             }
             let Some(next) = self.folder.campaign().state.next() else {
@@ -313,8 +313,8 @@ impl<'a> Conduct<'a> {
                     return Ok(Ending::Enough);
                 }
                 match self.set_up(&planned)? {
-                    Then::Go => match self.ask_ready(&planned, number + 1)? {
-                        Then::Go => {
+                    Next::Proceed => match self.ask_ready(&planned, number + 1)? {
+                        Next::Proceed => {
                             attempts = attempts.map(|left| left - 1);
                             self.attempt(&planned, number + 1)?
                         }
@@ -323,7 +323,7 @@ impl<'a> Conduct<'a> {
                     then => then,
                 }
             };
-            if matches!(then, Then::Leave) {
+            if matches!(then, Next::Quit) {
                 return Ok(Ending::Left);
             }
         }
@@ -383,9 +383,9 @@ impl<'a> Conduct<'a> {
     // Questions.
 
     /// Tells of a stop that came since the last call: what was ordered before it does not begin.
-    fn heed_stop(&mut self) -> Result<Then, Broken> {
+    fn report_stop(&mut self) -> Result<Next, Broken> {
         let Some(urgent) = self.machines.take_stop()? else {
-            return Ok(Then::Go);
+            return Ok(Next::Proceed);
         };
         self.desk.say(match urgent {
             Urgent::Stop => "  a stop came meanwhile: nothing begins before Enter at a check-list",
@@ -393,14 +393,14 @@ impl<'a> Conduct<'a> {
                 "  an emergency stop came meanwhile: nothing begins before `retrograde ack`"
             }
         });
-        Ok(self.look_again())
+        Ok(self.reread_or_quit())
     }
 
     /// A person looks, and answers anew. With nobody there the same answer would come at once, without end.
-    fn look_again(&self) -> Then {
+    fn reread_or_quit(&self) -> Next {
         match self.desk.is_person() {
-            true => Then::Look,
-            false => Then::Leave,
+            true => Next::Reread,
+            false => Next::Quit,
         }
     }
 

@@ -5,7 +5,7 @@ use client::identity::Origin;
 use protocol::capsule::{ActuationKind, CapsuleState};
 
 use crate::campaign::conduct::modelled::{self, Modelled};
-use crate::campaign::conduct::{Broken, Conduct, Then};
+use crate::campaign::conduct::{Broken, Conduct, Next};
 use crate::campaign::form::Form;
 use crate::campaign::ledger::{Attempt, AttemptOutcome, LedgerEvent, LedgerRow, Source};
 use crate::campaign::order::Planned;
@@ -13,7 +13,7 @@ use crate::campaign::plan::Millimetres;
 use crate::campaign::prompts::{Answer, Question};
 
 impl Conduct<'_> {
-    pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+    pub(super) fn measure(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let trial = planned.trial;
         let modelled = match self.machines.origin {
             Origin::Virtual => Some(self.model(planned, attempt)?),
@@ -26,7 +26,7 @@ impl Conduct<'_> {
             model: modelled.as_ref().map(|modelled| modelled.value),
         };
         let Some(answer) = self.ask(&question)? else {
-            return Ok(Then::Leave);
+            return Ok(Next::Quit);
         };
         let mut row = LedgerRow::of(LedgerEvent::Displacement, trial, Some(attempt));
         match (answer, modelled) {
@@ -43,7 +43,7 @@ impl Conduct<'_> {
                 let allowed = self.folder.campaign().plan.displacement;
                 if let Some(why) = allowed.refusal(value) {
                     self.desk.say(&format!("  {why}"));
-                    return Ok(Then::Look);
+                    return Ok(Next::Reread);
                 }
                 row.displacement_mm = Some(value);
                 row.source = Some(Source::Measured);
@@ -55,10 +55,10 @@ impl Conduct<'_> {
             }
             (answer, _) => return self.instead(planned, attempt, answer),
         }
-        Ok(Then::Look)
+        Ok(Next::Reread)
     }
 
-    fn instead(&mut self, planned: &Planned, attempt: u32, answer: Answer) -> Result<Then, Broken> {
+    fn instead(&mut self, planned: &Planned, attempt: u32, answer: Answer) -> Result<Next, Broken> {
         let trial = planned.trial;
         let mut ends = false;
         match answer {
@@ -100,7 +100,7 @@ impl Conduct<'_> {
         if ends {
             return self.unfold_after(planned, attempt);
         }
-        Ok(Then::Look)
+        Ok(Next::Reread)
     }
 
     fn model(&self, planned: &Planned, attempt: u32) -> Result<Modelled, Broken> {
@@ -125,7 +125,7 @@ impl Conduct<'_> {
     }
 
     /// Unfolds the capsule at the end of a fold trial, so that the thread does not stay under tension.
-    fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+    fn unfold_after(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let campaign = self.folder.campaign();
         let began = |row: &&LedgerRow| row.event == LedgerEvent::Began;
         // Unfold only for the latest attempt: a corrected displacement says nothing about the present state of the
@@ -137,23 +137,23 @@ impl Conduct<'_> {
         let folder = campaign.attempt_folder(planned.trial, attempt);
         let capsule = self.machines.capsule.as_mut();
         let Some(capsule) = capsule.filter(|_| planned.shape != Form::Unfolded && is_last) else {
-            return Ok(Then::Look);
+            return Ok(Next::Reread);
         };
         match capsule.capsule_status() {
             Ok(status) if status.state == CapsuleState::Folded => {}
-            Ok(_) => return Ok(Then::Look),
+            Ok(_) => return Ok(Next::Reread),
             // The trial has ended all the same, and the next one may need no capsule.
             Err(error) => {
                 self.gone = true;
                 self.desk.say(&format!(
                     "  {error}; was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`"
                 ));
-                return Ok(Then::Look);
+                return Ok(Next::Reread);
             }
         }
         // A stop that came while the question waited is younger than the question.
-        let then = self.heed_stop()?;
-        if !matches!(then, Then::Go) {
+        let then = self.report_stop()?;
+        if !matches!(then, Next::Proceed) {
             self.desk.say(
                 "  the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`",
             );
@@ -162,8 +162,8 @@ impl Conduct<'_> {
         let unfolded = self.actuate(ActuationKind::Unfold, &folder);
         self.folder.seal_attempt(planned.trial, attempt)?;
         match unfolded {
-            Err(broken) if broken.outcome() == AttemptOutcome::Stopped => Ok(Then::Leave),
-            unfolded => unfolded.map(|()| Then::Look),
+            Err(broken) if broken.outcome() == AttemptOutcome::Stopped => Ok(Next::Quit),
+            unfolded => unfolded.map(|()| Next::Reread),
         }
     }
 

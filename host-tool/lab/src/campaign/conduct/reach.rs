@@ -4,7 +4,7 @@ use client::Device;
 use protocol::system::DeviceKind;
 use serde_json::Value;
 
-use crate::campaign::conduct::{Broken, Conduct, Connect, Machines, Then};
+use crate::campaign::conduct::{Broken, Conduct, Connect, Machines, Next};
 use crate::campaign::resumption;
 
 /// Facts that are not compared: they differ after each start of the machine, or are a remark of the tool.
@@ -34,16 +34,16 @@ impl Machines {
 
 impl Conduct<'_> {
     /// Whether something may move after Enter: the machines answer, and no stop came while the question waited.
-    pub(super) fn may_move(&mut self) -> Result<Then, Broken> {
+    pub(super) fn may_move(&mut self) -> Result<Next, Broken> {
         if !self.is_reached()? {
-            return Ok(self.look_again());
+            return Ok(self.reread_or_quit());
         }
         // A stop is noticed with the next frame.
         self.machines.rig.rig_status()?;
         if let Some(capsule) = &mut self.machines.capsule {
             capsule.capsule_status()?;
         }
-        self.heed_stop()
+        self.report_stop()
     }
 
     /// Whether the machines answer. A machine that was gone while a question waited gets a new session if the same one

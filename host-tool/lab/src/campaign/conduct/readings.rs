@@ -3,7 +3,7 @@
 use client::identity::Origin;
 use jiff::Timestamp;
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
+use crate::campaign::conduct::{Broken, Conduct, Next};
 use crate::campaign::order::Planned;
 use crate::campaign::plan::{Millimetres, TrialPurpose};
 use crate::campaign::prompts::{Answer, Question};
@@ -11,7 +11,7 @@ use crate::campaign::readings::{Kind, Quantity, ReadingRow, Set, Summary, questi
 
 impl Conduct<'_> {
     /// Makes sure that D is known and the rollers are clamped for this trial's block.
-    pub(super) fn set_up(&mut self, planned: &Planned) -> Result<Then, Broken> {
+    pub(super) fn set_up(&mut self, planned: &Planned) -> Result<Next, Broken> {
         let open = self.folder.campaign().readings.open().cloned();
         if let Some(set) = open {
             return self.read_set(set.quantity, set.indentation);
@@ -26,7 +26,7 @@ impl Conduct<'_> {
             return self.prepare(todo, Quantity::Width, None);
         }
         if self.is_clamped_for(planned) {
-            return Ok(Then::Go);
+            return Ok(Next::Proceed);
         }
         let plan = &self.folder.campaign().plan;
         let name = &planned.indentation;
@@ -92,13 +92,13 @@ impl Conduct<'_> {
         todo: Vec<String>,
         quantity: Quantity,
         indentation: Option<String>,
-    ) -> Result<Then, Broken> {
+    ) -> Result<Next, Broken> {
         match self.ask(&Question::Prepare { todo })? {
-            None => Ok(Then::Leave),
+            None => Ok(Next::Quit),
             Some(Answer::Enter | Answer::Yes) => self.read_set(quantity, indentation),
             Some(_) => {
                 self.desk.say("  that is not for now");
-                Ok(Then::Look)
+                Ok(Next::Reread)
             }
         }
     }
@@ -108,7 +108,7 @@ impl Conduct<'_> {
         &mut self,
         quantity: Quantity,
         indentation: Option<String>,
-    ) -> Result<Then, Broken> {
+    ) -> Result<Next, Broken> {
         loop {
             let campaign = self.folder.campaign();
             let (count, resolution) = (
@@ -139,7 +139,7 @@ impl Conduct<'_> {
             };
             if done == count {
                 let Some(open) = open else {
-                    return Ok(Then::Look);
+                    return Ok(Next::Reread);
                 };
                 self.show(&open.values, indentation.as_deref(), &open);
                 let odd = {
@@ -148,18 +148,18 @@ impl Conduct<'_> {
                 };
                 if odd.is_empty() {
                     self.reading_row(row(Kind::Accepted, None))?;
-                    return Ok(Then::Look);
+                    return Ok(Next::Reread);
                 }
                 match self.ask(&Question::Odd { questions: &odd })? {
-                    None => return Ok(Then::Leave),
+                    None => return Ok(Next::Quit),
                     Some(Answer::Yes) => {
                         let text = format!("confirmed: {}", odd.join("; "));
                         self.reading_row(row(Kind::Accepted, Some(text)))?;
-                        return Ok(Then::Look);
+                        return Ok(Next::Reread);
                     }
                     Some(Answer::Again) => {
                         self.reading_row(row(Kind::Discarded, Some(odd.join("; "))))?;
-                        return Ok(Then::Look);
+                        return Ok(Next::Reread);
                     }
                     Some(Answer::Undo) => self.reading_row(row(Kind::Withdrawn, None))?,
                     Some(_) => self.desk.say("  yes, undo or again"),
@@ -173,7 +173,7 @@ impl Conduct<'_> {
                 count,
             };
             match self.ask(&question)? {
-                None => return Ok(Then::Leave),
+                None => return Ok(Next::Quit),
                 Some(Answer::Undo) if done > 0 => self.reading_row(row(Kind::Withdrawn, None))?,
                 Some(Answer::Length(value)) => {
                     match refusal(quantity, value, width_mm, resolution) {

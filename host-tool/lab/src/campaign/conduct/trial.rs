@@ -16,7 +16,7 @@ use protocol::rig::{MoveTo, RigEvent};
 use protocol::system::What;
 use serde_json::json;
 
-use crate::campaign::conduct::{Broken, Conduct, Then};
+use crate::campaign::conduct::{Broken, Conduct, Next};
 use crate::campaign::files::RUN;
 use crate::campaign::form::Form;
 use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
@@ -29,7 +29,7 @@ use crate::campaign::{remaining, resumption};
 const HOMEWARD_UM_S: u32 = 20_000;
 
 impl Conduct<'_> {
-    pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+    pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let campaign = self.folder.campaign();
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
@@ -42,7 +42,7 @@ impl Conduct<'_> {
             checks,
         };
         let Some(answer) = self.ask(&question)? else {
-            return Ok(Then::Leave);
+            return Ok(Next::Quit);
         };
         match answer {
             Answer::Enter | Answer::Yes => return self.may_move(),
@@ -75,7 +75,7 @@ impl Conduct<'_> {
                 self.desk.say("  Enter begins the trial");
             }
         }
-        Ok(Then::Look)
+        Ok(Next::Reread)
     }
 
     /// Excludes the trial of the latest attempt. A displacement that was corrected since may be of any other one.
@@ -113,7 +113,7 @@ impl Conduct<'_> {
         (plan.metadata.camera != "none").then(|| self.camera.clone().unwrap_or_else(proposed))
     }
 
-    pub(super) fn attempt(&mut self, planned: &Planned, attempt: u32) -> Result<Then, Broken> {
+    pub(super) fn attempt(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
         let trial = planned.trial;
         let campaign = self.folder.campaign();
         let set = campaign.readings.clamped().cloned();
@@ -149,13 +149,13 @@ impl Conduct<'_> {
                 self.desk.say(&format!(
                     "  stopped: attempt {attempt} of trial {trial} does not count"
                 ));
-                Ok(Then::Leave)
+                Ok(Next::Quit)
             }
             Err(broken) => Err(broken),
             Ok(()) => {
                 ended?;
                 sealed?;
-                Ok(Then::Look)
+                Ok(Next::Reread)
             }
         }
     }
