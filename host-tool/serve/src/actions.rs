@@ -19,7 +19,7 @@ pub const KEPT: usize = 512;
 /// State of an action.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Standing {
+pub enum ActionStatus {
     /// The machine has not answered yet.
     Starting,
     /// The machine has accepted it.
@@ -40,7 +40,7 @@ pub enum Standing {
     Unknown,
 }
 
-impl Standing {
+impl ActionStatus {
     pub fn is_over(self) -> bool {
         !matches!(self, Self::Starting | Self::UnderWay)
     }
@@ -80,7 +80,7 @@ pub struct RequestedAction {
 pub struct Action {
     pub number: u64,
     command: RequestedAction,
-    pub standing: Standing,
+    pub status: ActionStatus,
     pub accepted: Value,
     pub progress: Value,
     pub result: Value,
@@ -140,13 +140,13 @@ impl Actions {
         let number = list.back().map_or(1, |last| last.number + 1);
         if list.len() >= KEPT {
             // Keep actions that are under way: their results are still to come. They are few, so memory stays bounded.
-            let oldest = list.iter().position(|action| action.standing.is_over());
+            let oldest = list.iter().position(|action| action.status.is_over());
             oldest.and_then(|oldest| list.remove(oldest));
         }
         list.push_back(Action {
             number,
             command,
-            standing: Standing::Starting,
+            status: ActionStatus::Starting,
             accepted: Value::Null,
             progress: Value::Null,
             result: Value::Null,
@@ -191,12 +191,12 @@ impl Actions {
     ) -> Option<Action> {
         let nth = 1 + self.ends.fetch_add(1, Ordering::Relaxed);
         self.update(number, |action| {
-            action.standing = failure.map_or(Standing::Complete, Standing::of);
+            action.status = failure.map_or(ActionStatus::Complete, ActionStatus::of);
             // The machine accepted the action and was lost afterwards, or with the order under way.
             let gone = failure.is_some_and(|failure| failure.exit_code() == NO_DEVICE);
             let cut = failure.is_some_and(Failure::is_cut);
             if gone && !action.accepted.is_null() || cut {
-                action.standing = Standing::Unknown;
+                action.status = ActionStatus::Unknown;
             }
             action.progress = Value::Null;
             action.result = result;
@@ -213,7 +213,7 @@ impl Actions {
         let mut ours = list
             .iter()
             .filter(|action| action.command.machine == machine);
-        ours.all(|action| action.standing.is_over())
+        ours.all(|action| action.status.is_over())
     }
 
     pub fn changes(&self) -> watch::Receiver<u64> {
@@ -225,7 +225,7 @@ impl Actions {
             "id": format!("{}-{}", self.instance, action.number),
             "machine": kind_name(action.command.machine),
             "kind": action.command.kind,
-            "state": action.standing,
+            "state": action.status,
             "requested": action.command.requested,
             "accepted": action.accepted,
             "progress": action.progress,
@@ -251,7 +251,7 @@ impl Actions {
                 .rev()
                 .filter(|action| action.command.machine == machine)
         };
-        let under_way = ours().find(|action| action.standing == Standing::UnderWay);
+        let under_way = ours().find(|action| action.status == ActionStatus::UnderWay);
         // A hold or a resume ends before its run, so it does not hide the run.
         let ended = ours().max_by_key(|action| action.ended_nth);
         let shown = under_way.or(ended).cloned();
@@ -332,7 +332,7 @@ mod tests {
             actions.arrive(command(key, 0), now);
         }
         let changes = actions.changes();
-        actions.update(1, |action| action.standing = Standing::UnderWay);
+        actions.update(1, |action| action.status = ActionStatus::UnderWay);
         assert!(changes.has_changed().expect("open"));
         actions.end(2, Value::Null, None, now);
         assert_eq!(actions.latest(DeviceKind::Rig)["id"], "i-1");
@@ -346,7 +346,7 @@ mod tests {
     #[test]
     fn an_action_that_failed_says_in_which_way() {
         use lab::trials::trial::Status;
-        for (status, standing) in [
+        for (status, name) in [
             (Status::LinkLost, "link_lost"),
             (Status::Faulted, "faulted"),
             (Status::Stopped, "stopped"),
@@ -359,9 +359,9 @@ mod tests {
                 reason: None,
                 help: String::new(),
             };
-            assert_eq!(json!(Standing::of(&failure)), standing, "{failure}");
+            assert_eq!(json!(ActionStatus::of(&failure)), name, "{failure}");
         }
         let input = Failure::input("no", "mend it");
-        assert_eq!(json!(Standing::of(&input)), "failed");
+        assert_eq!(json!(ActionStatus::of(&input)), "failed");
     }
 }

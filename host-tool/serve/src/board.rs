@@ -284,7 +284,7 @@ impl Board {
     /// Records that the machine has accepted an action.
     pub fn accepted(&self, number: u64, accepted: Value) {
         let action = self.actions.update(number, |action| {
-            action.standing = crate::actions::Standing::UnderWay;
+            action.status = crate::actions::ActionStatus::UnderWay;
             action.accepted = accepted;
         });
         self.tell_action(action);

@@ -42,7 +42,7 @@ use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 
 use crate::access::{Access, Demand, Peer, demand};
-use crate::actions::{Action, Arrival, RequestedAction, Standing};
+use crate::actions::{Action, Arrival, RequestedAction, ActionStatus};
 use crate::answers::{Instead, answer, bad, closing, good, refused, status, typed};
 use crate::board::{Board, Order};
 use crate::bodies::{LONGEST_BODY, fields, object};
@@ -337,7 +337,7 @@ async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answ
     };
     let actions = &app.board.actions;
     let number = actions.number(&id).ok_or_else(unknown)?;
-    let over = wait(&app.board, number, |action| action.standing.is_over());
+    let over = wait(&app.board, number, |action| action.status.is_over());
     // After that time the action may not have ended yet.
     let _ = timeout(Duration::from_secs(wait_s), over).await;
     let action = actions.get(number).ok_or_else(unknown)?;
@@ -636,12 +636,12 @@ async fn command(
         }
     };
     let until = |action: &Action| {
-        action.standing.is_over() || (!short && action.standing == Standing::UnderWay)
+        action.status.is_over() || (!short && action.status == ActionStatus::UnderWay)
     };
     let action = wait(board, number, until).await.ok_or_else(ends)?;
     let mut value = json!({ "ok": true, "action": board.actions.json(&action) });
     let code = match &action.failure {
-        None if action.standing.is_over() => StatusCode::OK,
+        None if action.status.is_over() => StatusCode::OK,
         None => StatusCode::ACCEPTED,
         Some((code, error)) => {
             value["ok"] = json!(false);

@@ -13,7 +13,7 @@ use desk::{Counter, Who};
 use lab::campaign::conduct::{Broken, Conduct, Ending, Machines};
 use lab::campaign::contents::Campaign;
 use lab::campaign::folder::Folder;
-use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, Standing, TrialState};
+use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, TrialStatus, TrialState};
 use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::readings::Summary;
 use lab::campaign::remaining::{remaining_s, text as time_text};
@@ -485,7 +485,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
     let done = state
         .trials
         .iter()
-        .filter(|trial| trial.standing() == Standing::Done)
+        .filter(|trial| trial.status() == TrialStatus::Done)
         .count();
     let origin = campaign.origin().map_or_else(
         || "nothing yet".to_owned(),

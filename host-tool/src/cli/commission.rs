@@ -90,11 +90,11 @@ pub(crate) fn commission(
         all.len()
     ));
     screen.say(&format!("Record: {}", path.display()));
-    for (step, standing) in &open {
-        let why = match standing {
-            procedure::Standing::OtherImage => "the image is another one".to_owned(),
-            procedure::Standing::OtherSetting(name) => format!("{name} has changed"),
-            procedure::Standing::NotPassed | procedure::Standing::Holds => continue,
+    for (step, status) in &open {
+        let why = match status {
+            procedure::StepStatus::OtherImage => "the image is another one".to_owned(),
+            procedure::StepStatus::OtherSetting(name) => format!("{name} has changed"),
+            procedure::StepStatus::NotPassed | procedure::StepStatus::Holds => continue,
         };
         screen.say(&format!("{} is due again: {why}", step.name));
     }

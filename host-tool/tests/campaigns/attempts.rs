@@ -5,7 +5,7 @@ use std::fs;
 use lab::campaign::contents::Campaign;
 use lab::campaign::files::TRIALS;
 use lab::campaign::folder::Folder;
-use lab::campaign::ledger::{AttemptOutcome, Standing};
+use lab::campaign::ledger::{AttemptOutcome, TrialStatus};
 use serde_json::Value;
 
 use crate::campaign::{at, findings, relist, small};
@@ -102,10 +102,10 @@ fn exclude_at_a_check_list_means_the_last_trial_whatever_was_corrected() {
     ];
     at.answered(&memory, 130, lines);
     let campaign = at.whole();
-    let standings = [1, 2, 3].map(|trial| campaign.state.trial(trial).expect("there").standing());
+    let statuses = [1, 2, 3].map(|trial| campaign.state.trial(trial).expect("there").status());
     assert_eq!(
-        standings,
-        [Standing::Done, Standing::Excluded, Standing::Open]
+        statuses,
+        [TrialStatus::Done, TrialStatus::Excluded, TrialStatus::Open]
     );
 }
 
@@ -136,7 +136,7 @@ fn a_record_that_is_not_whole_completes_no_attempt() {
     assert_eq!(told, ["003-1: the tool ended within it: lost"]);
     let trial = folder.campaign().state.trial(3).expect("there");
     assert_eq!(trial.attempts[0].outcome, Some(AttemptOutcome::Lost));
-    assert_eq!(trial.standing(), Standing::Open);
+    assert_eq!(trial.status(), TrialStatus::Open);
     drop(folder);
     assert_eq!(findings(&path), [""; 0]);
 }

@@ -12,7 +12,7 @@ use lab::campaign::contents::{Campaign, order_text};
 use lab::campaign::files::{ATTEMPTS, READINGS, TRIALS};
 use lab::campaign::folder::Folder;
 use lab::campaign::ledger::{
-    AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, Standing,
+    AttemptOutcome, CampaignState, LedgerEvent, LedgerRow, Source, TrialStatus,
 };
 use lab::campaign::manifest;
 use lab::campaign::order::order;
@@ -354,12 +354,12 @@ proptest! {
     }
 }
 
-/// One row of each kind in turn, and the trial's standing after each.
+/// One row of each kind in turn, and the trial's status after each.
 #[test]
 fn a_trial_goes_through_its_standings() {
     let order = order(&plan(SMALL));
     let mut state = CampaignState::new(&order);
-    let mut step = |event, attempt, outcome, standing| {
+    let mut step = |event, attempt, outcome, status| {
         let mut row = LedgerRow::of(event, 1, Some(attempt));
         row.row = state.sequence.next_row();
         row.origin = Origin::Board;
@@ -369,10 +369,10 @@ fn a_trial_goes_through_its_standings() {
         row.text = Some("slipped".to_owned());
         state.apply(&row).expect("possible");
         let trial = state.trial(1).expect("there");
-        assert_eq!(trial.standing(), standing, "{event:?}");
+        assert_eq!(trial.status(), status, "{event:?}");
         state.next().expect("more to do").planned.trial
     };
-    use Standing::{Done, Excluded, Open, Skipped, UnderWay, Unmeasured};
+    use TrialStatus::{Done, Excluded, Open, Skipped, UnderWay, Unmeasured};
     for outcome in AttemptOutcome::ALL.iter().copied().skip(1).zip(1..) {
         step(LedgerEvent::Began, outcome.1, None, UnderWay);
         let next = step(LedgerEvent::Ended, outcome.1, Some(outcome.0), Open);
@@ -786,7 +786,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     let (folder, told) = Folder::resume(&path, at(201)).expect("a crash");
     assert_eq!(told.len(), 4, "{told:?}");
     let trial = folder.campaign().state.trial(4).expect("there").clone();
-    assert_eq!(trial.standing(), Standing::Unmeasured);
+    assert_eq!(trial.status(), TrialStatus::Unmeasured);
     assert_eq!(folder.campaign().state.next(), Some(&trial));
     drop(folder);
     assert_eq!(findings(&path), Vec::<String>::new());
@@ -802,7 +802,7 @@ fn an_attempt_that_the_tool_left_is_ended_by_its_record() {
     drop(folder);
     let (folder, _) = Folder::resume(&path, at(205)).expect("a crash");
     let trial = folder.campaign().state.trial(4).expect("there");
-    assert_eq!(trial.standing(), Standing::Open);
+    assert_eq!(trial.status(), TrialStatus::Open);
     assert_eq!(trial.attempts[1].outcome, Some(AttemptOutcome::Lost));
 }
 

@@ -14,7 +14,7 @@ use client::identity::Origin;
 use host_tool::cli::run_on;
 use lab::campaign::contents::Campaign;
 use lab::campaign::form::Form;
-use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source, Standing, TrialState};
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source, TrialStatus, TrialState};
 use lab::campaign::verify::verify;
 use lab::operations::connector::Connector;
 use locomotion::roller::Params;
@@ -398,8 +398,8 @@ fn converse(
     (code, shown.text())
 }
 
-fn standings<const N: usize>(campaign: &Campaign, trials: [u32; N]) -> [Standing; N] {
-    trials.map(|trial| campaign.state.trial(trial).expect("there").standing())
+fn statuses<const N: usize>(campaign: &Campaign, trials: [u32; N]) -> [TrialStatus; N] {
+    trials.map(|trial| campaign.state.trial(trial).expect("there").status())
 }
 
 #[test]
@@ -474,9 +474,9 @@ fn a_person_is_asked_again_until_the_answer_can_be() {
         ],
     );
     let campaign = at.whole();
-    use Standing::{Done, Excluded, Open, Skipped};
+    use TrialStatus::{Done, Excluded, Open, Skipped};
     let expected = [Done, Excluded, Skipped, Open];
-    assert_eq!(standings(&campaign, [1, 2, 3, 4]), expected);
+    assert_eq!(statuses(&campaign, [1, 2, 3, 4]), expected);
     let (_, said, _) = memory.run(&["campaign", "status", &at.out]);
     for line in [
         "1 of 6 trials are done",
@@ -592,8 +592,8 @@ fn an_answer_is_echoed_asked_again_refused_or_taken_back() {
     );
     let campaign = at.whole();
     assert_eq!(
-        standings(&campaign, [1, 2]),
-        [Standing::Unmeasured, Standing::Open],
+        statuses(&campaign, [1, 2]),
+        [TrialStatus::Unmeasured, TrialStatus::Open],
         "{shown}"
     );
     assert_eq!(campaign.state.trials[0].attempts[0].camera_file, None);
@@ -739,7 +739,7 @@ fn an_attempt_that_is_refused_stays_listed_and_does_not_count() {
     let first = campaign.state.trial(1).expect("there");
     let outcome = first.attempts[0].outcome;
     assert_eq!(outcome, Some(AttemptOutcome::Faulted), "{said}");
-    assert_eq!(first.standing(), Standing::Open);
+    assert_eq!(first.status(), TrialStatus::Open);
     let memory = Memory::with(vec![rig, capsule]);
     let said = at.unattended(&memory, 0, &["--yes"]);
     let told = "trial 1, attempt 1 does not count: faulted";

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use client::link::{Link, LinkError};
 use client::{Device, Unobserved};
 use lab::campaign::form::Form;
-use lab::campaign::ledger::Standing;
+use lab::campaign::ledger::TrialStatus;
 use lab::campaign::order::order;
 use lab::campaign::plan::CampaignPlan;
 use lab::operations::connector::Connector;
@@ -62,7 +62,7 @@ fn session(bench: &dyn Connector, code: u8, answer: &'static str) -> (String, Pl
 }
 
 fn is_done(at: &Place) -> bool {
-    at.whole().state.trial(2).expect("there").standing() == Standing::Done
+    at.whole().state.trial(2).expect("there").status() == TrialStatus::Done
 }
 
 /// Regression: a clock that was set within a trial turned the order of its records round.
@@ -94,17 +94,17 @@ const STILL_FOLDED: &str =
 /// Regression: only a displacement unfolded it.
 #[test]
 fn whatever_ends_a_fold_trial_unfolds_the_capsule() {
-    for (answer, standing, code) in [
-        ("-60", Standing::Done, 0),
-        ("exclude the wall was torn", Standing::Excluded, 0),
-        ("skip", Standing::Skipped, 0),
-        ("repeat it slipped", Standing::Open, 130),
+    for (answer, status, code) in [
+        ("-60", TrialStatus::Done, 0),
+        ("exclude the wall was torn", TrialStatus::Excluded, 0),
+        ("skip", TrialStatus::Skipped, 0),
+        ("repeat it slipped", TrialStatus::Open, 130),
     ] {
         let memory = machines(None);
         let at = Place::of(&fold_test());
         let mut lines = UP_TO_THE_FOLDED_ONE.to_vec();
         lines.push(("Displacement of the tail", answer));
-        if standing == Standing::Open {
+        if status == TrialStatus::Open {
             lines.push(("Trial 2 of 2, attempt 2", "q"));
         }
         let shown = at.answered(&memory, code, lines);
@@ -118,7 +118,7 @@ fn whatever_ends_a_fold_trial_unfolds_the_capsule() {
         assert!(told.eq(motions), "{answer}: {shown}");
         let campaign = at.whole();
         let folded = campaign.state.trial(2).expect("there");
-        assert_eq!(folded.standing(), standing, "{shown}");
+        assert_eq!(folded.status(), status, "{shown}");
         assert!(file_of(&campaign.attempt_folder(2, 1), "unfold-").is_some());
     }
 }

@@ -9,7 +9,7 @@ use client::link::{Link, LinkError, OpenError, Reason};
 use client::{Device, Unobserved};
 use jiff::Timestamp;
 use lab::campaign::conduct::Machines;
-use lab::campaign::ledger::{AttemptOutcome, Standing};
+use lab::campaign::ledger::{AttemptOutcome, TrialStatus};
 use lab::operations::connector::{Connector, LinkPurpose};
 use lab::trials::experiment::PAPER_RUN;
 use protocol::rig::{Hold, MoveTo};
@@ -141,7 +141,7 @@ fn the_same_machine_is_reached_again_where_it_is_needed() {
     let shown = at.answered(&bench, 130, lines.concat());
     let campaign = at.whole();
     let first = campaign.state.trial(1).expect("there");
-    assert_eq!(first.standing(), Standing::Done);
+    assert_eq!(first.status(), TrialStatus::Done);
     assert_eq!(first.attempts.len(), 1);
     // The new session knows no position, so it homes.
     let heard = bench.then.heard();

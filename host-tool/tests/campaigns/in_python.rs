@@ -119,7 +119,7 @@ fn a_row_that_was_cut_off_is_no_row_in_python() {
     fs::write(&ledger, &whole[..value]).expect("cut");
     let program = "import sys, retrograde.data as data\n\
                    trial = data.Campaign(sys.argv[1]).trials[2]\n\
-                   print(trial['standing'], trial['displacement_mm'])";
+                   print(trial['status'], trial['displacement_mm'])";
     let Some(output) = python(&["-c", program, path.to_str().expect("UTF-8")]) else {
         return;
     };

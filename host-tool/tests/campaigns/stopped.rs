@@ -1,7 +1,7 @@
 //! A stop while something moves: the session ends in order, and what was under way does not count.
 
 use client::link::Link;
-use lab::campaign::ledger::{AttemptOutcome, Standing};
+use lab::campaign::ledger::{AttemptOutcome, TrialStatus};
 use lab::operations::connector::Connector;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, link};
@@ -33,7 +33,7 @@ fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
     }
     let campaign = at.whole();
     let first = campaign.state.trial(1).expect("there");
-    assert_eq!(first.standing(), Standing::Open);
+    assert_eq!(first.status(), TrialStatus::Open);
     let outcomes: Vec<_> = first.attempts.iter().map(|one| one.outcome).collect();
     assert_eq!(outcomes, [Some(AttemptOutcome::Stopped)]);
 }

@@ -13,7 +13,7 @@ use client::subject::Subject;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
 use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
-use lab::commissioning::procedure::{Procedure, Standing, open, standing};
+use lab::commissioning::procedure::{Procedure, StepStatus, open, status};
 use lab::commissioning::record::{Commissioning, Finding, StepOutcome};
 use lab::commissioning::rig::wrong_travel;
 use lab::commissioning::step::{self, Step};
@@ -89,17 +89,17 @@ fn a_step_holds_for_the_image_and_the_settings_that_it_was_shown_with() {
     assert_eq!(open.len(), record.steps.len() - 1);
     assert!(!open.contains(&"enable"));
     assert_eq!(
-        standing(step("home"), &record, &flashed),
-        Standing::OtherImage
+        status(step("home"), &record, &flashed),
+        StepStatus::OtherImage
     );
 
     let mut set = known.clone();
     set.settings.insert("dead_man_ms".to_owned(), 200);
     assert_eq!(open_names(&record, &set), ["jog"]);
     set.settings.insert("lead_um".to_owned(), 5_000);
-    let travel = standing(step("travel"), &record, &set);
-    assert_eq!(travel, Standing::OtherSetting("lead_um"));
-    assert_eq!(standing(step("e-stop"), &record, &set), Standing::Holds);
+    let travel = status(step("travel"), &record, &set);
+    assert_eq!(travel, StepStatus::OtherSetting("lead_um"));
+    assert_eq!(status(step("e-stop"), &record, &set), StepStatus::Holds);
 
     // No step depends on the rig's name or the button's run.
     let mut button = known;

@@ -10,7 +10,7 @@ use crate::support::plan::{ONE_CONDITION, PAPER, changed};
 use crate::support::terminal::Terminal;
 use lab::campaign::chance::Chance;
 use lab::campaign::contents::Campaign;
-use lab::campaign::ledger::{LedgerEvent, Standing};
+use lab::campaign::ledger::{LedgerEvent, TrialStatus};
 use lab::campaign::verify::verify;
 use protocol::system::DeviceKind;
 use simulated_machines::machine::VIRTUAL_UID;
@@ -107,8 +107,8 @@ fn a_campaign_survives_being_killed_at_any_instant() {
             .filter(|row| row.event == LedgerEvent::Displacement && row.trial == Some(trial));
         assert_eq!(measured.count(), 1, "trial {trial}");
         let state = campaign.state.trial(trial).expect("there");
-        let standing = state.attempts.iter().filter(|attempt| attempt.stands());
-        assert_eq!(standing.count(), 1, "trial {trial}");
+        let status = state.attempts.iter().filter(|attempt| attempt.stands());
+        assert_eq!(status.count(), 1, "trial {trial}");
     }
     // Some kills must have hit a trial.
     let attempts = |campaign: &Campaign| -> usize {
@@ -160,11 +160,11 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     assert_eq!(session.ends_restored(), Some(130));
     let folder = bench.folder.path().join("c");
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
-    let standing = || {
+    let status = || {
         let campaign = Campaign::read(&folder).expect("a campaign");
-        campaign.state.trial(1).expect("there").standing()
+        campaign.state.trial(1).expect("there").status()
     };
-    assert_eq!(standing(), Standing::Unmeasured);
+    assert_eq!(status(), TrialStatus::Unmeasured);
     let mut session = at_terminal(&["campaign", "run", "c"]);
     session.wait_for("Displacement of the tail");
     // The key bounces. The hands are at the body now, and the rig must wait for an Enter of its own.
@@ -172,7 +172,7 @@ fn a_prompt_keeps_the_link_alive_and_takes_ctrl_c() {
     session.wait_for("Press it again");
     session.press("q\n");
     assert_eq!(session.ends_restored(), Some(130));
-    assert_eq!(standing(), Standing::Done);
+    assert_eq!(status(), TrialStatus::Done);
     let campaign = Campaign::read(&folder).expect("a campaign");
     assert_eq!(campaign.state.trial(2).expect("there").attempts, vec![]);
 }
@@ -225,8 +225,8 @@ fn a_stop_while_a_question_waits_is_told_and_stops_no_later_attempt() {
     let folder = bench.folder.path().join("c");
     assert_eq!(verify(&folder).expect("a folder").findings, vec![]);
     let campaign = Campaign::read(&folder).expect("a campaign");
-    for (trial, standing) in [(1, Standing::Done), (2, Standing::Unmeasured)] {
+    for (trial, status) in [(1, TrialStatus::Done), (2, TrialStatus::Unmeasured)] {
         let state = campaign.state.trial(trial).expect("there");
-        assert_eq!((state.attempts.len(), state.standing()), (1, standing));
+        assert_eq!((state.attempts.len(), state.status()), (1, status));
     }
 }

@@ -18,7 +18,7 @@ use host_tool::cli::run_on;
 use jiff::{SignedDuration, Timestamp};
 use lab::campaign::chance::Chance;
 use lab::campaign::contents::Campaign;
-use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, Standing};
+use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, TrialStatus};
 use lab::campaign::verify::verify;
 use lab::operations::connector::{Connector, LinkPurpose};
 use protocol::settings::SettingKey;
@@ -52,9 +52,9 @@ fn went_on(folder: &Path) -> Option<(AttemptOutcome, String)> {
     assert_eq!(verified.findings, vec![], "{}", folder.display());
     let campaign = Campaign::read(folder).expect("a campaign");
     for trial in &campaign.state.trials {
-        assert_eq!(trial.standing(), Standing::Done, "{trial:?}");
-        let standing = trial.attempts.iter().filter(|attempt| attempt.stands());
-        assert_eq!(standing.count(), 1, "{trial:?}");
+        assert_eq!(trial.status(), TrialStatus::Done, "{trial:?}");
+        let status = trial.attempts.iter().filter(|attempt| attempt.stands());
+        assert_eq!(status.count(), 1, "{trial:?}");
     }
     let mut broken = campaign.rows.iter().filter(|row| {
         row.outcome

@@ -7,7 +7,7 @@ use std::path::Path;
 use host_tool::cli;
 use lab::campaign::contents::Campaign;
 use lab::campaign::form::Form;
-use lab::campaign::ledger::{Source, Standing};
+use lab::campaign::ledger::{Source, TrialStatus};
 use lab::campaign::verify::verify;
 use report::html::evaluation::evaluate;
 use virtual_bench::connector::BenchPorts;
@@ -61,7 +61,7 @@ fn a_short_campaign_is_left_and_resumed_and_reported() {
     let campaign = Campaign::read(Path::new(&folder)).expect("a campaign");
     assert_eq!(campaign.state.trials.len(), 4);
     for trial in &campaign.state.trials {
-        assert_eq!(trial.standing(), Standing::Done, "{trial:?}");
+        assert_eq!(trial.status(), TrialStatus::Done, "{trial:?}");
         assert_eq!(trial.attempts.len(), 1, "{trial:?}");
     }
     let sources: Vec<_> = campaign.rows.iter().filter_map(|row| row.source).collect();

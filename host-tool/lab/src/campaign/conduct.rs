@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 
 use crate::campaign::CampaignError;
 use crate::campaign::folder::Folder;
-use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
+use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, TrialStatus, TrialState};
 use crate::campaign::prompts::{self, Answer, Halt, Question};
 use crate::campaign::readings::ReadingRow;
 
@@ -306,7 +306,7 @@ impl<'a> Conduct<'a> {
                 return Ok(Ending::Through);
             };
             let (planned, number) = (next.planned.clone(), next.attempts.len() as u32);
-            let then = if next.standing() == Standing::Unmeasured {
+            let then = if next.status() == TrialStatus::Unmeasured {
                 self.measure(&planned, number)?
             } else {
                 if attempts == Some(0) {
@@ -357,7 +357,7 @@ impl<'a> Conduct<'a> {
             .and_then(|row| row.trial);
         let last = campaign.state.last_measured(&campaign.rows);
         let excluded = last.map(|(trial, _)| trial).filter(|trial| {
-            campaign.state.trial(*trial).map(TrialState::standing) == Some(Standing::Excluded)
+            campaign.state.trial(*trial).map(TrialState::status) == Some(TrialStatus::Excluded)
         });
         let (row, said) = match (left_out.or(excluded), last) {
             (Some(trial), _) => (

@@ -190,7 +190,7 @@ impl Attempt {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum TrialStatus {
     Open,
     UnderWay,
     /// Run, but the displacement is missing.
@@ -202,7 +202,7 @@ pub enum Standing {
     Skipped,
 }
 
-impl Standing {
+impl TrialStatus {
     const fn words(self) -> &'static str {
         match self {
             Self::Open => "not done yet",
@@ -240,31 +240,31 @@ impl TrialState {
         self.attempts.last().filter(|attempt| attempt.stands())
     }
 
-    pub fn standing(&self) -> Standing {
+    pub fn status(&self) -> TrialStatus {
         if self.skipped.is_some() {
-            return Standing::Skipped;
+            return TrialStatus::Skipped;
         }
         match self.attempts.last() {
-            Some(last) if last.outcome.is_none() => Standing::UnderWay,
+            Some(last) if last.outcome.is_none() => TrialStatus::UnderWay,
             Some(last) if last.stands() => match (last.displacement, &self.excluded) {
-                (_, Some(_)) => Standing::Excluded,
-                (None, None) => Standing::Unmeasured,
-                (Some(_), None) => Standing::Done,
+                (_, Some(_)) => TrialStatus::Excluded,
+                (None, None) => TrialStatus::Unmeasured,
+                (Some(_), None) => TrialStatus::Done,
             },
-            _ => Standing::Open,
+            _ => TrialStatus::Open,
         }
     }
 
     fn left_out(&self) -> Option<&'static str> {
-        match self.standing() {
-            Standing::Skipped => Some("skipped"),
-            Standing::Excluded => Some("excluded"),
+        match self.status() {
+            TrialStatus::Skipped => Some("skipped"),
+            TrialStatus::Excluded => Some("excluded"),
             _ => None,
         }
     }
 
     pub fn counted(&self) -> Option<Displacement> {
-        (self.standing() == Standing::Done)
+        (self.status() == TrialStatus::Done)
             .then(|| self.attempt()?.displacement)
             .flatten()
     }
@@ -388,14 +388,14 @@ impl CampaignState {
 
     /// The trial to do next: first one whose displacement is missing, then a new one.
     pub fn next(&self) -> Option<&TrialState> {
-        let with = |wanted: Standing| {
+        let with = |wanted: TrialStatus| {
             self.trials
                 .iter()
-                .find(move |trial| trial.standing() == wanted)
+                .find(move |trial| trial.status() == wanted)
         };
-        with(Standing::UnderWay)
-            .or_else(|| with(Standing::Unmeasured))
-            .or_else(|| with(Standing::Open))
+        with(TrialStatus::UnderWay)
+            .or_else(|| with(TrialStatus::Unmeasured))
+            .or_else(|| with(TrialStatus::Open))
     }
 
     pub fn trial(&self, number: u32) -> Option<&TrialState> {
@@ -433,9 +433,9 @@ impl CampaignState {
                 skipped: 0,
             });
             tally.planned += 1;
-            match trial.standing() {
-                Standing::Excluded => tally.excluded += 1,
-                Standing::Skipped => tally.skipped += 1,
+            match trial.status() {
+                TrialStatus::Excluded => tally.excluded += 1,
+                TrialStatus::Skipped => tally.skipped += 1,
                 _ => tally.counted.extend(trial.counted()),
             }
         }
@@ -453,12 +453,12 @@ impl TrialState {
                 return Ok(());
             }
             LedgerEvent::Skipped => {
-                return match self.standing() {
-                    Standing::Open | Standing::Unmeasured => {
+                return match self.status() {
+                    TrialStatus::Open | TrialStatus::Unmeasured => {
                         self.skipped = Some(row.text.clone().unwrap_or_default());
                         Ok(())
                     }
-                    standing => Err(standing.refusal(number, row.event)),
+                    status => Err(status.refusal(number, row.event)),
                 };
             }
             LedgerEvent::Included => {
@@ -474,7 +474,7 @@ impl TrialState {
             | LedgerEvent::Repeated
             | LedgerEvent::Excluded => {}
         }
-        let standing = self.standing();
+        let status = self.status();
         let attempts = self.attempts.len();
         let Some(last) = self.attempts.last_mut() else {
             return Err(format!("trial {number} has no attempt"));
@@ -482,8 +482,8 @@ impl TrialState {
         if row.attempt != Some(last.number) {
             return Err(format!("trial {number} is at attempt {attempts}"));
         }
-        match (row.event, standing) {
-            (LedgerEvent::Ended, Standing::UnderWay) => {
+        match (row.event, status) {
+            (LedgerEvent::Ended, TrialStatus::UnderWay) => {
                 let Some(outcome) = row.outcome else {
                     return Err("an end without an outcome".to_owned());
                 };
@@ -493,7 +493,7 @@ impl TrialState {
             }
             (
                 LedgerEvent::Displacement,
-                Standing::Unmeasured | Standing::Done | Standing::Excluded,
+                TrialStatus::Unmeasured | TrialStatus::Done | TrialStatus::Excluded,
             ) => {
                 let (Some(value), Some(source)) = (row.displacement_mm, row.source) else {
                     return Err("a displacement without a value or a source".to_owned());
@@ -505,18 +505,18 @@ impl TrialState {
                     entered: last.entries,
                 });
             }
-            (LedgerEvent::Undone, Standing::Done) => last.displacement = None,
-            (LedgerEvent::Repeated, Standing::Unmeasured | Standing::Done | Standing::Excluded) => {
+            (LedgerEvent::Undone, TrialStatus::Done) => last.displacement = None,
+            (LedgerEvent::Repeated, TrialStatus::Unmeasured | TrialStatus::Done | TrialStatus::Excluded) => {
                 last.given_up = Some(row.text.clone().unwrap_or_default());
                 self.excluded = None;
             }
-            (LedgerEvent::Excluded, Standing::Done | Standing::Unmeasured) => {
+            (LedgerEvent::Excluded, TrialStatus::Done | TrialStatus::Unmeasured) => {
                 let Some(reason) = row.text.clone() else {
                     return Err("excluded without a reason".to_owned());
                 };
                 self.excluded = Some(reason);
             }
-            (event, standing) => return Err(standing.refusal(number, event)),
+            (event, status) => return Err(status.refusal(number, event)),
         }
         Ok(())
     }
@@ -524,8 +524,8 @@ impl TrialState {
     fn begin(&mut self, row: &LedgerRow) -> Result<(), String> {
         let number = self.planned.trial;
         let next = self.attempts.len() as u32 + 1;
-        if self.standing() != Standing::Open {
-            return Err(self.standing().refusal(number, row.event));
+        if self.status() != TrialStatus::Open {
+            return Err(self.status().refusal(number, row.event));
         }
         if row.attempt != Some(next) {
             return Err(format!("attempt {next} of trial {number} comes next"));

@@ -1,7 +1,7 @@
 //! Estimates the remaining time of a campaign from the plan and the pace of the last trials.
 
 use crate::campaign::contents::Campaign;
-use crate::campaign::ledger::{LedgerEvent, Standing};
+use crate::campaign::ledger::{LedgerEvent, TrialStatus};
 
 /// Assumed time from the end of a run to the start of the next one, until it is measured, s.
 const HANDLING_S: f64 = 60.0;
@@ -20,7 +20,7 @@ pub fn remaining_s(campaign: &Campaign) -> f64 {
     let (mut trials, mut moving_s) = (0.0, 0.0);
     let mut blocks = vec![];
     for trial in &campaign.state.trials {
-        if matches!(trial.standing(), Standing::Open | Standing::UnderWay) {
+        if matches!(trial.status(), TrialStatus::Open | TrialStatus::UnderWay) {
             trials += 1.0;
             moving_s += campaign.plan.run_s();
             blocks.push(trial.planned.block);

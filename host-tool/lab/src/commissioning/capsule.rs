@@ -210,10 +210,10 @@ fn held(work: &mut Work<'_>) -> Result<(), Halt> {
     in_proportion(thirds)
 }
 
-/// Averages the readings of a standing motor, for each third of the duty range.
-fn thirds(points: &[TracePoint]) -> Result<[Standing; 3], Halt> {
-    let standing = standing(points);
-    let duties = || standing.iter().map(|point| point.duty_percent);
+/// Averages the readings of a stalled motor, for each third of the duty range.
+fn thirds(points: &[TracePoint]) -> Result<[StalledReading; 3], Halt> {
+    let readings = stalled_readings(points);
+    let duties = || readings.iter().map(|point| point.duty_percent);
     let (Some(least), Some(most)) = (duties().min(), duties().max()) else {
         return Err(Halt::NotShown(
             "the motor was not seen standing under voltage: hold its shaft, and see that the bridge drives it"
@@ -222,8 +222,8 @@ fn thirds(points: &[TracePoint]) -> Result<[Standing; 3], Halt> {
     };
     let of = |third| {
         let is_in =
-            |point: &&Standing| (point.duty_percent - least) * 3 / (most - least + 1) == third;
-        mean(&standing.iter().filter(is_in).copied().collect::<Vec<_>>())
+            |point: &&StalledReading| (point.duty_percent - least) * 3 / (most - least + 1) == third;
+        mean(&readings.iter().filter(is_in).copied().collect::<Vec<_>>())
     };
     match (of(0), of(1), of(2)) {
         (Some(low), Some(middle), Some(high)) => Ok([low, middle, high]),
@@ -236,7 +236,7 @@ fn too_narrow(least: u32, most: u32) -> Halt {
 }
 
 /// Checks that voltage and current have the same ratio at all three duties.
-fn in_proportion([low, middle, high]: [Standing; 3]) -> Result<(), Halt> {
+fn in_proportion([low, middle, high]: [StalledReading; 3]) -> Result<(), Halt> {
     if high.duty_percent * 100 < HELD_SPAN_PERCENT * low.duty_percent {
         return Err(too_narrow(low.duty_percent, high.duty_percent));
     }
@@ -255,21 +255,21 @@ fn in_proportion([low, middle, high]: [Standing; 3]) -> Result<(), Halt> {
 
 /// A motor that stands under voltage.
 #[derive(Clone, Copy, Debug)]
-struct Standing {
+struct StalledReading {
     duty_percent: u32,
     drive_mv: u32,
     current_ma: u32,
 }
 
-impl Standing {
+impl StalledReading {
     fn milliohm(self) -> u32 {
         self.drive_mv * 1_000 / self.current_ma.max(1)
     }
 }
 
-/// The readings of a standing motor under voltage. A drive applies until the next reading. Only readings whose drive
+/// The readings of a stalled motor under voltage. A drive applies until the next reading. Only readings whose drive
 /// is within 1/8 of the previous one count, so that the current has settled.
-fn standing(points: &[TracePoint]) -> Vec<Standing> {
+fn stalled_readings(points: &[TracePoint]) -> Vec<StalledReading> {
     let stands = |window: &&[TracePoint]| {
         let [before, now, after] = window else {
             return false;
@@ -278,7 +278,7 @@ fn standing(points: &[TracePoint]) -> Vec<Standing> {
         let near = before.drive_mv.abs_diff(now.drive_mv) <= before.drive_mv.unsigned_abs() / 8;
         still && near && now.drive_mv > 0 && now.battery_mv > 0 && after.current_ma >= HELD_LEAST_MA
     };
-    let reading = |window: &[TracePoint]| Standing {
+    let reading = |window: &[TracePoint]| StalledReading {
         duty_percent: u32::from(window[1].drive_mv.unsigned_abs()) * 100
             / u32::from(window[1].battery_mv),
         drive_mv: window[1].drive_mv.unsigned_abs().into(),
@@ -287,12 +287,12 @@ fn standing(points: &[TracePoint]) -> Vec<Standing> {
     points.windows(3).filter(stands).map(reading).collect()
 }
 
-fn mean(points: &[Standing]) -> Option<Standing> {
+fn mean(points: &[StalledReading]) -> Option<StalledReading> {
     let count = u32::try_from(points.len())
         .ok()
         .filter(|count| *count > 0)?;
-    let of = |value: fn(&Standing) -> u32| points.iter().map(value).sum::<u32>() / count;
-    Some(Standing {
+    let of = |value: fn(&StalledReading) -> u32| points.iter().map(value).sum::<u32>() / count;
+    Some(StalledReading {
         duty_percent: of(|point| point.duty_percent),
         drive_mv: of(|point| point.drive_mv),
         current_ma: of(|point| point.current_ma),

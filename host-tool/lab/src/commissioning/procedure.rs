@@ -10,7 +10,7 @@ use crate::commissioning::step::Step;
 
 /// Whether a step's result still counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Standing {
+pub enum StepStatus {
     /// It passed, with this image and these settings.
     Holds,
     NotPassed,
@@ -20,21 +20,21 @@ pub enum Standing {
 }
 
 /// Whether the result of `step` in `record` counts for `subject`.
-pub fn standing(step: &Step, record: &Commissioning, subject: &Subject) -> Standing {
+pub fn status(step: &Step, record: &Commissioning, subject: &Subject) -> StepStatus {
     let Some(result) = record.result(step.name) else {
-        return Standing::NotPassed;
+        return StepStatus::NotPassed;
     };
     if result.outcome != StepOutcome::Passed {
-        return Standing::NotPassed;
+        return StepStatus::NotPassed;
     }
     if step.of_image && result.image.as_ref() != Some(&subject.image) {
-        return Standing::OtherImage;
+        return StepStatus::OtherImage;
     }
     let changed = step.settings.iter().find(|key| {
         let name = key.name();
         result.settings.get(name) != subject.settings.get(name)
     });
-    changed.map_or(Standing::Holds, |key| Standing::OtherSetting(key.name()))
+    changed.map_or(StepStatus::Holds, |key| StepStatus::OtherSetting(key.name()))
 }
 
 /// Goes through the steps once. It skips a step whose result holds, and does not repeat a step that was carried out in
@@ -60,7 +60,7 @@ impl Procedure {
         subject: &Subject,
     ) -> Option<(usize, &'static Step)> {
         let (number, step) = (1..).zip(self.steps).find(|(_, step)| {
-            !self.tried.contains(step.name) && standing(step, record, subject) != Standing::Holds
+            !self.tried.contains(step.name) && status(step, record, subject) != StepStatus::Holds
         })?;
         self.tried.insert(step.name);
         Some((number, step))
@@ -112,10 +112,10 @@ pub fn open(
     steps: &'static [Step],
     record: &Commissioning,
     subject: &Subject,
-) -> Vec<(&'static Step, Standing)> {
+) -> Vec<(&'static Step, StepStatus)> {
     steps
         .iter()
-        .map(|step| (step, standing(step, record, subject)))
-        .filter(|(_, standing)| *standing != Standing::Holds)
+        .map(|step| (step, status(step, record, subject)))
+        .filter(|(_, status)| *status != StepStatus::Holds)
         .collect()
 }

@@ -7,7 +7,7 @@ use client::error::ClientError;
 use client::identity::Origin;
 use client::subject::Subject;
 
-use crate::commissioning::procedure::{self, Standing};
+use crate::commissioning::procedure::{self, StepStatus};
 use crate::commissioning::record::Commissioning;
 use crate::commissioning::step;
 
@@ -37,11 +37,11 @@ pub fn of_record(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>
     };
     let subject = Subject::of(rig)?;
     let open = procedure::open(step::steps(subject.machine), &record, &subject);
-    let Some((step, standing)) = open.first() else {
+    let Some((step, status)) = open.first() else {
         return Ok(None);
     };
-    let why = match standing {
-        Standing::OtherImage => format!(
+    let why = match status {
+        StepStatus::OtherImage => format!(
             "the commissioning record is of image {}, this is {}",
             record
                 .result(step.name)
@@ -49,10 +49,10 @@ pub fn of_record(rig: &mut Device, folders: &[PathBuf]) -> Result<Option<String>
                 .unwrap_or("?"),
             subject.image
         ),
-        Standing::OtherSetting(name) => {
+        StepStatus::OtherSetting(name) => {
             format!("the commissioning record is older than the present {name}")
         }
-        Standing::NotPassed | Standing::Holds => {
+        StepStatus::NotPassed | StepStatus::Holds => {
             format!("commissioning is not complete: {} is open", step.name)
         }
     };

@@ -10,7 +10,7 @@ use lab::campaign::CampaignError;
 use lab::campaign::contents::Campaign;
 use lab::campaign::files::ATTEMPTS;
 use lab::campaign::form::Form;
-use lab::campaign::ledger::{Attempt, AttemptOutcome, Source, Standing, TrialState};
+use lab::campaign::ledger::{Attempt, AttemptOutcome, Source, TrialStatus, TrialState};
 use lab::campaign::manifest::{self, Manifest};
 use lab::campaign::order::Condition;
 use lab::campaign::plan::{Lubrication, Millimetres, TrialPurpose};
@@ -350,19 +350,19 @@ impl Evaluation {
             "" => what.to_owned(),
             why => format!("{what}: {why}"),
         };
-        match state.standing() {
-            Standing::Done => None,
-            Standing::Excluded => {
+        match state.status() {
+            TrialStatus::Done => None,
+            TrialStatus::Excluded => {
                 let why = state.excluded.as_deref().unwrap_or_default();
                 Some(of("excluded", why))
             }
-            Standing::Skipped => {
+            TrialStatus::Skipped => {
                 let why = state.skipped.as_deref().unwrap_or_default();
                 Some(of("skipped", why))
             }
-            Standing::Unmeasured => Some("its displacement is missing".to_owned()),
-            Standing::UnderWay => Some("under way".to_owned()),
-            Standing::Open => Some(match state.attempts.last() {
+            TrialStatus::Unmeasured => Some("its displacement is missing".to_owned()),
+            TrialStatus::UnderWay => Some("under way".to_owned()),
+            TrialStatus::Open => Some(match state.attempts.last() {
                 None => NOT_DONE.to_owned(),
                 Some(last) => {
                     let outcome = last.outcome.map_or("open", AttemptOutcome::name);

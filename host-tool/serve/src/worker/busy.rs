@@ -250,7 +250,7 @@ mod tests {
             busy.turn(0, None);
             let ended = numbers.iter().map(|number| {
                 let action = board.actions.get(*number).expect("known");
-                action.standing.is_over()
+                action.status.is_over()
             });
             assert_eq!(ended.collect::<Vec<_>>(), [true, !taken, true, true]);
             let expected = taken.then_some((numbers[1], Pace::Hold, false));

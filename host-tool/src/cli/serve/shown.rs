@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use lab::campaign::contents::Campaign;
-use lab::campaign::ledger::Standing;
+use lab::campaign::ledger::TrialStatus;
 use lab::campaign::remaining;
 use lab::operations::arguments::CAMPAIGNS_FOLDER;
 use lab::trials::listing::Listing;
@@ -34,7 +34,7 @@ pub(crate) fn json(folder: &Path) -> Value {
     let done = state
         .trials
         .iter()
-        .filter(|trial| trial.standing() == Standing::Done);
+        .filter(|trial| trial.status() == TrialStatus::Done);
     let next = state.next().map(|next| {
         format!(
             "trial {}: {} {} {}",

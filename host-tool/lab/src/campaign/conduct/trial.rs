@@ -19,7 +19,7 @@ use serde_json::json;
 use crate::campaign::conduct::{Broken, Conduct, Next};
 use crate::campaign::files::RUN;
 use crate::campaign::form::Form;
-use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Standing, TrialState};
+use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, TrialStatus, TrialState};
 use crate::campaign::order::Planned;
 use crate::campaign::plan::{Millimetres, TrialPurpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
@@ -87,16 +87,16 @@ impl Conduct<'_> {
             self.desk.say("  no trial is done yet");
             return Ok(());
         };
-        let standing = campaign.state.trial(trial).map(TrialState::standing);
-        match standing {
-            Some(Standing::Done) => {
+        let status = campaign.state.trial(trial).map(TrialState::status);
+        match status {
+            Some(TrialStatus::Done) => {
                 let row = LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt));
                 self.row(row.saying(Some(reason)))?;
                 self.desk.say(&format!(
                     "  trial {trial} is excluded; undo takes it in again"
                 ));
             }
-            Some(Standing::Excluded) => {
+            Some(TrialStatus::Excluded) => {
                 self.desk
                     .say(&format!("  trial {trial} is excluded already"));
             }
