@@ -16,7 +16,7 @@ use client::identity::Origin;
 use client::named;
 use lab::campaign::files::is_record;
 use lab::trials::sidecar::{heading, other};
-use lab::trials::trial::{RecordError, Status, Trial};
+use lab::trials::trial::{RecordError, Status, TrialRecord};
 use maud::html;
 use miette::Diagnostic;
 
@@ -154,7 +154,7 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
 
 /// Classifies a file: a trial if it is a sidecar of an action that began; none if it needs no mention; otherwise why it
 /// is omitted, and whether it is part of a trial's record.
-fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
+fn belongs(file: &Path) -> Result<Option<TrialRecord>, (String, bool)> {
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let is_record = is_record(&name);
     let is = |wanted: &str| {
@@ -178,7 +178,7 @@ fn belongs(file: &Path) -> Result<Option<Trial>, (String, bool)> {
     if !is("json") {
         return Ok(None);
     }
-    let trial = Trial::read(file).map_err(|error| match other(file) {
+    let trial = TrialRecord::read(file).map_err(|error| match other(file) {
         Some(kind) => (kind, false),
         None => (error.why, true),
     })?;
@@ -265,7 +265,7 @@ pub(crate) fn not_written(path: &Path, io: &std::io::Error) -> ReportError {
 pub fn html(found: &Found, remarks: &[Remark]) -> Result<Report, ReportError> {
     let mut trials = vec![];
     for sidecar in &found.sidecars {
-        trials.push((sidecar, Trial::read(sidecar)?));
+        trials.push((sidecar, TrialRecord::read(sidecar)?));
     }
     let mut sections = vec![];
     for (sidecar, trial) in &trials {

@@ -5,7 +5,7 @@ use std::path::Path as FilePath;
 use client::plain;
 use lab::trials::listing::Listing;
 use lab::trials::sidecar::heading;
-use lab::trials::trial::Trial;
+use lab::trials::trial::TrialRecord;
 use serde_json::{Value, json};
 
 /// Lists the records in a folder, the oldest first.
@@ -48,7 +48,7 @@ pub fn is_record(name: &str) -> bool {
 /// Opens a file of a trial's record. Other files in the folder are not for everybody who can reach the server.
 pub fn open(path: &FilePath) -> Option<std::fs::File> {
     let sidecar = path.with_extension("json");
-    let trial = Trial::read(&sidecar).ok()?;
+    let trial = TrialRecord::read(&sidecar).ok()?;
     let is_part = path == sidecar || *path.file_name()? == *trial.telemetry;
     is_part.then(|| plain::open(path).ok())?
 }

@@ -13,7 +13,7 @@ use jiff::Timestamp;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::Cue;
 use lab::trials::experiment::{ExperimentError, PAPER_RUN};
-use lab::trials::trial::{Recording, RigSample, Status, Trial};
+use lab::trials::trial::{Recording, RigSample, Status, TrialRecord};
 use protocol::capsule::{ActuationOutcome, CapsuleEvent, CapsuleState, GetActuationRecord};
 use protocol::rig::{RigEvent, RigState, Run, RunTiming};
 use protocol::settings::SettingKey;
@@ -67,11 +67,11 @@ fn tied(
     let done = coordination::run((rig, capsule), run, what, &recordings, observer)
         .expect("the run is recorded");
     if let Ok(actuation) = &done.actuation {
-        let read = Trial::read(&actuation.sidecar).expect("a sidecar");
+        let read = TrialRecord::read(&actuation.sidecar).expect("a sidecar");
         assert_eq!(read, actuation.trial);
         assert_eq!(read.coordination.as_ref(), Some(&done.coordination));
         let run = folder.path().join(&done.coordination.run);
-        assert_eq!(Trial::read(&run).expect("the run's"), done.run.trial);
+        assert_eq!(TrialRecord::read(&run).expect("the run's"), done.run.trial);
         if let (cue, Some(at_um)) = (what.1, what.1.at_um) {
             let rows = done.run.trial.samples::<RigSample>(&run).expect("rows");
             let cue_us = done.coordination.cue_time_us.expect("passed");
@@ -329,7 +329,7 @@ fn a_capsule_that_is_lost_before_the_run_leaves_a_record_that_has_ended() {
     let files = std::fs::read_dir(folder.path()).expect("there").flatten();
     let mut sidecars = files.map(|file| file.path());
     let sidecar = sidecars.find(|path| path.extension().is_some_and(|end| end == "json"));
-    let trial = Trial::read(&sidecar.expect("the fold's")).expect("a record");
+    let trial = TrialRecord::read(&sidecar.expect("the fold's")).expect("a record");
     assert_eq!(trial.status, Status::Unknown, "{trial:?}");
 }
 

@@ -13,7 +13,7 @@ use client::{Device, Observer, Progress, Unobserved};
 use jiff::Timestamp;
 use lab::trials::check;
 use lab::trials::experiment::{self, ExperimentError, PAPER_RUN, RunTrial};
-use lab::trials::trial::{Action, Recording, RigSample, Status, Trial};
+use lab::trials::trial::{Action, Recording, RigSample, Status, TrialRecord};
 use protocol::capsule::{ActuationKind, ActuationOutcome};
 use protocol::rig::{RigState, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Urgent};
@@ -55,7 +55,7 @@ fn recorded_run(folder: &Path) -> RunTrial {
 fn a_recorded_run_is_read_back_whole() {
     let folder = tempfile::tempdir().expect("folder");
     let run = recorded_run(folder.path());
-    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    let trial = TrialRecord::read(&run.sidecar).expect("sidecar");
     assert_eq!(trial, run.trial);
     assert_eq!(trial.status, Status::Complete);
     assert_eq!(trial.device.uid, "ab".repeat(12));
@@ -98,7 +98,7 @@ fn a_record_without_an_origin_is_readable_and_of_no_board() {
     old(&run.sidecar, "    \"origin\": \"board\",\n");
     old(&run.csv, ",origin");
     old(&run.csv, ",board");
-    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    let trial = TrialRecord::read(&run.sidecar).expect("sidecar");
     assert_eq!(trial.device.origin, Origin::Unknown);
     let samples: Vec<RigSample> = trial.samples(&run.sidecar).expect("telemetry");
     assert!(
@@ -110,7 +110,7 @@ fn a_record_without_an_origin_is_readable_and_of_no_board() {
     let text = fs::read_to_string(&run.sidecar).expect("there");
     let virtual_uid = "7669727475616c2072696700";
     fs::write(&run.sidecar, text.replace(&"ab".repeat(12), virtual_uid)).expect("written");
-    let trial = Trial::read(&run.sidecar).expect("sidecar");
+    let trial = TrialRecord::read(&run.sidecar).expect("sidecar");
     assert_eq!(trial.device.origin, Origin::Virtual);
 }
 
@@ -143,7 +143,7 @@ fn is_on_disk(folder: &Path) -> bool {
         .map(|entry| entry.path())
         .find(|path| path.extension().is_some_and(|name| name == "json"))
         .expect("exists while the run goes on");
-    let trial = Trial::read(&sidecar).expect("whole");
+    let trial = TrialRecord::read(&sidecar).expect("whole");
     assert_eq!(trial.status, Status::Running);
     let samples: Vec<RigSample> = trial.samples(&sidecar).expect("readable");
     let begun = matches!(
@@ -188,7 +188,7 @@ fn a_crash_leaves_readable_data_that_nobody_takes_for_complete() {
     // Cut the last row anywhere: it is left out whatever remains of it.
     let text = fs::read(&run.csv).expect("telemetry");
     let whole = run.trial.samples as usize;
-    let crashed = Trial {
+    let crashed = TrialRecord {
         status: Status::Running,
         ..run.trial.clone()
     };
@@ -242,7 +242,7 @@ fn an_emergency_stop_behind_the_end_is_in_the_record() {
         .map(|(urgent, _)| *urgent)
         .collect();
     assert_eq!(urgent, [Urgent::Stop, Urgent::EStop]);
-    let told = Trial::read(&run.sidecar).expect("sidecar");
+    let told = TrialRecord::read(&run.sidecar).expect("sidecar");
     assert_eq!(told.status, Status::Faulted, "{:?}", told.error);
 }
 
@@ -263,7 +263,7 @@ fn an_emergency_stop_behind_a_complete_run_is_no_contradiction() {
     let recording = recording(folder.path());
     let run = experiment::run(&mut rig, SHORT_RUN, &recording, &mut Unobserved).expect("recorded");
     assert_eq!(run.record.outcome, RunOutcome::Complete);
-    let told = Trial::read(&run.sidecar).expect("sidecar");
+    let told = TrialRecord::read(&run.sidecar).expect("sidecar");
     assert_eq!(told.status, Status::Faulted);
     let found = check::record(&run.sidecar, &told);
     assert_eq!(found.contradictions, [""; 0]);
@@ -317,7 +317,7 @@ fn a_refused_action_leaves_a_record_that_says_so() {
         let error = result.expect_err(stem).to_string();
         assert!(error.contains(why), "{error}");
         let sidecar = folder.path().join(format!("{stem}-19700101T000000Z.json"));
-        let trial = Trial::read(&sidecar).expect("sidecar");
+        let trial = TrialRecord::read(&sidecar).expect("sidecar");
         assert_eq!(trial.status.name(), "refused", "{trial:?}");
         assert_eq!(check::record(&sidecar, &trial).all(), [""; 0]);
         assert!(trial.error.expect("why").contains(why));
@@ -377,7 +377,7 @@ fn an_emergency_stop_behind_the_stop_is_in_the_record() {
     let fold = fold.expect("recorded");
     assert_eq!(fold.record.outcome, ActuationOutcome::Stopped);
     for sidecar in [run.sidecar, fold.sidecar] {
-        let trial = Trial::read(&sidecar).expect("sidecar");
+        let trial = TrialRecord::read(&sidecar).expect("sidecar");
         assert_eq!(trial.status, Status::Faulted, "{trial:?}");
         let why = trial.error.expect("a reason");
         assert!(why.contains("emergency stop"), "{why}");

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::trials::experiment::stem;
-use crate::trials::trial::Trial;
+use crate::trials::trial::TrialRecord;
 use client::identity::Origin;
 use client::{limited, plain};
 use protocol::capsule::ActuationKind;
@@ -99,11 +99,11 @@ impl Campaign {
     }
 
     /// The readable records of an attempt, with their files' names.
-    pub(crate) fn records(&self, trial: u32, attempt: u32) -> Vec<(String, Trial)> {
+    pub(crate) fn records(&self, trial: u32, attempt: u32) -> Vec<(String, TrialRecord)> {
         let files = plain::files(&self.attempt_folder(trial, attempt));
         let named = |path: PathBuf| {
             let name = path.file_name()?.to_str()?.to_owned();
-            Some((name, Trial::read(&path).ok()?))
+            Some((name, TrialRecord::read(&path).ok()?))
         };
         files.into_iter().filter_map(named).collect()
     }
@@ -133,7 +133,7 @@ fn leads_nowhere_else(attempts: &Path) -> Result<(), CampaignError> {
 impl Planned {
     /// Why these records, with their files' names, do not make an attempt complete. The capsule is unfolded after a
     /// complete attempt, so an unfolding does not count.
-    pub(crate) fn incomplete(&self, records: &[(String, Trial)]) -> Option<String> {
+    pub(crate) fn incomplete(&self, records: &[(String, TrialRecord)]) -> Option<String> {
         let has = |stem| records.iter().any(|(name, _)| is_of(name, stem));
         if !has(RUN) {
             return Some("there is no record of it".to_owned());
@@ -143,7 +143,7 @@ impl Planned {
         }
         let unfolding = stem(ActuationKind::Unfold);
         let counts = records.iter().filter(|(name, _)| !is_of(name, unfolding));
-        let other = |(name, record): &(String, Trial)| {
+        let other = |(name, record): &(String, TrialRecord)| {
             let says = AttemptOutcome::from(record.status);
             match record.not_whole() {
                 _ if says != AttemptOutcome::Complete => {

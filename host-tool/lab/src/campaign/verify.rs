@@ -5,7 +5,7 @@ use std::path::Path;
 use std::{fs, io};
 
 use crate::trials::check;
-use crate::trials::trial::{Action, Trial};
+use crate::trials::trial::{Action, TrialRecord};
 use client::plain;
 
 use crate::campaign::contents::Campaign;
@@ -196,12 +196,12 @@ impl Verified {
     }
 
     /// Checks a trial's record; none if the path is not one.
-    fn record(&mut self, folder: &Path, path: &str) -> Option<Trial> {
+    fn record(&mut self, folder: &Path, path: &str) -> Option<TrialRecord> {
         let full = folder.join(path);
         if !path.ends_with(".json") || fs::symlink_metadata(full.with_extension("csv")).is_err() {
             return None;
         }
-        match Trial::read(&full) {
+        match TrialRecord::read(&full) {
             Ok(trial) => {
                 self.records += 1;
                 if let Some(why) = trial.not_whole() {

@@ -1,6 +1,6 @@
 //! Ends of motions, in words.
 
-use crate::trials::trial::{Status, Trial};
+use crate::trials::trial::{Status, TrialRecord};
 use client::decimal;
 use client::{Device, Unobserved};
 use protocol::rig::{self, RigState, RigStatus};
@@ -33,7 +33,7 @@ pub fn held(rig: &mut Device) -> Result<RigStatus, Failure> {
 }
 
 /// Checks that a recorded motion ended as planned.
-pub fn completed(action: &'static str, trial: &Trial, help: String) -> Result<(), Failure> {
+pub fn completed(action: &'static str, trial: &TrialRecord, help: String) -> Result<(), Failure> {
     if trial.status == Status::Complete {
         return Ok(());
     }

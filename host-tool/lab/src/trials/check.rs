@@ -14,7 +14,7 @@ use protocol::rig::{RigEvent, Run};
 use protocol::system::What;
 use serde::de::DeserializeOwned;
 
-use crate::trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Status, Trial};
+use crate::trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Status, TrialRecord};
 
 /// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
 const LATE_US: u64 = 10_000;
@@ -40,7 +40,7 @@ impl Sample for CapsuleSample {
 /// Reads the telemetry row by row, up to the first unreadable one. Returns what is wrong with the file.
 pub fn read<T: DeserializeOwned>(
     sidecar: &Path,
-    trial: &Trial,
+    trial: &TrialRecord,
     mut see: impl FnMut(T),
 ) -> Option<String> {
     let path = sidecar.with_file_name(&trial.telemetry);
@@ -81,7 +81,7 @@ pub struct Seen {
 
 impl Seen {
     /// Takes the next row of a trial.
-    pub fn take<T: Sample>(&mut self, trial: &Trial, sample: &T) {
+    pub fn take<T: Sample>(&mut self, trial: &TrialRecord, sample: &T) {
         let (time_us, missed, origin) = sample.common();
         if ![Origin::Unknown, trial.device.origin].contains(&origin) {
             self.other.get_or_insert(origin);
@@ -146,7 +146,7 @@ impl Defects {
     }
 
     /// Compares the outcome by the machine's record with the sidecar's status.
-    fn ends_alike(&mut self, says: Status, trial: &Trial, of: &str) {
+    fn ends_alike(&mut self, says: Status, trial: &TrialRecord, of: &str) {
         // A fault that was latched behind the end of the motion is in the sidecar only.
         let ended = [Status::Complete, Status::Stopped, Status::LinkLost].contains(&says);
         let later = ended && trial.status == Status::Faulted;
@@ -158,7 +158,7 @@ impl Defects {
 
 /// The defects of a record: its sidecar, its telemetry, and the two together.
 #[must_use]
-pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
+pub fn record(sidecar: &Path, trial: &TrialRecord) -> Defects {
     match trial.action {
         Action::Run { .. } => seen(sidecar, trial, |_: &RigSample| {}),
         Action::Actuation { .. } => seen(sidecar, trial, |_: &CapsuleSample| {}),
@@ -167,7 +167,7 @@ pub fn record(sidecar: &Path, trial: &Trial) -> Defects {
 
 /// As [`record`]; `see` is shown the readable telemetry.
 #[must_use]
-pub fn seen<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -> Defects {
+pub fn seen<T: Sample>(sidecar: &Path, trial: &TrialRecord, mut see: impl FnMut(&T)) -> Defects {
     let mut all = Seen::default();
     let unreadable = read(sidecar, trial, |sample| {
         all.take(trial, &sample);
@@ -183,7 +183,7 @@ pub fn seen<T: Sample>(sidecar: &Path, trial: &Trial, mut see: impl FnMut(&T)) -
 }
 
 /// Defects of a rig's run.
-fn run(trial: &Trial, seen: &Seen) -> Defects {
+fn run(trial: &TrialRecord, seen: &Seen) -> Defects {
     let mut defects = telemetry(trial, seen);
     let Action::Run {
         requested,
@@ -207,7 +207,7 @@ fn run(trial: &Trial, seen: &Seen) -> Defects {
 }
 
 /// Defects of a capsule's trial.
-fn actuation(trial: &Trial, seen: &Seen) -> Defects {
+fn actuation(trial: &TrialRecord, seen: &Seen) -> Defects {
     let mut defects = telemetry(trial, seen);
     let Action::Actuation {
         actuation,
@@ -239,7 +239,7 @@ fn actuation(trial: &Trial, seen: &Seen) -> Defects {
 
 /// Start of the motion according to its event, device time.
 #[must_use]
-pub fn start_us(trial: &Trial) -> Option<u64> {
+pub fn start_us(trial: &TrialRecord) -> Option<u64> {
     let mut events = trial.events.iter();
     let started = events.find(|event| {
         matches!(
@@ -251,7 +251,7 @@ pub fn start_us(trial: &Trial) -> Option<u64> {
 }
 
 /// Checks that apply to the telemetry of both machines.
-fn telemetry(trial: &Trial, seen: &Seen) -> Defects {
+fn telemetry(trial: &TrialRecord, seen: &Seen) -> Defects {
     let mut defects = Defects::default();
     let name = &trial.telemetry;
     if let Some(why) = trial.not_whole() {
@@ -293,7 +293,7 @@ fn longest_us(interval_us: u64, missed: u16) -> u64 {
     missed_us.saturating_add(LATE_US.max(interval_us - interval_us.div_ceil(10)))
 }
 
-fn gaps(trial: &Trial, seen: &Seen, defects: &mut Defects) {
+fn gaps(trial: &TrialRecord, seen: &Seen, defects: &mut Defects) {
     let Some(interval_us) = seen.interval_us() else {
         return;
     };
@@ -311,7 +311,7 @@ fn gaps(trial: &Trial, seen: &Seen, defects: &mut Defects) {
 }
 
 /// Checks that the telemetry begins and ends with the motion.
-fn covers(trial: &Trial, seen: &Seen, duration_us: u64, defects: &mut Defects) {
+fn covers(trial: &TrialRecord, seen: &Seen, duration_us: u64, defects: &mut Defects) {
     if trial.status != Status::Complete {
         return;
     }
@@ -343,7 +343,7 @@ fn covers(trial: &Trial, seen: &Seen, duration_us: u64, defects: &mut Defects) {
 
 /// Compares what was requested, planned and executed; the counts only of a complete run.
 fn planned_and_done(
-    trial: &Trial,
+    trial: &TrialRecord,
     requested: &Run,
     achieved: &Achieved,
     executed: &Executed,

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::trials::cue::{Coordination, Cue};
 use crate::trials::experiment::{self, ActuationTrial, ExperimentError, RunTrial, after_stops};
-use crate::trials::trial::{Action, Ending, Recorder, Recording, Screw, Trial};
+use crate::trials::trial::{Action, Ending, Recorder, Recording, Screw, TrialRecord};
 
 /// Fold or unfold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -81,7 +81,7 @@ pub fn run(
         &capsule.place(),
     );
     let recorder = Recorder::create(
-        Trial::new(action, device, recordings.actuation),
+        TrialRecord::new(action, device, recordings.actuation),
         recordings.actuation,
     )?;
     if let Err(error) = experiment::listen(capsule, recordings.actuation.telemetry_ms) {

@@ -18,7 +18,7 @@ use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
 use crate::trials::trial::{
-    Action, Ending, RecordError, Recorder, Recording, Screw, Status, Trial,
+    Action, Ending, RecordError, Recorder, Recording, Screw, Status, TrialRecord,
 };
 
 /// The paper's run: 5 cycles of 130 mm in 40 s.
@@ -105,7 +105,7 @@ pub struct RecordedTrial<R> {
     /// As executed.
     pub record: R,
     /// Contents of the sidecar.
-    pub trial: Trial,
+    pub trial: TrialRecord,
     /// Path of the telemetry.
     pub csv: PathBuf,
     /// Path of the sidecar.
@@ -274,7 +274,7 @@ fn record<R>(
     act: impl FnOnce(&mut Device, &mut dyn Observer) -> Result<(R, Ending), ClientError>,
 ) -> Result<RecordedTrial<R>, ExperimentError> {
     let identity = IdentityRecord::new(identity, &device.place());
-    let mut recorder = Recorder::create(Trial::new(action, identity, recording), recording)?;
+    let mut recorder = Recorder::create(TrialRecord::new(action, identity, recording), recording)?;
     let (csv, sidecar) = (recorder.csv().to_owned(), recorder.sidecar().to_owned());
     let mut recorded = Recorded {
         recorder: &mut recorder,

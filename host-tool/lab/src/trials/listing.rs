@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 use client::plain;
 
 use crate::trials::sidecar::unreadable;
-use crate::trials::trial::Trial;
+use crate::trials::trial::TrialRecord;
 
 /// The content of one folder, without the folders below it.
 #[derive(Debug, Default)]
 pub struct Listing {
     /// Trials with their sidecars, by name.
-    pub trials: Vec<(PathBuf, Trial)>,
+    pub trials: Vec<(PathBuf, TrialRecord)>,
     /// Unreadable files, with the reasons.
     pub unreadable: Vec<String>,
     /// Folders, by name; links are left out, since they could form a cycle.
@@ -37,7 +37,7 @@ impl Listing {
             if plain::is_folder(&path) {
                 listing.folders.push(path);
             } else if path.extension().is_some_and(|kind| kind == "json") {
-                match Trial::read(&path) {
+                match TrialRecord::read(&path) {
                     Ok(trial) => listing.trials.push((path, trial)),
                     // Other JSON records are ignored; an unreadable trial is reported.
                     Err(error) => listing.unreadable.extend(unreadable(&path, error)),

@@ -8,11 +8,11 @@ use client::plain;
 use protocol::capsule::ActuationKind;
 use serde_json::Value;
 
-use crate::trials::trial::{Action, RecordError, Trial};
+use crate::trials::trial::{Action, RecordError, TrialRecord};
 
 /// The action in a few words.
 #[must_use]
-pub fn heading(trial: &Trial) -> String {
+pub fn heading(trial: &TrialRecord) -> String {
     match &trial.action {
         Action::Run { requested, .. } => format!(
             "Run, {} cycles of {} mm",
@@ -98,7 +98,7 @@ mod tests {
             accepted: None,
             record: None,
         };
-        let trial = Trial::new(action, device, &recording);
+        let trial = TrialRecord::new(action, device, &recording);
         assert_eq!(heading(&trial), "Partial fold");
     }
 }

@@ -242,7 +242,7 @@ pub enum Action {
 
 /// The sidecar.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Trial {
+pub struct TrialRecord {
     /// [`FORMAT`].
     pub format: u32,
     /// How it ended.
@@ -278,7 +278,7 @@ pub struct Trial {
     pub coordination: Option<Coordination>,
 }
 
-impl Trial {
+impl TrialRecord {
     /// The record of a trial that is about to begin.
     #[must_use]
     pub fn new(action: Action, device: IdentityRecord, recording: &Recording) -> Self {
@@ -464,7 +464,7 @@ pub struct Recorder {
     csv: csv::Writer<Appender>,
     writer: Writer,
     sidecar: PathBuf,
-    trial: Trial,
+    trial: TrialRecord,
     /// The first error in building rows or text.
     failed: Option<RecordError>,
     /// The observer has been told about an error.
@@ -478,7 +478,7 @@ impl Recorder {
     ///
     /// # Errors
     /// They cannot be created.
-    pub fn create(mut trial: Trial, recording: &Recording) -> Result<Self, RecordError> {
+    pub fn create(mut trial: TrialRecord, recording: &Recording) -> Result<Self, RecordError> {
         let folder = &recording.folder;
         let stamp = recording.now.strftime("%Y%m%dT%H%M%SZ");
         let name = format!("{}-{stamp}", recording.stem);
@@ -557,7 +557,7 @@ impl Recorder {
     ///
     /// # Errors
     /// The first error in writing, including those during the trial.
-    pub fn finish(mut self, ending: Ending, lost_events: u32) -> Result<Trial, RecordError> {
+    pub fn finish(mut self, ending: Ending, lost_events: u32) -> Result<TrialRecord, RecordError> {
         self.trial.end(ending);
         if let Some(fault) = self.latched.take() {
             self.trial.status = Status::Faulted;
@@ -570,7 +570,7 @@ impl Recorder {
         let failure = self.failed.or(written.err());
         if let Some(failure) = &failure {
             self.trial.samples = keep_whole_rows(&self.csv_path).unwrap_or(0);
-            // Beside the fault, if there was one: `Trial::not_whole` looks for it.
+            // Beside the fault, if there was one: `TrialRecord::not_whole` looks for it.
             let cut = Some(format!("{CUT}: {failure}"));
             let errors = self.trial.error.take().into_iter().chain(cut);
             self.trial.error = Some(errors.collect::<Vec<_>>().join("; "));

@@ -18,7 +18,7 @@ use lab::campaign::readings::{Quantity, Summary};
 use lab::campaign::statistics::{FittedLine, Spread};
 use lab::campaign::verify::{Finding, verify};
 use lab::trials::check::{self, Defects};
-use lab::trials::trial::{Action, RigSample, Trial};
+use lab::trials::trial::{Action, RigSample, TrialRecord};
 use serde::{Serialize, Serializer};
 
 use crate::figures::{position_at, since};
@@ -165,7 +165,7 @@ pub struct ReadingsRow {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
     pub sidecar: PathBuf,
-    pub trial: Trial,
+    pub trial: TrialRecord,
     pub defects: Defects,
 }
 
@@ -248,7 +248,7 @@ fn parts(campaign: &Campaign, state: &TrialState) -> Vec<Part> {
     let mut parts: Vec<Part> = files
         .into_iter()
         // Other JSON files are not records of a machine; `verify` checks them.
-        .filter_map(|sidecar| Some((Trial::read(&sidecar).ok()?, sidecar)))
+        .filter_map(|sidecar| Some((TrialRecord::read(&sidecar).ok()?, sidecar)))
         .map(|(trial, sidecar)| {
             let defects = check::record(&sidecar, &trial);
             Part {
@@ -271,7 +271,7 @@ pub fn run_of(parts: &[Part]) -> Option<&Part> {
 }
 
 /// Time of a sample in s, and its position minus that of the plan, mm. None for a run that was held or not planned.
-pub fn deviation(trial: &Trial) -> Option<impl Fn(&RigSample) -> (f64, f64)> {
+pub fn deviation(trial: &TrialRecord) -> Option<impl Fn(&RigSample) -> (f64, f64)> {
     let Action::Run {
         screw,
         requested,

@@ -6,7 +6,7 @@ use client::decimal;
 use lab::trials::check::{self, Defects};
 use lab::trials::sidecar::heading;
 use lab::trials::trial::{
-    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, Trial,
+    Achieved, Action, CapsuleSample, Executed, RigSample, Screw, Status, TrialRecord,
 };
 use maud::{Markup, PreEscaped, html};
 use protocol::capsule::{ActuationKind, ActuationRecord};
@@ -25,7 +25,7 @@ pub(crate) struct Section {
 /// Makes the section of a trial. Unreadable files are defects, not errors: the page lists them.
 pub(crate) fn section<'a>(
     sidecar: &Path,
-    trial: &Trial,
+    trial: &TrialRecord,
     remarks: impl Iterator<Item = &'a Remark>,
 ) -> Result<Section, FigureError> {
     let mut curves = Curves::since(check::start_us(trial));
@@ -93,7 +93,7 @@ pub(crate) fn reasons(defects: &[String]) -> Markup {
 }
 
 fn run(
-    trial: &Trial,
+    trial: &TrialRecord,
     curves: &Curves,
     screw: &Screw,
     requested: &Run,
@@ -161,7 +161,7 @@ fn run(
 }
 
 /// Where the time of a run's figures begins.
-fn time_0(trial: &Trial, requested: &Run) -> String {
+fn time_0(trial: &TrialRecord, requested: &Run) -> String {
     if check::start_us(trial).is_none() {
         return "Time 0 is the first sample: the record does not say when the run began."
             .to_owned();
@@ -192,7 +192,7 @@ fn intervals(executed: &Executed) -> String {
 }
 
 fn actuation_section(
-    trial: &Trial,
+    trial: &TrialRecord,
     curves: &Curves,
     largest_ma: Option<u16>,
     kind: ActuationKind,
@@ -270,7 +270,7 @@ pub fn actuation_rows(
     rows
 }
 
-pub(crate) fn in_short(trial: &Trial) -> String {
+pub(crate) fn in_short(trial: &TrialRecord) -> String {
     match &trial.action {
         Action::Run {
             executed: Some(executed),
@@ -295,7 +295,7 @@ pub(crate) fn in_short(trial: &Trial) -> String {
 }
 
 /// How it ended, and whether its record is reliable.
-pub(crate) fn status(trial: &Trial, defects: &Defects) -> Markup {
+pub(crate) fn status(trial: &TrialRecord, defects: &Defects) -> Markup {
     let (text, good) = match trial.status {
         Status::Running => ("no end is recorded: it is under way, or was cut off", false),
         Status::Complete => ("complete", true),

@@ -8,7 +8,7 @@ use crate::campaign::form::Form;
 use crate::campaign::ledger::Source;
 use crate::campaign::order::Planned;
 use crate::campaign::plan::{CampaignPlan, Millimetres};
-use crate::trials::trial::{Action, RecordError, Status, Trial};
+use crate::trials::trial::{Action, RecordError, Status, TrialRecord};
 use client::plain;
 use locomotion::kinematics::Design;
 use locomotion::model::Model;
@@ -53,7 +53,7 @@ pub(super) fn displacement(
     indentation_mm: f64,
     sidecar: &Path,
 ) -> Result<Modelled, ModelError> {
-    let run = Trial::read(sidecar)?;
+    let run = TrialRecord::read(sidecar)?;
     let samples: Vec<Place> = run.samples(sidecar)?;
     let Action::Run { screw, .. } = &run.action else {
         return Err(RecordError::read(sidecar, "it is not the record of a run").into());
@@ -161,7 +161,7 @@ fn last_fold(folder: &Path) -> Result<Fold, ModelError> {
         name.starts_with("fold-") && name.ends_with(".json")
     });
     for path in folds.iter().rev() {
-        let trial = Trial::read(path)?;
+        let trial = TrialRecord::read(path)?;
         if let (
             Status::Complete,
             Action::Actuation {

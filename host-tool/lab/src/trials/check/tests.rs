@@ -15,13 +15,13 @@ const SCREW: Screw = Screw {
     stroke_um: 20_000,
 };
 
-fn all<T: Sample>(trial: &Trial, samples: &[T]) -> Seen {
+fn all<T: Sample>(trial: &TrialRecord, samples: &[T]) -> Seen {
     let mut seen = Seen::default();
     samples.iter().for_each(|sample| seen.take(trial, sample));
     seen
 }
 
-fn trial(action: Action) -> Trial {
+fn trial(action: Action) -> TrialRecord {
     let recording = Recording {
         folder: "x".into(),
         stem: "run".to_owned(),
@@ -29,7 +29,7 @@ fn trial(action: Action) -> Trial {
         note: None,
         telemetry_ms: 20,
     };
-    let mut trial = Trial::new(action, crate::trials::trial::tests::device(), &recording);
+    let mut trial = TrialRecord::new(action, crate::trials::trial::tests::device(), &recording);
     trial.status = Status::Complete;
     trial
 }
@@ -69,7 +69,7 @@ const STROKE: Stroke = Stroke {
 };
 
 /// One cycle of 10 mm, 1 s each way, sampled each 20 ms.
-fn run_record() -> (Trial, Vec<RigSample>) {
+fn run_record() -> (TrialRecord, Vec<RigSample>) {
     let plan_hash = "0123456789abcdef".to_owned();
     let achieved = Achieved {
         run: 1,
@@ -117,7 +117,7 @@ fn run_record() -> (Trial, Vec<RigSample>) {
     (trial, samples)
 }
 
-fn executed(trial: &mut Trial) -> &mut Executed {
+fn executed(trial: &mut TrialRecord) -> &mut Executed {
     match &mut trial.action {
         Action::Run {
             executed: Some(executed),
@@ -136,7 +136,7 @@ fn only(defects: &Defects) -> &str {
 }
 
 /// The record of a run with a change, and whether it is a defect.
-fn changed(change: impl FnOnce(&mut Trial, &mut Vec<RigSample>)) -> Defects {
+fn changed(change: impl FnOnce(&mut TrialRecord, &mut Vec<RigSample>)) -> Defects {
     let (mut trial, mut samples) = run_record();
     for stroke in 0..2 {
         let at_us = 2_000_000 + 1_000_000 * u64::from(stroke);
@@ -199,7 +199,7 @@ fn lost_samples_do_not_change_the_interval() {
 /// behind the last.
 #[test]
 fn the_telemetry_begins_and_ends_with_the_motion() {
-    let begun = |trial: &mut Trial, at_us: u64| {
+    let begun = |trial: &mut TrialRecord, at_us: u64| {
         let started = RigEvent::RunStarted { run: 1 };
         trial.events.clear();
         trial.events.push(event(7, at_us, started));

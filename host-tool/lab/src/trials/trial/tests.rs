@@ -72,7 +72,7 @@ fn recorder_in(folder: &Path) -> Recorder {
         accepted: None,
         record: None,
     };
-    let trial = Trial::new(action, device(), &recording);
+    let trial = TrialRecord::new(action, device(), &recording);
     Recorder::create(trial, &recording).expect("created")
 }
 
@@ -103,7 +103,7 @@ fn the_sidecar_counts_the_rows_and_the_samples_that_are_missing() {
     assert_eq!((trial.samples, trial.missed_samples), (3, 5));
     assert_eq!(trial.status, Status::Unknown);
     assert_eq!(trial.error.as_deref(), Some("gone"));
-    let read = Trial::read(&sidecar).expect("a sidecar");
+    let read = TrialRecord::read(&sidecar).expect("a sidecar");
     assert_eq!((read.samples, read.missed_samples), (3, 5));
     let rows: Vec<CapsuleSample> = read.samples(&sidecar).expect("rows");
     let missed: Vec<_> = rows.iter().map(|row| row.missed).collect();
@@ -137,7 +137,7 @@ fn a_record_of_a_later_format_is_not_read() {
         accepted: None,
         record: None,
     };
-    let mut trial = Trial::new(action, device(), &recording);
+    let mut trial = TrialRecord::new(action, device(), &recording);
     trial.telemetry = "fold.csv".to_owned();
     for (format, why) in [
         (FORMAT, None),
@@ -145,7 +145,7 @@ fn a_record_of_a_later_format_is_not_read() {
     ] {
         trial.format = format;
         fs::write(&path, serde_json::to_string(&trial).expect("text")).expect("written");
-        let read = Trial::read(&path).map_err(|error| error.why);
+        let read = TrialRecord::read(&path).map_err(|error| error.why);
         assert_eq!(read.err().as_deref(), why);
     }
 }
@@ -162,7 +162,7 @@ fn a_fault_does_not_hide_that_rows_are_missing() {
     ));
     let lost = Ending::Lost("gone".to_owned());
     assert!(recorder.finish(lost, 0).is_err());
-    let error = Trial::read(&sidecar)
+    let error = TrialRecord::read(&sidecar)
         .expect("a sidecar")
         .error
         .expect("two");
@@ -210,7 +210,7 @@ fn no_record_grows_beyond_what_is_read() {
     assert!(told.contains("10000000 rows"), "{told}");
     let sidecar = recorder.sidecar().to_owned();
     assert!(recorder.finish(Ending::Lost("gone".to_owned()), 0).is_err());
-    let read = Trial::read(&sidecar).expect("a sidecar");
+    let read = TrialRecord::read(&sidecar).expect("a sidecar");
     assert_eq!(read.samples, 1);
     assert!(read.not_whole().is_some());
 }
