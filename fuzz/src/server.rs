@@ -24,7 +24,7 @@ use tokio::runtime::{Builder, Runtime};
 use tower_service::Service as _;
 
 use lab::operations::connector::{Candidate, Connector, LinkPurpose};
-use lab::operations::places::{Beginning, Places};
+use lab::operations::finder::{Beginning, Finder};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
 use serve::board::{Board, Machine};
@@ -71,7 +71,7 @@ type Answering = Pin<Box<dyn Future<Output = Answer>>>;
 pub struct Server<'a> {
     router: Router,
     board: &'a Board,
-    places: &'a Places<'a>,
+    finder: &'a Finder<'a>,
     workers: Vec<Worker<'a>>,
     direct: Receiver<DirectRequest>,
     leaving: &'a AtomicBool,
@@ -178,7 +178,7 @@ pub fn with<R>(
         board: Arc::clone(&board),
         leaving: Arc::clone(&leaving),
     };
-    let places = Places {
+    let finder = Finder {
         rig: Some(Address::Auto),
         capsule: Some(Address::Auto),
         baud: DEFAULT_BAUD,
@@ -191,7 +191,7 @@ pub fn with<R>(
         .iter()
         .zip(orders)
         .map(|(machine, orders)| Worker {
-            places: &places,
+            finder: &finder,
             board: &board,
             machine,
             orders,
@@ -205,7 +205,7 @@ pub fn with<R>(
             sender,
         ))),
         board: &board,
-        places: &places,
+        finder: &finder,
         workers: workers.collect(),
         direct,
         leaving: &leaving,
@@ -285,14 +285,14 @@ impl Server<'_> {
                 } => {
                     if let Some(machine) = self.board.machine(machine) {
                         // The real worker confirms it on its own thread. Here there is one thread, so wait for nothing.
-                        let (places, board) = (self.places, self.board);
-                        direct::stop(places, board, machine, urgent, vec![wait], Duration::ZERO);
+                        let (finder, board) = (self.finder, self.board);
+                        direct::stop(finder, board, machine, urgent, vec![wait], Duration::ZERO);
                     }
                 }
                 DirectRequest::Ask {
                     question, reply, ..
                 } => {
-                    let _ = reply.send(direct::ask(self.places, self.board, question));
+                    let _ = reply.send(direct::ask(self.finder, self.board, question));
                 }
                 DirectRequest::End => {}
             }

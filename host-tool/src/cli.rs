@@ -52,7 +52,7 @@ use lab::operations::connector::Connector;
 use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{DONE, Failure, USAGE, usage, usage_text};
 use lab::operations::output::Stream;
-use lab::operations::places::{Beginning, Places};
+use lab::operations::finder::{Beginning, Finder};
 use protocol::capsule::ActuationKind;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;
@@ -350,14 +350,14 @@ fn run_in(
         failed: None,
     };
     let found = Addressed::of(&cli);
-    let places = Places {
+    let finder = Finder {
         rig: found.rig,
         capsule: found.capsule,
         baud: cli.baud,
         connector,
         beginning,
     };
-    let result = carry_out(&cli.subcommand, &places, found.unread, &mut screen);
+    let result = carry_out(&cli.subcommand, &finder, found.unread, &mut screen);
     screen.finish(result)
 }
 
@@ -442,21 +442,21 @@ impl Addressed {
 fn stop(
     urgent: Urgent,
     which: &Which,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     mut unread: Unread,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let machine = which.machine.map(DeviceKind::from);
     unread.retain(|(kind, _)| machine.is_none_or(|machine| machine == *kind));
     if unread.is_empty() {
-        return stops::stop(urgent, which, places, screen);
+        return stops::stop(urgent, which, finder, screen);
     }
     // Say this at once: the other machine's answer may take seconds.
     for (_, unread) in &unread {
         screen.say(&unread.line(urgent));
     }
-    let is_another = machine.is_none() && (places.rig.is_some() || places.capsule.is_some());
-    let mut told = match is_another.then(|| stops::stop(urgent, which, places, screen)) {
+    let is_another = machine.is_none() && (finder.rig.is_some() || finder.capsule.is_some());
+    let mut told = match is_another.then(|| stops::stop(urgent, which, finder, screen)) {
         None => vec![],
         Some(Err(Failure::Stops { told })) => told,
         Some(Err(failure)) => return Err(failure),
@@ -476,37 +476,37 @@ fn stop(
 
 fn carry_out(
     subcommand: &Subcommand,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     unread: Unread,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     match subcommand {
-        Subcommand::Doctor(which) => doctor::doctor(which, places, screen),
-        Subcommand::Info(which) => info::info(which, places, screen),
-        Subcommand::Home => home::home(places, screen),
-        Subcommand::Run(args) => run::run(args, places, screen),
-        Subcommand::Campaign { subcommand } => campaign::campaign(subcommand, places, screen),
+        Subcommand::Doctor(which) => doctor::doctor(which, finder, screen),
+        Subcommand::Info(which) => info::info(which, finder, screen),
+        Subcommand::Home => home::home(finder, screen),
+        Subcommand::Run(args) => run::run(args, finder, screen),
+        Subcommand::Campaign { subcommand } => campaign::campaign(subcommand, finder, screen),
         Subcommand::Verify(args) => verify::verify(args, screen),
-        Subcommand::Records { subcommand } => records::records(subcommand, places, screen),
-        Subcommand::Commission(args) => commission::commission(args, places, screen),
-        Subcommand::Stop(which) => stop(Urgent::Stop, which, places, unread, screen),
-        Subcommand::Estop(which) => stop(Urgent::EStop, which, places, unread, screen),
-        Subcommand::Ack(which) => ack::acknowledge(which, places, screen),
-        Subcommand::Capsule { subcommand } => capsule::capsule(subcommand, places, screen),
-        Subcommand::Fold(args) => fold::fold(args, places, screen),
+        Subcommand::Records { subcommand } => records::records(subcommand, finder, screen),
+        Subcommand::Commission(args) => commission::commission(args, finder, screen),
+        Subcommand::Stop(which) => stop(Urgent::Stop, which, finder, unread, screen),
+        Subcommand::Estop(which) => stop(Urgent::EStop, which, finder, unread, screen),
+        Subcommand::Ack(which) => ack::acknowledge(which, finder, screen),
+        Subcommand::Capsule { subcommand } => capsule::capsule(subcommand, finder, screen),
+        Subcommand::Fold(args) => fold::fold(args, finder, screen),
         Subcommand::Unfold(FoldArgs { record, trace }) => {
             let (kind, trace) = (ActuationKind::Unfold, trace.as_deref());
-            actuation::actuate("unfold", kind, record, trace, places, screen)
+            actuation::actuate("unfold", kind, record, trace, finder, screen)
         }
-        Subcommand::Hold => hold::hold(places, screen),
-        Subcommand::Resume => hold::resume(places, screen),
-        Subcommand::Jog(args) => jog::jog(args, places, screen),
-        Subcommand::Move(args) => move_to::move_to(args, places, screen),
-        Subcommand::Serve(args) => serve::serve(args, places, screen),
-        Subcommand::Watch(args) => watch::watch(args, places, screen),
-        Subcommand::Health => health::health(places, screen),
+        Subcommand::Hold => hold::hold(finder, screen),
+        Subcommand::Resume => hold::resume(finder, screen),
+        Subcommand::Jog(args) => jog::jog(args, finder, screen),
+        Subcommand::Move(args) => move_to::move_to(args, finder, screen),
+        Subcommand::Serve(args) => serve::serve(args, finder, screen),
+        Subcommand::Watch(args) => watch::watch(args, finder, screen),
+        Subcommand::Health => health::health(finder, screen),
         Subcommand::Settings { of, subcommand } => {
-            settings::settings(*of, subcommand, places, screen)
+            settings::settings(*of, subcommand, finder, screen)
         }
         Subcommand::Plan(args) => plan::plan(args, screen),
         Subcommand::Design(args) => design::design(args, screen),

@@ -1,7 +1,7 @@
 //! Shared by the command line and the server: access to machines, and failures and stops of their actions.
 //!
 //! * [`arguments`]: arguments of commands, which are the fields of requests.
-//! * [`connector`]: sources of links. [`places`]: finds the machine and opens a session with it.
+//! * [`connector`]: sources of links. [`finder`]: finds the machine and opens a session with it.
 //! * [`failure`]: the reason why a command failed, its remedy and exit code.
 //! * [`interrupt`], [`stops`], [`delivery`]: stops, from the operator's request to the confirmation.
 //! * [`folding`], [`ending`], [`reached`]: tasks before and after a motion.
@@ -16,6 +16,6 @@ pub mod folding;
 pub mod interrupt;
 pub mod output;
 pub mod panel;
-pub mod places;
+pub mod finder;
 pub mod reached;
 pub mod stops;

@@ -17,7 +17,7 @@ use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{DO_NOW, Delivery, Told};
 use lab::operations::failure::Failure;
 use lab::operations::panel::Notice;
-use lab::operations::places::{Places, Target, past_owners};
+use lab::operations::finder::{Finder, Target, past_owners};
 use lab::operations::stops::{self, Ask};
 
 /// Time for the worker to confirm a stop that failed on its direct way.
@@ -67,7 +67,7 @@ pub enum DirectRequest {
 /// Dispatches direct requests until the server shuts down.
 pub fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
-    places: &'scope Places<'scope>,
+    finder: &'scope Finder<'scope>,
     board: &'scope Board,
     direct: &Receiver<DirectRequest>,
 ) {
@@ -79,7 +79,7 @@ pub fn run<'scope>(
             let courier = thread::Builder::new().spawn_scoped(scope, move || {
                 while let Ok(first) = waiting.recv() {
                     let all = std::iter::once(first).chain(waiting.try_iter()).collect();
-                    stop(places, board, machine, urgent, all, WORKER_TIME);
+                    stop(finder, board, machine, urgent, all, WORKER_TIME);
                 }
             });
             if courier.is_ok() {
@@ -103,7 +103,7 @@ pub fn run<'scope>(
                     let _ = waits.send(wait);
                 } else if let Some(machine) = board.machine(machine) {
                     // The system had no thread for it: tell one after the other.
-                    stop(places, board, machine, urgent, vec![wait], WORKER_TIME);
+                    stop(finder, board, machine, urgent, vec![wait], WORKER_TIME);
                 }
             }
             DirectRequest::Ask {
@@ -114,7 +114,7 @@ pub fn run<'scope>(
                 // Without a thread the question has no answer, and the client is told so.
                 let _ = thread::Builder::new().spawn_scoped(scope, move || {
                     // The client may have disconnected.
-                    let _ = reply.send(ask(places, board, question));
+                    let _ = reply.send(ask(finder, board, question));
                     drop(place);
                 });
             }
@@ -126,7 +126,7 @@ pub fn run<'scope>(
 /// the worker) or over a line of its own. If that fails, it waits for the worker, which sends the stop as well, for
 /// `patience` at most.
 pub fn stop(
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     board: &Board,
     machine: &Machine,
     urgent: Urgent,
@@ -140,7 +140,7 @@ pub fn stop(
     let stops = &machine.stops;
     // Everybody who waits has already asked.
     let asked = stops.with(|stops| stops.asked());
-    let told = target.told(places.urgent(&target, urgent));
+    let told = target.told(finder.urgent(&target, urgent));
     if told.delivery == Delivery::Stopped {
         stops.with(|stops| stops.confirm(urgent, asked));
     } else {
@@ -167,7 +167,7 @@ pub fn stop(
     }
 }
 
-pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
+pub fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
     let Some(machine) = board.machine(question.about()) else {
         let name = kind_name(question.about());
         return Err(Failure::input(
@@ -176,8 +176,8 @@ pub fn ask(places: &Places<'_>, board: &Board, question: Question) -> Result<Val
         ));
     };
     past_owners(|| {
-        let mut device = places.open(machine.kind, &machine.address, LinkPurpose::Glance)?;
-        device.hello(places.connector.nonce())?;
+        let mut device = finder.open(machine.kind, &machine.address, LinkPurpose::Glance)?;
+        device.hello(finder.connector.nonce())?;
         device.require(machine.kind)?;
         match question {
             Question::Health => Ok(json!({

@@ -68,7 +68,7 @@ use crate::http::App;
 use crate::open_files::{Connections, LEAST};
 use crate::worker::Worker;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 
 /// Orders that can wait for a worker; more are refused.
 pub const ORDERS: usize = 8;
@@ -112,7 +112,7 @@ pub struct Options {
 /// on after its end.
 pub fn serve(
     options: Options,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     pressed: &Interrupt,
     say: &mut dyn FnMut(&str),
 ) -> Result<String, Failure> {
@@ -174,7 +174,7 @@ pub fn serve(
         let mut workers = vec![];
         for (machine, orders) in board.machines.iter().zip(orders) {
             let worker = Worker {
-                places,
+                finder,
                 board: &board,
                 machine,
                 orders,
@@ -186,7 +186,7 @@ pub fn serve(
         }
         let board = &*board;
         thread::Builder::new()
-            .spawn_scoped(scope, move || direct::run(scope, places, board, &to_do))
+            .spawn_scoped(scope, move || direct::run(scope, finder, board, &to_do))
             .map_err(Failure::no_thread)?;
         let router = http::router(Arc::clone(&app));
         runtime.spawn(http::listen(listener, router, connections));
@@ -271,12 +271,12 @@ fn introduction(
     url: &str,
     token: &str,
 ) -> Vec<String> {
-    let places: Vec<_> = machines
+    let finder: Vec<_> = machines
         .iter()
         .map(|(kind, address)| format!("{} at {address}", kind_name(*kind)))
         .collect();
     let mut lines = vec![
-        places.join(", "),
+        finder.join(", "),
         "Open this address; it carries the token, so keep it to yourself:".to_owned(),
         format!("  {url}#token={token}"),
     ];

@@ -18,7 +18,7 @@ use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{Delivery, Told};
 use lab::operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
-use lab::operations::places::{Places, Target};
+use lab::operations::finder::{Finder, Target};
 use lab::operations::{ending, reached};
 use lab::trials::experiment::{self, Actuation, ExperimentError};
 use lab::trials::trial::Status;
@@ -77,7 +77,7 @@ impl From<Value> for ActionResult {
 }
 
 pub struct Worker<'a> {
-    pub places: &'a Places<'a>,
+    pub finder: &'a Finder<'a>,
     pub board: &'a Board,
     pub machine: &'a Machine,
     pub orders: Receiver<Order>,
@@ -146,7 +146,7 @@ impl Worker<'_> {
                 break;
             };
             sent = Some(urgent);
-            told = Some(target.told(self.places.urgent(&target, urgent)));
+            told = Some(target.told(self.finder.urgent(&target, urgent)));
         }
         machine.acting.store(false, Ordering::SeqCst);
         let mut told = told.filter(|told| told.delivery != Delivery::Stopped)?;
@@ -191,12 +191,12 @@ impl Worker<'_> {
     /// Connects, and keeps the machine until the connection is lost, the server shuts down, or another process needs
     /// the line.
     fn connection(&self, waiting: &mut Option<Order>) -> Result<(), Failure> {
-        let (places, machine) = (self.places, self.machine);
-        machine.is_behind(places.connector.line_files(&machine.address));
-        let mut device = places.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
+        let (finder, machine) = (self.finder, self.machine);
+        machine.is_behind(finder.connector.line_files(&machine.address));
+        let mut device = finder.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
         device.ask_once(true);
         device.set_interrupt(machine.interrupt(Arc::clone(&self.pressed)));
-        device.hello(places.connector.nonce())?;
+        device.hello(finder.connector.nonce())?;
         device.require(machine.kind)?;
         machine.meet(device.identity(), device.place());
         let owned = device.owner().is_none();
@@ -447,7 +447,7 @@ impl Worker<'_> {
             let (_, pace, sent) = pacing.as_mut()?;
             (!std::mem::replace(sent, true)).then_some(*pace)
         }));
-        let now = self.places.connector.now();
+        let now = self.finder.connector.now();
         let recording = record.recording(&self.board.out, "run", now);
         let trial = experiment::run(rig, run, &recording, &mut busy);
         rig.set_pacer(Box::new(|| None));
@@ -483,7 +483,7 @@ impl Worker<'_> {
         if let Some((status, _)) = reached::reached(kind, capsule)? {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
         }
-        let now = self.places.connector.now();
+        let now = self.finder.connector.now();
         let recording = record.recording(&self.board.out, experiment::stem(kind), now);
         let trial = experiment::actuate(capsule, motion, &recording, &mut busy)?;
         let help = format!("the data is in {}", trial.sidecar.display());

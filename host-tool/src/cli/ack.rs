@@ -5,7 +5,7 @@ use client::identity;
 use lab::operations::arguments::Which;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::error::Refusal;
 use serde_json::{Value, json};
 
@@ -13,15 +13,15 @@ use crate::cli::screen::Screen;
 
 pub(crate) fn acknowledge(
     which: &Which,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let (mut acknowledged, mut nothing) = (vec![], None);
     let mut failed = None;
     // Try both machines: one without a fault must not keep the other from being acknowledged.
-    for kind in places.machines(which)? {
+    for kind in finder.machines(which)? {
         let name = identity::kind_name(kind);
-        let result = places.connect(kind, LinkPurpose::Observe).and_then(|mut device| {
+        let result = finder.connect(kind, LinkPurpose::Observe).and_then(|mut device| {
             device.acknowledge()?;
             Ok(device.place())
         });

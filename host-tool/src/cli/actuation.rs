@@ -7,7 +7,7 @@ use lab::operations::arguments::RecordArgs;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::{FIND_THREAD, Failure};
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::operations::reached::reached;
 use lab::trials::experiment::{self, Actuation};
 use lab::trials::trial::Status;
@@ -25,18 +25,18 @@ pub(crate) fn actuate(
     motion: impl Into<Actuation>,
     args: &RecordArgs,
     trace: Option<&Path>,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let motion = motion.into();
     let kind = motion.kind;
     let (what, after) = words(kind);
-    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own(command))?;
+    let mut capsule = finder.connect(DeviceKind::Capsule, LinkPurpose::Own(command))?;
     if matches!(
         kind,
         ActuationKind::Fold | ActuationKind::Unfold | ActuationKind::FoldTo
     ) {
-        fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
+        fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
     }
     if let Some((status, name)) = reached(kind, &mut capsule)? {
         screen.say(&format!(
@@ -46,7 +46,7 @@ pub(crate) fn actuate(
     }
     screen.say(what);
     warn(kind, &mut capsule, screen)?;
-    let now = places.connector.now();
+    let now = finder.connector.now();
     let recording = args.recording(&args.out, experiment::stem(kind), now);
     let trace = trace.map(TraceFile::create).transpose()?;
     let trial = match experiment::actuate(&mut capsule, motion, &recording, &mut screen.live()) {

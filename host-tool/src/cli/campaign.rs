@@ -22,7 +22,7 @@ use lab::commissioning::warning;
 use lab::operations::arguments::{CAMPAIGNS_FOLDER, DATA_FOLDER};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::experiment::ExperimentError;
 use lab::trials::plan::REFERENCE_LIMITS;
 use lab::trials::trial::ELSEWHERE;
@@ -165,13 +165,13 @@ pub enum Edit {
 
 pub(crate) fn campaign(
     subcommand: &CampaignSubcommand,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     match subcommand {
         CampaignSubcommand::New(args) => {
             let plan = PlanFile::read(&args.plan)?;
-            let folder = create(plan, args.out.as_deref(), places, screen)?;
+            let folder = create(plan, args.out.as_deref(), finder, screen)?;
             let campaign = folder.campaign();
             screen.say(&format!("{} begins.", resumption(&campaign.folder)));
             Ok(summary(campaign))
@@ -187,8 +187,8 @@ pub(crate) fn campaign(
                 ));
             }
             admit(&args.session, screen)?;
-            let folder = open(&args.what, places, screen)?;
-            carry_out(folder, &args.session, places, screen)
+            let folder = open(&args.what, finder, screen)?;
+            carry_out(folder, &args.session, finder, screen)
         }
         CampaignSubcommand::Run(args) => {
             let plan = PlanFile::read(&args.what)?;
@@ -198,8 +198,8 @@ pub(crate) fn campaign(
                     Failure::input(why, "complete the plan, as in `examples/paper.toml`")
                 })?;
             }
-            let folder = create(plan, args.out.as_deref(), places, screen)?;
-            carry_out(folder, &args.session, places, screen)
+            let folder = create(plan, args.out.as_deref(), finder, screen)?;
+            carry_out(folder, &args.session, finder, screen)
         }
         CampaignSubcommand::Status(args) => {
             let campaign = Campaign::read(&args.folder).map_err(failure::campaign)?;
@@ -208,7 +208,7 @@ pub(crate) fn campaign(
             }
             Ok(summary(&campaign))
         }
-        CampaignSubcommand::Edit(args) => edit(args, places, screen),
+        CampaignSubcommand::Edit(args) => edit(args, finder, screen),
     }
 }
 
@@ -255,10 +255,10 @@ impl<'a> PlanFile<'a> {
 fn create(
     PlanFile { path, text, plan }: PlanFile<'_>,
     out: Option<&Path>,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Folder, Failure> {
-    let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
+    let stamp = finder.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let out = out.map_or_else(
         || PathBuf::from(CAMPAIGNS_FOLDER).join(format!("{}-{stamp}", plan.name)),
         Path::to_owned,
@@ -295,8 +295,8 @@ fn create(
 }
 
 /// Opens a folder for writing. Reports what a killed session has left.
-fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
-    let (folder, told) = Folder::resume(path, places.connector.now()).map_err(failure::campaign)?;
+fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
+    let (folder, told) = Folder::resume(path, finder.connector.now()).map_err(failure::campaign)?;
     for line in told {
         screen.say(&line);
     }
@@ -306,12 +306,12 @@ fn open(path: &Path, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Fol
 fn carry_out(
     mut folder: Folder,
     session: &SessionArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let path = folder.campaign().folder.clone();
     if folder.campaign().state.next().is_some() {
-        let ending = sit_down(&mut folder, session, places, screen)?;
+        let ending = sit_down(&mut folder, session, finder, screen)?;
         if ending == Ending::Left {
             return Err(failure::left(&path));
         }
@@ -360,7 +360,7 @@ fn reported(folder: &Path, screen: &mut Screen<'_>) -> Result<Option<PathBuf>, F
 fn sit_down(
     folder: &mut Folder,
     session: &SessionArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Ending, Failure> {
     let plan = folder.campaign().plan.clone();
@@ -373,10 +373,10 @@ fn sit_down(
             )
         })?;
     }
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own(COMMAND))?;
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Own(COMMAND))?;
     let capsule = plan
         .needs_capsule()
-        .then(|| places.connect(DeviceKind::Capsule, LinkPurpose::Own(COMMAND)))
+        .then(|| finder.connect(DeviceKind::Capsule, LinkPurpose::Own(COMMAND)))
         .transpose()?;
     let origin = rig.origin().max(
         capsule
@@ -411,9 +411,9 @@ fn sit_down(
             return Err(refused.unwrap_or_else(|| failure::left(&path)));
         }
     };
-    let mut desk = Counter::new(screen, places, who);
+    let mut desk = Counter::new(screen, finder, who);
     let mut connect = |kind| {
-        let device = places.connect(kind, LinkPurpose::Own(COMMAND));
+        let device = finder.connect(kind, LinkPurpose::Own(COMMAND));
         device.map_err(|why| why.in_one_line())
     };
     let ended =
@@ -604,8 +604,8 @@ fn summary(campaign: &Campaign) -> Value {
 
 // Edits.
 
-fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut folder = open(&args.folder, places, screen)?;
+fn edit(args: &EditArgs, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut folder = open(&args.folder, finder, screen)?;
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::input(
             "the campaign has not begun, so there is nothing to edit",
@@ -614,7 +614,7 @@ fn edit(args: &EditArgs, places: &Places<'_>, screen: &mut Screen<'_>) -> Result
     };
     let row = edited(&args.edit, folder.campaign(), origin)?;
     folder
-        .append(row, places.connector.now(), origin)
+        .append(row, finder.connector.now(), origin)
         .and_then(|()| folder.seal())
         .map_err(failure::campaign)?;
     for line in status(folder.campaign()) {

@@ -2,7 +2,7 @@
 
 use lab::operations::arguments::RecordArgs;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::capsule::ActuationKind;
 use serde_json::Value;
 
@@ -29,15 +29,15 @@ pub enum CapsuleSubcommand {
 
 pub(crate) fn capsule(
     subcommand: &CapsuleSubcommand,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let (command, kind, args) = match subcommand {
-        CapsuleSubcommand::Trace(args) => return trace(args, places, screen),
-        CapsuleSubcommand::Cycle(args) => return cycle(args, places, screen),
+        CapsuleSubcommand::Trace(args) => return trace(args, finder, screen),
+        CapsuleSubcommand::Cycle(args) => return cycle(args, finder, screen),
         CapsuleSubcommand::Reference(args) => ("capsule reference", ActuationKind::Reference, args),
         CapsuleSubcommand::Calibrate(args) => ("capsule calibrate", ActuationKind::Calibrate, args),
         CapsuleSubcommand::Check(args) => ("capsule check", ActuationKind::CheckFolded, args),
     };
-    actuate(command, kind, args, None, places, screen)
+    actuate(command, kind, args, None, finder, screen)
 }

@@ -18,7 +18,7 @@ use lab::operations::arguments::{DATA_FOLDER, MachineKind};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::{FAULT, Failure, REFUSED, STOPPED};
 use lab::operations::interrupt;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use terminal::Terminal;
@@ -67,18 +67,18 @@ fn strokes(text: &str) -> Result<u16, String> {
 
 pub(crate) fn commission(
     args: &CommissionArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let kind = args.machine.into();
-    let mut hands = hands(args, kind, places, screen)?;
-    let mut device = places.connect(kind, LinkPurpose::Own("commission"))?;
+    let mut hands = hands(args, kind, finder, screen)?;
+    let mut device = finder.connect(kind, LinkPurpose::Own("commission"))?;
     let subject = Subject::of(&mut device)?;
     let path = args
         .record
         .clone()
         .unwrap_or_else(|| args.out.join(subject.file_name()));
-    let mut record = Commissioning::resume(&path, &subject, places.connector.now())?;
+    let mut record = Commissioning::resume(&path, &subject, finder.connector.now())?;
     let all = step::steps(kind);
     let open = procedure::open(all, &record, &subject);
     screen.say(&format!(
@@ -108,13 +108,13 @@ pub(crate) fn commission(
         image: image(args, kind),
     };
     let reopen = || {
-        places
+        finder
             .connect(kind, LinkPurpose::Own("commission"))
             .map_err(|failure| failure.to_string())
     };
     let mut say = |text: &str| screen.say(text);
     let mut work = Work::new(device, subject, options, &mut *hands, &mut say, &reopen);
-    let now = || places.connector.now();
+    let now = || finder.connector.now();
     let ended = session::carry_out(&mut work, &mut record, &path, &now);
     let stopped = match &ended {
         Ok(Ending::Left(_)) => stop(&mut work.device),
@@ -169,7 +169,7 @@ fn stop(device: &mut Device) -> Result<(), ClientError> {
 fn hands(
     args: &CommissionArgs,
     kind: DeviceKind,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Box<dyn Hands>, Failure> {
     if let Some(place) = &args.hands {
@@ -180,9 +180,9 @@ fn hands(
         return Ok(Box::new(bench));
     }
     if args.yes {
-        return Ok(places
+        return Ok(finder
             .connector
-            .hands(kind, places.address(kind))
+            .hands(kind, finder.address(kind))
             .unwrap_or_else(|| Box::new(Nobody)));
     }
     match screen.keyboard.take() {

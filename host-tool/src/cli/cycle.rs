@@ -9,7 +9,7 @@ use lab::operations::arguments::RecordArgs;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::experiment::{self, ActuationTrial};
 use lab::trials::trial::{RecordError, create_new};
 use protocol::capsule::{ActuationKind, CapsuleState};
@@ -71,14 +71,14 @@ impl Cycle {
 
 pub(crate) fn cycle(
     args: &CycleArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own("capsule cycle"))?;
-    fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
+    let mut capsule = finder.connect(DeviceKind::Capsule, LinkPurpose::Own("capsule cycle"))?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
     require(CapsuleState::Unfolded, "a cycle", &mut capsule)?;
     let folder = &args.record.out;
-    let now = places.connector.now();
+    let now = finder.connector.now();
     let (path, file) = create_new(folder, &format!("cycle-{}", now.strftime("%Y%m%dT%H%M%SZ")))?;
     let mut rows = csv::Writer::from_writer(file);
     screen.say(&format!(
@@ -89,7 +89,7 @@ pub(crate) fn cycle(
     for number in 1..=args.count {
         let mut motion = |kind, capsule: &mut Device| {
             let stem = experiment::stem(kind);
-            let recording = args.record.recording(folder, stem, places.connector.now());
+            let recording = args.record.recording(folder, stem, finder.connector.now());
             let trial = experiment::actuate(capsule, kind, &recording, &mut screen.live())?;
             let help = format!(
                 "{} of {} cycles were done, they are in {}; `retrograde info` shows the capsule's state",

@@ -12,13 +12,13 @@ use client::link::{OpenError, Reason};
 use lab::operations::arguments::Which;
 use lab::operations::connector::{Candidate, LinkPurpose};
 use lab::operations::failure::{DONE, FAILED, FAULT, Failure, NO_DEVICE};
-use lab::operations::places::{KINDS, Places, past_owners};
+use lab::operations::finder::{KINDS, Finder, past_owners};
 use protocol::system::{DeviceKind, Identity};
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-struct Place {
+struct Location {
     /// The machine that should be there, if the user says so.
     wanted: Option<DeviceKind>,
     candidate: Candidate,
@@ -117,16 +117,16 @@ fn code(failure: &Failure) -> &'static str {
 
 pub(crate) fn doctor(
     which: &Which,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let looked_at = to_look_at(which, places);
+    let looked_at = to_look_at(which, finder);
     let mut findings: Vec<Finding> = thread::scope(|scope| {
         let looks: Vec<_> = looked_at
             .iter()
             .map(|place| {
                 let thread = thread::Builder::new();
-                (place, thread.spawn_scoped(scope, || look(place, places)))
+                (place, thread.spawn_scoped(scope, || look(place, finder)))
             })
             .collect();
         looks
@@ -134,11 +134,11 @@ pub(crate) fn doctor(
             .flat_map(|(place, looking)| match looking {
                 Ok(looking) => looking.join().unwrap_or_else(|panic| resume_unwind(panic)),
                 // The system has no thread left: look one after the other.
-                Err(_) => look(place, places),
+                Err(_) => look(place, finder),
             })
             .collect()
     });
-    findings.extend(together(which, places, &findings));
+    findings.extend(together(which, finder, &findings));
     for finding in &findings {
         screen.say(&finding.line());
     }
@@ -156,13 +156,13 @@ pub(crate) fn doctor(
 }
 
 /// The places named by the user, or else all ports.
-fn to_look_at(which: &Which, places: &Places<'_>) -> Vec<Place> {
+fn to_look_at(which: &Which, finder: &Finder<'_>) -> Vec<Location> {
     let wanted = |kind: &DeviceKind| which.machine.is_none_or(|machine| *kind == machine.into());
     let mut all = vec![];
     let mut searched = false;
     for kind in KINDS.into_iter().filter(wanted) {
-        match places.address(kind) {
-            Some(address) if *address != Address::Auto => all.push(Place {
+        match finder.address(kind) {
+            Some(address) if *address != Address::Auto => all.push(Location {
                 wanted: Some(kind),
                 candidate: Candidate {
                     address: address.clone(),
@@ -176,8 +176,8 @@ fn to_look_at(which: &Which, places: &Places<'_>) -> Vec<Place> {
         }
     }
     if searched || all.is_empty() {
-        let found = places.connector.candidates().into_iter();
-        all.extend(found.map(|candidate| Place {
+        let found = finder.connector.candidates().into_iter();
+        all.extend(found.map(|candidate| Location {
             wanted: None,
             candidate,
         }));
@@ -186,7 +186,7 @@ fn to_look_at(which: &Which, places: &Places<'_>) -> Vec<Place> {
 }
 
 /// Examines one place and the machine there.
-fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
+fn look(place: &Location, finder: &Finder<'_>) -> Vec<Finding> {
     let candidate = &place.candidate;
     let name = match place.wanted {
         Some(kind) => format!("{} at {}", identity::kind_name(kind), candidate.address),
@@ -196,7 +196,7 @@ fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
         let text = "not an ST-LINK: another instrument may be there, so it was not asked; `--rig` or `--capsule` with this port asks it";
         return vec![Finding::fine(name, "not_asked", text.to_owned())];
     }
-    match past_owners(|| examine(place, places)) {
+    match past_owners(|| examine(place, finder)) {
         Ok((identity, text, trouble)) => {
             let found = Some(identity);
             vec![match trouble {
@@ -219,12 +219,12 @@ fn look(place: &Place, places: &Places<'_>) -> Vec<Finding> {
 /// A problem that a machine reports itself: keyword, text and remedy.
 type Trouble = Option<(&'static str, String, &'static str)>;
 
-fn examine(place: &Place, places: &Places<'_>) -> Result<(Identity, String, Trouble), Failure> {
+fn examine(place: &Location, finder: &Finder<'_>) -> Result<(Identity, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
-    let mut device = places.open(kind, address, LinkPurpose::Glance)?;
+    let mut device = finder.open(kind, address, LinkPurpose::Glance)?;
     device.ask_once(true);
-    let identity = device.hello(places.connector.nonce())?;
+    let identity = device.hello(finder.connector.nonce())?;
     device.require(place.wanted.unwrap_or(identity.device))?;
     let mut text = identity::line(&identity);
     if let Some(owner) = device.owner() {
@@ -254,7 +254,7 @@ fn examine(place: &Place, places: &Places<'_>) -> Result<(Identity, String, Trou
     Ok((identity, text, trouble))
 }
 
-fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Finding> {
+fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Finding> {
     let found = |kind| {
         let found = findings.iter().map(|finding| finding.found);
         found
@@ -263,7 +263,7 @@ fn together(which: &Which, places: &Places<'_>, findings: &[Finding]) -> Vec<Fin
     };
     let mut more = vec![];
     for kind in KINDS {
-        let asked = match (which.machine, places.address(kind)) {
+        let asked = match (which.machine, finder.address(kind)) {
             (Some(machine), _) if kind != machine.into() => false,
             (_, Some(Address::Auto) | None) => true,
             (_, Some(_)) => false,

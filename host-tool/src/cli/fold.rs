@@ -4,7 +4,7 @@ use client::decimal;
 use lab::operations::arguments::PartialArgs;
 use lab::operations::failure::Failure;
 use lab::operations::folding::motion;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use serde_json::Value;
 
 use crate::cli::actuation::actuate;
@@ -12,7 +12,7 @@ use crate::cli::screen::Screen;
 
 pub(crate) fn fold(
     args: &PartialArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let motion = motion(args)?;
@@ -25,5 +25,5 @@ pub(crate) fn fold(
         ));
     }
     let trace = args.fold.trace.as_deref();
-    actuate("fold", motion, &args.fold.record, trace, places, screen)
+    actuate("fold", motion, &args.fold.record, trace, finder, screen)
 }

@@ -4,7 +4,7 @@
 use client::Device;
 use client::address::Address;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::experiment;
 use protocol::system::DeviceKind;
 
@@ -15,11 +15,11 @@ use lab::operations::ending::homed_text;
 pub(crate) fn prepare(
     kind: DeviceKind,
     device: &mut Device,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<(), Failure> {
-    let made_anew = |address: &Address| places.connector.is_made_anew(address);
-    if !places.address(kind).is_some_and(made_anew) {
+    let made_anew = |address: &Address| finder.connector.is_made_anew(address);
+    if !finder.address(kind).is_some_and(made_anew) {
         return Ok(());
     }
     match kind {

@@ -3,15 +3,15 @@
 use client::decimal;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::rig::{self, RigHardware, RigHealth};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-pub(crate) fn health(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
+pub(crate) fn health(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
     let health = rig.call(rig::GetRigHealth)?;
     let hardware = rig.call(rig::GetRigHardware)?;
     let now_us = rig.rig_status()?.time_us;

@@ -3,15 +3,15 @@
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::{held, millimetres};
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::rig;
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let status = held(&mut places.connect(DeviceKind::Rig, LinkPurpose::Observe)?)?;
+pub(crate) fn hold(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let status = held(&mut finder.connect(DeviceKind::Rig, LinkPurpose::Observe)?)?;
     screen.say(&format!(
         "Held at {} mm; `retrograde resume` continues the run, `retrograde stop` ends it.",
         millimetres(&status)
@@ -19,8 +19,8 @@ pub(crate) fn hold(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value
     Ok(json!({ "held": true, "status": status }))
 }
 
-pub(crate) fn resume(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
+pub(crate) fn resume(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Observe)?;
     rig.call(rig::Resume)?;
     let status = rig.rig_status()?;
     screen.say(&format!(

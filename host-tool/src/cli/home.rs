@@ -4,7 +4,7 @@ use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::homed_text;
 use lab::operations::failure::Failure;
 use lab::operations::panel::SETTINGS_UNUSABLE;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::experiment;
 use protocol::rig::RigEvent;
 use protocol::system::{DeviceKind, What};
@@ -12,8 +12,8 @@ use serde_json::{Value, json};
 
 use crate::cli::screen::Screen;
 
-pub(crate) fn home(places: &Places<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("home"))?;
+pub(crate) fn home(finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Own("home"))?;
     // Homing is the first motion after a start, which nobody has heard of.
     let (kept, _) = rig.kept_events()?;
     let last = kept.iter().rev().find_map(|event| match event.what {

@@ -6,7 +6,7 @@ use lab::operations::arguments::Which;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
 use lab::operations::panel::{in_run, run_text};
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::capsule::{CapsuleCalibration, CapsuleState, CapsuleStatus, GetCapsuleTotals};
 use protocol::rig::RigStatus;
 use protocol::system::{BrownOut, Chip, Clock, DeviceKind, GetChip};
@@ -16,12 +16,12 @@ use crate::cli::screen::Screen;
 
 pub(crate) fn info(
     which: &Which,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut all = Map::new();
-    for kind in places.machines(which)? {
-        let mut device = places.greet(kind, LinkPurpose::Observe)?;
+    for kind in finder.machines(which)? {
+        let mut device = finder.greet(kind, LinkPurpose::Observe)?;
         let Some(identity) = device.identity().copied() else {
             continue;
         };
@@ -34,12 +34,12 @@ pub(crate) fn info(
         if !last_words.is_empty() {
             screen.say(&format!("  last words: {}", visible::line(&last_words)));
         }
-        let places = addresses(&last_words);
-        if !places.is_empty() {
+        let finder = addresses(&last_words);
+        if !finder.is_empty() {
             screen.say(&format!(
                 "  places in the source: `cargo xtask where {} {}`, built from this firmware's commit",
                 identity::kind_name(kind),
-                places.join(" ")
+                finder.join(" ")
             ));
         }
         let mut calibration = Value::Null;

@@ -6,7 +6,7 @@ use lab::operations::arguments::JogArgs;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::{cut_short, millimetres};
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::rig::{self, Direction, RigState};
 use protocol::settings::{GetSetting, SettingKey};
 use protocol::system::{DeviceKind, Urgent};
@@ -20,11 +20,11 @@ const RENEW_US: u64 = 100_000;
 
 pub(crate) fn jog(
     args: &JogArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("jog"))?;
-    fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Own("jog"))?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
     let jog = rig::Jog {
         direction: args.direction,
         speed_um_s: args.speed_mm_s.0,

@@ -6,7 +6,7 @@ use lab::operations::arguments::MoveArgs;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::{cut_short, millimetres};
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::operations::reached::is_there;
 use protocol::rig::{self, RunOutcome};
 use protocol::system::DeviceKind;
@@ -17,11 +17,11 @@ use crate::cli::screen::Screen;
 
 pub(crate) fn move_to(
     args: &MoveArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("move"))?;
-    fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Own("move"))?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
     let accepted = match rig.call(rig::MoveTo {
         position_um: args.position_mm.0,
         speed_um_s: args.speed_mm_s.0,

@@ -8,7 +8,7 @@ use client::identity::kind_name;
 use lab::operations::arguments::{DATA_FOLDER, Which};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::fetched::{self, Fetched, Kept, Nothing};
 use serde_json::{Map, Value, json};
 
@@ -35,15 +35,15 @@ pub struct FetchArgs {
 
 pub(crate) fn records(
     subcommand: &RecordsSubcommand,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let RecordsSubcommand::Fetch(FetchArgs { which, out }) = subcommand;
     let mut files = Map::new();
-    for kind in places.machines(which)? {
+    for kind in finder.machines(which)? {
         let machine = kind_name(kind);
-        let mut device = places.connect(kind, LinkPurpose::Observe)?;
-        match fetched::fetch(&mut device, places.connector.now())? {
+        let mut device = finder.connect(kind, LinkPurpose::Observe)?;
+        match fetched::fetch(&mut device, finder.connector.now())? {
             Ok(fetched) => {
                 let path = fetched.write(out)?;
                 screen.say(&format!("{machine}: {}", text(&fetched)));

@@ -6,7 +6,7 @@ use lab::operations::arguments::{DATA_FOLDER, RunArgs};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::completed;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::coordination::{self, Coordinated, Recordings, Shaping};
 use lab::trials::cue::{Coordination, Cue};
 use lab::trials::experiment::{self, ExperimentError, RunTrial, stem};
@@ -41,11 +41,11 @@ fn tied(args: &RunArgs, run: &Run) -> Result<Option<(Shaping, Cue)>, Failure> {
 /// Connects a capsule that can do this, or says why not. Nothing has moved yet.
 fn ready(
     shaping: Shaping,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Device, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own("run"))?;
-    fresh::prepare(DeviceKind::Capsule, &mut capsule, places, screen)?;
+    let mut capsule = finder.connect(DeviceKind::Capsule, LinkPurpose::Own("run"))?;
+    fresh::prepare(DeviceKind::Capsule, &mut capsule, finder, screen)?;
     let begins = match shaping {
         Shaping::Fold => CapsuleState::Unfolded,
         Shaping::Unfold => CapsuleState::Folded,
@@ -56,17 +56,17 @@ fn ready(
 
 pub(crate) fn run(
     args: &RunArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let request = args.run()?;
     let tied = tied(args, &request)?;
     let partner = match tied {
-        Some((shaping, cue)) => Some((ready(shaping, places, screen)?, shaping, cue)),
+        Some((shaping, cue)) => Some((ready(shaping, finder, screen)?, shaping, cue)),
         None => None,
     };
-    let mut rig = places.connect(DeviceKind::Rig, LinkPurpose::Own("run"))?;
-    fresh::prepare(DeviceKind::Rig, &mut rig, places, screen)?;
+    let mut rig = finder.connect(DeviceKind::Rig, LinkPurpose::Own("run"))?;
+    fresh::prepare(DeviceKind::Rig, &mut rig, finder, screen)?;
     let folders = [args.record.out.clone(), DATA_FOLDER.into()];
     if let Some(warning) = warning::of_record(&mut rig, &folders)? {
         screen.hint(&format!("warning: {warning}"));
@@ -81,7 +81,7 @@ pub(crate) fn run(
         rig.set_pacer(keyboard::pacer(keyboard, single.is_some()));
     }
     let recording = |stem: &str| {
-        let now = places.connector.now();
+        let now = finder.connector.now();
         args.record.recording(&args.record.out, stem, now)
     };
     let of_run = recording("run");

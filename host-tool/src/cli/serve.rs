@@ -10,7 +10,7 @@ use clap::Args;
 use lab::operations::arguments::{DATA_FOLDER, Which};
 use lab::operations::failure::Failure;
 use lab::operations::interrupt;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use serde_json::{Value, json};
 use serve::Options;
 
@@ -45,13 +45,13 @@ fn listen(text: &str) -> Result<SocketAddr, String> {
 
 pub(crate) fn serve(
     args: &ServeArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut machines = vec![];
-    for kind in places.machines(&Which { machine: None })? {
-        let address = places.resolve(kind)?;
-        if places.connector.is_made_anew(&address) {
+    for kind in finder.machines(&Which { machine: None })? {
+        let address = finder.resolve(kind)?;
+        if finder.connector.is_made_anew(&address) {
             return Err(Failure::input(
                 format!(
                     "there is no machine at `{address}` that lasts: each command makes a new one"
@@ -74,7 +74,7 @@ pub(crate) fn serve(
         machines,
     };
     let pressed = interrupt::install();
-    let url = serve::serve(options, places, &pressed, &mut |text| {
+    let url = serve::serve(options, finder, &pressed, &mut |text| {
         screen.say(text);
     })?;
     Ok(json!({ "served": url }))

@@ -10,7 +10,7 @@ use client::{Device, identity};
 use lab::operations::arguments::MachineKind;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::settings::{FactoryReset, GetName, GetSetting, Name, Setting, SettingKey};
 use protocol::system::DeviceKind;
 use serde::Serialize;
@@ -76,15 +76,15 @@ struct Exported {
 pub(crate) fn settings(
     of: Option<MachineKind>,
     subcommand: &SettingsSubcommand,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     // Check the arguments before looking for a machine.
     let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
-        SettingsSubcommand::List => list(&mut places.connect(kind, LinkPurpose::Observe)?, kind, screen),
+        SettingsSubcommand::List => list(&mut finder.connect(kind, LinkPurpose::Observe)?, kind, screen),
         SettingsSubcommand::Get { key } => {
-            let mut machine = places.connect(owner(key.0, of)?, LinkPurpose::Observe)?;
+            let mut machine = finder.connect(owner(key.0, of)?, LinkPurpose::Observe)?;
             let value = machine.call(GetSetting { key: key.0 })?.value;
             screen.say(&value.to_string());
             Ok(json!({ key.0.name(): value }))
@@ -92,17 +92,17 @@ pub(crate) fn settings(
         SettingsSubcommand::Set { key, value } => {
             let (key, value) = (key.0, value_of(key.0, value)?);
             let kind = owner(key, of)?;
-            let mut machine = places.connect(kind, LinkPurpose::Own("settings set"))?;
+            let mut machine = finder.connect(kind, LinkPurpose::Own("settings set"))?;
             let before = Basis::of(&mut machine, kind)?;
             let set = machine.call(Setting { key, value })?;
             screen.say(&format!("{} = {}", set.key.name(), set.value));
             before.tell_change(&mut machine, screen)?;
             Ok(json!({ set.key.name(): set.value }))
         }
-        SettingsSubcommand::Export { file, force } => export(file, *force, kind, places, screen),
+        SettingsSubcommand::Export { file, force } => export(file, *force, kind, finder, screen),
         SettingsSubcommand::Import { file } => {
             let wanted = import::read(file, kind)?;
-            let mut machine = places.connect(kind, LinkPurpose::Own("settings import"))?;
+            let mut machine = finder.connect(kind, LinkPurpose::Own("settings import"))?;
             let before = Basis::of(&mut machine, kind)?;
             let changed = import::import(&mut machine, kind, file, wanted)?;
             for change in &changed {
@@ -113,13 +113,13 @@ pub(crate) fn settings(
             Ok(json!({ "changed": changed.len() }))
         }
         SettingsSubcommand::Name { name: None } => {
-            let name = places.connect(kind, LinkPurpose::Observe)?.call(GetName)?.name;
+            let name = finder.connect(kind, LinkPurpose::Observe)?.call(GetName)?.name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }
         SettingsSubcommand::Name { name: Some(name) } => {
             let name = checked_name(name).map_err(|why| Failure::input(why, NAME_HELP))?;
-            let name = places
+            let name = finder
                 .connect(kind, LinkPurpose::Own("settings name"))?
                 .call(Name { name })?;
             screen.say(&name.name);
@@ -140,7 +140,7 @@ pub(crate) fn settings(
                     .to_owned(),
                 ));
             }
-            let mut machine = places.connect(kind, LinkPurpose::Own("settings reset"))?;
+            let mut machine = finder.connect(kind, LinkPurpose::Own("settings reset"))?;
             let before = Basis::of(&mut machine, kind)?;
             machine.call(FactoryReset)?;
             screen.say("all settings and the name are at their defaults");
@@ -195,11 +195,11 @@ fn export(
     file: &Path,
     force: bool,
     kind: DeviceKind,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let [named] = Named::all([Some(file)], force)?;
-    let exported = exported(&mut places.connect(kind, LinkPurpose::Observe)?, kind)?;
+    let exported = exported(&mut finder.connect(kind, LinkPurpose::Observe)?, kind)?;
     let text = serde_json::to_string_pretty(&exported).unwrap_or_default() + "\n";
     if let Some(named) = named {
         named.write(|out| out.write_all(text.as_bytes()))?;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use lab::operations::arguments::Which;
 use lab::operations::delivery::{DO_NOW, Delivery, Told};
 use lab::operations::failure::Failure;
-use lab::operations::places::{Places, Target};
+use lab::operations::finder::{Finder, Target};
 use protocol::system::Urgent;
 use serde_json::{Value, json};
 
@@ -20,7 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 fn tell(
     urgent: Urgent,
     targets: &[Target],
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Vec<Told> {
     let (results, arriving) = mpsc::channel();
@@ -31,7 +31,7 @@ fn tell(
         for (index, target) in targets.iter().enumerate() {
             let results = results.clone();
             let tell = move || {
-                let told = target.told(places.urgent(target, urgent));
+                let told = target.told(finder.urgent(target, urgent));
                 // The receiver lives as long as the scope.
                 let _ = results.send((index, told));
             };
@@ -78,10 +78,10 @@ fn tell(
 pub(crate) fn stop(
     urgent: Urgent,
     which: &Which,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let targets = places.targets_to_stop(which);
+    let targets = finder.targets_to_stop(which);
     if targets.is_empty() {
         return Err(Failure::Stops {
             told: vec![Told {
@@ -91,7 +91,7 @@ pub(crate) fn stop(
             }],
         });
     }
-    let told = tell(urgent, &targets, places, screen);
+    let told = tell(urgent, &targets, finder, screen);
     if told.iter().any(|told| told.delivery != Delivery::Stopped) {
         return Err(Failure::Stops { told });
     }

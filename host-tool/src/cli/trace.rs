@@ -9,7 +9,7 @@ use client::{Device, Recorded};
 use lab::operations::arguments::DATA_FOLDER;
 use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::Failure;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use lab::trials::force;
 use lab::trials::trial::{RecordError, create_new};
 use protocol::capsule::{ActuationRecord, GetCapsuleTotals};
@@ -28,16 +28,16 @@ pub struct TraceArgs {
 
 pub(crate) fn trace(
     args: &TraceArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
-    let mut capsule = places.connect(DeviceKind::Capsule, LinkPurpose::Own("capsule trace"))?;
+    let mut capsule = finder.connect(DeviceKind::Capsule, LinkPurpose::Own("capsule trace"))?;
     let (recorded, no_load_ma) = fetch(&mut capsule)?;
     if recorded.points.is_empty() {
         screen.say("The capsule has not moved since its start: there is no recording.");
         return Ok(json!({ "actuation": null, "readings": 0, "csv": null }));
     }
-    let stamp = places.connector.now().strftime("%Y%m%dT%H%M%SZ");
+    let stamp = finder.connector.now().strftime("%Y%m%dT%H%M%SZ");
     let (csv, file) = create_new(&args.out, &format!("trace-{}-{stamp}", recorded.actuation))?;
     force::write(file, &recorded.points, no_load_ma, capsule.origin())
         .map_err(|error| RecordError::rows(&csv, error))?;

@@ -16,7 +16,7 @@ use lab::operations::connector::LinkPurpose;
 use lab::operations::failure::{DONE, Failure};
 use lab::operations::interrupt;
 use lab::operations::panel::{self, Contact, Panel, TELEMETRY_MS};
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 use protocol::system::{DeviceKind, Event};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
@@ -76,12 +76,12 @@ impl Observer for &Machine {
 
 pub(crate) fn watch(
     args: &WatchArgs,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let mut machines = vec![];
-    for kind in places.machines(&args.which)? {
-        let address = places.resolve(kind)?;
+    for kind in finder.machines(&args.which)? {
+        let address = finder.resolve(kind)?;
         machines.push(Machine {
             panel: Mutex::new(Panel::new(kind, address.to_string())),
             kind,
@@ -98,7 +98,7 @@ pub(crate) fn watch(
             let leaving = &leaving;
             let thread = thread::Builder::new();
             thread
-                .spawn_scoped(scope, move || follow(machine, places, leaving))
+                .spawn_scoped(scope, move || follow(machine, finder, leaving))
                 .map_err(|why| {
                     leaving.store(true, Ordering::Relaxed);
                     Failure::no_thread(why)
@@ -159,9 +159,9 @@ fn leave_by_signal() {
 }
 
 /// Keeps the panel of a machine up to date, and reconnects whenever the line is lost.
-fn follow(mut machine: &Machine, places: &Places<'_>, leaving: &AtomicBool) {
+fn follow(mut machine: &Machine, finder: &Finder<'_>, leaving: &AtomicBool) {
     while !leaving.load(Ordering::Relaxed) {
-        match connection(&mut machine, places, leaving) {
+        match connection(&mut machine, finder, leaving) {
             Ok(()) => {}
             Err(Failure::Client(error)) if error.is_owner_gone() => {}
             Err(failure) => machine.panel().contact = Contact::Lost(failure.in_one_line()),
@@ -179,12 +179,12 @@ fn rest_until(end: Instant, is_over: impl Fn() -> bool) {
 /// Connects and follows until the connection is lost, the person leaves, or another process needs the line.
 fn connection(
     machine: &mut &Machine,
-    places: &Places<'_>,
+    finder: &Finder<'_>,
     leaving: &AtomicBool,
 ) -> Result<(), Failure> {
-    let mut device = places.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
+    let mut device = finder.open(machine.kind, &machine.address, LinkPurpose::Watch)?;
     device.ask_once(true);
-    device.hello(places.connector.nonce())?;
+    device.hello(finder.connector.nonce())?;
     device.require(machine.kind)?;
     let owned = device.owner().is_none();
     if owned {

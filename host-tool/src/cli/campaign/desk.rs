@@ -13,7 +13,7 @@ use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::prompts::{Halt, Question};
 use lab::campaign::readings::{Quantity, refusal};
 use lab::operations::interrupt;
-use lab::operations::places::Places;
+use lab::operations::finder::Finder;
 
 use crate::cli::keyboard::{self, Line, Lines, TOO_SOON};
 use crate::cli::screen::{Keyboard, Screen};
@@ -74,17 +74,17 @@ fn between_crests(width: Millimetres, about: Millimetres) -> Millimetres {
 /// Puts a campaign's questions to the terminal or to the plan.
 pub(super) struct Counter<'a, 'b> {
     screen: &'a mut Screen<'b>,
-    places: &'a Places<'a>,
+    finder: &'a Finder<'a>,
     who: Who,
     interrupt: Interrupt,
 }
 
 impl<'a, 'b> Counter<'a, 'b> {
     /// Makes Ctrl-C leave a question, too, from now on.
-    pub(super) fn new(screen: &'a mut Screen<'b>, places: &'a Places<'a>, who: Who) -> Self {
+    pub(super) fn new(screen: &'a mut Screen<'b>, finder: &'a Finder<'a>, who: Who) -> Self {
         Self {
             screen,
-            places,
+            finder,
             who,
             interrupt: interrupt::install(),
         }
@@ -147,7 +147,7 @@ impl Desk for Counter<'_, '_> {
     }
 
     fn now(&self) -> Timestamp {
-        self.places.connector.now()
+        self.finder.connector.now()
     }
 }
 

@@ -40,7 +40,7 @@ pub(super) struct Modelled {
 
 /// What the model needs of a row of telemetry.
 #[derive(serde::Deserialize)]
-struct Place {
+struct PositionRow {
     time_us: u64,
     position_steps: i32,
 }
@@ -54,16 +54,16 @@ pub(super) fn displacement(
     sidecar: &Path,
 ) -> Result<Modelled, ModelError> {
     let run = TrialRecord::read(sidecar)?;
-    let samples: Vec<Place> = run.samples(sidecar)?;
+    let samples: Vec<PositionRow> = run.samples(sidecar)?;
     let Action::Run { screw, .. } = &run.action else {
         return Err(RecordError::read(sidecar, "it is not the record of a run").into());
     };
     let friction = planned.lubrication.friction();
-    let positions = |samples: &[Place]| -> Vec<f64> {
+    let positions = |samples: &[PositionRow]| -> Vec<f64> {
         let steps = samples.iter().map(|sample| sample.position_steps);
         steps.map(|steps| screw.mm(f64::from(steps))).collect()
     };
-    let unfolded = |samples: &[Place]| -> Result<f64, OutOfRange> {
+    let unfolded = |samples: &[PositionRow]| -> Result<f64, OutOfRange> {
         // At home the rollers stand as far from the body's start as the plan lets them travel.
         let mut params = roller::Params::PAPER;
         params.body.friction = friction;
@@ -74,7 +74,7 @@ pub(super) fn displacement(
         }
         Ok(body.displacement_mm())
     };
-    let folded = |samples: &[Place], fold: &Fold, moved_mm: f64| -> Result<f64, OutOfRange> {
+    let folded = |samples: &[PositionRow], fold: &Fold, moved_mm: f64| -> Result<f64, OutOfRange> {
         let design = Design::paper_printed();
         let mut params = folded::Params::PAPER.folded_by(&design, fold.thread_mm - SLACK_MM)?;
         params.friction = friction;
