@@ -36,7 +36,7 @@ const READ_FIRST: Duration = Duration::from_millis(500);
 /// Answer to an Enter that came too soon.
 pub(crate) const TOO_SOON: &str = "That Enter came before this could be read. Press it again.";
 
-pub(crate) enum Line {
+pub(crate) enum TypedLine {
     Text(String),
     /// An Enter alone, before anybody can have read the question.
     TooSoon,
@@ -68,12 +68,12 @@ impl Lines {
     }
 
     /// The next line, as an answer to a question that was put at `asked`.
-    pub(crate) fn answer(&self, asked: Instant) -> Result<Line, TryRecvError> {
+    pub(crate) fn answer(&self, asked: Instant) -> Result<TypedLine, TryRecvError> {
         let (at, line) = self.typed.try_recv()?;
         let is_soon = self.by_hand && at < asked + READ_FIRST;
         Ok(match line.trim() {
-            "" if is_soon => Line::TooSoon,
-            _ => Line::Text(line),
+            "" if is_soon => TypedLine::TooSoon,
+            _ => TypedLine::Text(line),
         })
     }
 }

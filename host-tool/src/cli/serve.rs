@@ -86,14 +86,14 @@ mod tests {
     use clap::Parser;
 
     #[derive(Debug, Parser)]
-    struct Line {
+    struct TestArgs {
         #[command(flatten)]
         args: ServeArgs,
     }
 
     #[test]
     fn a_name_is_no_address_to_listen_at() {
-        let line = |listen: &str| Line::try_parse_from(["serve", "--listen", listen]);
+        let line = |listen: &str| TestArgs::try_parse_from(["serve", "--listen", listen]);
         for wrong in [
             "localhost:7080",
             "lab-pc:7080",

@@ -19,7 +19,7 @@ use simulated_machines::link::Memory;
 use simulated_machines::machine::{Log, Script, SimulatedMachine, link};
 
 use crate::campaign_run::{Place, file_of, machines};
-use crate::support::mishap::{Line, Mishap, Opened};
+use crate::support::mishap::{FaultyLine, Mishap, Opened};
 use crate::support::plan::{PAPER, changed};
 use crate::support::tool;
 
@@ -195,7 +195,7 @@ impl Bench {
             // The fold is its first actuation.
             script.ready = true;
             let after = vec!["GetActuationRecord", self.after];
-            let (line, log) = Line::new(script, self.mishap, after);
+            let (line, log) = FaultyLine::new(script, self.mishap, after);
             *self.heard.lock().expect("free") = Some(log);
             line
         })

@@ -7,13 +7,13 @@ use protocol::system::DeviceKind;
 use simulated_machines::machine::{Script, link};
 
 use crate::campaign_run::{Place, WIDTH, clamped, small_plan};
-use crate::support::mishap::{Line, Mishap, Opened};
+use crate::support::mishap::{FaultyLine, Mishap, Opened};
 
 /// A bench whose rig somebody stops once it has heard this request.
 fn stopped_after(request: &'static str) -> impl Connector {
     Opened(move |kind| match kind {
         DeviceKind::Rig => {
-            let (line, _) = Line::new(Script::new(kind), Mishap::Stopped, vec![request]);
+            let (line, _) = FaultyLine::new(Script::new(kind), Mishap::Stopped, vec![request]);
             line as Box<dyn Link>
         }
         DeviceKind::Capsule => link(Script::new(kind)).0,

@@ -16,7 +16,7 @@ use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
 use lab::commissioning::procedure::{Procedure, StepStatus, open, status};
 use lab::commissioning::record::{Commissioning, Finding, StepOutcome};
 use lab::commissioning::rig::wrong_travel;
-use lab::commissioning::step::{self, Step};
+use lab::commissioning::step::{self, ProcedureStep};
 use lab::commissioning::work::{Options, Work};
 use protocol::settings::SettingKey;
 use protocol::system::DeviceKind;
@@ -65,7 +65,7 @@ fn complete(subject: &Subject) -> Commissioning {
     record
 }
 
-fn step(name: &str) -> &'static Step {
+fn step(name: &str) -> &'static ProcedureStep {
     let mut all = step::steps(DeviceKind::Rig).iter();
     all.find(|step| step.name == name).expect("a step")
 }

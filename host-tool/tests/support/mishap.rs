@@ -39,14 +39,14 @@ pub enum Mishap {
 }
 
 /// The line of a machine to which something happens, once, when it has heard these requests in this order.
-pub struct Line {
+pub struct FaultyLine {
     link: Box<dyn Link>,
     log: Arc<Mutex<Log>>,
     after: Vec<&'static str>,
     mishap: Option<Mishap>,
 }
 
-impl Line {
+impl FaultyLine {
     pub fn new(
         script: Script,
         mishap: Mishap,
@@ -80,7 +80,7 @@ impl Line {
     }
 }
 
-impl Link for Line {
+impl Link for FaultyLine {
     fn place(&self) -> String {
         self.link.place()
     }

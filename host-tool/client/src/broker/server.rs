@@ -46,7 +46,7 @@ const CLIENT_STACK: usize = 256 * 1024;
 
 /// State shared by owner, pump and clients.
 pub struct Core {
-    state: Mutex<State>,
+    state: Mutex<BrokerState>,
     woken: Condvar,
     out: Mutex<Out>,
     closing: AtomicBool,
@@ -59,7 +59,7 @@ pub struct Core {
 }
 
 #[derive(Default)]
-struct State {
+struct BrokerState {
     /// Bytes from the machine for the owner.
     unread: VecDeque<u8>,
     lost: Option<String>,
@@ -75,7 +75,7 @@ struct State {
     next_client: u64,
 }
 
-impl State {
+impl BrokerState {
     /// Notes a stop that somebody else has sent.
     fn stop(&mut self, urgent: Urgent) {
         self.stopped = match self.stopped {
@@ -128,7 +128,7 @@ impl Core {
     /// The owner's side of the line that `line` writes to. With `yields` it gives the line up when somebody wants it.
     pub fn new(line: Box<dyn Write + Send>, yields: bool, line_files: Option<LineFiles>) -> Arc<Self> {
         Arc::new(Self {
-            state: Mutex::new(State::default()),
+            state: Mutex::new(BrokerState::default()),
             woken: Condvar::new(),
             out: Mutex::new(Out {
                 line,
@@ -145,7 +145,7 @@ impl Core {
     }
 
     // No code panics while holding these locks; if it did, a stop must still go out.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, BrokerState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

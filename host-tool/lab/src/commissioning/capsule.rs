@@ -12,10 +12,10 @@ use protocol::system::{BuildProfile, Urgent};
 use crate::commissioning::device;
 use crate::commissioning::halt::Halt;
 use crate::commissioning::hands::{Part, Reading};
-use crate::commissioning::step::Step;
+use crate::commissioning::step::ProcedureStep;
 use crate::commissioning::work::{LOOK_US, Work};
 
-const PLAIN: Step = Step {
+const PLAIN: ProcedureStep = ProcedureStep {
     name: "",
     shows: "",
     observe: "",
@@ -25,33 +25,33 @@ const PLAIN: Step = Step {
     check: image,
 };
 
-pub const STEPS: &[Step] = &[
-    Step {
+pub const STEPS: &[ProcedureStep] = &[
+    ProcedureStep {
         name: "image",
         shows: "the image is the optimised one; its last start was no failure",
         check: image,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "clock",
         shows: "the capsule's clock goes as the host's, within its 1 %",
         check: clock,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "battery",
         shows: "the battery voltage is the one that a meter shows, within 3 %",
         needs_hands: true,
         check: battery,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "rest",
         shows: "no current is measured while the motor is off",
         check: rest,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "held",
         shows: "with the motor held, the current measured is the one ordered, at three duties",
         observe: "the shaft must not turn",
@@ -59,40 +59,40 @@ pub const STEPS: &[Step] = &[
         check: held,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "reference",
         shows: "the thread's zero is found",
         observe: "begin unfolded: the crescents meet slowly, then the thread is paid out again",
         check: reference,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "fold",
         shows: "the motor's current ends the fold at its calibrated end",
         observe: "the crescents meet",
         check: fold,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "unfold",
         shows: "the thread is paid out to its zero",
         observe: "the origami springs back",
         check: unfold,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "stop",
         shows: "a stop in a fold turns the motor off and keeps the thread",
         check: stop,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "e-stop",
         shows: "an emergency stop by command is latched, and the motor is off",
         check: e_stop,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "silence",
         shows: "a host that falls silent ends a motion, as a pulled cable does",
         check: silence,

@@ -6,7 +6,7 @@ use client::subject::Subject;
 use jiff::Timestamp;
 
 use crate::commissioning::record::{Commissioning, Finding, StepOutcome, StepResult};
-use crate::commissioning::step::Step;
+use crate::commissioning::step::ProcedureStep;
 
 /// Whether a step's result still counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,7 +20,7 @@ pub enum StepStatus {
 }
 
 /// Whether the result of `step` in `record` counts for `subject`.
-pub fn status(step: &Step, record: &Commissioning, subject: &Subject) -> StepStatus {
+pub fn status(step: &ProcedureStep, record: &Commissioning, subject: &Subject) -> StepStatus {
     let Some(result) = record.result(step.name) else {
         return StepStatus::NotPassed;
     };
@@ -41,12 +41,12 @@ pub fn status(step: &Step, record: &Commissioning, subject: &Subject) -> StepSta
 /// this session, whatever its result.
 #[derive(Debug)]
 pub struct Procedure {
-    steps: &'static [Step],
+    steps: &'static [ProcedureStep],
     tried: BTreeSet<&'static str>,
 }
 
 impl Procedure {
-    pub fn new(steps: &'static [Step]) -> Self {
+    pub fn new(steps: &'static [ProcedureStep]) -> Self {
         Self {
             steps,
             tried: BTreeSet::new(),
@@ -58,7 +58,7 @@ impl Procedure {
         &mut self,
         record: &Commissioning,
         subject: &Subject,
-    ) -> Option<(usize, &'static Step)> {
+    ) -> Option<(usize, &'static ProcedureStep)> {
         let (number, step) = (1..).zip(self.steps).find(|(_, step)| {
             !self.tried.contains(step.name) && status(step, record, subject) != StepStatus::Holds
         })?;
@@ -70,7 +70,7 @@ impl Procedure {
     pub fn enter(
         &self,
         record: &mut Commissioning,
-        step: &Step,
+        step: &ProcedureStep,
         finding: Finding,
         subject: &Subject,
         now: Timestamp,
@@ -109,10 +109,10 @@ impl Procedure {
 
 /// The steps that do not hold, with the reason.
 pub fn open(
-    steps: &'static [Step],
+    steps: &'static [ProcedureStep],
     record: &Commissioning,
     subject: &Subject,
-) -> Vec<(&'static Step, StepStatus)> {
+) -> Vec<(&'static ProcedureStep, StepStatus)> {
     steps
         .iter()
         .map(|step| (step, status(step, record, subject)))

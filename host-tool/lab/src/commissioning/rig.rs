@@ -8,13 +8,13 @@ mod travel;
 
 use protocol::settings::SettingKey as Key;
 
-use crate::commissioning::step::Step;
+use crate::commissioning::step::ProcedureStep;
 use depends::{BRAKED, HOMING, PULSES, RUN, SCREW};
 
 pub use travel::wrong_travel;
 
 /// A step without settings, at which nothing has to be looked at.
-const PLAIN: Step = Step {
+const PLAIN: ProcedureStep = ProcedureStep {
     name: "",
     shows: "",
     observe: "",
@@ -24,8 +24,8 @@ const PLAIN: Step = Step {
     check: board::image_is_the_one,
 };
 
-pub const STEPS: &[Step] = &[
-    Step {
+pub const STEPS: &[ProcedureStep] = &[
+    ProcedureStep {
         name: "image",
         shows: "the image on the board is the one that was built; its last start was no failure",
         observe: "the LED blinks slowly: not homed",
@@ -33,21 +33,21 @@ pub const STEPS: &[Step] = &[
         check: board::image_is_the_one,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "clock",
         shows: "the board has its 8 MHz clock, and its clock goes as the host's",
         needs_hands: false,
         check: board::clock,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "enable",
         shows: "EN is pulled up while the processor does not drive it: the driver is off",
         of_image: false,
         check: board::enable,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "quiet",
         shows: "loop, home flag and far limit are quiet while nothing moves",
         settings: &[Key::SwitchFilterUs],
@@ -55,40 +55,40 @@ pub const STEPS: &[Step] = &[
         check: switches::quiet,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "e-stop",
         shows: "the E-stop button opens the loop, is latched, and closes it again",
         observe: "the LED blinks fast while the fault is latched",
         check: switches::e_stop,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "home-end",
         shows: "the end-of-travel switch beyond home opens the loop",
         check: switches::home_end,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "far-end",
         shows: "the end-of-travel switch beyond the far end opens the loop",
         check: switches::far_end,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "home-flag",
         shows: "the home flag, and nothing else, opens while it is actuated",
         settings: &[Key::SwitchFilterUs],
         check: switches::home_flag,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "far-limit",
         shows: "the far limit, and nothing else, opens while it is actuated",
         settings: &[Key::SwitchFilterUs],
         check: switches::far_limit,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "pulses",
         shows: "homing without motor power: each step is counted, the flag is not found",
         observe: "on an oscilloscope STEP stays low after the last pulse",
@@ -96,7 +96,7 @@ pub const STEPS: &[Step] = &[
         check: travel::pulses,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "home",
         shows: "the motor turns the right way, and the carriage finds its flag",
         observe: "the carriage has to go to the RIGHT; a hand on the supply switch",
@@ -104,49 +104,49 @@ pub const STEPS: &[Step] = &[
         check: travel::home,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "travel",
         shows: "the carriage travels as far as the settings of screw and driver say",
         settings: &SCREW,
         check: travel::travel,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "repeat",
         shows: "three more homings find the same place within 2 steps",
         settings: HOMING,
         check: travel::repeat,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "read-back",
         shows: "without motor power, every step of many strokes is counted",
         settings: PULSES,
         check: runs::read_back,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "edge-timing",
         shows: "the intervals between steps, timed at the pin, are those of the plan within 10 ns",
         settings: PULSES,
         check: runs::edge_timing,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "e-stop-moving",
         shows: "the E-stop ends a run at once; releasing it moves nothing",
         settings: &SCREW,
         check: runs::e_stop_moving,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "jumper",
         shows: "a read-back jumper that is pulled ends a run within a stroke",
         settings: &SCREW,
         check: runs::jumper,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "cable",
         shows: "a cable that is pulled ends a run, and the board outlives it",
         observe: "the carriage stands after about link_timeout_ms",
@@ -160,14 +160,14 @@ pub const STEPS: &[Step] = &[
         check: runs::cable,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "hold",
         shows: "a run that is held and resumed makes all its steps",
         settings: BRAKED,
         check: runs::hold,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "jog",
         shows: "a jog that is not renewed stops by itself, a move ends where it was sent",
         settings: &[
@@ -182,7 +182,7 @@ pub const STEPS: &[Step] = &[
         check: runs::jog,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "stroke",
         shows: "the whole stroke is free: far limit and end switches lie beyond it",
         observe: "nothing touches on the way",
@@ -197,7 +197,7 @@ pub const STEPS: &[Step] = &[
         check: travel::stroke,
         ..PLAIN
     },
-    Step {
+    ProcedureStep {
         name: "run",
         shows: "the paper's run: all steps counted, none lost, nothing too late",
         settings: RUN,

@@ -11,7 +11,7 @@ use crate::commissioning::halt::Halt;
 use crate::commissioning::hands::nobody;
 use crate::commissioning::procedure::Procedure;
 use crate::commissioning::record::{Commissioning, Finding, StepOutcome};
-use crate::commissioning::step::{self, Step};
+use crate::commissioning::step::{self, ProcedureStep};
 use crate::commissioning::work::Work;
 
 #[derive(Debug)]
@@ -71,7 +71,7 @@ pub fn carry_out(
     Ok(Ending::Through)
 }
 
-fn begin(work: &mut Work<'_>, step: &Step) -> Result<(), Halt> {
+fn begin(work: &mut Work<'_>, step: &ProcedureStep) -> Result<(), Halt> {
     work.take_measured();
     // Also notices an operator who has left.
     work.pause(0)?;
@@ -81,7 +81,7 @@ fn begin(work: &mut Work<'_>, step: &Step) -> Result<(), Halt> {
     (step.check)(work)
 }
 
-fn announce(work: &mut Work<'_>, number: usize, count: usize, step: &Step) {
+fn announce(work: &mut Work<'_>, number: usize, count: usize, step: &ProcedureStep) {
     say_wrapped(
         work,
         &format!("[{number}/{count}] {}: {}", step.name, step.shows),

@@ -8,7 +8,7 @@ use crate::commissioning::work::Work;
 use crate::commissioning::{capsule, rig};
 
 #[derive(Clone, Copy, Debug)]
-pub struct Step {
+pub struct ProcedureStep {
     /// Name, in records and on the screen.
     pub name: &'static str,
     /// One line: what a pass proves.
@@ -24,7 +24,7 @@ pub struct Step {
     pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
 }
 
-pub const fn steps(machine: DeviceKind) -> &'static [Step] {
+pub const fn steps(machine: DeviceKind) -> &'static [ProcedureStep] {
     match machine {
         DeviceKind::Rig => rig::STEPS,
         DeviceKind::Capsule => capsule::STEPS,

@@ -64,7 +64,7 @@ static QUEUE: LazyLock<Queue> = LazyLock::new(|| {
 });
 
 #[derive(Default)]
-struct State {
+struct QueueState {
     texts: VecDeque<(Stream, Vec<u8>)>,
     /// Size of all these texts.
     bytes: usize,
@@ -79,16 +79,16 @@ struct State {
 struct Queue {
     /// Whether the system had a thread for the output. Without one, a write may wait.
     has_thread: bool,
-    state: Mutex<State>,
+    state: Mutex<QueueState>,
     changed: Condvar,
 }
 
 impl Queue {
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, QueueState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn until(&self, is_met: impl Fn(&State) -> bool) -> MutexGuard<'_, State> {
+    fn until(&self, is_met: impl Fn(&QueueState) -> bool) -> MutexGuard<'_, QueueState> {
         let waited = self
             .changed
             .wait_while(self.state(), |state| !is_met(state));

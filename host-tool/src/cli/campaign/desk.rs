@@ -15,7 +15,7 @@ use lab::campaign::readings::{Quantity, refusal};
 use lab::operations::interrupt;
 use lab::operations::finder::Finder;
 
-use crate::cli::keyboard::{self, Line, Lines, TOO_SOON};
+use crate::cli::keyboard::{self, TypedLine, Lines, TOO_SOON};
 use crate::cli::screen::{Keyboard, Screen};
 
 /// Interval between two polls of the keyboard.
@@ -116,8 +116,8 @@ impl Desk for Counter<'_, '_> {
                 .unwrap_or_else(PoisonError::into_inner)
                 .answer(asked);
             match typed {
-                Ok(Line::Text(line)) => return Ok(line),
-                Ok(Line::TooSoon) => self.screen.say(TOO_SOON),
+                Ok(TypedLine::Text(line)) => return Ok(line),
+                Ok(TypedLine::TooSoon) => self.screen.say(TOO_SOON),
                 Err(TryRecvError::Disconnected) => return Err(Halt::Left),
                 Err(TryRecvError::Empty) => {
                     thread::sleep(TURN);

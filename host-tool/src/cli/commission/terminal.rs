@@ -10,7 +10,7 @@ use lab::commissioning::halt::Halt;
 use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
 use lab::commissioning::session::COLUMNS;
 
-use crate::cli::keyboard::{Line, Lines, TOO_SOON};
+use crate::cli::keyboard::{TypedLine, Lines, TOO_SOON};
 use crate::cli::screen::Keyboard;
 
 /// Interval between two polls of the keyboard.
@@ -42,8 +42,8 @@ impl Terminal {
         match self.typed.answer(asked) {
             Err(TryRecvError::Empty) => Ok(Answer::Nothing),
             Err(TryRecvError::Disconnected) => Err(Halt::Left),
-            Ok(Line::TooSoon) => Ok(Answer::TooSoon),
-            Ok(Line::Text(line)) => match line.trim() {
+            Ok(TypedLine::TooSoon) => Ok(Answer::TooSoon),
+            Ok(TypedLine::Text(line)) => match line.trim() {
                 "q" => Err(Halt::Left),
                 "s" => Err(Halt::NotShown("skipped by the operator".to_owned())),
                 text => Ok(Answer::Text(text.to_owned())),
