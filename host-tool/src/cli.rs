@@ -49,7 +49,7 @@ use lab::operations::arguments::{
     FoldArgs, JogArgs, MachineKind, MoveArgs, PartialArgs, RunArgs, Which,
 };
 use lab::operations::connector::Connector;
-use lab::operations::delivery::{Delivery, Told};
+use lab::operations::delivery::{Delivery, StopReport};
 use lab::operations::failure::{DONE, Failure, USAGE, usage, usage_text};
 use lab::operations::output::Stream;
 use lab::operations::finder::{Beginning, Finder};
@@ -405,7 +405,7 @@ fn without_variables(error: clap::Error, args: &[OsString]) -> clap::Error {
 }
 
 /// Machines whose addresses cannot be read, so that no stop reaches them.
-type Unread = Vec<(DeviceKind, Told)>;
+type Unread = Vec<(DeviceKind, StopReport)>;
 
 /// The addresses of a command line.
 struct Addressed {
@@ -421,12 +421,12 @@ impl Addressed {
         let mut address = |kind, given: &Option<Given>| match &given.as_ref()?.address {
             Ok(address) => Some(address.clone()),
             Err(why) => {
-                let told = Told {
+                let report = StopReport {
                     machine: format!("{} at {}", identity::kind_name(kind), given.as_ref()?.text),
                     delivery: Delivery::NotDelivered,
                     why: why.to_string(),
                 };
-                unread.push((kind, told));
+                unread.push((kind, report));
                 None
             }
         };
@@ -456,13 +456,13 @@ fn stop(
         screen.say(&unread.line(urgent));
     }
     let is_another = machine.is_none() && (finder.rig.is_some() || finder.capsule.is_some());
-    let mut told = match is_another.then(|| stops::stop(urgent, which, finder, screen)) {
+    let mut reports = match is_another.then(|| stops::stop(urgent, which, finder, screen)) {
         None => vec![],
-        Some(Err(Failure::Stops { told })) => told,
+        Some(Err(Failure::Stops { reports })) => reports,
         Some(Err(failure)) => return Err(failure),
         Some(Ok(value)) => {
             let stopped = value["stopped"].as_array().into_iter().flatten();
-            let stopped = stopped.filter_map(Value::as_str).map(|machine| Told {
+            let stopped = stopped.filter_map(Value::as_str).map(|machine| StopReport {
                 machine: machine.to_owned(),
                 delivery: Delivery::Stopped,
                 why: String::new(),
@@ -470,8 +470,8 @@ fn stop(
             stopped.collect()
         }
     };
-    told.extend(unread.into_iter().map(|(_, unread)| unread));
-    Err(Failure::Stops { told })
+    reports.extend(unread.into_iter().map(|(_, unread)| unread));
+    Err(Failure::Stops { reports })
 }
 
 fn carry_out(

@@ -119,7 +119,7 @@ fn named(field: Field) -> (&'static str, u32, &'static str) {
 /// Text of a file that cannot be read as JSON or TOML, without the names of Rust's types.
 pub fn unreadable(error: &impl ToString) -> String {
     let mut text = error.to_string().trim_end().to_owned();
-    for (jargon, said) in [
+    for (jargon, words) in [
         ("expected ident", "this is no JSON"),
         ("expected u8", "expected a whole number from 0 to 255"),
         ("expected u16", "expected a whole number from 0 to 65535"),
@@ -130,7 +130,7 @@ pub fn unreadable(error: &impl ToString) -> String {
         ("expected u64", "expected a whole number of at least 0"),
         ("expected f64", "expected a number"),
     ] {
-        text = text.replace(jargon, said);
+        text = text.replace(jargon, words);
     }
     text
 }
@@ -190,9 +190,9 @@ mod tests {
 
     #[test]
     fn a_file_that_cannot_be_read_is_explained_without_rusts_words() {
-        let said = unreadable(&"expected u32 at line 1 column 7\n");
+        let words = unreadable(&"expected u32 at line 1 column 7\n");
         assert_eq!(
-            said,
+            words,
             "expected a whole number from 0 to 4294967295 at line 1 column 7"
         );
         assert_eq!(unreadable(&"expected ident"), "this is no JSON");

@@ -14,7 +14,7 @@ use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
 use crate::board::{Board, Machine};
 use lab::operations::connector::LinkPurpose;
-use lab::operations::delivery::{DO_NOW, Delivery, Told};
+use lab::operations::delivery::{DO_NOW, Delivery, StopReport};
 use lab::operations::failure::Failure;
 use lab::operations::panel::Notice;
 use lab::operations::finder::{Finder, Target, past_owners};
@@ -44,7 +44,7 @@ impl Question {
 /// Somebody waiting for a stop.
 pub struct Wait {
     pub ask: Ask,
-    pub reply: oneshot::Sender<Told>,
+    pub reply: oneshot::Sender<StopReport>,
 }
 
 /// A task that bypasses the worker.
@@ -140,8 +140,8 @@ pub fn stop(
     let stops = &machine.stops;
     // Everybody who waits has already asked.
     let asked = stops.with(|stops| stops.asked());
-    let told = target.told(finder.urgent(&target, urgent));
-    if told.delivery == Delivery::Stopped {
+    let report = target.report(finder.urgent(&target, urgent));
+    if report.delivery == Delivery::Stopped {
         stops.with(|stops| stops.confirm(urgent, asked));
     } else {
         let begin = Instant::now();
@@ -151,19 +151,19 @@ pub fn stop(
         }
         if waits.iter().any(is_open) {
             let name = stops::name(urgent);
-            let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", told.why);
+            let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", report.why);
             board.notice(machine, Notice::Bad(notice));
         }
     }
     for Wait { ask, reply } in waits {
-        let mut told = told.clone();
+        let mut report = report.clone();
         if stops.with(|stops| stops.is_confirmed(ask)) {
-            told.delivery = Delivery::Stopped;
-            told.why = String::new();
+            report.delivery = Delivery::Stopped;
+            report.why = String::new();
         }
         stops.with(|stops| stops.withdraw(ask));
         // The waiting client may have disconnected.
-        let _ = reply.send(told);
+        let _ = reply.send(report);
     }
 }
 

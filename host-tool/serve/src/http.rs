@@ -29,7 +29,7 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use jiff::Timestamp;
-use lab::operations::delivery::{Delivery, Told};
+use lab::operations::delivery::{Delivery, StopReport};
 use lab::operations::failure::Failure;
 use lab::trials::plan::{self, REFERENCE_LIMITS};
 use motion::axis::Axis;
@@ -478,7 +478,7 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
         if only.is_some_and(|only| only != machine.kind) {
             continue;
         }
-        let (reply, told) = oneshot::channel();
+        let (reply, report) = oneshot::channel();
         // Stop in both ways at once: through the worker and past it.
         let wait = Wait {
             ask: machine.stop(urgent),
@@ -490,27 +490,27 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
             urgent,
             wait,
         });
-        waiting.push((machine, told));
+        waiting.push((machine, report));
     }
     if waiting.is_empty() {
         return Err(no_machine(only.unwrap_or(DeviceKind::Rig)));
     }
-    let mut told = vec![];
+    let mut reports = vec![];
     let until = At::now() + STOPPING;
     for (kind, reply) in waiting {
-        told.push(match timeout_at(until, reply).await {
-            Ok(Ok(told)) => told,
-            _ => Told {
+        reports.push(match timeout_at(until, reply).await {
+            Ok(Ok(report)) => report,
+            _ => StopReport {
                 machine: kind_name(kind).to_owned(),
                 delivery: Delivery::NotConfirmed,
                 why: "no answer within 10 s".to_owned(),
             },
         });
     }
-    if told.iter().any(|told| told.delivery != Delivery::Stopped) {
-        return Err(Failure::Stops { told }.into());
+    if reports.iter().any(|report| report.delivery != Delivery::Stopped) {
+        return Err(Failure::Stops { reports }.into());
     }
-    let machines: Vec<_> = told.iter().map(Told::json).collect();
+    let machines: Vec<_> = reports.iter().map(StopReport::json).collect();
     Ok(good(json!({ "machines": machines })))
 }
 

@@ -168,7 +168,7 @@ pub fn serve(
     }
 
     let leaving = AtomicBool::new(false);
-    let told = thread::scope(|scope| {
+    let reports = thread::scope(|scope| {
         // Dropped on panic as well, so that the threads always end.
         let leave = Leave(&leaving, direct);
         let mut workers = vec![];
@@ -198,17 +198,17 @@ pub fn serve(
         runtime.block_on(until_rest(board, pressed, &leaving));
         board.stream.close();
         drop(leave);
-        let told = workers.into_iter().filter_map(|worker| {
-            let told = worker.join();
-            told.unwrap_or_else(|why| resume_unwind(why))
+        let reports = workers.into_iter().filter_map(|worker| {
+            let report = worker.join();
+            report.unwrap_or_else(|why| resume_unwind(why))
         });
-        Ok::<_, Failure>(told.collect::<Vec<_>>())
+        Ok::<_, Failure>(reports.collect::<Vec<_>>())
     })?;
     runtime.shutdown_timeout(Duration::from_millis(500));
     drop(server_file);
-    match told.is_empty() {
+    match reports.is_empty() {
         true => Ok(url),
-        false => Err(Failure::Stops { told }),
+        false => Err(Failure::Stops { reports }),
     }
 }
 

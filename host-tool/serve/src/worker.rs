@@ -15,7 +15,7 @@ use client::{Device, Interrupt, Observer, while_moving};
 use lab::commissioning::warning;
 use lab::operations::arguments::{DATA_FOLDER, RecordArgs};
 use lab::operations::connector::LinkPurpose;
-use lab::operations::delivery::{Delivery, Told};
+use lab::operations::delivery::{Delivery, StopReport};
 use lab::operations::failure::{Failure, NO_DEVICE, UNKNOWN};
 use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use lab::operations::finder::{Finder, Target};
@@ -89,7 +89,7 @@ pub struct Worker<'a> {
 impl Worker<'_> {
     /// Keeps the machine until the server shuts down, and reconnects whenever the line is lost. Returns the result of
     /// the last stop if what this server began may go on.
-    pub fn work(&self) -> Option<Told> {
+    pub fn work(&self) -> Option<StopReport> {
         // An order that waits until this server owns the line.
         let mut waiting = None;
         let mut last = None;
@@ -123,33 +123,33 @@ impl Worker<'_> {
             self.pause(AGAIN, Some(&failure));
             last = Some(failure);
         }
-        let told = self.stop_what_goes_on(last.as_ref());
+        let report = self.stop_what_goes_on(last.as_ref());
         self.board.flush(self.machine, true);
         for order in waiting.into_iter().chain(self.orders.try_iter()) {
             self.refuse(&order, &server_ends());
         }
-        told
+        report
     }
 
     /// Stops what this server began and has not seen end: its line was lost, or its stop was not confirmed. `last` is
     /// the failure of the last connection. Returns the result unless the machine has confirmed it.
-    fn stop_what_goes_on(&self, last: Option<&Failure>) -> Option<Told> {
+    fn stop_what_goes_on(&self, last: Option<&Failure>) -> Option<StopReport> {
         let machine = self.machine;
         let target = Target {
             kind: Some(machine.kind),
             address: Some(machine.address.clone()),
         };
-        let (mut sent, mut told) = (None, None);
+        let (mut sent, mut report) = (None, None);
         while machine.acting.load(Ordering::SeqCst) {
             // Ctrl-C, pressed again meanwhile, is the emergency stop.
             let Some(urgent) = (self.pressed)().filter(|urgent| sent != Some(*urgent)) else {
                 break;
             };
             sent = Some(urgent);
-            told = Some(target.told(self.finder.urgent(&target, urgent)));
+            report = Some(target.report(self.finder.urgent(&target, urgent)));
         }
         machine.acting.store(false, Ordering::SeqCst);
-        let mut told = told.filter(|told| told.delivery != Delivery::Stopped)?;
+        let mut report = report.filter(|report| report.delivery != Delivery::Stopped)?;
         // Report the failure of the first stop: it knows where the carriage was.
         if let Some(Failure::Client(error) | Failure::Experiment(ExperimentError::Client(error))) =
             last
@@ -161,10 +161,10 @@ impl Worker<'_> {
                 }
             )
         {
-            told.delivery = Delivery::NotConfirmed;
-            told.why = error.to_string();
+            report.delivery = Delivery::NotConfirmed;
+            report.why = error.to_string();
         }
-        Some(told)
+        Some(report)
     }
 
     fn is_leaving(&self) -> bool {

@@ -296,8 +296,8 @@ fn create(
 
 /// Opens a folder for writing. Reports what a killed session has left.
 fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
-    let (folder, told) = Folder::resume(path, finder.connector.now()).map_err(failure::campaign)?;
-    for line in told {
+    let (folder, notices) = Folder::resume(path, finder.connector.now()).map_err(failure::campaign)?;
+    for line in notices {
         screen.say(&line);
     }
     Ok(folder)

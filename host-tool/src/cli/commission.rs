@@ -149,7 +149,7 @@ pub(crate) fn commission(
 }
 
 fn unfinished(exit_code: u8, why: String, help: String) -> Failure {
-    Failure::said("retrograde::commission", exit_code, why, help)
+    Failure::new("retrograde::commission", exit_code, why, help)
 }
 
 /// Stops what moves when the operator leaves, and waits for the confirmation.

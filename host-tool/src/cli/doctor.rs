@@ -149,7 +149,7 @@ pub(crate) fn doctor(
         let code = codes.filter(|code| *code != DONE).min().unwrap_or(FAILED);
         let help = "each finding above has its remedy";
         return Err(
-            Failure::said("retrograde::doctor", code, summary(&findings), help).with(value),
+            Failure::new("retrograde::doctor", code, summary(&findings), help).with(value),
         );
     }
     Ok(value)
@@ -287,8 +287,8 @@ fn together(which: &Which, finder: &Finder<'_>, findings: &[Finding]) -> Vec<Fin
             });
         }
     }
-    let told = findings.iter().any(|finding| finding.code != "not_asked");
-    if !told {
+    let was_asked = findings.iter().any(|finding| finding.code != "not_asked");
+    if !was_asked {
         let there = "no port with an ST-LINK, and no address was given".to_owned();
         let wanted = which.machine.map(DeviceKind::from);
         let name = wanted.map_or("any machine", identity::kind_name).to_owned();

@@ -21,7 +21,7 @@ pub(crate) fn report(error: impl Diagnostic) -> Failure {
 }
 
 pub(crate) fn figure(error: FigureError) -> Failure {
-    Failure::said("retrograde::figure", FAILED, error.to_string(), "")
+    Failure::new("retrograde::figure", FAILED, error.to_string(), "")
 }
 
 /// The operator left a campaign.
@@ -31,7 +31,7 @@ pub(crate) fn left(folder: &Path) -> Failure {
         folder.display()
     );
     let help = format!("{} goes on", resumption(folder));
-    Failure::said("retrograde::left", STOPPED, why, help)
+    Failure::new("retrograde::left", STOPPED, why, help)
 }
 
 /// A folder has changed since it was written, or a record in it is not whole.
@@ -52,7 +52,7 @@ pub(crate) fn verified(folder: &Path, verified: &Verified) -> Failure {
         first.unwrap_or_default()
     );
     let help = "each finding above has its remedy; until then do not rely on what it names";
-    Failure::said("retrograde::changed", FAILED, why, help).with(json!({ "findings": findings }))
+    Failure::new("retrograde::changed", FAILED, why, help).with(json!({ "findings": findings }))
 }
 
 /// The report was written, but some of its data cannot be relied on. `written` is the result for `--json`, as after
@@ -63,5 +63,5 @@ pub(crate) fn report_defects(page: &Path, defects: &str, written: Value) -> Fail
         page.display()
     );
     let help = "the page says the same in red; what is not named can be relied on. `retrograde verify` looks at a folder without a report";
-    Failure::said("retrograde::report_defects", FAILED, why, help).with(written)
+    Failure::new("retrograde::report_defects", FAILED, why, help).with(written)
 }

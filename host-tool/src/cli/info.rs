@@ -292,10 +292,10 @@ mod tests {
                 actuation: 1,
                 needs_acknowledge: false,
             };
-            let told = way_out(&status, is_calibrated).unwrap_or_default();
+            let next_step = way_out(&status, is_calibrated).unwrap_or_default();
             assert!(
-                told.starts_with(next) && (told.is_empty() == next.is_empty()),
-                "{state:?}: {told}"
+                next_step.starts_with(next) && (next_step.is_empty() == next.is_empty()),
+                "{state:?}: {next_step}"
             );
         }
     }

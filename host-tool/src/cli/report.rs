@@ -107,8 +107,8 @@ fn report_campaign(
     for finding in &written.findings {
         screen.hint(&format!("not as it was written: {finding}"));
     }
-    for told in &written.told {
-        screen.hint(told);
+    for notice in &written.notices {
+        screen.hint(notice);
     }
     match (written.findings.len(), written.defects) {
         (0, 0) => Ok(json!(written)),

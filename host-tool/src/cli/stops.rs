@@ -5,7 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use lab::operations::arguments::Which;
-use lab::operations::delivery::{DO_NOW, Delivery, Told};
+use lab::operations::delivery::{DO_NOW, Delivery, StopReport};
 use lab::operations::failure::Failure;
 use lab::operations::finder::{Finder, Target};
 use protocol::system::Urgent;
@@ -22,18 +22,18 @@ fn tell(
     targets: &[Target],
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
-) -> Vec<Told> {
+) -> Vec<StopReport> {
     let (results, arriving) = mpsc::channel();
     let begin = Instant::now();
-    let mut told: Vec<Option<Told>> = targets.iter().map(|_| None).collect();
+    let mut reports: Vec<Option<StopReport>> = targets.iter().map(|_| None).collect();
     thread::scope(|scope| {
         let mut alone = vec![];
         for (index, target) in targets.iter().enumerate() {
             let results = results.clone();
             let tell = move || {
-                let told = target.told(finder.urgent(target, urgent));
+                let report = target.report(finder.urgent(target, urgent));
                 // The receiver lives as long as the scope.
-                let _ = results.send((index, told));
+                let _ = results.send((index, report));
             };
             let thread = thread::Builder::new().spawn_scoped(scope, tell.clone());
             if thread.is_err() {
@@ -45,7 +45,7 @@ fn tell(
             tell();
             while let Ok((index, result)) = arriving.try_recv() {
                 screen.say(&result.line(urgent));
-                told[index] = Some(result);
+                reports[index] = Some(result);
             }
         }
         drop(results);
@@ -58,12 +58,12 @@ fn tell(
             match arriving.recv_timeout(left) {
                 Ok((index, result)) => {
                     screen.say(&result.line(urgent));
-                    told[index] = Some(result);
+                    reports[index] = Some(result);
                 }
                 Err(mpsc::RecvTimeoutError::Timeout) => {
                     warned = true;
-                    for (target, told) in targets.iter().zip(&told) {
-                        if told.is_none() {
+                    for (target, report) in targets.iter().zip(&reports) {
+                        if report.is_none() {
                             screen.say(&format!("{target}: NOT YET CONFIRMED: {DO_NOW}"));
                         }
                     }
@@ -72,7 +72,7 @@ fn tell(
             }
         }
     });
-    told.into_iter().flatten().collect()
+    reports.into_iter().flatten().collect()
 }
 
 pub(crate) fn stop(
@@ -84,18 +84,18 @@ pub(crate) fn stop(
     let targets = finder.targets_to_stop(which);
     if targets.is_empty() {
         return Err(Failure::Stops {
-            told: vec![Told {
+            reports: vec![StopReport {
                 machine: "any machine".to_owned(),
                 delivery: Delivery::NotDelivered,
                 why: "no address was given, and there is no port with an ST-LINK".to_owned(),
             }],
         });
     }
-    let told = tell(urgent, &targets, finder, screen);
-    if told.iter().any(|told| told.delivery != Delivery::Stopped) {
-        return Err(Failure::Stops { told });
+    let reports = tell(urgent, &targets, finder, screen);
+    if reports.iter().any(|report| report.delivery != Delivery::Stopped) {
+        return Err(Failure::Stops { reports });
     }
-    let stopped: Vec<_> = told.iter().map(|told| told.machine.clone()).collect();
-    let machines: Vec<_> = told.iter().map(Told::json).collect();
+    let stopped: Vec<_> = reports.iter().map(|report| report.machine.clone()).collect();
+    let machines: Vec<_> = reports.iter().map(StopReport::json).collect();
     Ok(json!({ "stopped": stopped, "machines": machines }))
 }

@@ -17,4 +17,4 @@ mod hostile;
 mod in_python;
 mod pictures;
 mod stopped;
-mod told;
+mod notices;

@@ -342,9 +342,9 @@ impl<'a> Conduct<'a> {
     }
 
     fn note(&mut self, trial: u32, text: String) -> Result<(), Broken> {
-        let said = format!("  noted on trial {trial}: {text}");
+        let line = format!("  noted on trial {trial}: {text}");
         self.row(LedgerRow::of(LedgerEvent::Note, trial, None).saying(Some(text)))?;
-        self.desk.say(&said);
+        self.desk.say(&line);
         Ok(())
     }
 
@@ -359,7 +359,7 @@ impl<'a> Conduct<'a> {
         let excluded = last.map(|(trial, _)| trial).filter(|trial| {
             campaign.state.trial(*trial).map(TrialState::status) == Some(TrialStatus::Excluded)
         });
-        let (row, said) = match (left_out.or(excluded), last) {
+        let (row, text) = match (left_out.or(excluded), last) {
             (Some(trial), _) => (
                 LedgerRow::of(LedgerEvent::Included, trial, None),
                 format!(
@@ -376,7 +376,7 @@ impl<'a> Conduct<'a> {
             }
         };
         self.row(row)?;
-        self.desk.say(&said);
+        self.desk.say(&text);
         Ok(())
     }
 
@@ -416,7 +416,7 @@ impl<'a> Conduct<'a> {
             self.desk.say(&format!("  ({})", question.hint()));
         }
         // A machine that is still gone has been named already.
-        let mut said = self.gone;
+        let mut reported = self.gone;
         loop {
             let machines = &mut *self.machines;
             let mut keep_alive = || machines.keep_alive();
@@ -428,7 +428,7 @@ impl<'a> Conduct<'a> {
                 // An answer needs no machine, so what is being typed must not be lost with the line.
                 Err(Halt::Client(error)) => {
                     self.gone = true;
-                    if !std::mem::replace(&mut said, true) {
+                    if !std::mem::replace(&mut reported, true) {
                         self.desk
                             .say(&format!("  {error}; the answer is waited for even so"));
                     }

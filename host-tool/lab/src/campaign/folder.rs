@@ -174,21 +174,21 @@ impl Folder {
             let why = "it is neither a file nor a folder";
             return Err(CampaignError::new(&folder.join(path), why, RESTORE));
         }
-        let mut told = vec![];
+        let mut notices = vec![];
         for table in &differences.grown {
-            told.extend(cut_off(&folder.join(table))?);
-            told.push(format!("{table}: taken up as it is now"));
+            notices.extend(cut_off(&folder.join(table))?);
+            notices.push(format!("{table}: taken up as it is now"));
         }
         let mut this = Self::open(folder, lock)?;
-        this.take_up(differences.added, &mut told)?;
-        this.end_lost_attempts(now, &mut told)?;
+        this.take_up(differences.added, &mut notices)?;
+        this.end_lost_attempts(now, &mut notices)?;
         this.seal()?;
-        Ok((this, told))
+        Ok((this, notices))
     }
 
     /// Takes up the files of the latest attempt, the only one that can have been under way. Files that were about to
     /// replace others are removed; all others stay unlisted.
-    fn take_up(&mut self, added: Vec<String>, told: &mut Vec<String>) -> Result<(), CampaignError> {
+    fn take_up(&mut self, added: Vec<String>, notices: &mut Vec<String>) -> Result<(), CampaignError> {
         let mut rows = self.campaign.rows.iter().rev();
         let began = rows.find(|row| row.event == LedgerEvent::Began);
         let latest = began.and_then(|row| row.trial.zip(row.attempt));
@@ -204,7 +204,7 @@ impl Folder {
             // Only files that this tool replaces: other programs use the suffix, too.
             if of.is_some() && (within.is_some() || of == Some(manifest::NAME)) {
                 plain::remove(&full).map_err(|io| CampaignError::write(&full, io))?;
-                told.push(format!("{path}: removed; it was not yet whole"));
+                notices.push(format!("{path}: removed; it was not yet whole"));
             } else if within.is_some() {
                 let hash = manifest::hash_file(&full);
                 let hash = hash.map_err(|io| CampaignError::write(&full, io))?;
@@ -213,7 +213,7 @@ impl Folder {
             }
         }
         if let (Some(attempt), 1..) = (latest, records) {
-            told.push(format!(
+            notices.push(format!(
                 "{ATTEMPTS}/{attempt}: its {records} files are taken up"
             ));
         }
@@ -224,7 +224,7 @@ impl Folder {
     fn end_lost_attempts(
         &mut self,
         now: Timestamp,
-        told: &mut Vec<String>,
+        notices: &mut Vec<String>,
     ) -> Result<(), CampaignError> {
         let Some(origin) = self.campaign.state.sequence.origin() else {
             return Ok(());
@@ -245,7 +245,7 @@ impl Folder {
                 Some(_) => (AttemptOutcome::Lost, "the tool ended within it"),
             };
             let folder = Attempt::folder(trial, attempt);
-            told.push(format!("{folder}: {text}: {}", outcome.name()));
+            notices.push(format!("{folder}: {text}: {}", outcome.name()));
             let mut row = LedgerRow::of(LedgerEvent::Ended, trial, Some(attempt));
             row.outcome = Some(outcome);
             self.append(row.saying(Some(text.to_owned())), now, origin)?;

@@ -17,7 +17,7 @@ pub enum Delivery {
 }
 
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct StopReport {
     /// The machine, as the user would name it: `rig at /dev/ttyACM0`.
     pub machine: String,
     pub delivery: Delivery,
@@ -25,7 +25,7 @@ pub struct Told {
     pub why: String,
 }
 
-impl Told {
+impl StopReport {
     pub fn line(&self, urgent: Urgent) -> String {
         let machine = &self.machine;
         match (self.delivery, urgent) {
@@ -50,12 +50,12 @@ impl Told {
 }
 
 /// Names the machines that did not confirm, in one sentence.
-pub fn summary(told: &[Told]) -> String {
+pub fn summary(reports: &[StopReport]) -> String {
     let of = |delivery, text: &str| {
-        let machines: Vec<_> = told
+        let machines: Vec<_> = reports
             .iter()
-            .filter(|told| told.delivery == delivery)
-            .map(|told| format!("{} ({})", told.machine, told.why))
+            .filter(|report| report.delivery == delivery)
+            .map(|report| format!("{} ({})", report.machine, report.why))
             .collect();
         (!machines.is_empty()).then(|| format!("{text} {}", machines.join(", ")))
     };
@@ -70,8 +70,8 @@ pub fn summary(told: &[Told]) -> String {
 mod tests {
     use super::*;
 
-    fn told(machine: &str, delivery: Delivery) -> Told {
-        Told {
+    fn report(machine: &str, delivery: Delivery) -> StopReport {
+        StopReport {
             machine: machine.to_owned(),
             delivery,
             why: "why".to_owned(),
@@ -81,9 +81,9 @@ mod tests {
     #[test]
     fn the_summary_names_each_machine_that_may_move_and_no_other() {
         let all = [
-            told("rig at a", Delivery::NotDelivered),
-            told("capsule at b", Delivery::Stopped),
-            told("rig at c", Delivery::NotConfirmed),
+            report("rig at a", Delivery::NotDelivered),
+            report("capsule at b", Delivery::Stopped),
+            report("rig at c", Delivery::NotConfirmed),
         ];
         assert_eq!(
             summary(&all),

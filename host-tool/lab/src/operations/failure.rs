@@ -20,7 +20,7 @@ use protocol::error::{Field, Refusal};
 use protocol::system::DeviceKind;
 use serde_json::{Value, json};
 
-use crate::operations::delivery::{self, Delivery, Told};
+use crate::operations::delivery::{self, Delivery, StopReport};
 
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
@@ -53,15 +53,15 @@ pub enum Failure {
         help: String,
     },
     /// At least one machine has not confirmed the stop.
-    #[error("{}", delivery::summary(told))]
-    Stops { told: Vec<Told> },
+    #[error("{}", delivery::summary(reports))]
+    Stops { reports: Vec<StopReport> },
     /// Any other failure, in words.
     #[error("{}", .0.why)]
-    Said(Box<Said>),
+    Message(Box<Message>),
 }
 
 #[derive(Debug)]
-pub struct Said {
+pub struct Message {
     /// Keyword for programs: `retrograde::input`.
     pub code: String,
     /// The exit code; the table is in `docs/records.md`.
@@ -83,7 +83,7 @@ impl Diagnostic for Failure {
             Self::Ambiguous { .. } => "retrograde::ambiguous",
             Self::Ended { .. } => "retrograde::ended",
             Self::Stops { .. } => "retrograde::stop",
-            Self::Said(said) => &said.code,
+            Self::Message(message) => &message.code,
         };
         Some(Box::new(code))
     }
@@ -109,8 +109,8 @@ impl Diagnostic for Failure {
             ),
             Self::Stops { .. } => delivery::DO_NOW.to_owned(),
             Self::Unreached { help, .. } | Self::Ended { help, .. } => help.clone(),
-            Self::Said(said) if said.help.is_empty() => return None,
-            Self::Said(said) => said.help.clone(),
+            Self::Message(message) if message.help.is_empty() => return None,
+            Self::Message(message) => message.help.clone(),
         };
         Some(Box::new(help))
     }
@@ -122,7 +122,7 @@ impl Failure {
     pub fn no_thread(why: io::Error) -> Self {
         let why = format!("no thread could be started: {why}");
         let help = "nothing new was begun; end other programs of yours, or raise the limit of processes (`ulimit -u`; of a container: `--pids-limit`), then try again. `retrograde stop` and `estop` work all the same";
-        Self::said("retrograde::no_thread", FAILED, why, help)
+        Self::new("retrograde::no_thread", FAILED, why, help)
     }
 }
 
@@ -132,19 +132,19 @@ impl From<RunError> for Failure {
             "{}nothing was sent; `retrograde plan` tries runs without a rig",
             way_out(&error)
         );
-        Self::said("retrograde::infeasible", REFUSED, error.to_string(), help)
+        Self::new("retrograde::infeasible", REFUSED, error.to_string(), help)
     }
 }
 
 impl From<AxisError> for Failure {
     fn from(error: AxisError) -> Self {
-        Self::said("retrograde::axis", REFUSED, error.to_string(), "")
+        Self::new("retrograde::axis", REFUSED, error.to_string(), "")
     }
 }
 
 impl From<OutOfRange> for Failure {
     fn from(error: OutOfRange) -> Self {
-        Self::said("retrograde::range", USAGE, error.to_string(), "")
+        Self::new("retrograde::range", USAGE, error.to_string(), "")
     }
 }
 
@@ -237,7 +237,7 @@ impl Failure {
         let text = |of: Option<Box<dyn fmt::Display + '_>>| {
             of.map(|of| of.to_string()).unwrap_or_default()
         };
-        Self::said(
+        Self::new(
             text(error.code()),
             exit_code,
             error.to_string(),
@@ -245,13 +245,13 @@ impl Failure {
         )
     }
 
-    pub fn said(
+    pub fn new(
         code: impl Into<String>,
         exit_code: u8,
         why: impl Into<String>,
         help: impl Into<String>,
     ) -> Self {
-        Self::Said(Box::new(Said {
+        Self::Message(Box::new(Message {
             code: code.into(),
             exit_code,
             why: why.into(),
@@ -262,20 +262,20 @@ impl Failure {
 
     #[must_use]
     pub fn with(mut self, fields: Value) -> Self {
-        if let Self::Said(said) = &mut self {
-            said.more = fields;
+        if let Self::Message(message) = &mut self {
+            message.more = fields;
         }
         self
     }
 
     /// An unusable file or argument, with the remedy.
     pub fn input(why: impl Into<String>, help: impl Into<String>) -> Self {
-        Self::said("retrograde::input", USAGE, why, help)
+        Self::new("retrograde::input", USAGE, why, help)
     }
 
     /// Refused by this program itself, or requested too late; with the remedy.
     pub fn refused(why: impl Into<String>, help: impl Into<String>) -> Self {
-        Self::said("retrograde::refused", REFUSED, why, help)
+        Self::new("retrograde::refused", REFUSED, why, help)
     }
 
     /// Turns an error of writing this file into a failure.
@@ -284,13 +284,13 @@ impl Failure {
             let io = error.into();
             let why = format!("{}: {io}", path.display());
             let help = format!("{}, or choose another file", named::remedy(&io));
-            Self::said("retrograde::file", FAILED, why, help)
+            Self::new("retrograde::file", FAILED, why, help)
         }
     }
 
     /// The result could not be written, although the command was carried out.
     pub fn output(io: &io::Error) -> Self {
-        Self::said(
+        Self::new(
             "retrograde::output",
             FAILED,
             format!("standard output: {io}; the command was carried out, its result is lost"),
@@ -324,15 +324,15 @@ impl Failure {
             Self::Experiment(ExperimentError::Both { .. }) => UNKNOWN,
             Self::Experiment(ExperimentError::Incomplete { status, .. })
             | Self::Ended { status, .. } => status_code(*status),
-            Self::Stops { told } => {
-                let undelivered = |told: &Told| told.delivery == Delivery::NotDelivered;
-                if told.iter().any(undelivered) {
+            Self::Stops { reports } => {
+                let undelivered = |report: &StopReport| report.delivery == Delivery::NotDelivered;
+                if reports.iter().any(undelivered) {
                     NOT_DELIVERED
                 } else {
                     UNKNOWN
                 }
             }
-            Self::Said(said) => said.exit_code,
+            Self::Message(message) => message.exit_code,
             Self::Experiment(ExperimentError::Record(_) | ExperimentError::Unrecorded { .. })
             | Self::Record(_) => FAILED,
         }
@@ -348,11 +348,11 @@ impl Failure {
                 "help": self.help().map(|help| help.to_string()),
             },
         });
-        if let Self::Stops { told } = self {
-            value["machines"] = told.iter().map(Told::json).collect();
+        if let Self::Stops { reports } = self {
+            value["machines"] = reports.iter().map(StopReport::json).collect();
         }
-        if let Self::Said(said) = self
-            && let (Some(value), Some(more)) = (value.as_object_mut(), said.more.as_object())
+        if let Self::Message(message) = self
+            && let (Some(value), Some(more)) = (value.as_object_mut(), message.more.as_object())
         {
             value.extend(more.clone());
         }

@@ -16,7 +16,7 @@ use protocol::system::{DeviceKind, Identity, Urgent};
 
 use crate::operations::arguments::Which;
 use crate::operations::connector::{Candidate, Connector, LinkPurpose};
-use crate::operations::delivery::{Delivery, Told};
+use crate::operations::delivery::{Delivery, StopReport};
 use crate::operations::failure::Failure;
 use crate::operations::interrupt;
 
@@ -56,12 +56,12 @@ impl Target {
     }
 
     /// Result of a stop of this machine.
-    pub fn told(&self, result: Result<String, Failure>) -> Told {
+    pub fn report(&self, result: Result<String, Failure>) -> StopReport {
         let (machine, delivery, why) = match result {
             Ok(place) => (place, Delivery::Stopped, String::new()),
             Err(failure) => (self.to_string(), delivery(&failure), failure.to_string()),
         };
-        Told {
+        StopReport {
             machine,
             delivery,
             why,
@@ -164,7 +164,7 @@ impl Places<'_> {
         let now = LineFiles::last_stops(line_files.as_ref());
         let mark = self.beginning.mark(kind, now);
         let pressed = interrupt::install();
-        let interrupt = told(line_files, Arc::clone(&pressed));
+        let interrupt = marking(line_files, Arc::clone(&pressed));
         let mut device = self.open_stoppable(kind, &address, need, &pressed)?;
         // The owner of the line may end while it is asked; then the line is free, and a new attempt succeeds.
         for attempt in 1.. {
@@ -304,10 +304,10 @@ impl Places<'_> {
 
     /// Stops the machine of a command that has no session yet. Returns the failure of the command.
     fn stopped(&self, target: &Target, urgent: Urgent, need: LinkPurpose) -> Failure {
-        let told = target.told(self.urgent(target, urgent));
-        match told.delivery {
+        let report = target.report(self.urgent(target, urgent));
+        match report.delivery {
             Delivery::Stopped => interrupted(need),
-            Delivery::NotConfirmed | Delivery::NotDelivered => Failure::Stops { told: vec![told] },
+            Delivery::NotConfirmed | Delivery::NotDelivered => Failure::Stops { reports: vec![report] },
         }
     }
 
@@ -436,13 +436,13 @@ fn interrupted(need: LinkPurpose) -> Failure {
 }
 
 /// This process's interrupt, extended to announce each stop to the other processes before it is sent.
-fn told(line_files: Option<LineFiles>, interrupt: Interrupt) -> Interrupt {
-    let told = [AtomicBool::new(false), AtomicBool::new(false)];
+fn marking(line_files: Option<LineFiles>, interrupt: Interrupt) -> Interrupt {
+    let marked = [AtomicBool::new(false), AtomicBool::new(false)];
     Arc::new(move || {
         let wanted = interrupt();
         if let Some(urgent) = wanted
             && let Some(line_files) = &line_files
-            && !told[usize::from(urgent == Urgent::EStop)].swap(true, Ordering::Relaxed)
+            && !marked[usize::from(urgent == Urgent::EStop)].swap(true, Ordering::Relaxed)
         {
             line_files.mark_stop(urgent);
         }

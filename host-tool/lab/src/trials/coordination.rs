@@ -92,7 +92,7 @@ pub fn run(
     }
     let mut partner = Partner {
         together_us: (rig.now_us(), capsule.now_us()),
-        told_us: capsule.now_us(),
+        last_request_us: capsule.now_us(),
         capsule,
         shaping,
         cue,
@@ -169,7 +169,7 @@ struct Partner<'a> {
     /// The same instant by the rig's link and by the capsule's link.
     together_us: (u64, u64),
     /// Time of the last request to the capsule, by its link.
-    told_us: u64,
+    last_request_us: u64,
     /// When the actuation began, by the capsule's clock.
     began_us: Option<u64>,
     screw: Screw,
@@ -259,15 +259,15 @@ impl Partner<'_> {
                 self.recorder.begun(&Begun::Actuation(accepted));
             } else if !*asked && now_us >= due_us && !self.capsule.is_posted() {
                 *asked = true;
-                self.told_us = until_us;
+                self.last_request_us = until_us;
                 return match self.shaping {
                     Shaping::Fold => self.capsule.post(Fold),
                     Shaping::Unfold => self.capsule.post(Unfold),
                 };
             }
         }
-        if !self.capsule.is_posted() && until_us >= self.told_us + self.capsule.keep_alive_us() {
-            self.told_us = until_us;
+        if !self.capsule.is_posted() && until_us >= self.last_request_us + self.capsule.keep_alive_us() {
+            self.last_request_us = until_us;
             self.capsule.post(GetCapsuleStatus)?;
         }
         Ok(())

@@ -286,7 +286,7 @@ mod tests {
 
     #[test]
     fn a_line_is_told_in_each_five_seconds() {
-        let told = lines(|live| {
+        let shown = lines(|live| {
             live.begun(&Begun::Actuation(protocol::capsule::ActuationAccepted {
                 actuation: 1,
                 timeout_ms: 16_000,
@@ -303,7 +303,7 @@ mod tests {
             }
         });
         assert_eq!(
-            told,
+            shown,
             [
                 "Actuation 1: ends by itself within 16 s.",
                 "  5.0 s of at most 16.0 s, 1.500 mm of thread, 30 mA",
@@ -315,7 +315,7 @@ mod tests {
 
     #[test]
     fn what_the_operator_has_to_know_is_told() {
-        let told = lines(|live| {
+        let shown = lines(|live| {
             live.unrecorded("no space");
             live.refused(Pace::Hold, &Refusal::NothingToAcknowledge);
             for what in [What::Rig(RigEvent::Resumed), What::LinkLost] {
@@ -332,15 +332,15 @@ mod tests {
             "  resumed",
             "  the device",
         ];
-        assert_eq!(told.len(), begins.len(), "{told:?}");
-        for (line, begin) in told.iter().zip(begins) {
+        assert_eq!(shown.len(), begins.len(), "{shown:?}");
+        for (line, begin) in shown.iter().zip(begins) {
             assert!(line.starts_with(begin), "{line}");
         }
     }
 
     #[test]
     fn a_hold_is_told_once_and_a_fault_at_once() {
-        let told = lines(|live| {
+        let shown = lines(|live| {
             for held in [true, true, false, true] {
                 live.progress(&Progress::Run {
                     elapsed_us: 0,
@@ -365,14 +365,14 @@ mod tests {
                 });
             }
         });
-        assert_eq!(told.len(), 4 + 1, "a line of the run, too: {told:?}");
+        assert_eq!(shown.len(), 4 + 1, "a line of the run, too: {shown:?}");
         let held = "  held at 1.250 mm".to_owned();
         assert_eq!(
-            told.iter().filter(|line| **line == held).count(),
+            shown.iter().filter(|line| **line == held).count(),
             2,
-            "{told:?}"
+            "{shown:?}"
         );
-        let faults = told.iter().filter(|line| line.starts_with("  fault: "));
-        assert_eq!(faults.count(), 2, "{told:?}");
+        let faults = shown.iter().filter(|line| line.starts_with("  fault: "));
+        assert_eq!(faults.count(), 2, "{shown:?}");
     }
 }

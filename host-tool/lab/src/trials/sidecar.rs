@@ -48,8 +48,8 @@ pub fn other(file: &Path) -> Option<String> {
 /// telemetry beside them.
 #[must_use]
 pub fn unreadable(file: &Path, error: RecordError) -> Option<String> {
-    let told = plain::is_file(&file.with_extension("csv")) && other(file).is_none();
-    told.then(|| error.to_string())
+    let is_record = plain::is_file(&file.with_extension("csv")) && other(file).is_none();
+    is_record.then(|| error.to_string())
 }
 
 #[cfg(test)]

@@ -468,7 +468,7 @@ pub struct Recorder {
     /// The first error in building rows or text.
     failed: Option<RecordError>,
     /// The observer has been told about an error.
-    told: bool,
+    reported: bool,
     /// The fault latched after the action had ended.
     latched: Option<String>,
 }
@@ -502,7 +502,7 @@ impl Recorder {
             csv_path,
             trial,
             failed: None,
-            told: false,
+            reported: false,
             latched: None,
         })
     }
@@ -538,11 +538,11 @@ impl Recorder {
     /// The first error in writing. Returns it once, as soon as it is known, so that the observer can still stop the
     /// trial.
     pub fn news(&mut self) -> Option<RecordError> {
-        if self.told {
+        if self.reported {
             return None;
         }
         let failure = self.failure();
-        self.told = failure.is_some();
+        self.reported = failure.is_some();
         failure
     }
 
@@ -576,12 +576,12 @@ impl Recorder {
             self.trial.error = Some(errors.collect::<Vec<_>>().join("; "));
         }
         // Write the sidecar even after a failure: it says how the trial ended.
-        let said = json(&self.trial)
+        let written = json(&self.trial)
             .and_then(|bytes| replace(&self.sidecar, &bytes))
             .map_err(|io| RecordError::write(&self.sidecar, io));
         match failure {
             Some(error) => Err(error),
-            None => said.map(|()| self.trial),
+            None => written.map(|()| self.trial),
         }
     }
 

@@ -55,7 +55,7 @@ pub struct Written {
     pub left_out: Vec<(u32, String)>,
     /// The same as sentences, the trials to come in one.
     #[serde(skip)]
-    pub told: Vec<String>,
+    pub notices: Vec<String>,
     /// Number of those that are done but have unreliable records.
     pub defects: usize,
     pub findings: Vec<String>,
@@ -178,7 +178,7 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         planned: evaluation.trials.len(),
         counted: evaluation.trials.iter().filter(|row| row.counts).count(),
         left_out: left_out.collect(),
-        told: stretches(&evaluation).into_iter().map(told).collect(),
+        notices: stretches(&evaluation).into_iter().map(notice).collect(),
         defects: evaluation
             .trials
             .iter()
@@ -372,7 +372,7 @@ fn stretches(evaluation: &Evaluation) -> Vec<(&[TrialRow], &str)> {
         .collect()
 }
 
-fn told((rows, why): (&[TrialRow], &str)) -> String {
+fn notice((rows, why): (&[TrialRow], &str)) -> String {
     match rows {
         [first, .., last] => format!(
             "trials {} to {} do not count: {why}",

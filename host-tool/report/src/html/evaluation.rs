@@ -581,11 +581,11 @@ fn conditions(folder: &Path) -> Option<[String; 3]> {
     let text = plain::read_text(&folder.join("conditions.json"), limited::RECORD).ok()?;
     let conditions: serde_json::Value = serde_json::from_str(&text).ok()?;
     let rig = conditions.get("machines")?.get("rig")?;
-    let said = |name: &str| {
+    let value = |name: &str| {
         let text = rig.get(name).and_then(serde_json::Value::as_str);
         text.unwrap_or_default().to_owned()
     };
-    Some(["name", "image", "commissioning"].map(said))
+    Some(["name", "image", "commissioning"].map(value))
 }
 
 fn attempt_row(state: &TrialState, attempt: &Attempt, origin: Origin) -> AttemptRow {

@@ -125,7 +125,7 @@ pub(super) fn import(
             "`retrograde settings --of {name} list` shows what counts now; correct the file or its order, or remove the cause, then again: what is set stays. `retrograde info {name}` shows whether positions have to be found again"
         );
         let why = format!("{}: {setting}: {cause}; {before}", file.display());
-        Failure::said("retrograde::import", cause.exit_code(), why, help)
+        Failure::new("retrograde::import", cause.exit_code(), why, help)
     })?;
     Ok(done)
 }
