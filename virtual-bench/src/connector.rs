@@ -6,22 +6,22 @@ use std::sync::{Mutex, PoisonError};
 use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
-use lab::commissioning::hands::Hands;
+use lab::commissioning::operator::Operator;
 use lab::operations::connector::{Candidate, Connector, Ports, LinkPurpose};
 use protocol::system::DeviceKind;
 
 use crate::boards::{capsule, rig};
-use crate::hands::{BenchHands, Machine, Plug};
+use crate::fixture::{Fixture, Machine, Plug};
 use crate::link::VirtualLink;
 use crate::plants::capsule::Parameters;
 use crate::plants::rig::RigOptions;
 
-/// Powers a machine up when its link is opened, unless hands hold one already; passes all other addresses to [`Ports`].
+/// Powers a machine up when its link is opened, unless a fixture holds one already; passes all other addresses to [`Ports`].
 #[derive(Default)]
 pub struct BenchPorts {
     /// The last link opened leads to something other than the bench.
     elsewhere: AtomicBool,
-    /// A machine with hands at it: it stays powered, and every link leads to it.
+    /// A machine in a fixture: it stays powered, and every link leads to it.
     handled: Mutex<Option<(Machine, Plug)>>,
 }
 
@@ -94,18 +94,18 @@ impl Connector for BenchPorts {
     }
 
     /// Powers a machine up and keeps it.
-    fn hands(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Hands>> {
+    fn fixture(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Operator>> {
         if address != Some(&Address::Virtual) {
             return None;
         }
-        // Without an image there are no hands; opening the link reports the reason.
+        // Without an image there is no fixture; opening the link reports the reason.
         let machine = match kind {
             DeviceKind::Rig => Machine::Rig(rig::start(RigOptions::WITH_BOTH_JUMPERS).ok()?),
             DeviceKind::Capsule => Machine::Capsule(capsule::start(Parameters::nominal()).ok()?),
         };
         let plug = Plug::default();
         *self.handled() = Some((machine.clone(), plug.clone()));
-        Some(Box::new(BenchHands::new(machine, plug)))
+        Some(Box::new(Fixture::new(machine, plug)))
     }
 
     fn now(&self) -> Timestamp {

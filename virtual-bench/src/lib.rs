@@ -17,7 +17,7 @@ pub mod emulator;
 pub mod fault_injection;
 pub mod faults;
 pub mod figures;
-pub mod hands;
+pub mod fixture;
 pub mod link;
 pub mod log;
 mod pace;

@@ -4,7 +4,7 @@ use client::link::{Link, LinkError};
 
 use crate::bench::{Bench, BenchError};
 use crate::emulator::Wiring;
-use crate::hands::Plug;
+use crate::fixture::Plug;
 
 /// A serial cable to a machine on the bench. Its clock is the machine's, which runs only during `receive`.
 pub struct VirtualLink<W: Wiring> {
@@ -24,7 +24,7 @@ impl<W: Wiring> VirtualLink<W> {
         }
     }
 
-    /// The same with a plug that hands can pull.
+    /// The same with a plug that the fixture can pull.
     #[must_use]
     pub fn with_plug(self, plug: Plug) -> Self {
         Self { plug, ..self }

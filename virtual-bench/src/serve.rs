@@ -1,4 +1,4 @@
-//! Serves a machine on TCP in real time, like a serial port, and the hands at it.
+//! Serves a machine on TCP in real time, like a serial port, and the fixture at it.
 //!
 //! The machine runs on its own thread and writes to its client from there. A second thread waits for clients, and a
 //! third one for bytes from the client.
@@ -13,7 +13,7 @@ use std::time::Duration;
 use crate::bench::{Bench, BenchError, Ear, Outside};
 use crate::boards::{capsule, rig};
 use crate::emulator::Wiring;
-use crate::hands::{BenchHands, Machine, Plug, converse};
+use crate::fixture::{Fixture, Machine, Plug, converse};
 use crate::pace::Slow;
 use crate::plants::capsule::Parameters;
 use crate::plants::rig::RigOptions;
@@ -34,10 +34,10 @@ pub struct Options {
     /// Port of the capsule; 0 for a free one.
     #[arg(long, value_name = "PORT")]
     capsule: Option<u16>,
-    /// Also serve hands at each machine, for `retrograde commission --yes --hands`: on this port at the rig, on
+    /// Also serve a fixture at each machine, for `retrograde commission --yes --fixture`: on this port at the rig, on
     /// the next one at the capsule; 0 for free ones.
     #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(..=65_534))]
-    hands: Option<u16>,
+    fixture: Option<u16>,
 }
 
 /// Serves machines until they end.
@@ -58,13 +58,13 @@ pub fn run(options: &Options) -> Result<(), BenchError> {
     if let Some(port) = rig {
         let bench = rig::start(RigOptions::WITH_BOTH_JUMPERS)?;
         let machine = Machine::Rig(bench.clone());
-        serving.push(begin(bench, machine, "rig", port, options.hands)?);
+        serving.push(begin(bench, machine, "rig", port, options.fixture)?);
     }
     if let Some(port) = capsule {
         let bench = capsule::start(Parameters::nominal())?;
         let machine = Machine::Capsule(bench.clone());
-        let hands = options.hands.map(|port| port + u16::from(port > 0));
-        serving.push(begin(bench, machine, "capsule", port, hands)?);
+        let fixture = options.fixture.map(|port| port + u16::from(port > 0));
+        serving.push(begin(bench, machine, "capsule", port, fixture)?);
     }
     all_ended(serving.into_iter())
 }
@@ -78,28 +78,28 @@ fn all_ended(mut threads: impl Iterator<Item = Running>) -> Result<(), BenchErro
     })
 }
 
-/// Serves one machine, and the hands at it if they have a port.
+/// Serves one machine, and the fixture at it if it has a port.
 fn begin<W: Wiring>(
     bench: Bench<W>,
     machine: Machine,
     name: &'static str,
     port: u16,
-    hands: Option<u16>,
+    fixture: Option<u16>,
 ) -> Result<Running, BenchError> {
     let plug = Plug::default();
-    if let Some(port) = hands {
+    if let Some(port) = fixture {
         let server = Server::listen(port)?;
         let port = server.port();
-        eprintln!("hands at the {name}: --yes --hands 127.0.0.1:{port}");
-        let hands = BenchHands::new(machine, plug.clone()).served();
-        thread::spawn(move || server.serve_hands(&hands));
+        eprintln!("fixture at the {name}: --yes --fixture 127.0.0.1:{port}");
+        let fixture = Fixture::new(machine, plug.clone()).served();
+        thread::spawn(move || server.serve_fixture(&fixture));
     }
     let server = Server::listen(port)?;
     eprintln!("{name}: --{name} tcp:127.0.0.1:{}", server.port());
     Ok(thread::spawn(move || server.serve(&bench, name, &plug)))
 }
 
-/// A machine, or the hands at one, behind a port of the loopback interface.
+/// A machine, or the fixture at one, behind a port of the loopback interface.
 pub struct Server {
     listener: TcpListener,
 }
@@ -157,11 +157,11 @@ impl Server {
         bench.visit(|_| ())
     }
 
-    /// Answers one client of these hands after the other, forever.
-    pub fn serve_hands(&self, hands: &BenchHands) {
+    /// Answers one client of this fixture after the other, forever.
+    pub fn serve_fixture(&self, fixture: &Fixture) {
         for stream in self.listener.incoming().flatten() {
             // An error of one client ends its conversation, not the server.
-            let _ = converse(&stream, hands);
+            let _ = converse(&stream, fixture);
         }
     }
 }

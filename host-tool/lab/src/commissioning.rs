@@ -8,7 +8,7 @@
 //!   step        what there is to show, and what its result depends on; the steps of each machine
 //!   work        helpers for all measurements: asking for a hand, finding the board again; work::rig: homing, running
 //!   record      what was found: a JSON file, one per board
-//!   hands       the person or the bench that presses, pulls and measures
+//!   operator    presses, pulls and measures: a person, or the virtual bench's fixture
 //!   halt        why a measurement was broken off
 //!   image       the fingerprint of an image file
 //! ```
@@ -19,7 +19,7 @@
 pub mod capsule;
 mod device;
 pub mod halt;
-pub mod hands;
+pub mod operator;
 pub mod image;
 pub mod procedure;
 pub mod record;

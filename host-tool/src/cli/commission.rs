@@ -9,7 +9,7 @@ use client::Device;
 use client::error::ClientError;
 use client::identity::kind_name;
 use client::subject::Subject;
-use lab::commissioning::hands::{Bench, Hands, Nobody};
+use lab::commissioning::operator::{NoOperator, Operator, RemoteFixture};
 use lab::commissioning::record::Commissioning;
 use lab::commissioning::session::{self, Broken, Ending};
 use lab::commissioning::work::{Options, Work};
@@ -30,12 +30,12 @@ use crate::cli::screen::Screen;
 pub struct CommissionArgs {
     /// The machine.
     pub machine: MachineKind,
-    /// Ask nobody. What needs a hand at the machine is recorded as not shown, unless the virtual bench lends its own.
+    /// Ask nobody. What needs a hand at the machine is recorded as not shown, unless the virtual bench has a fixture.
     #[arg(long)]
     pub yes: bool,
-    /// Where the virtual bench's hands listen, as `virtual-bench serve` says.
+    /// Where the virtual bench's fixture listens, as `virtual-bench serve` prints.
     #[arg(long, value_name = "HOST:PORT", requires = "yes")]
-    pub hands: Option<String>,
+    pub fixture: Option<String>,
     /// Folder of the record.
     #[arg(long, value_name = "DIR", default_value = DATA_FOLDER)]
     pub out: PathBuf,
@@ -71,7 +71,7 @@ pub(crate) fn commission(
     screen: &mut Screen<'_>,
 ) -> Result<Value, Failure> {
     let kind = args.machine.into();
-    let mut hands = hands(args, kind, finder, screen)?;
+    let mut operator = operator(args, kind, finder, screen)?;
     let mut device = finder.connect(kind, LinkPurpose::Own("commission"))?;
     let subject = Subject::of(&mut device)?;
     let path = args
@@ -98,7 +98,7 @@ pub(crate) fn commission(
         };
         screen.say(&format!("{} is due again: {why}", step.name));
     }
-    if kind == DeviceKind::Rig && hands.present() && !open.is_empty() {
+    if kind == DeviceKind::Rig && operator.present() && !open.is_empty() {
         screen.say("No certified safety function: the motor supply needs a hard-wired switch.");
     }
     let options = Options {
@@ -113,7 +113,7 @@ pub(crate) fn commission(
             .map_err(|failure| failure.to_string())
     };
     let mut say = |text: &str| screen.say(text);
-    let mut work = Work::new(device, subject, options, &mut *hands, &mut say, &reopen);
+    let mut work = Work::new(device, subject, options, &mut *operator, &mut say, &reopen);
     let now = || finder.connector.now();
     let ended = session::carry_out(&mut work, &mut record, &path, &now);
     let stopped = match &ended {
@@ -165,25 +165,25 @@ fn stop(device: &mut Device) -> Result<(), ClientError> {
     }
 }
 
-/// The hands at the machine: a person's, or the virtual bench's.
-fn hands(
+/// The operator of the machine: a person, or the virtual bench's fixture.
+fn operator(
     args: &CommissionArgs,
     kind: DeviceKind,
     finder: &Finder<'_>,
     screen: &mut Screen<'_>,
-) -> Result<Box<dyn Hands>, Failure> {
-    if let Some(place) = &args.hands {
-        let bench = Bench::connect(place).map_err(|io| Failure::input(
-            format!("no hands at {place}: {io}"),
-            "`virtual-bench serve` says where its hands are; without hands leave the option out",
+) -> Result<Box<dyn Operator>, Failure> {
+    if let Some(place) = &args.fixture {
+        let bench = RemoteFixture::connect(place).map_err(|io| Failure::input(
+            format!("no fixture at {place}: {io}"),
+            "`virtual-bench serve` prints the address of its fixture; without a fixture leave the option out",
         ))?;
         return Ok(Box::new(bench));
     }
     if args.yes {
         return Ok(finder
             .connector
-            .hands(kind, finder.address(kind))
-            .unwrap_or_else(|| Box::new(Nobody)));
+            .fixture(kind, finder.address(kind))
+            .unwrap_or_else(|| Box::new(NoOperator)));
     }
     match screen.keyboard.take() {
         Some(keyboard) => Ok(Box::new(Terminal::new(
@@ -230,6 +230,6 @@ fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(),
         }
         Err(Broken::Client(error)) => Err(error.into()),
         Err(Broken::Record(error)) => Err(error.into()),
-        Err(Broken::NoHands(why)) => Err(unfinished(STOPPED, why, help)),
+        Err(Broken::FixtureLost(why)) => Err(unfinished(STOPPED, why, help)),
     }
 }

@@ -12,7 +12,7 @@ use client::link::{Link, LinkError};
 use client::subject::Subject;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
-use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
+use lab::commissioning::operator::{Act, Operator, Part, Reading, Say, Watch, Instruction};
 use lab::commissioning::procedure::{Procedure, StepStatus, open, status};
 use lab::commissioning::record::{Commissioning, Finding, StepOutcome};
 use lab::commissioning::rig::wrong_travel;
@@ -265,8 +265,8 @@ fn a_measured_travel_tells_microsteps_from_lead() {
 fn wishes_are_read_as_they_are_written() {
     let acts = Part::ALL
         .iter()
-        .flat_map(|part| [true, false].map(|on| Wish::Do(Act { part: *part, on })));
-    for wish in acts.chain(Reading::ALL.iter().map(|reading| Wish::Read(*reading))) {
+        .flat_map(|part| [true, false].map(|on| Instruction::Do(Act { part: *part, on })));
+    for wish in acts.chain(Reading::ALL.iter().map(|reading| Instruction::Read(*reading))) {
         assert_eq!(wish.to_string().parse(), Ok(wish));
     }
     for text in [
@@ -278,7 +278,7 @@ fn wishes_are_read_as_they_are_written() {
         "read",
         "read minds",
     ] {
-        assert!(text.parse::<Wish>().is_err(), "{text}");
+        assert!(text.parse::<Instruction>().is_err(), "{text}");
     }
 }
 
@@ -348,7 +348,7 @@ fn without_a_terminal_nobody_is_asked() {
     assert_eq!(code, 3, "{err}");
     assert!(err.contains("--yes"), "{err}");
     assert!(memory.heard().is_empty());
-    let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", "--hands", "x:1"]);
+    let (code, _, err) = memory.run(&["--rig", "0", "commission", "rig", "--fixture", "x:1"]);
     assert_eq!(code, 2, "{err}");
 }
 
@@ -484,10 +484,10 @@ impl Link for Replugged {
     }
 }
 
-/// Hands that are quick.
+/// An operator that is quick.
 struct Quick;
 
-impl Hands for Quick {
+impl Operator for Quick {
     fn act(&mut self, _: Act, _: bool, _: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
         Ok(())
     }
@@ -518,8 +518,8 @@ fn with_timeout(machine: DeviceKind, name: &str, timeout_ms: u32) -> Result<(), 
         clock_us: 200_000,
         image: None,
     };
-    let (mut hands, mut say) = (Quick, |_: &str| {});
-    let mut work = Work::new(device, subject, options, &mut hands, &mut say, &connect);
+    let (mut operator, mut say) = (Quick, |_: &str| {});
+    let mut work = Work::new(device, subject, options, &mut operator, &mut say, &connect);
     let step = step::steps(machine).iter().find(|step| step.name == name);
     (step.expect("a step").check)(&mut work)
 }

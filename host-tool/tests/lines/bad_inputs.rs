@@ -87,7 +87,7 @@ const INPUTS: &str = r#"
 3 | commission --rig RIG rig | somebody at a terminal | --yes
 2 | commission --rig RIG rig --strokes 3 --yes | invalid value '3' | an even number from 2 to 20000
 2 | commission --rig RIG rig --clock-s 0 --yes | 0 is not in 1 to 3600 | --help
-2 | commission --rig RIG rig --yes --hands 127.0.0.1:1 | no hands at 127.0.0.1:1 | virtual-bench serve
+2 | commission --rig RIG rig --yes --fixture 127.0.0.1:1 | no fixture at 127.0.0.1:1 | virtual-bench serve
 3 | plan --microsteps 3 | 3 microsteps | use 1, 2, 4
 3 | plan --lead-mm 0 | a lead of 0 mm | 0.5 to 50 mm
 1 | plan --edges /no/such/folder/e.csv | No such file | make its folder

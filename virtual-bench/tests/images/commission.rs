@@ -11,7 +11,7 @@ use client::link::{Link, OpenError};
 use host_tool::cli;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
-use lab::commissioning::hands::{Act, Bench as Remote, Hands, Part, Reading};
+use lab::commissioning::operator::{Act, RemoteFixture, Operator, Part, Reading};
 use lab::commissioning::image;
 use lab::commissioning::record::{Commissioning, StepOutcome};
 use lab::commissioning::step;
@@ -23,14 +23,14 @@ use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::RigBoard;
 use virtual_bench::boards::{capsule, rig};
 use virtual_bench::emulator::Streams;
-use virtual_bench::hands::{BenchHands, Machine, Plug};
+use virtual_bench::fixture::{Fixture, Machine, Plug};
 use virtual_bench::link::VirtualLink;
 use virtual_bench::plants::capsule::Parameters;
 use virtual_bench::plants::rig::{Action, Rig, RigOptions, Switch};
 use virtual_bench::plants::wire::Fault;
 use virtual_bench::serve::Server;
 
-/// One machine with hands at it.
+/// One machine in a fixture.
 struct Workshop {
     machine: Machine,
     plug: Plug,
@@ -66,8 +66,8 @@ impl Workshop {
         (self.now_ns() / 1_000) as u32 + 7
     }
 
-    fn lend(&self) -> BenchHands {
-        BenchHands::new(self.machine.clone(), self.plug.clone())
+    fn lend(&self) -> Fixture {
+        Fixture::new(self.machine.clone(), self.plug.clone())
     }
 }
 
@@ -90,7 +90,7 @@ impl Connector for Workshop {
     fn now(&self) -> Timestamp {
         Timestamp::UNIX_EPOCH
     }
-    fn hands(&self, _: DeviceKind, _: Option<&Address>) -> Option<Box<dyn Hands>> {
+    fn fixture(&self, _: DeviceKind, _: Option<&Address>) -> Option<Box<dyn Operator>> {
         Some(Box::new(self.lend()))
     }
 }
@@ -396,16 +396,16 @@ fn a_file_and_its_image_have_the_same_fingerprint() {
 }
 
 #[test]
-fn hands_behind_a_port_do_what_they_are_asked() {
+fn a_fixture_behind_a_port_does_what_it_is_asked() {
     let bench = rig_bench(short());
     let server = Server::listen(0).expect("a port");
     let place = format!("127.0.0.1:{}", server.port());
-    let hands = BenchHands::new(Machine::Rig(bench.clone()), Plug::default()).served();
-    std::thread::spawn(move || server.serve_hands(&hands));
-    let mut hands = Remote::connect(&place).expect("they listen");
+    let fixture = Fixture::new(Machine::Rig(bench.clone()), Plug::default()).served();
+    std::thread::spawn(move || server.serve_fixture(&fixture));
+    let mut fixture = RemoteFixture::connect(&place).expect("they listen");
     let mut say = |_: &str| {};
     let mut watch = || Ok(false);
-    let mut act = |part, on| hands.act(Act { part, on }, true, &mut say, &mut watch);
+    let mut act = |part, on| fixture.act(Act { part, on }, true, &mut say, &mut watch);
     act(Part::Supply, false).expect("done");
     act(Part::Carriage, true).expect("done");
     act(Part::HomeFlag, true).expect("done");
@@ -413,9 +413,9 @@ fn hands_behind_a_port_do_what_they_are_asked() {
     let open = bench.visit(|visit| visit.board().rig.is_open(Switch::Home));
     assert!(open.expect("the bench runs"));
     assert_eq!(
-        hands.read(Reading::Carriage, &mut say).expect("measured"),
+        fixture.read(Reading::Carriage, &mut say).expect("measured"),
         15_000
     );
-    let no = hands.read(Reading::Battery, &mut say);
+    let no = fixture.read(Reading::Battery, &mut say);
     assert!(matches!(no, Err(Halt::NotShown(why)) if why.contains("cannot")));
 }

@@ -20,7 +20,7 @@ use protocol::{
 };
 use virtual_bench::bench::{Bench, BenchOptions};
 use virtual_bench::boards::rig::{RigBoard, image};
-use virtual_bench::hands::Plug;
+use virtual_bench::fixture::Plug;
 use virtual_bench::plants::rig::{Action, Rig, RigOptions};
 use virtual_bench::plants::wire::Fault;
 use virtual_bench::serve::Server;

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 use virtual_bench::bench::Bench;
 use virtual_bench::boards::rig::{self, RigBoard};
-use virtual_bench::hands::Plug;
+use virtual_bench::fixture::Plug;
 use virtual_bench::plants::rig::RigOptions;
 use virtual_bench::serve::Server;
 use virtual_bench::warm;

@@ -11,7 +11,7 @@ use protocol::system::{BuildProfile, Urgent};
 
 use crate::commissioning::device;
 use crate::commissioning::halt::Halt;
-use crate::commissioning::hands::{Part, Reading};
+use crate::commissioning::operator::{Part, Reading};
 use crate::commissioning::step::ProcedureStep;
 use crate::commissioning::work::{LOOK_US, Work};
 
@@ -21,7 +21,7 @@ const PLAIN: ProcedureStep = ProcedureStep {
     observe: "",
     of_image: true,
     settings: &[],
-    needs_hands: false,
+    needs_operator: false,
     check: image,
 };
 
@@ -41,7 +41,7 @@ pub const STEPS: &[ProcedureStep] = &[
     ProcedureStep {
         name: "battery",
         shows: "the battery voltage is the one that a meter shows, within 3 %",
-        needs_hands: true,
+        needs_operator: true,
         check: battery,
         ..PLAIN
     },
@@ -55,7 +55,7 @@ pub const STEPS: &[ProcedureStep] = &[
         name: "held",
         shows: "with the motor held, the current measured is the one ordered, at three duties",
         observe: "the shaft must not turn",
-        needs_hands: true,
+        needs_operator: true,
         check: held,
         ..PLAIN
     },

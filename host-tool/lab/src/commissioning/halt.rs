@@ -13,8 +13,8 @@ pub enum Halt {
     /// A defect, described by this text.
     Defect(String),
     Client(ClientError),
-    /// The connection to the bench's hands was lost.
-    NoHands(String),
+    /// The connection to the fixture was lost.
+    FixtureLost(String),
 }
 
 impl From<ClientError> for Halt {

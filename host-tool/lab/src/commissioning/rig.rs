@@ -20,7 +20,7 @@ const PLAIN: ProcedureStep = ProcedureStep {
     observe: "",
     of_image: true,
     settings: &[],
-    needs_hands: true,
+    needs_operator: true,
     check: board::image_is_the_one,
 };
 
@@ -29,14 +29,14 @@ pub const STEPS: &[ProcedureStep] = &[
         name: "image",
         shows: "the image on the board is the one that was built; its last start was no failure",
         observe: "the LED blinks slowly: not homed",
-        needs_hands: false,
+        needs_operator: false,
         check: board::image_is_the_one,
         ..PLAIN
     },
     ProcedureStep {
         name: "clock",
         shows: "the board has its 8 MHz clock, and its clock goes as the host's",
-        needs_hands: false,
+        needs_operator: false,
         check: board::clock,
         ..PLAIN
     },
@@ -51,7 +51,7 @@ pub const STEPS: &[ProcedureStep] = &[
         name: "quiet",
         shows: "loop, home flag and far limit are quiet while nothing moves",
         settings: &[Key::SwitchFilterUs],
-        needs_hands: false,
+        needs_operator: false,
         check: switches::quiet,
         ..PLAIN
     },

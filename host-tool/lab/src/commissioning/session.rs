@@ -8,7 +8,7 @@ use client::visible::wrapped;
 use jiff::Timestamp;
 
 use crate::commissioning::halt::Halt;
-use crate::commissioning::hands::nobody;
+use crate::commissioning::operator::needs_operator;
 use crate::commissioning::procedure::Procedure;
 use crate::commissioning::record::{Commissioning, Finding, StepOutcome};
 use crate::commissioning::step::{self, ProcedureStep};
@@ -28,7 +28,7 @@ pub enum Ending {
 pub enum Broken {
     Client(ClientError),
     Record(RecordError),
-    NoHands(String),
+    FixtureLost(String),
 }
 
 /// Line width of the output, columns: fits a terminal of 80.
@@ -51,7 +51,7 @@ pub fn carry_out(
             Err(Halt::NotShown(why)) => (StepOutcome::NotShown, Some(why)),
             Err(Halt::Left) => return Ok(Ending::Left(Some(step.name))),
             Err(Halt::Client(error)) => return Err(Broken::Client(error)),
-            Err(Halt::NoHands(why)) => return Err(Broken::NoHands(why)),
+            Err(Halt::FixtureLost(why)) => return Err(Broken::FixtureLost(why)),
         };
         let finding = Finding {
             outcome,
@@ -75,8 +75,8 @@ fn begin(work: &mut Work<'_>, step: &ProcedureStep) -> Result<(), Halt> {
     work.take_measured();
     // Also notices an operator who has left.
     work.pause(0)?;
-    if step.needs_hands && !work.has_hands() {
-        return Err(nobody());
+    if step.needs_operator && !work.has_hands() {
+        return Err(needs_operator());
     }
     (step.check)(work)
 }

@@ -20,7 +20,7 @@ pub struct ProcedureStep {
     /// The settings on which its result depends.
     pub settings: &'static [SettingKey],
     /// It cannot be shown without somebody at the machine.
-    pub needs_hands: bool,
+    pub needs_operator: bool,
     pub check: fn(&mut Work<'_>) -> Result<(), Halt>,
 }
 

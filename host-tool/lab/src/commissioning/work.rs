@@ -10,7 +10,7 @@ use protocol::settings::SettingKey;
 use serde_json::{Map, Value};
 
 use crate::commissioning::halt::Halt;
-use crate::commissioning::hands::{Act, Hands, Part, Reading};
+use crate::commissioning::operator::{Act, Operator, Part, Reading};
 
 /// Interval between two looks at the machine, us.
 pub(crate) const LOOK_US: u64 = 50_000;
@@ -35,7 +35,7 @@ pub struct Work<'a> {
     pub device: Device,
     pub subject: Subject,
     pub options: Options,
-    hands: &'a mut dyn Hands,
+    operator: &'a mut dyn Operator,
     say: &'a mut dyn FnMut(&str),
     reopen: &'a Reopen<'a>,
     supply: Option<bool>,
@@ -47,7 +47,7 @@ impl<'a> Work<'a> {
         device: Device,
         subject: Subject,
         options: Options,
-        hands: &'a mut dyn Hands,
+        operator: &'a mut dyn Operator,
         say: &'a mut dyn FnMut(&str),
         reopen: &'a Reopen<'a>,
     ) -> Self {
@@ -55,7 +55,7 @@ impl<'a> Work<'a> {
             device,
             subject,
             options,
-            hands,
+            operator,
             say,
             reopen,
             supply: None,
@@ -64,7 +64,7 @@ impl<'a> Work<'a> {
     }
 
     pub fn has_hands(&self) -> bool {
-        self.hands.present()
+        self.operator.present()
     }
 
     pub fn say(&mut self, text: &str) {
@@ -109,13 +109,13 @@ impl<'a> Work<'a> {
             device.idle(LOOK_US, &mut Unobserved)?;
             Ok(false)
         };
-        self.hands
+        self.operator
             .act(Act { part, on }, false, self.say, &mut keep)?;
         self.unless_left()
     }
 
     pub fn read(&mut self, reading: Reading) -> Result<i64, Halt> {
-        let value = self.hands.read(reading, self.say)?;
+        let value = self.operator.read(reading, self.say)?;
         self.unless_left()?;
         Ok(value)
     }
@@ -128,8 +128,8 @@ impl<'a> Work<'a> {
             part: Part::Cable,
             on,
         };
-        self.hands.act(act(false), true, self.say, &mut gone)?;
-        self.hands
+        self.operator.act(act(false), true, self.say, &mut gone)?;
+        self.operator
             .act(act(true), false, self.say, &mut || Ok(false))
             .and_then(|()| self.unless_left())?;
         self.find_again()

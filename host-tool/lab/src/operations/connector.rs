@@ -5,7 +5,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::commissioning::hands::Hands;
+use crate::commissioning::operator::Operator;
 use client::Device;
 use client::address::Address;
 use client::broker::lock::LineFiles;
@@ -84,9 +84,9 @@ pub trait Connector: Sync {
 
     fn now(&self) -> Timestamp;
 
-    /// The simulated hands at the machine of this kind and address, if they are part of this program. A board needs a
-    /// person's hands.
-    fn hands(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Hands>> {
+    /// The fixture at the machine of this kind and address, if this program simulates one. A board needs a
+    /// person.
+    fn fixture(&self, kind: DeviceKind, address: Option<&Address>) -> Option<Box<dyn Operator>> {
         let _ = (kind, address);
         None
     }

@@ -1,4 +1,4 @@
-//! The person at the terminal as the hands of a commissioning.
+//! The person at the terminal as the operator of a commissioning.
 
 use std::sync::mpsc::TryRecvError;
 use std::thread;
@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use client::visible::wrapped;
 use client::{Interrupt, decimal};
 use lab::commissioning::halt::Halt;
-use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch};
+use lab::commissioning::operator::{Act, Operator, Part, Reading, Say, Watch};
 use lab::commissioning::session::COLUMNS;
 
 use crate::cli::keyboard::{TypedLine, Lines, TOO_SOON};
@@ -52,7 +52,7 @@ impl Terminal {
     }
 }
 
-impl Hands for Terminal {
+impl Operator for Terminal {
     fn act(
         &mut self,
         act: Act,

@@ -5,7 +5,7 @@ use protocol::rig::{GetRigHardware, RigFault};
 use protocol::system::{BrownOut, Clock, GetChip};
 
 use crate::commissioning::halt::{Halt, fault_text};
-use crate::commissioning::hands::Reading;
+use crate::commissioning::operator::Reading;
 use crate::commissioning::work::Work;
 use crate::commissioning::{device, image};
 

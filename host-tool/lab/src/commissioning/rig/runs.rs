@@ -10,7 +10,7 @@ use serde_json::json;
 
 use super::depends::SCREW;
 use crate::commissioning::halt::{Halt, fault_text};
-use crate::commissioning::hands::Part;
+use crate::commissioning::operator::Part;
 use crate::commissioning::work::Work;
 use crate::commissioning::work::rig::by_speed;
 

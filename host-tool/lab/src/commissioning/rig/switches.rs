@@ -3,7 +3,7 @@
 use protocol::rig::{GetRigHealth, RigFault, RigInputs};
 
 use crate::commissioning::halt::{Halt, fault_text};
-use crate::commissioning::hands::Part;
+use crate::commissioning::operator::Part;
 use crate::commissioning::work::Work;
 
 /// How long the lines are watched, us.

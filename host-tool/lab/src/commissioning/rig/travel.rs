@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::depends::SCREW;
 use crate::commissioning::halt::{Halt, fault_text, homing_text};
-use crate::commissioning::hands::Reading;
+use crate::commissioning::operator::Reading;
 use crate::commissioning::work::Work;
 use crate::commissioning::work::rig::HomeEnd;
 

@@ -13,7 +13,7 @@ use protocol::system::{Event, Urgent, What};
 
 use super::{LOOK_US, Work};
 use crate::commissioning::halt::{Halt, fault_text, homing_text, refused};
-use crate::commissioning::hands::{Act, Part};
+use crate::commissioning::operator::{Act, Part};
 
 /// Time to wait for a loop that is open at an acknowledgement to close by itself, us.
 const LOOP_US: u64 = 500_000;
@@ -49,7 +49,7 @@ impl Work<'_> {
             device.idle(LOOK_US, &mut Unobserved)?;
             Ok(false)
         };
-        self.hands
+        self.operator
             .act(Act { part, on }, true, self.say, &mut watch)?;
         self.unless_left()?;
         self.until(SETTLE_US, seen)

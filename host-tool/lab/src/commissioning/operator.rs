@@ -1,6 +1,6 @@
-//! Hands at the machine, which press, pull and measure: a person at the terminal, or the virtual bench.
+//! Operator of a machine, who presses, pulls and measures: a person at the terminal, or the virtual bench's fixture.
 //!
-//! The bench's hands listen on a TCP port of their own. Each side sends lines of text:
+//! The fixture listens on a TCP port of its own. Each side sends lines of text:
 //!
 //! | line | meaning | answer |
 //! |---|---|---|
@@ -19,7 +19,7 @@ use client::error::ClientError;
 use crate::commissioning::halt::Halt;
 use crate::outcomes;
 
-/// Time allowed for the bench's hands: pulling a cable takes some seconds.
+/// Time allowed for the fixture: pulling a cable takes some seconds.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 outcomes! {
@@ -64,14 +64,14 @@ pub struct Act {
     pub on: bool,
 }
 
-/// A line to the bench's hands.
+/// A line to the fixture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wish {
+pub enum Instruction {
     Do(Act),
     Read(Reading),
 }
 
-impl fmt::Display for Wish {
+impl fmt::Display for Instruction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Do(act) => {
@@ -83,12 +83,12 @@ impl fmt::Display for Wish {
     }
 }
 
-impl FromStr for Wish {
+impl FromStr for Instruction {
     type Err = String;
 
     fn from_str(line: &str) -> Result<Self, String> {
         let words: Vec<_> = line.split_whitespace().collect();
-        let wish = match words[..] {
+        let instruction = match words[..] {
             ["do", name, how @ ("on" | "off")] => {
                 let part = Part::ALL.iter().find(|part| part.name() == name);
                 let on = how == "on";
@@ -100,7 +100,7 @@ impl FromStr for Wish {
             }
             _ => None,
         };
-        wish.ok_or_else(|| {
+        instruction.ok_or_else(|| {
             let parts: Vec<_> = Part::ALL.iter().map(|part| part.name()).collect();
             let readings: Vec<_> = Reading::ALL.iter().map(|reading| reading.name()).collect();
             format!(
@@ -117,7 +117,7 @@ pub type Say<'a> = dyn FnMut(&str) + 'a;
 /// Checks the machine for the effect of an act, and keeps its link alive. True when the effect is there.
 pub type Watch<'a> = dyn FnMut() -> Result<bool, ClientError> + 'a;
 
-pub trait Hands {
+pub trait Operator {
     fn present(&self) -> bool {
         true
     }
@@ -135,35 +135,35 @@ pub trait Hands {
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt>;
 }
 
-/// No hands: nothing can be done or measured.
+/// No operator: nothing can be done or measured.
 #[derive(Clone, Copy, Debug)]
-pub struct Nobody;
+pub struct NoOperator;
 
-/// What is recorded of a step that needs hands where there are none.
-pub(crate) fn nobody() -> Halt {
+/// Result of a step that needs an operator where there is none.
+pub(crate) fn needs_operator() -> Halt {
     Halt::NotShown("needs a person at the machine".to_owned())
 }
 
-impl Hands for Nobody {
+impl Operator for NoOperator {
     fn present(&self) -> bool {
         false
     }
 
     fn act(&mut self, _: Act, _: bool, _: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
-        Err(nobody())
+        Err(needs_operator())
     }
 
     fn read(&mut self, _: Reading, _: &mut Say<'_>) -> Result<i64, Halt> {
-        Err(nobody())
+        Err(needs_operator())
     }
 }
 
-pub struct Bench {
+pub struct RemoteFixture {
     place: String,
     stream: BufReader<TcpStream>,
 }
 
-impl Bench {
+impl RemoteFixture {
     pub fn connect(place: &str) -> std::io::Result<Self> {
         let stream = TcpStream::connect(place)?;
         stream.set_nodelay(true)?;
@@ -174,12 +174,12 @@ impl Bench {
         })
     }
 
-    fn ask(&mut self, wish: Wish, say: &mut Say<'_>) -> Result<Option<i64>, Halt> {
-        say(&format!("  hands: {wish}"));
+    fn ask(&mut self, instruction: Instruction, say: &mut Say<'_>) -> Result<Option<i64>, Halt> {
+        say(&format!("  fixture: {instruction}"));
         let mut answer = String::new();
-        let asked = writeln!(self.stream.get_mut(), "{wish}")
+        let asked = writeln!(self.stream.get_mut(), "{instruction}")
             .and_then(|()| self.stream.read_line(&mut answer));
-        let lost = |why: &str| Halt::NoHands(format!("the hands at {}: {why}", self.place));
+        let lost = |why: &str| Halt::FixtureLost(format!("the fixture at {}: {why}", self.place));
         match asked {
             Err(io) => Err(lost(&io.to_string())),
             Ok(0) => Err(lost("the other end closed the connection")),
@@ -196,14 +196,14 @@ impl Bench {
     }
 }
 
-impl Hands for Bench {
+impl Operator for RemoteFixture {
     fn act(&mut self, act: Act, _: bool, say: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
-        self.ask(Wish::Do(act), say).map(|_| ())
+        self.ask(Instruction::Do(act), say).map(|_| ())
     }
 
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
-        let wish = Wish::Read(reading);
-        self.ask(wish, say)?
-            .ok_or_else(|| Halt::NoHands(format!("the hands at {} measured nothing", self.place)))
+        let instruction = Instruction::Read(reading);
+        self.ask(instruction, say)?
+            .ok_or_else(|| Halt::FixtureLost(format!("the fixture at {} measured nothing", self.place)))
     }
 }

@@ -1,4 +1,4 @@
-//! Hands at the machines on the bench: they press, pull and measure as `retrograde commission` asks a person to.
+//! Fixture at a machine on the bench: it presses, pulls and measures as `retrograde commission` asks a person to.
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpStream;
@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use lab::commissioning::halt::Halt;
-use lab::commissioning::hands::{Act, Hands, Part, Reading, Say, Watch, Wish};
+use lab::commissioning::operator::{Act, Operator, Part, Reading, Say, Watch, Instruction};
 
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::CapsuleBoard;
@@ -41,7 +41,7 @@ impl Plug {
     }
 }
 
-/// The machine that the hands are at.
+/// The machine at the fixture.
 #[derive(Clone)]
 pub enum Machine {
     /// A rig.
@@ -50,17 +50,17 @@ pub enum Machine {
     Capsule(Bench<CapsuleBoard>),
 }
 
-/// Hands at one machine.
+/// Fixture at one machine.
 #[derive(Clone)]
-pub struct BenchHands {
+pub struct Fixture {
     machine: Machine,
     plug: Plug,
-    /// A server runs the machine in real time, so the hands need not advance its clock.
+    /// A server runs the machine in real time, so the fixture need not advance its clock.
     served: bool,
 }
 
-impl BenchHands {
-    /// Hands at a machine whose link has this plug.
+impl Fixture {
+    /// Fixture at a machine whose link has this plug.
     #[must_use]
     pub fn new(machine: Machine, plug: Plug) -> Self {
         Self {
@@ -82,27 +82,27 @@ impl BenchHands {
     /// Does or measures something; the text says what this machine does not have.
     ///
     /// # Errors
-    /// The wish does not fit the machine, or the machine has ended.
-    pub fn carry_out(&self, wish: Wish) -> Result<Option<i64>, String> {
+    /// The instruction does not fit the machine, or the machine has ended.
+    pub fn carry_out(&self, instruction: Instruction) -> Result<Option<i64>, String> {
         let ended = |why: BenchError| why.to_string();
-        match (&self.machine, wish) {
+        match (&self.machine, instruction) {
             (
                 Machine::Rig(bench),
-                Wish::Do(Act {
+                Instruction::Do(Act {
                     part: Part::Cable,
                     on,
                 }),
             ) => self.cable(bench, on).map_err(ended)?,
             (
                 Machine::Capsule(bench),
-                Wish::Do(Act {
+                Instruction::Do(Act {
                     part: Part::Cable,
                     on,
                 }),
             ) => self.cable(bench, on).map_err(ended)?,
             (
                 Machine::Capsule(bench),
-                Wish::Do(Act {
+                Instruction::Do(Act {
                     part: Part::Rotor,
                     on,
                 }),
@@ -112,25 +112,25 @@ impl BenchHands {
                 });
                 hold.map_err(ended)?;
             }
-            (Machine::Rig(bench), Wish::Do(act)) if act.part != Part::Rotor => {
+            (Machine::Rig(bench), Instruction::Do(act)) if act.part != Part::Rotor => {
                 do_at_rig(bench, act).map_err(ended)?;
             }
-            (Machine::Rig(bench), Wish::Read(Reading::Carriage)) => {
+            (Machine::Rig(bench), Instruction::Read(Reading::Carriage)) => {
                 let um = bench.visit(|visit| visit.board().rig.carriage_um());
                 return um.map(Some).map_err(ended);
             }
-            (Machine::Rig(bench), Wish::Read(Reading::EnableInReset)) => {
+            (Machine::Rig(bench), Instruction::Read(Reading::EnableInReset)) => {
                 let mv = bench.visit(|visit| {
                     visit.reset();
                     visit.board().rig.enable_undriven_mv()
                 });
                 return mv.map(|mv| Some(mv.into())).map_err(ended);
             }
-            (Machine::Capsule(bench), Wish::Read(Reading::Battery)) => {
+            (Machine::Capsule(bench), Instruction::Read(Reading::Battery)) => {
                 let mv = bench.visit(|visit| visit.board().capsule.battery_terminal_mv());
                 return mv.map(|mv| Some(mv.round() as i64)).map_err(ended);
             }
-            (_, wish) => return Err(format!("this machine cannot `{wish}`")),
+            (_, instruction) => return Err(format!("this machine cannot `{instruction}`")),
         }
         Ok(None)
     }
@@ -173,17 +173,17 @@ fn do_at_rig(bench: &Bench<RigBoard>, Act { part, on }: Act) -> Result<(), Bench
     })
 }
 
-impl Hands for BenchHands {
+impl Operator for Fixture {
     fn act(&mut self, act: Act, _: bool, say: &mut Say<'_>, _: &mut Watch<'_>) -> Result<(), Halt> {
-        say(&format!("  hands: {}", Wish::Do(act)));
-        self.carry_out(Wish::Do(act))
+        say(&format!("  fixture: {}", Instruction::Do(act)));
+        self.carry_out(Instruction::Do(act))
             .map(|_| ())
             .map_err(Halt::NotShown)
     }
 
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
-        say(&format!("  hands: {}", Wish::Read(reading)));
-        match self.carry_out(Wish::Read(reading)) {
+        say(&format!("  fixture: {}", Instruction::Read(reading)));
+        match self.carry_out(Instruction::Read(reading)) {
             Ok(Some(value)) => Ok(value),
             Ok(None) => Err(Halt::NotShown("nothing was measured".to_owned())),
             Err(why) => Err(Halt::NotShown(why)),
@@ -192,10 +192,10 @@ impl Hands for BenchHands {
 }
 
 /// Answers a client until it is gone.
-pub(crate) fn converse(stream: &TcpStream, hands: &BenchHands) -> std::io::Result<()> {
+pub(crate) fn converse(stream: &TcpStream, fixture: &Fixture) -> std::io::Result<()> {
     let mut out = stream;
     for line in BufReader::new(stream).lines() {
-        let answer = match line?.parse().and_then(|wish| hands.carry_out(wish)) {
+        let answer = match line?.parse().and_then(|instruction| fixture.carry_out(instruction)) {
             Ok(None) => "done".to_owned(),
             Ok(Some(value)) => format!("value {value}"),
             Err(why) => format!("error {}", why.replace('\n', " ")),
