@@ -1,6 +1,6 @@
 //! `campaign` and `verify`: a plan of trials, carried out with a person at the terminal or on the virtual bench.
 
-mod desk;
+mod prompter;
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use client::identity::Origin;
 use client::limited;
 use client::named;
 use client::wording::word;
-use desk::{Counter, Who};
+use prompter::{TerminalPrompter, Respondent};
 use lab::campaign::conduct::{Broken, Conduct, Ending, Machines};
 use lab::campaign::contents::Campaign;
 use lab::campaign::folder::Folder;
@@ -194,7 +194,7 @@ pub(crate) fn campaign(
             let plan = PlanFile::read(&args.what)?;
             admit(&args.session, screen)?;
             if args.session.yes {
-                desk::can_answer(&plan.plan).map_err(|why| {
+                prompter::can_answer(&plan.plan).map_err(|why| {
                     Failure::input(why, "complete the plan, as in `examples/paper.toml`")
                 })?;
             }
@@ -366,7 +366,7 @@ fn sit_down(
     let plan = folder.campaign().plan.clone();
     let path = folder.campaign().folder.clone();
     if session.yes {
-        desk::can_answer(&plan).map_err(|why| {
+        prompter::can_answer(&plan).map_err(|why| {
             Failure::input(
                 why,
                 "the plan of a campaign that has begun is fixed: at a terminal leave `--yes` out, or begin another one with a complete plan, `retrograde campaign run PLAN.toml --yes`",
@@ -403,22 +403,22 @@ fn sit_down(
             "The {machine} was still moving, for nobody: it was stopped."
         ));
     }
-    let who = match screen.keyboard.take() {
-        _ if session.yes => Who::Nobody(Box::new(plan)),
-        Some(keyboard) => Who::person(keyboard, screen.single_keys),
+    let respondent = match screen.keyboard.take() {
+        _ if session.yes => Respondent::Nobody(Box::new(plan)),
+        Some(keyboard) => Respondent::person(keyboard, screen.single_keys),
         None => {
             let refused = admit(session, screen).err();
             return Err(refused.unwrap_or_else(|| failure::left(&path)));
         }
     };
-    let mut desk = Counter::new(screen, finder, who);
+    let mut prompter = TerminalPrompter::new(screen, finder, respondent);
     let mut connect = |kind| {
         let device = finder.connect(kind, LinkPurpose::Own(COMMAND));
         device.map_err(|why| why.in_one_line())
     };
     let ended =
-        Conduct::new(folder, &mut machines, &mut desk, &mut connect).carry_out(session.trials);
-    drop(desk);
+        Conduct::new(folder, &mut machines, &mut prompter, &mut connect).carry_out(session.trials);
+    drop(prompter);
     if let Err(Broken::Experiment(_)) = &ended {
         screen.hint(&again(&path, session.yes));
     }

@@ -326,13 +326,13 @@ impl Link for Interrupted {
     }
 }
 
-struct Desk {
+struct Prompter {
     from_us: u64,
     urgent: Urgent,
     log: Mutex<Option<Arc<Mutex<Log>>>>,
 }
 
-impl Desk {
+impl Prompter {
     fn new(from_us: u64, urgent: Urgent) -> Self {
         Self {
             from_us,
@@ -348,7 +348,7 @@ impl Desk {
     }
 }
 
-impl Connector for Desk {
+impl Connector for Prompter {
     fn open(
         &self,
         _: DeviceKind,
@@ -383,12 +383,12 @@ fn an_import_that_is_stopped_says_what_was_set() {
     let import = ["settings", "import", file.to_str().expect("UTF-8")];
     let mut partly = 0;
     for from_us in (0..400_000).step_by(4_000) {
-        let desk = Desk::new(from_us, Urgent::Stop);
-        let (code, err) = desk.run(&import);
+        let prompter = Prompter::new(from_us, Urgent::Stop);
+        let (code, err) = prompter.run(&import);
         if code == 0 {
             continue;
         }
-        let log = desk.log.lock().expect("free").clone().expect("a rig");
+        let log = prompter.log.lock().expect("free").clone().expect("a rig");
         let values = log.lock().expect("free").settings();
         for (key, value) in SettingKey::ALL.iter().zip(&values) {
             let told = err.contains(&format!(
@@ -413,9 +413,9 @@ fn an_import_that_is_stopped_says_what_was_set() {
 #[test]
 fn an_emergency_stop_reaches_the_machine_beside_a_stop_from_elsewhere() {
     for from_us in (0..60_000).step_by(2_000) {
-        let desk = Desk::new(from_us, Urgent::Stop);
-        let (code, err) = desk.run(&["estop", "rig"]);
-        let log = desk.log.lock().expect("free").clone().expect("a rig");
+        let prompter = Prompter::new(from_us, Urgent::Stop);
+        let (code, err) = prompter.run(&["estop", "rig"]);
+        let log = prompter.log.lock().expect("free").clone().expect("a rig");
         let urgent = log.lock().expect("free").urgent.clone();
         assert_eq!(code, 0, "{from_us} us: {err}");
         assert!(
@@ -434,7 +434,7 @@ fn a_stop_says_where_the_carriage_stands_whatever_it_met() {
     for (urgent, code) in [(Urgent::Stop, 130), (Urgent::EStop, 6)] {
         for (args, from) in [(&jog[..], 0..300_000), (&to, 0..100_000)] {
             for from_us in from.step_by(4_000) {
-                let (ended, err) = Desk::new(from_us, urgent).run(args);
+                let (ended, err) = Prompter::new(from_us, urgent).run(args);
                 let all = format!("{urgent:?}, {from_us} us: {err}");
                 assert_eq!(ended, code, "{all}");
                 // Before there was an order, nothing has moved.

@@ -34,7 +34,7 @@ const COMPANY_US: u64 = 50_000;
 pub type Connect<'a> = dyn FnMut(DeviceKind) -> Result<Device, String> + 'a;
 
 /// Shows text to the operator and asks for answers.
-pub trait Desk {
+pub trait Prompter {
     fn say(&mut self, text: &str);
     /// Waits for an answer. Calls `keep_alive` several times a second meanwhile.
     ///
@@ -246,7 +246,7 @@ impl Machines {
 pub struct Conduct<'a> {
     folder: &'a mut Folder,
     machines: &'a mut Machines,
-    desk: &'a mut dyn Desk,
+    prompter: &'a mut dyn Prompter,
     connect: &'a mut Connect<'a>,
     /// Whether a machine did not answer while a question waited, and was not reached since.
     gone: bool,
@@ -271,13 +271,13 @@ impl<'a> Conduct<'a> {
     pub fn new(
         folder: &'a mut Folder,
         machines: &'a mut Machines,
-        desk: &'a mut dyn Desk,
+        prompter: &'a mut dyn Prompter,
         connect: &'a mut Connect<'a>,
     ) -> Self {
         Self {
             folder,
             machines,
-            desk,
+            prompter,
             connect,
             gone: false,
             camera: None,
@@ -332,19 +332,19 @@ impl<'a> Conduct<'a> {
     // Rows.
 
     fn row(&mut self, row: LedgerRow) -> Result<(), Broken> {
-        let (now, origin) = (self.desk.now(), self.machines.origin);
+        let (now, origin) = (self.prompter.now(), self.machines.origin);
         Ok(self.folder.append(row, now, origin)?)
     }
 
     fn reading_row(&mut self, row: ReadingRow) -> Result<(), Broken> {
-        let (now, origin) = (self.desk.now(), self.machines.origin);
+        let (now, origin) = (self.prompter.now(), self.machines.origin);
         Ok(self.folder.append_reading(row, now, origin)?)
     }
 
     fn note(&mut self, trial: u32, text: String) -> Result<(), Broken> {
         let line = format!("  noted on trial {trial}: {text}");
         self.row(LedgerRow::of(LedgerEvent::Note, trial, None).saying(Some(text)))?;
-        self.desk.say(&line);
+        self.prompter.say(&line);
         Ok(())
     }
 
@@ -371,12 +371,12 @@ impl<'a> Conduct<'a> {
                 format!("  the displacement of trial {trial} is taken back"),
             ),
             (None, None) => {
-                self.desk.say("  no displacement was entered yet");
+                self.prompter.say("  no displacement was entered yet");
                 return Ok(());
             }
         };
         self.row(row)?;
-        self.desk.say(&text);
+        self.prompter.say(&text);
         Ok(())
     }
 
@@ -387,7 +387,7 @@ impl<'a> Conduct<'a> {
         let Some(urgent) = self.machines.take_stop()? else {
             return Ok(Next::Proceed);
         };
-        self.desk.say(match urgent {
+        self.prompter.say(match urgent {
             Urgent::Stop => "  a stop came meanwhile: nothing begins before Enter at a check-list",
             Urgent::EStop => {
                 "  an emergency stop came meanwhile: nothing begins before `retrograde ack`"
@@ -398,7 +398,7 @@ impl<'a> Conduct<'a> {
 
     /// A person looks, and answers anew. With nobody there the same answer would come at once, without end.
     fn reread_or_quit(&self) -> Next {
-        match self.desk.is_person() {
+        match self.prompter.is_person() {
             true => Next::Reread,
             false => Next::Quit,
         }
@@ -406,21 +406,21 @@ impl<'a> Conduct<'a> {
 
     /// Asks until the answer is clear. None: the operator leaves.
     fn ask(&mut self, question: &Question<'_>) -> Result<Option<Answer>, Broken> {
-        let person = self.desk.is_person();
+        let person = self.prompter.is_person();
         if person || !matches!(question, Question::Reading { .. }) {
             for line in question.text() {
-                self.desk.say(&line);
+                self.prompter.say(&line);
             }
         }
         if person {
-            self.desk.say(&format!("  ({})", question.hint()));
+            self.prompter.say(&format!("  ({})", question.hint()));
         }
         // A machine that is still gone has been named already.
         let mut reported = self.gone;
         loop {
             let machines = &mut *self.machines;
             let mut keep_alive = || machines.keep_alive();
-            let text = match self.desk.answer(question, &mut keep_alive) {
+            let text = match self.prompter.answer(question, &mut keep_alive) {
                 Ok(text) => text,
                 Err(Halt::Left) => return Ok(None),
                 // The operator's stop also ends the waiting.
@@ -429,7 +429,7 @@ impl<'a> Conduct<'a> {
                 Err(Halt::Client(error)) => {
                     self.gone = true;
                     if !std::mem::replace(&mut reported, true) {
-                        self.desk
+                        self.prompter
                             .say(&format!("  {error}; the answer is waited for even so"));
                     }
                     continue;
@@ -437,7 +437,7 @@ impl<'a> Conduct<'a> {
             };
             match prompts::parse(&text) {
                 Answer::Quit => return Ok(None),
-                Answer::Unclear(why) => self.desk.say(&format!("  {why}")),
+                Answer::Unclear(why) => self.prompter.say(&format!("  {why}")),
                 answer => return Ok(Some(answer)),
             }
         }

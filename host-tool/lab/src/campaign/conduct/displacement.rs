@@ -36,13 +36,13 @@ impl Conduct<'_> {
                 self.row(row.saying(Some(modelled.text)))?;
                 return self.unfold_after(planned, attempt);
             }
-            (Answer::Length(_), Some(_)) => self.desk.say(
+            (Answer::Length(_), Some(_)) => self.prompter.say(
                 "  nothing can be measured on the virtual bench: Enter takes the model's value",
             ),
             (Answer::Length(value), None) => {
                 let allowed = self.folder.campaign().plan.displacement;
                 if let Some(why) = allowed.refusal(value) {
-                    self.desk.say(&format!("  {why}"));
+                    self.prompter.say(&format!("  {why}"));
                     return Ok(Next::Reread);
                 }
                 row.displacement_mm = Some(value);
@@ -51,7 +51,7 @@ impl Conduct<'_> {
                 return self.unfold_after(planned, attempt);
             }
             (Answer::Enter | Answer::Yes | Answer::Again, None) => {
-                self.desk.say("  the displacement is needed here");
+                self.prompter.say("  the displacement is needed here");
             }
             (answer, _) => return self.instead(planned, attempt, answer),
         }
@@ -67,14 +67,14 @@ impl Conduct<'_> {
                 let row =
                     LedgerRow::of(LedgerEvent::Repeated, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
-                self.desk.say(&format!(
+                self.prompter.say(&format!(
                     "  attempt {attempt} does not count; the trial is done again"
                 ));
                 ends = true;
             }
             Answer::Skip(reason) => {
                 self.row(LedgerRow::of(LedgerEvent::Skipped, trial, None).saying(Some(reason)))?;
-                self.desk.say(&format!(
+                self.prompter.say(&format!(
                     "  trial {trial} is skipped; undo takes it in again"
                 ));
                 ends = true;
@@ -83,19 +83,19 @@ impl Conduct<'_> {
                 let row =
                     LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt)).saying(Some(reason));
                 self.row(row)?;
-                self.desk.say(&format!("  trial {trial} is excluded"));
+                self.prompter.say(&format!("  trial {trial} is excluded"));
                 ends = true;
             }
             Answer::Note(text) => self.note(trial, text)?,
             Answer::Camera(_) | Answer::Clamp => {
-                self.desk.say("  that is for the next trial");
+                self.prompter.say("  that is for the next trial");
             }
             Answer::Enter
             | Answer::Length(_)
             | Answer::Yes
             | Answer::Again
             | Answer::Quit
-            | Answer::Unclear(_) => self.desk.say("  the displacement is needed here"),
+            | Answer::Unclear(_) => self.prompter.say("  the displacement is needed here"),
         }
         if ends {
             return self.unfold_after(planned, attempt);
@@ -145,7 +145,7 @@ impl Conduct<'_> {
             // The trial has ended all the same, and the next one may need no capsule.
             Err(error) => {
                 self.gone = true;
-                self.desk.say(&format!(
+                self.prompter.say(&format!(
                     "  {error}; was the capsule left folded? Its thread pulls: leave, then `retrograde unfold`"
                 ));
                 return Ok(Next::Reread);
@@ -154,7 +154,7 @@ impl Conduct<'_> {
         // A stop that came while the question waited is younger than the question.
         let then = self.report_stop()?;
         if !matches!(then, Next::Proceed) {
-            self.desk.say(
+            self.prompter.say(
                 "  the capsule stays folded, and its thread pulls: leave, then `retrograde unfold`",
             );
             return Ok(then);
@@ -173,7 +173,7 @@ impl Conduct<'_> {
         let Some(Ok(status)) = capsule.map(Device::capsule_status) else {
             return;
         };
-        self.desk.say(match status.state {
+        self.prompter.say(match status.state {
             CapsuleState::Folded => {
                 "The capsule is folded still, and its thread pulls: `retrograde unfold`."
             }

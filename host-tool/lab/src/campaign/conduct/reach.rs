@@ -57,7 +57,7 @@ impl Conduct<'_> {
             return Ok(true);
         }
         if let Err(why) = self.machines.reconnect(self.connect) {
-            self.desk
+            self.prompter
                 .say(&format!("  {why}; Enter tries again, q leaves"));
             return Ok(false);
         }
@@ -74,13 +74,13 @@ impl Conduct<'_> {
         }
         self.machines.known = found;
         for machine in self.machines.come_to_rest()? {
-            self.desk.say(&format!(
+            self.prompter.say(&format!(
                 "  the {machine} was moving, for nobody: it was stopped"
             ));
         }
         self.machines.homed = None;
         (self.gone, self.homed_in) = (false, None);
-        self.desk
+        self.prompter
             .say("  the machine is back, and the same: on with it");
         Ok(true)
     }

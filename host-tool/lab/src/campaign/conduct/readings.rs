@@ -18,7 +18,7 @@ impl Conduct<'_> {
         }
         if self.folder.campaign().readings.width().is_none() {
             let count = self.folder.campaign().plan.readings.count;
-            self.desk.say("");
+            self.prompter.say("");
             let todo = vec![
                 "The width of the intestine, with the rollers OFF.".to_owned(),
                 format!("  {count} readings of D at as many places, with the caliper."),
@@ -97,7 +97,7 @@ impl Conduct<'_> {
             None => Ok(Next::Quit),
             Some(Answer::Enter | Answer::Yes) => self.read_set(quantity, indentation),
             Some(_) => {
-                self.desk.say("  that is not for now");
+                self.prompter.say("  that is not for now");
                 Ok(Next::Reread)
             }
         }
@@ -162,7 +162,7 @@ impl Conduct<'_> {
                         return Ok(Next::Reread);
                     }
                     Some(Answer::Undo) => self.reading_row(row(Kind::Withdrawn, None))?,
-                    Some(_) => self.desk.say("  yes, undo or again"),
+                    Some(_) => self.prompter.say("  yes, undo or again"),
                 }
                 continue;
             }
@@ -177,7 +177,7 @@ impl Conduct<'_> {
                 Some(Answer::Undo) if done > 0 => self.reading_row(row(Kind::Withdrawn, None))?,
                 Some(Answer::Length(value)) => {
                     match refusal(quantity, value, width_mm, resolution) {
-                        Some(why) => self.desk.say(&format!("  {why}")),
+                        Some(why) => self.prompter.say(&format!("  {why}")),
                         None => self.reading_row(ReadingRow {
                             reading: Some(done + 1),
                             value_mm: Some(value),
@@ -185,7 +185,7 @@ impl Conduct<'_> {
                         })?,
                     }
                 }
-                Some(_) => self.desk.say("  a number is needed here"),
+                Some(_) => self.prompter.say("  a number is needed here"),
             }
         }
     }
@@ -211,6 +211,6 @@ impl Conduct<'_> {
         if let (Some(a), Some(name)) = (a, indentation) {
             text.push_str(&format!("; {name} = (D - i)/2 = {a:.3} mm"));
         }
-        self.desk.say(&text);
+        self.prompter.say(&text);
     }
 }

@@ -53,26 +53,26 @@ impl Conduct<'_> {
                     LedgerRow::of(LedgerEvent::Skipped, planned.trial, None).saying(Some(reason)),
                 )?;
                 self.camera = None;
-                self.desk.say(&format!(
+                self.prompter.say(&format!(
                     "  trial {} is skipped; undo takes it in again",
                     planned.trial
                 ));
             }
             Answer::Note(text) => self.note(planned.trial, text)?,
             Answer::Camera(_) if self.folder.campaign().plan.metadata.camera == "none" => {
-                self.desk.say(
+                self.prompter.say(
                     "  the plan says `camera = \"none\"`, so no file is noted; `note TEXT` keeps a remark",
                 );
             }
             Answer::Camera(file) => self.camera = Some(file),
             Answer::Clamp => self.clamp()?,
             Answer::Repeat(_) => {
-                self.desk.say(
+                self.prompter.say(
                     "  `undo` goes back to the last displacement; there `repeat` does it again",
                 );
             }
             Answer::Length(_) | Answer::Again | Answer::Quit | Answer::Unclear(_) => {
-                self.desk.say("  Enter begins the trial");
+                self.prompter.say("  Enter begins the trial");
             }
         }
         Ok(Next::Reread)
@@ -84,7 +84,7 @@ impl Conduct<'_> {
         let ended = |row: &&LedgerRow| row.event == LedgerEvent::Ended;
         let latest = campaign.rows.iter().rfind(ended);
         let Some((trial, attempt)) = latest.and_then(|row| row.trial.zip(row.attempt)) else {
-            self.desk.say("  no trial is done yet");
+            self.prompter.say("  no trial is done yet");
             return Ok(());
         };
         let status = campaign.state.trial(trial).map(TrialState::status);
@@ -92,15 +92,15 @@ impl Conduct<'_> {
             Some(TrialStatus::Done) => {
                 let row = LedgerRow::of(LedgerEvent::Excluded, trial, Some(attempt));
                 self.row(row.saying(Some(reason)))?;
-                self.desk.say(&format!(
+                self.prompter.say(&format!(
                     "  trial {trial} is excluded; undo takes it in again"
                 ));
             }
             Some(TrialStatus::Excluded) => {
-                self.desk
+                self.prompter
                     .say(&format!("  trial {trial} is excluded already"));
             }
-            _ => self.desk.say(&format!(
+            _ => self.prompter.say(&format!(
                 "  trial {trial} does not count anyway; `campaign edit ... exclude` names another one"
             )),
         }
@@ -146,7 +146,7 @@ impl Conduct<'_> {
         let stopped = matches!(&result, Err(broken) if broken.outcome() == AttemptOutcome::Stopped);
         match result {
             Err(_) if stopped && ended.is_ok() => {
-                self.desk.say(&format!(
+                self.prompter.say(&format!(
                     "  stopped: attempt {attempt} of trial {trial} does not count"
                 ));
                 Ok(Next::Quit)
@@ -176,7 +176,7 @@ impl Conduct<'_> {
         let plan = &self.folder.campaign().plan;
         let (run, fold_at) = (plan.run, plan.fold_at);
         let recording = self.recording(folder, RUN, planned);
-        if let Some(pacer) = self.desk.pacer() {
+        if let Some(pacer) = self.prompter.pacer() {
             self.machines.rig.set_pacer(pacer);
         }
         let mut fold = None;
@@ -193,13 +193,13 @@ impl Conduct<'_> {
                     run,
                     (Shaping::Fold, cue),
                     &recordings,
-                    &mut *self.desk.observer(),
+                    &mut *self.prompter.observer(),
                 )?;
                 fold = Some(ran.actuation);
                 ran.run
             }
             _ => {
-                let mut observer = self.desk.observer();
+                let mut observer = self.prompter.observer();
                 experiment::run(&mut self.machines.rig, run, &recording, &mut *observer)?
             }
         };
@@ -245,8 +245,8 @@ impl Conduct<'_> {
             return Err(not_ready(why, "remove its cause, `retrograde ack rig`"));
         }
         if !status.homed || self.homed_in != Some(block) {
-            let homed = experiment::home(&mut self.machines.rig, &mut *self.desk.observer())?;
-            self.machines.homed = Some((self.desk.now(), homed));
+            let homed = experiment::home(&mut self.machines.rig, &mut *self.prompter.observer())?;
+            self.machines.homed = Some((self.prompter.now(), homed));
             self.homed_in = Some(block);
             return Ok(());
         }
@@ -282,7 +282,7 @@ impl Conduct<'_> {
         Recording {
             folder: folder.to_owned(),
             stem: stem.to_owned(),
-            now: self.desk.now(),
+            now: self.prompter.now(),
             note: Some(format!(
                 "campaign {}, trial {}: {}, {}, {}, repeat {}",
                 self.folder.campaign().plan.name,
@@ -321,7 +321,7 @@ impl Conduct<'_> {
         }
         if status.state == CapsuleState::Folded && wanted == Form::Folded {
             // The record of its fold belongs to another attempt, and the body may have slipped since.
-            self.desk
+            self.prompter
                 .say("The capsule is folded still: it is unfolded, and folded anew.");
         }
         if wanted == Form::Folded {
@@ -334,7 +334,7 @@ impl Conduct<'_> {
     }
 
     pub(super) fn actuate(&mut self, kind: ActuationKind, folder: &Path) -> Result<(), Broken> {
-        self.desk.say(match kind {
+        self.prompter.say(match kind {
             ActuationKind::Reference => "Reference the capsule.",
             ActuationKind::Fold => "Fold the capsule.",
             _ => "Unfold the capsule.",
@@ -342,14 +342,14 @@ impl Conduct<'_> {
         let recording = Recording {
             folder: folder.to_owned(),
             stem: experiment::stem(kind).to_owned(),
-            now: self.desk.now(),
+            now: self.prompter.now(),
             note: None,
             telemetry_ms: self.folder.campaign().plan.telemetry_ms,
         };
         let Some(capsule) = &mut self.machines.capsule else {
             return Err(no_capsule());
         };
-        let mut observer = self.desk.observer();
+        let mut observer = self.prompter.observer();
         let trial = experiment::actuate(capsule, kind, &recording, &mut *observer)?;
         if trial.trial.status != Status::Complete {
             return Err(Broken::Ended {

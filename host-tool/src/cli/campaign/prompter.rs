@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use client::error::ClientError;
 use client::{Interrupt, Observer, Pacer};
 use jiff::Timestamp;
-use lab::campaign::conduct::Desk;
+use lab::campaign::conduct::Prompter;
 use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::prompts::{Halt, Question};
 use lab::campaign::readings::{Quantity, refusal};
@@ -22,14 +22,14 @@ use crate::cli::screen::{Keyboard, Screen};
 const TURN: Duration = Duration::from_millis(10);
 
 /// Source of the answers.
-pub(super) enum Who {
+pub(super) enum Respondent {
     /// A person. During a run the pacer takes the lines.
     Person(Arc<Mutex<Lines>>),
     /// The plan, when no person is there.
     Nobody(Box<CampaignPlan>),
 }
 
-impl Who {
+impl Respondent {
     pub(super) fn person(keyboard: Keyboard, by_hand: bool) -> Self {
         Self::Person(Arc::new(Mutex::new(Lines::new(keyboard, by_hand))))
     }
@@ -72,26 +72,26 @@ fn between_crests(width: Millimetres, about: Millimetres) -> Millimetres {
 }
 
 /// Puts a campaign's questions to the terminal or to the plan.
-pub(super) struct Counter<'a, 'b> {
+pub(super) struct TerminalPrompter<'a, 'b> {
     screen: &'a mut Screen<'b>,
     finder: &'a Finder<'a>,
-    who: Who,
+    respondent: Respondent,
     interrupt: Interrupt,
 }
 
-impl<'a, 'b> Counter<'a, 'b> {
+impl<'a, 'b> TerminalPrompter<'a, 'b> {
     /// Makes Ctrl-C leave a question, too, from now on.
-    pub(super) fn new(screen: &'a mut Screen<'b>, finder: &'a Finder<'a>, who: Who) -> Self {
+    pub(super) fn new(screen: &'a mut Screen<'b>, finder: &'a Finder<'a>, respondent: Respondent) -> Self {
         Self {
             screen,
             finder,
-            who,
+            respondent,
             interrupt: interrupt::install(),
         }
     }
 }
 
-impl Desk for Counter<'_, '_> {
+impl Prompter for TerminalPrompter<'_, '_> {
     fn say(&mut self, text: &str) {
         self.screen.say(text);
     }
@@ -101,10 +101,10 @@ impl Desk for Counter<'_, '_> {
         question: &Question<'_>,
         keep_alive: &mut dyn FnMut() -> Result<(), ClientError>,
     ) -> Result<String, Halt> {
-        let lines = match &self.who {
-            Who::Nobody(_) if (self.interrupt)().is_some() => return Err(Halt::Left),
-            Who::Nobody(plan) => return Ok(by_plan(plan, question)),
-            Who::Person(lines) => lines,
+        let lines = match &self.respondent {
+            Respondent::Nobody(_) if (self.interrupt)().is_some() => return Err(Halt::Left),
+            Respondent::Nobody(plan) => return Ok(by_plan(plan, question)),
+            Respondent::Person(lines) => lines,
         };
         let asked = Instant::now();
         loop {
@@ -128,7 +128,7 @@ impl Desk for Counter<'_, '_> {
     }
 
     fn is_person(&self) -> bool {
-        matches!(self.who, Who::Person(_))
+        matches!(self.respondent, Respondent::Person(_))
     }
 
     fn observer(&mut self) -> Box<dyn Observer + '_> {
@@ -136,7 +136,7 @@ impl Desk for Counter<'_, '_> {
     }
 
     fn pacer(&mut self) -> Option<Pacer> {
-        let Who::Person(lines) = &self.who else {
+        let Respondent::Person(lines) = &self.respondent else {
             return None;
         };
         let lines = Arc::clone(lines);
