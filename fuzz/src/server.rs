@@ -27,7 +27,7 @@ use lab::operations::connector::{Candidate, Connector, LinkPurpose};
 use lab::operations::finder::{Beginning, Finder};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
-use serve::board::{Board, Machine};
+use serve::shared_state::{SharedState, Machine};
 use serve::direct::{self, DirectRequest};
 use serve::http::{self, App};
 use serve::worker::Worker;
@@ -70,7 +70,7 @@ type Answering = Pin<Box<dyn Future<Output = Answer>>>;
 /// A server.
 pub struct Server<'a> {
     router: Router,
-    board: &'a Board,
+    shared: &'a SharedState,
     finder: &'a Finder<'a>,
     workers: Vec<Worker<'a>>,
     direct: Receiver<DirectRequest>,
@@ -80,7 +80,7 @@ pub struct Server<'a> {
 /// Ends the worker when nothing is ordered any more.
 struct Ends<'a> {
     connector: &'a dyn Connector,
-    board: Arc<Board>,
+    shared: Arc<SharedState>,
     leaving: Arc<AtomicBool>,
 }
 
@@ -96,7 +96,7 @@ impl Connector for Ends<'_> {
             Ok(link) => Ok(Box::new(EndingLink {
                 kind,
                 link,
-                board: Arc::clone(&self.board),
+                shared: Arc::clone(&self.shared),
                 leaving: Arc::clone(&self.leaving),
             })),
             Err(error) => {
@@ -122,7 +122,7 @@ impl Connector for Ends<'_> {
 struct EndingLink {
     kind: DeviceKind,
     link: Box<dyn Link>,
-    board: Arc<Board>,
+    shared: Arc<SharedState>,
     leaving: Arc<AtomicBool>,
 }
 
@@ -149,7 +149,7 @@ impl Link for EndingLink {
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
         let received = self.link.receive(buffer, deadline_us);
         assert!(self.now_us() < LONGEST_US, "an order without an end");
-        if received.is_err() || self.board.actions.are_over(self.kind) && matches!(received, Ok(0))
+        if received.is_err() || self.shared.actions.are_over(self.kind) && matches!(received, Ok(0))
         {
             self.leaving.store(true, Ordering::SeqCst);
         }
@@ -171,11 +171,11 @@ pub fn with<R>(
         kept.push(Machine::new(*kind, address.clone(), sender));
         orders.push(receiver);
     }
-    let board = Arc::new(Board::new(INSTANCE.to_owned(), kept, out.to_owned()));
+    let shared = Arc::new(SharedState::new(INSTANCE.to_owned(), kept, out.to_owned()));
     let leaving = Arc::new(AtomicBool::new(true));
     let connector = Ends {
         connector,
-        board: Arc::clone(&board),
+        shared: Arc::clone(&shared),
         leaving: Arc::clone(&leaving),
     };
     let finder = Finder {
@@ -186,13 +186,13 @@ pub fn with<R>(
         beginning: Beginning::now(),
     };
     let (sender, direct) = channel();
-    let workers = board
+    let workers = shared
         .machines
         .iter()
         .zip(orders)
         .map(|(machine, orders)| Worker {
             finder: &finder,
-            board: &board,
+            shared: &shared,
             machine,
             orders,
             leaving: &leaving,
@@ -200,11 +200,11 @@ pub fn with<R>(
         });
     let mut server = Server {
         router: http::router(Arc::new(App::new(
-            Arc::clone(&board),
+            Arc::clone(&shared),
             Access::new(token.to_owned(), vec![]),
             sender,
         ))),
-        board: &board,
+        shared: &shared,
         finder: &finder,
         workers: workers.collect(),
         direct,
@@ -283,22 +283,22 @@ impl Server<'_> {
                     urgent,
                     wait,
                 } => {
-                    if let Some(machine) = self.board.machine(machine) {
+                    if let Some(machine) = self.shared.machine(machine) {
                         // The real worker confirms it on its own thread. Here there is one thread, so wait for nothing.
-                        let (finder, board) = (self.finder, self.board);
-                        direct::stop(finder, board, machine, urgent, vec![wait], Duration::ZERO);
+                        let (finder, shared) = (self.finder, self.shared);
+                        direct::stop(finder, shared, machine, urgent, vec![wait], Duration::ZERO);
                     }
                 }
                 DirectRequest::Ask {
                     question, reply, ..
                 } => {
-                    let _ = reply.send(direct::ask(self.finder, self.board, question));
+                    let _ = reply.send(direct::ask(self.finder, self.shared, question));
                 }
                 DirectRequest::End => {}
             }
         }
         for worker in &self.workers {
-            let is_over = || self.board.actions.are_over(worker.machine.kind);
+            let is_over = || self.shared.actions.are_over(worker.machine.kind);
             if !is_over() {
                 worked = true;
                 self.leaving.store(false, Ordering::SeqCst);

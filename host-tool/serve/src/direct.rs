@@ -12,7 +12,7 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
-use crate::board::{Board, Machine};
+use crate::shared_state::{SharedState, Machine};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{DO_NOW, Delivery, StopReport};
 use lab::operations::failure::Failure;
@@ -68,18 +68,18 @@ pub enum DirectRequest {
 pub fn run<'scope>(
     scope: &'scope Scope<'scope, '_>,
     finder: &'scope Finder<'scope>,
-    board: &'scope Board,
+    shared: &'scope SharedState,
     direct: &Receiver<DirectRequest>,
 ) {
     // One courier per kind of stop, so that an emergency stop never waits for an ordinary one.
     let mut couriers = vec![];
-    for machine in &board.machines {
+    for machine in &shared.machines {
         for urgent in [Urgent::Stop, Urgent::EStop] {
             let (waits, waiting) = channel();
             let courier = thread::Builder::new().spawn_scoped(scope, move || {
                 while let Ok(first) = waiting.recv() {
                     let all = std::iter::once(first).chain(waiting.try_iter()).collect();
-                    stop(finder, board, machine, urgent, all, WORKER_TIME);
+                    stop(finder, shared, machine, urgent, all, WORKER_TIME);
                 }
             });
             if courier.is_ok() {
@@ -101,9 +101,9 @@ pub fn run<'scope>(
                 if let Some((.., waits)) = courier {
                     // Cannot fail: the courier lives as long as this thread.
                     let _ = waits.send(wait);
-                } else if let Some(machine) = board.machine(machine) {
+                } else if let Some(machine) = shared.machine(machine) {
                     // The system had no thread for it: tell one after the other.
-                    stop(finder, board, machine, urgent, vec![wait], WORKER_TIME);
+                    stop(finder, shared, machine, urgent, vec![wait], WORKER_TIME);
                 }
             }
             DirectRequest::Ask {
@@ -114,7 +114,7 @@ pub fn run<'scope>(
                 // Without a thread the question has no answer, and the client is told so.
                 let _ = thread::Builder::new().spawn_scoped(scope, move || {
                     // The client may have disconnected.
-                    let _ = reply.send(ask(finder, board, question));
+                    let _ = reply.send(ask(finder, shared, question));
                     drop(place);
                 });
             }
@@ -127,7 +127,7 @@ pub fn run<'scope>(
 /// `patience` at most.
 pub fn stop(
     finder: &Finder<'_>,
-    board: &Board,
+    shared: &SharedState,
     machine: &Machine,
     urgent: Urgent,
     waits: Vec<Wait>,
@@ -152,7 +152,7 @@ pub fn stop(
         if waits.iter().any(is_open) {
             let name = stops::name(urgent);
             let notice = format!("{name} NOT CONFIRMED: {DO_NOW} ({})", report.why);
-            board.notice(machine, Notice::Bad(notice));
+            shared.notice(machine, Notice::Bad(notice));
         }
     }
     for Wait { ask, reply } in waits {
@@ -167,8 +167,8 @@ pub fn stop(
     }
 }
 
-pub fn ask(finder: &Finder<'_>, board: &Board, question: Question) -> Result<Value, Failure> {
-    let Some(machine) = board.machine(question.about()) else {
+pub fn ask(finder: &Finder<'_>, shared: &SharedState, question: Question) -> Result<Value, Failure> {
+    let Some(machine) = shared.machine(question.about()) else {
         let name = kind_name(question.about());
         return Err(Failure::input(
             format!("this server has no {name}"),

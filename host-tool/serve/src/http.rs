@@ -44,7 +44,7 @@ use tower_service::Service as _;
 use crate::access::{Access, Demand, Peer, demand};
 use crate::actions::{Action, Arrival, RequestedAction, ActionStatus};
 use crate::answers::{Instead, answer, bad, closing, good, refused, status, typed};
-use crate::board::{Board, Order};
+use crate::shared_state::{SharedState, Order};
 use crate::bodies::{LONGEST_BODY, fields, object};
 use crate::direct::{DirectRequest, Question, Wait};
 use crate::open_files::Connections;
@@ -83,7 +83,7 @@ const STOPPING: Duration = Duration::from_secs(10);
 /// State shared by all requests.
 pub struct App {
     /// State of the machines.
-    pub board: Arc<Board>,
+    pub shared: Arc<SharedState>,
     access: Access,
     /// Queue for stops and questions.
     direct: Sender<DirectRequest>,
@@ -98,9 +98,9 @@ pub struct App {
 impl App {
     /// The state at the start.
     #[must_use]
-    pub fn new(board: Arc<Board>, access: Access, direct: Sender<DirectRequest>) -> Self {
+    pub fn new(shared: Arc<SharedState>, access: Access, direct: Sender<DirectRequest>) -> Self {
         Self {
-            board,
+            shared,
             access,
             direct,
             asking: Arc::new(Semaphore::new(QUESTIONS)),
@@ -312,16 +312,16 @@ async fn openapi() -> Response {
 }
 
 async fn state(State(app): Shared) -> Response {
-    good(app.board.json())
+    good(app.shared.json())
 }
 
 async fn stream(State(app): Shared) -> Response {
-    let events = app.board.stream.body(|| app.board.json());
+    let events = app.shared.stream.body(|| app.shared.json());
     typed("text/event-stream", events)
 }
 
 async fn actions(State(app): Shared) -> Response {
-    good(json!({ "actions": app.board.actions.all() }))
+    good(json!({ "actions": app.shared.actions.all() }))
 }
 
 async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answered {
@@ -335,9 +335,9 @@ async fn action(State(app): Shared, id: Parts<String>, request: Request) -> Answ
             "`GET /api/v1/actions` lists those that are known",
         )
     };
-    let actions = &app.board.actions;
+    let actions = &app.shared.actions;
     let number = actions.number(&id).ok_or_else(unknown)?;
-    let over = wait(&app.board, number, |action| action.status.is_over());
+    let over = wait(&app.shared, number, |action| action.status.is_over());
     // After that time the action may not have ended yet.
     let _ = timeout(Duration::from_secs(wait_s), over).await;
     let action = actions.get(number).ok_or_else(unknown)?;
@@ -363,11 +363,11 @@ fn wait_s(query: &str) -> Result<u64, String> {
 }
 
 /// Waits until an action meets the condition; `None` if the action is unknown.
-async fn wait(board: &Board, number: u64, until: impl Fn(&Action) -> bool) -> Option<Action> {
-    let mut changes = board.actions.changes();
+async fn wait(shared: &SharedState, number: u64, until: impl Fn(&Action) -> bool) -> Option<Action> {
+    let mut changes = shared.actions.changes();
     loop {
         changes.borrow_and_update();
-        let action = board.actions.get(number)?;
+        let action = shared.actions.get(number)?;
         if until(&action) {
             return Some(action);
         }
@@ -423,7 +423,7 @@ fn planned(body: &Map<String, Value>) -> Result<Value, Failure> {
 
 async fn records(State(app): Shared) -> Answered {
     let _one = app.listing.acquire().await.map_err(|_| ends())?;
-    let folder = app.board.out.clone();
+    let folder = app.shared.out.clone();
     let listed = tokio::task::spawn_blocking(move || list(&folder)).await;
     Ok(good(listed.map_err(|_| ends())?))
 }
@@ -435,7 +435,7 @@ async fn record(name: Parts<String>, State(app): Shared) -> Answered {
     } else {
         "application/json"
     };
-    let path = app.board.out.join(&name);
+    let path = app.shared.out.join(&name);
     let opened = tokio::task::spawn_blocking(move || is_record(&name).then(|| open(&path))?);
     let file = opened.await.ok().flatten().ok_or_else(|| {
         refused(
@@ -474,7 +474,7 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
         .and_then(|body| fields(limited::utf8(&body).ok()?).ok())
         .and_then(|body| machine_of(body.get("machine")?.as_str()?));
     let mut waiting = vec![];
-    for machine in &app.board.machines {
+    for machine in &app.shared.machines {
         if only.is_some_and(|only| only != machine.kind) {
             continue;
         }
@@ -584,15 +584,15 @@ async fn command(
 ) -> Answered {
     let Path((machine, name)) = path.map_err(|_| not_utf8())?;
     let kind = machine_of(&machine).ok_or_else(unknown_command)?;
-    let board = &app.board;
-    let worker = board.machine(kind).ok_or_else(|| no_machine(kind))?;
+    let shared = &app.shared;
+    let worker = shared.machine(kind).ok_or_else(|| no_machine(kind))?;
     // Note the last stop before waiting for the body, so that a stop meanwhile overtakes this order.
     let after = worker.last_stop();
     let body = object(&headers, body).await?;
     let work = Work::read(kind, &name, &body).ok_or_else(unknown_command)??;
     let request = format!("{machine}/{name} {}", Value::Object(body));
     let command = RequestedAction {
-        key: key(&headers, &board.instance)?,
+        key: key(&headers, &shared.instance)?,
         print: hmac_sha256::Hash::hash(request.as_bytes()),
         machine: kind,
         kind: work.kind(),
@@ -600,7 +600,7 @@ async fn command(
     };
     // Hold, resume and acknowledge end at once, so answer only when they have.
     let short = !work.is_for_owner();
-    let number = match board.actions.arrive(command, Timestamp::now()) {
+    let number = match shared.actions.arrive(command, Timestamp::now()) {
         Arrival::Again(number) => number,
         Arrival::Contradiction => {
             return Err(refused(
@@ -621,7 +621,7 @@ async fn command(
                     "the order is late: its `Retrograde-Sent` is more than 5 s ago, or no whole number of ms since 1970",
                     "nothing was moved by this order; look at the machine, then again",
                 );
-                board.ended(number, Value::Null, Some(&failure));
+                shared.ended(number, Value::Null, Some(&failure));
             } else if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
                 worker.orders.try_send(order)
             {
@@ -630,7 +630,7 @@ async fn command(
                     help: "this one was not sent; send it again when the others are done"
                         .to_owned(),
                 };
-                board.ended(number, Value::Null, Some(&failure));
+                shared.ended(number, Value::Null, Some(&failure));
             }
             number
         }
@@ -638,8 +638,8 @@ async fn command(
     let until = |action: &Action| {
         action.status.is_over() || (!short && action.status == ActionStatus::UnderWay)
     };
-    let action = wait(board, number, until).await.ok_or_else(ends)?;
-    let mut value = json!({ "ok": true, "action": board.actions.json(&action) });
+    let action = wait(shared, number, until).await.ok_or_else(ends)?;
+    let mut value = json!({ "ok": true, "action": shared.actions.json(&action) });
     let code = match &action.failure {
         None if action.status.is_over() => StatusCode::OK,
         None => StatusCode::ACCEPTED,
@@ -663,8 +663,8 @@ async fn renew(State(app): Shared, headers: HeaderMap, body: Body) -> Answered {
             "the jog ends by itself if nobody renews it",
         ));
     };
-    let number = app.board.actions.number(id);
-    let rig = app.board.machine(DeviceKind::Rig);
+    let number = app.shared.actions.number(id);
+    let rig = app.shared.machine(DeviceKind::Rig);
     let machine = rig.ok_or_else(|| no_machine(DeviceKind::Rig))?;
     let mut lease = machine.lease();
     match lease.as_mut() {

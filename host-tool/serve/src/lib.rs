@@ -4,7 +4,7 @@
 //!  browser, program --HTTP--> http: access, orders --bounded channel--> worker (one thread a machine) --> line
 //!                                   |                                                                      ^
 //!                                   +-- a stop --> direct (a thread of its own) --> broker of the line's owner
-//!  browser <--server-sent events-- stream <-- board <-- worker
+//!  browser <--server-sent events-- stream <-- shared state <-- worker
 //! ```
 //!
 //! * [`access`]: decides who may do what.
@@ -13,18 +13,18 @@
 //! * `actions`: commands and their results; each is executed once.
 //! * `worker`: connection, orders and telemetry of one machine; `worker::busy` while it works.
 //! * `direct`: stops and questions, which bypass the worker.
-//! * `board`: the state that all of them share, and its JSON form.
+//! * `shared_state`: the state that all of them share, and its JSON form.
 //! * `open_files`: how many connections there may be.
 //! * `stream`: sends events to all readers.
 //!
-//! Fuzzing drives board, worker and direct requests without sockets; that is why they are public.
+//! Fuzzing drives state, worker and direct requests without sockets; that is why they are public.
 
 pub mod access;
 #[doc(hidden)]
 pub mod actions;
 mod answers;
 #[doc(hidden)]
-pub mod board;
+pub mod shared_state;
 mod bodies;
 #[doc(hidden)]
 pub mod direct;
@@ -62,7 +62,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::{interval, sleep, timeout};
 
 use crate::access::{Access, LEAST_TOKEN, new_token};
-use crate::board::{Board, Machine};
+use crate::shared_state::{SharedState, Machine};
 use crate::direct::DirectRequest;
 use crate::http::App;
 use crate::open_files::{Connections, LEAST};
@@ -148,10 +148,10 @@ pub fn serve(
         machines.push(Machine::new(*kind, address.clone(), sender));
         orders.push(receiver);
     }
-    let board = Arc::new(Board::new(instance.clone(), machines, options.out));
+    let shared = Arc::new(SharedState::new(instance.clone(), machines, options.out));
     let (direct, to_do) = channel();
     let access = Access::new(token.clone(), options.hosts);
-    let app = Arc::new(App::new(Arc::clone(&board), access, direct.clone()));
+    let app = Arc::new(App::new(Arc::clone(&shared), access, direct.clone()));
 
     let server_file = ServerFile::publish(&json!({
         "url": url, "token": token, "instance": instance, "pid": std::process::id(),
@@ -172,10 +172,10 @@ pub fn serve(
         // Dropped on panic as well, so that the threads always end.
         let leave = Leave(&leaving, direct);
         let mut workers = vec![];
-        for (machine, orders) in board.machines.iter().zip(orders) {
+        for (machine, orders) in shared.machines.iter().zip(orders) {
             let worker = Worker {
                 finder,
-                board: &board,
+                shared: &shared,
                 machine,
                 orders,
                 leaving: &leaving,
@@ -184,9 +184,9 @@ pub fn serve(
             let thread = thread::Builder::new().spawn_scoped(scope, move || worker.work());
             workers.push(thread.map_err(Failure::no_thread)?);
         }
-        let board = &*board;
+        let shared = &*shared;
         thread::Builder::new()
-            .spawn_scoped(scope, move || direct::run(scope, finder, board, &to_do))
+            .spawn_scoped(scope, move || direct::run(scope, finder, shared, &to_do))
             .map_err(Failure::no_thread)?;
         let router = http::router(Arc::clone(&app));
         runtime.spawn(http::listen(listener, router, connections));
@@ -195,8 +195,8 @@ pub fn serve(
         if let Ok(server_file) = &server_file {
             runtime.spawn(keep(Arc::clone(server_file)));
         }
-        runtime.block_on(until_rest(board, pressed, &leaving));
-        board.stream.close();
+        runtime.block_on(until_rest(shared, pressed, &leaving));
+        shared.stream.close();
         drop(leave);
         let reports = workers.into_iter().filter_map(|worker| {
             let report = worker.join();
@@ -214,13 +214,13 @@ pub fn serve(
 
 /// Waits for Ctrl-C, and then until the machines that this server moves stand or their stops have failed. Stops are
 /// accepted until then.
-async fn until_rest(board: &Board, pressed: &Interrupt, leaving: &AtomicBool) {
+async fn until_rest(shared: &SharedState, pressed: &Interrupt, leaving: &AtomicBool) {
     while pressed().is_none() {
         sleep(LOOK).await;
     }
     leaving.store(true, Ordering::Relaxed);
     let moves = |machine: &Machine| machine.acting.load(Ordering::SeqCst);
-    while board.machines.iter().any(moves) {
+    while shared.machines.iter().any(moves) {
         sleep(LOOK).await;
     }
 }
@@ -408,8 +408,8 @@ async fn keep(server_file: Arc<ServerFile>) {
 /// Sends the state periodically, and soon after a change.
 async fn tell_states(app: Arc<App>) {
     loop {
-        let _ = timeout(STATE, app.board.changed.notified()).await;
-        app.board.tell_state();
+        let _ = timeout(STATE, app.shared.changed.notified()).await;
+        app.shared.tell_state();
         sleep(LOOK).await;
     }
 }
@@ -420,7 +420,7 @@ async fn look_at_campaign(app: Arc<App>, read: Arc<ReadCampaign>) {
         looks.tick().await;
         let read = Arc::clone(&read);
         if let Ok(found) = tokio::task::spawn_blocking(move || read()).await {
-            app.board.show_campaign(found.unwrap_or_default());
+            app.shared.show_campaign(found.unwrap_or_default());
         }
     }
 }

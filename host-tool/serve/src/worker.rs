@@ -28,7 +28,7 @@ use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
-use crate::board::{Board, Lease, Machine, Order};
+use crate::shared_state::{SharedState, Lease, Machine, Order};
 use crate::orders::Work;
 use crate::worker::busy::{Busy, Pacing, held};
 
@@ -78,7 +78,7 @@ impl From<Value> for ActionResult {
 
 pub struct Worker<'a> {
     pub finder: &'a Finder<'a>,
-    pub board: &'a Board,
+    pub shared: &'a SharedState,
     pub machine: &'a Machine,
     pub orders: Receiver<Order>,
     /// Set when the server shuts down.
@@ -115,7 +115,7 @@ impl Worker<'_> {
                 panel.quality.losses += 1;
             }
             drop(panel);
-            self.board
+            self.shared
                 .contact(self.machine, Contact::Lost(failure.in_one_line()));
             if let Some(order) = waiting.take() {
                 self.refuse(&order, &lost(&failure));
@@ -124,7 +124,7 @@ impl Worker<'_> {
             last = Some(failure);
         }
         let report = self.stop_what_goes_on(last.as_ref());
-        self.board.flush(self.machine, true);
+        self.shared.flush(self.machine, true);
         for order in waiting.into_iter().chain(self.orders.try_iter()) {
             self.refuse(&order, &server_ends());
         }
@@ -185,7 +185,7 @@ impl Worker<'_> {
     }
 
     fn refuse(&self, order: &Order, failure: &Failure) {
-        self.board.ended(order.action, Value::Null, Some(failure));
+        self.shared.ended(order.action, Value::Null, Some(failure));
     }
 
     /// Connects, and keeps the machine until the connection is lost, the server shuts down, or another process needs
@@ -205,7 +205,7 @@ impl Worker<'_> {
         }
         // Ask before the first sample: the carriage's position depends on the screw in the status.
         self.ask(&mut device)?;
-        self.board.contact(
+        self.shared.contact(
             machine,
             match device.owner() {
                 None => Contact::Owned,
@@ -213,7 +213,7 @@ impl Worker<'_> {
             },
         );
         if owned && self.machine.panel().moves() {
-            self.board
+            self.shared
                 .notice(self.machine, Notice::Bad(MOVES_ALREADY.to_owned()));
         }
         let result = self.watch(&mut device, waiting);
@@ -248,7 +248,7 @@ impl Worker<'_> {
                 self.carry_out(device, order)?;
             }
             device.observe(SLICE_US, &mut Seen(self))?;
-            self.board.flush(self.machine, false);
+            self.shared.flush(self.machine, false);
         }
         // The last request may have been a stop.
         self.settle(device)?;
@@ -286,7 +286,7 @@ impl Worker<'_> {
         let Some(urgent) = device.interrupted() else {
             return Ok(());
         };
-        self.board.notice(
+        self.shared.notice(
             self.machine,
             Notice::Done(match urgent {
                 Urgent::Stop => "stop confirmed".to_owned(),
@@ -314,7 +314,7 @@ impl Worker<'_> {
         let (_, last) = self.machine.last_stop();
         if stops.with(|stops| stops.since(stop)).is_some() || last.since(mark).is_some() {
             let failure = overtaken();
-            self.board.ended(action, Value::Null, Some(&failure));
+            self.shared.ended(action, Value::Null, Some(&failure));
             return Ok(());
         }
         if waited > STALE {
@@ -325,7 +325,7 @@ impl Worker<'_> {
                 ),
                 "nothing was moved by this order; look at the machine, then again",
             );
-            self.board.ended(action, Value::Null, Some(&failure));
+            self.shared.ended(action, Value::Null, Some(&failure));
             return Ok(());
         }
         let acting = work.is_for_owner();
@@ -356,7 +356,7 @@ impl Worker<'_> {
             Some(failure) => Notice::Bad(failure.in_one_line()),
         };
         // Send all samples first, so that the readers' picture is complete when the action ends.
-        self.board.flush(self.machine, true);
+        self.shared.flush(self.machine, true);
         let settled = match lost {
             // The motion may go on.
             true => Ok(()),
@@ -365,14 +365,14 @@ impl Worker<'_> {
                 self.ask(device)
             }),
         };
-        self.board.actions.update(action, |action| {
+        self.shared.actions.update(action, |action| {
             if !outcome.files.is_null() {
                 action.files.clone_from(&outcome.files);
             }
         });
         // First the notice, so that no state after the end has the one before.
-        self.board.notice(self.machine, notice);
-        self.board
+        self.shared.notice(self.machine, notice);
+        self.shared
             .ended(action, outcome.result, outcome.failure.as_ref());
         settled?;
         if lost {
@@ -392,7 +392,7 @@ impl Worker<'_> {
             LinkPurpose::Own(work.kind()).admit(device)?;
         }
         let mut busy = Busy {
-            board: self.board,
+            shared: self.shared,
             machine: self.machine,
             orders: &self.orders,
             action,
@@ -436,9 +436,9 @@ impl Worker<'_> {
         record: &RecordArgs,
         mut busy: Busy<'_>,
     ) -> Result<ActionResult, Failure> {
-        let folders = [self.board.out.clone(), DATA_FOLDER.into()];
+        let folders = [self.shared.out.clone(), DATA_FOLDER.into()];
         if let Some(warning) = warning::of_record(rig, &folders)? {
-            self.board
+            self.shared
                 .notice(self.machine, Notice::Bad(format!("warning: {warning}")));
         }
         let pacing = Arc::clone(&busy.pacing);
@@ -448,7 +448,7 @@ impl Worker<'_> {
             (!std::mem::replace(sent, true)).then_some(*pace)
         }));
         let now = self.finder.connector.now();
-        let recording = record.recording(&self.board.out, "run", now);
+        let recording = record.recording(&self.shared.out, "run", now);
         let trial = experiment::run(rig, run, &recording, &mut busy);
         rig.set_pacer(Box::new(|| None));
         // Fail a hold that came too late for this run.
@@ -484,7 +484,7 @@ impl Worker<'_> {
             return Ok(json!({ "already": true, "thread_um": status.thread_um }).into());
         }
         let now = self.finder.connector.now();
-        let recording = record.recording(&self.board.out, experiment::stem(kind), now);
+        let recording = record.recording(&self.shared.out, experiment::stem(kind), now);
         let trial = experiment::actuate(capsule, motion, &recording, &mut busy)?;
         let help = format!("the data is in {}", trial.sidecar.display());
         let failure = ending::completed(experiment::doing(kind), &trial.trial, help).err();
@@ -541,7 +541,7 @@ impl Worker<'_> {
         });
         let accepted =
             json!({ "renew_within_ms": within.as_millis() as u64, "dead_man_ms": dead_man_ms });
-        self.board.accepted(action, accepted);
+        self.shared.accepted(action, accepted);
         let silent = |error| while_moving("the jog", error);
         let mut asked_us = rig.now_us();
         loop {
@@ -597,10 +597,10 @@ struct Seen<'a>(&'a Worker<'a>);
 
 impl Observer for Seen<'_> {
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
-        self.0.board.sample(self.0.machine, sample, missed);
+        self.0.shared.sample(self.0.machine, sample, missed);
     }
     fn event(&mut self, event: &Event) {
-        self.0.board.event(self.0.machine, event);
+        self.0.shared.event(self.0.machine, event);
     }
 }
 

@@ -14,7 +14,7 @@ use protocol::system::{Event, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
-use crate::board::{Board, Machine, Order};
+use crate::shared_state::{SharedState, Machine, Order};
 use crate::orders::Work;
 
 /// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
@@ -26,7 +26,7 @@ pub(super) fn held(pacing: &Pacing) -> MutexGuard<'_, Option<(u64, Pace, bool)>>
 
 /// Handles what the machine sends during an action, and takes orders meanwhile.
 pub(super) struct Busy<'a> {
-    pub(super) board: &'a Board,
+    pub(super) shared: &'a SharedState,
     pub(super) machine: &'a Machine,
     pub(super) orders: &'a Receiver<Order>,
     pub(super) action: u64,
@@ -55,11 +55,11 @@ impl Busy<'_> {
                         format!("the {machine} is busy: `{}` is under way", self.kind),
                         "nothing was moved by this request; wait for the end, or stop it",
                     );
-                    self.board.ended(order.action, Value::Null, Some(&failure));
+                    self.shared.ended(order.action, Value::Null, Some(&failure));
                 }
             }
         }
-        self.board.flush(self.machine, false);
+        self.shared.flush(self.machine, false);
     }
 
     /// Reports the end of the hold or resume that is waiting for it.
@@ -67,13 +67,13 @@ impl Busy<'_> {
         let Some((action, ..)) = held(&self.pacing).take() else {
             return;
         };
-        let board = self.board;
+        let shared = self.shared;
         match end {
-            Ok(result) => board.ended(action, result, None),
+            Ok(result) => shared.ended(action, result, None),
             Err(failure) => {
                 // First the notice, so that no state after the end has the one before.
-                board.notice(self.machine, Notice::Bad(failure.in_one_line()));
-                board.ended(action, Value::Null, Some(failure));
+                shared.notice(self.machine, Notice::Bad(failure.in_one_line()));
+                shared.ended(action, Value::Null, Some(failure));
             }
         }
     }
@@ -96,15 +96,15 @@ impl Observer for Busy<'_> {
             Begun::Actuation(accepted) => json!(accepted),
             Begun::Move(accepted) => json!(accepted),
         };
-        self.board.accepted(self.action, accepted);
+        self.shared.accepted(self.action, accepted);
     }
 
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
-        self.board.sample(self.machine, sample, missed);
+        self.shared.sample(self.machine, sample, missed);
     }
 
     fn event(&mut self, event: &Event) {
-        self.board.event(self.machine, event);
+        self.shared.event(self.machine, event);
         let at = |steps: i32| {
             let status = self.machine.panel().rig;
             // The panel's own position is as old as the last sample.
@@ -130,7 +130,7 @@ impl Observer for Busy<'_> {
 
     fn progress(&mut self, progress: &Progress) {
         let shown = json!(progress);
-        self.board
+        self.shared
             .actions
             .update(self.action, |action| action.progress = shown);
         {
@@ -154,7 +154,7 @@ impl Observer for Busy<'_> {
 
     fn unrecorded(&mut self, why: &str) {
         let notice = format!("NOT RECORDED from here on: {why}; the machine goes on");
-        self.board.notice(self.machine, Notice::Bad(notice));
+        self.shared.notice(self.machine, Notice::Bad(notice));
     }
 
     fn refused(&mut self, pace: Pace, refusal: &Refusal) {
@@ -187,14 +187,14 @@ mod tests {
     use crate::actions::{Arrival, RequestedAction};
     use jiff::Timestamp;
 
-    fn board() -> (Board, SyncSender<Order>, Receiver<Order>) {
+    fn shared() -> (SharedState, SyncSender<Order>, Receiver<Order>) {
         let (orders, received) = sync_channel(8);
         let machine = Machine::new(DeviceKind::Rig, Address::Virtual, orders.clone());
-        let board = Board::new("i".to_owned(), vec![machine], "/nowhere".into());
-        (board, orders, received)
+        let shared = SharedState::new("i".to_owned(), vec![machine], "/nowhere".into());
+        (shared, orders, received)
     }
 
-    fn arrived(board: &Board, key: &str, kind: &'static str) -> u64 {
+    fn arrived(shared: &SharedState, key: &str, kind: &'static str) -> u64 {
         let action = RequestedAction {
             key: key.to_owned(),
             print: [0; 32],
@@ -202,21 +202,21 @@ mod tests {
             kind,
             requested: Value::Null,
         };
-        match board.actions.arrive(action, Timestamp::UNIX_EPOCH) {
+        match shared.actions.arrive(action, Timestamp::UNIX_EPOCH) {
             Arrival::New(number) => number,
             other => panic!("{other:?}"),
         }
     }
 
     fn busy<'a>(
-        board: &'a Board,
+        shared: &'a SharedState,
         orders: &'a Receiver<Order>,
         action: u64,
         kind: &'static str,
     ) -> Busy<'a> {
         Busy {
-            board,
-            machine: &board.machines[0],
+            shared,
+            machine: &shared.machines[0],
             orders,
             action,
             kind,
@@ -227,9 +227,9 @@ mod tests {
     #[test]
     fn while_a_run_goes_on_one_hold_is_taken_and_nothing_else() {
         for (kind, taken) in [("run", true), ("home", false)] {
-            let (board, orders, received) = board();
-            let action = arrived(&board, "a", kind);
-            let mut busy = busy(&board, &received, action, kind);
+            let (shared, orders, received) = shared();
+            let action = arrived(&shared, "a", kind);
+            let mut busy = busy(&shared, &received, action, kind);
             let mut numbers = vec![];
             for (key, work) in [
                 ("b", Work::Home),
@@ -237,7 +237,7 @@ mod tests {
                 ("d", Work::Resume),
                 ("e", Work::Hold),
             ] {
-                let number = arrived(&board, key, work.kind());
+                let number = arrived(&shared, key, work.kind());
                 numbers.push(number);
                 let order = Order {
                     action: number,
@@ -249,7 +249,7 @@ mod tests {
             }
             busy.turn(0, None);
             let ended = numbers.iter().map(|number| {
-                let action = board.actions.get(*number).expect("known");
+                let action = shared.actions.get(*number).expect("known");
                 action.status.is_over()
             });
             assert_eq!(ended.collect::<Vec<_>>(), [true, !taken, true, true]);

@@ -194,7 +194,7 @@ impl Machine {
 }
 
 /// State of the whole server.
-pub struct Board {
+pub struct SharedState {
     pub instance: String,
     pub machines: Vec<Machine>,
     pub actions: Actions,
@@ -206,7 +206,7 @@ pub struct Board {
     campaign: Mutex<Value>,
 }
 
-impl Board {
+impl SharedState {
     pub fn new(instance: String, machines: Vec<Machine>, out: PathBuf) -> Self {
         Self {
             actions: Actions::new(instance.clone()),
