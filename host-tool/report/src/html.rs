@@ -39,7 +39,7 @@ pub enum ReportError {
     #[error(transparent)]
     #[diagnostic(code(retrograde::figure))]
     Figure(#[from] FigureError),
-    #[error("no trial in {path}{}", besides(.left_out), path = path.display())]
+    #[error("no trial in {path}{}", besides(.omitted), path = path.display())]
     #[diagnostic(
         code(retrograde::no_trials),
         help("give a folder with records of `retrograde run`, or their JSON files")
@@ -47,7 +47,7 @@ pub enum ReportError {
     NoTrials {
         path: PathBuf,
         /// Files found there instead.
-        left_out: Vec<LeftOut>,
+        omitted: Vec<Omitted>,
     },
     /// The report would replace a record.
     #[error("{path} is one of the records; nothing was written", path = path.display())]
@@ -66,15 +66,15 @@ pub enum ReportError {
 }
 
 /// Lists the other files of a folder without trials.
-fn besides(left_out: &[LeftOut]) -> String {
-    let lines = left_out.iter().map(|left| format!("\n  {left}"));
+fn besides(omitted: &[Omitted]) -> String {
+    let lines = omitted.iter().map(|omitted| format!("\n  {omitted}"));
     lines.collect()
 }
 
 /// A file that is not in the report.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error, serde::Serialize)]
-#[error("{} is left out: {why}", path.display())]
-pub struct LeftOut {
+#[error("{} is omitted: {why}", path.display())]
+pub struct Omitted {
     #[serde(serialize_with = "client::wording::path")]
     pub path: PathBuf,
     pub why: String,
@@ -86,7 +86,7 @@ pub struct LeftOut {
 pub struct Found {
     pub sidecars: Vec<PathBuf>,
     /// Other files beside them, with the reasons for omitting them.
-    pub left_out: Vec<LeftOut>,
+    pub omitted: Vec<Omitted>,
 }
 
 /// Handling of a report that already exists.
@@ -126,12 +126,12 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
         let files: std::io::Result<Vec<_>> = read();
         let mut files = files.map_err(|io| RecordError::read(path, io))?;
         files.sort();
-        let (mut trials, mut left) = (vec![], vec![]);
+        let (mut trials, mut omitted) = (vec![], vec![]);
         for file in files {
             match belongs(&file) {
                 Ok(Some(trial)) => trials.push((trial.started_utc, file)),
                 Ok(None) => {}
-                Err((why, is_record)) => left.push(LeftOut {
+                Err((why, is_record)) => omitted.push(Omitted {
                     path: file,
                     why,
                     is_record,
@@ -142,12 +142,12 @@ pub fn find(paths: &[PathBuf]) -> Result<Found, ReportError> {
         if trials.is_empty() {
             return Err(ReportError::NoTrials {
                 path: path.clone(),
-                left_out: left,
+                omitted,
             });
         }
         all.sidecars
             .extend(trials.into_iter().map(|(_, file)| file));
-        all.left_out.extend(left);
+        all.omitted.extend(omitted);
     }
     Ok(all)
 }
@@ -297,9 +297,9 @@ pub fn html(found: &Found, remarks: &[Remark]) -> Result<Report, ReportError> {
                 }
             }
         } }
-        @if !found.left_out.is_empty() {
-            h3 { "Left out" }
-            (reasons(&found.left_out.iter().map(ToString::to_string).collect::<Vec<_>>()))
+        @if !found.omitted.is_empty() {
+            h3 { "Omitted" }
+            (reasons(&found.omitted.iter().map(ToString::to_string).collect::<Vec<_>>()))
         }
         @for remark in general { (remark_table(remark)) }
         @for (index, section) in sections.iter().enumerate() {

@@ -312,8 +312,8 @@ fn carry_out(
     let path = folder.campaign().folder.clone();
     if folder.campaign().state.next().is_some() {
         let ending = sit_down(&mut folder, session, finder, screen)?;
-        if ending == Ending::Left {
-            return Err(failure::left(&path));
+        if ending == Ending::Aborted {
+            return Err(failure::aborted(&path));
         }
     }
     let campaign = folder.campaign();
@@ -408,7 +408,7 @@ fn sit_down(
         Some(keyboard) => Respondent::person(keyboard, screen.single_keys),
         None => {
             let refused = admit(session, screen).err();
-            return Err(refused.unwrap_or_else(|| failure::left(&path)));
+            return Err(refused.unwrap_or_else(|| failure::aborted(&path)));
         }
     };
     let mut prompter = TerminalPrompter::new(screen, finder, respondent);
@@ -522,7 +522,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
         }
         lines.push(line);
     }
-    lines.extend(state.trials.iter().flat_map(left_out));
+    lines.extend(state.trials.iter().flat_map(not_counted));
     match state.next() {
         None => lines.push("Nothing is left to do.".to_owned()),
         Some(next) => {
@@ -541,7 +541,7 @@ fn status(campaign: &Campaign) -> Vec<String> {
 }
 
 /// Attempts that do not count, and excluded trials.
-fn left_out(trial: &TrialState) -> Vec<String> {
+fn not_counted(trial: &TrialState) -> Vec<String> {
     let number = trial.planned.trial;
     let because = |reason: &str| match reason {
         "" => String::new(),

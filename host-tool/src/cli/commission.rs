@@ -117,7 +117,7 @@ pub(crate) fn commission(
     let now = || finder.connector.now();
     let ended = session::carry_out(&mut work, &mut record, &path, &now);
     let stopped = match &ended {
-        Ok(Ending::Left(_)) => stop(&mut work.device),
+        Ok(Ending::Aborted(_)) => stop(&mut work.device),
         _ => Ok(()),
     };
     let off = work.supply_is_off();
@@ -221,10 +221,10 @@ fn ended_as(ended: Result<Ending, Broken>, path: &std::path::Path) -> Result<(),
             format!("{step}: {why}"),
             format!("mend it; {help}"),
         )),
-        Ok(Ending::Left(step)) => {
+        Ok(Ending::Aborted(step)) => {
             let why = match step {
-                Some(step) => format!("left at the step {step}, which has no result"),
-                None => "left between two steps".to_owned(),
+                Some(step) => format!("quit at the step {step}, which has no result"),
+                None => "quit between two steps".to_owned(),
             };
             Err(unfinished(STOPPED, why, help))
         }

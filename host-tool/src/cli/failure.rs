@@ -25,13 +25,13 @@ pub(crate) fn figure(error: FigureError) -> Failure {
 }
 
 /// The operator left a campaign.
-pub(crate) fn left(folder: &Path) -> Failure {
+pub(crate) fn aborted(folder: &Path) -> Failure {
     let why = format!(
-        "left; everything that was entered is in {}",
+        "aborted; everything that was entered is in {}",
         folder.display()
     );
     let help = format!("{} goes on", resumption(folder));
-    Failure::new("retrograde::left", STOPPED, why, help)
+    Failure::new("retrograde::aborted", STOPPED, why, help)
 }
 
 /// A folder has changed since it was written, or a record in it is not whole.

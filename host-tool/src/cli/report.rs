@@ -48,22 +48,22 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
             screen.hint(&format!("  {defect}"));
         }
     }
-    for left in &found.left_out {
-        screen.hint(&left.to_string());
+    for omitted in &found.omitted {
+        screen.hint(&omitted.to_string());
     }
     let shown = |path: &PathBuf| path.display().to_string();
     let value = json!({
         "trials": found.sidecars.iter().map(shown).collect::<Vec<_>>(),
         "report": shown(&out),
         "damaged": report.damaged,
-        "left_out": found.left_out,
+        "omitted": found.omitted,
     });
-    let lost = found.left_out.iter().filter(|left| left.is_record).count();
+    let lost = found.omitted.iter().filter(|omitted| omitted.is_record).count();
     match (report.damaged.len(), lost) {
         (0, 0) => Ok(value),
         (damaged, lost) => {
             let defects = format!(
-                "trials that contradict themselves or are not whole: {damaged}, records left out: {lost}"
+                "trials that contradict themselves or are not whole: {damaged}, records omitted: {lost}"
             );
             Err(failure::report_defects(&out, &defects, value))
         }

@@ -459,8 +459,8 @@ impl Session<'_, '_> {
         let (begin, done) = (Instant::now(), AtomicU64::new(0));
         let count = || {
             let done = done.fetch_add(1, Ordering::Relaxed) + 1;
-            let left_s = begin.elapsed().as_secs() * (total - done) / done;
-            let message = format!("{done} of {total} runs, {left_s} s left");
+            let remaining_s = begin.elapsed().as_secs() * (total - done) / done;
+            let message = format!("{done} of {total} runs, {remaining_s} s left");
             let bar = match done == total {
                 true => ERASE.to_owned(),
                 false => progress::bar(done, total, &message),

@@ -51,11 +51,11 @@ fn tell(
         drop(results);
         let mut warned = false;
         loop {
-            let left = match warned {
+            let remaining = match warned {
                 false => PATIENCE.saturating_sub(begin.elapsed()),
                 true => Duration::from_secs(3_600),
             };
-            match arriving.recv_timeout(left) {
+            match arriving.recv_timeout(remaining) {
                 Ok((index, result)) => {
                     screen.say(&result.line(urgent));
                     reports[index] = Some(result);

@@ -285,7 +285,7 @@ fn counted(rows: &[LedgerRow], trial: u32) -> Option<Millimetres> {
     let (began, _) = last(&[LedgerEvent::Began])?;
     let (ended, end) = last(&[LedgerEvent::Ended])?;
     let (measured, row) = last(&[LedgerEvent::Displacement, LedgerEvent::Undone])?;
-    let left_out = last(&[
+    let omitted = last(&[
         LedgerEvent::Skipped,
         LedgerEvent::Excluded,
         LedgerEvent::Included,
@@ -297,7 +297,7 @@ fn counted(rows: &[LedgerRow], trial: u32) -> Option<Millimetres> {
         && end.outcome == Some(AttemptOutcome::Complete)
         && row.event == LedgerEvent::Displacement
         && !since(began, LedgerEvent::Repeated)
-        && !left_out)
+        && !omitted)
         .then_some(row.displacement_mm)
         .flatten()
 }

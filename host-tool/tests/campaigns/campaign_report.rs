@@ -249,7 +249,7 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     assert_eq!(written.findings, Vec::<String>::new());
     assert_eq!((written.planned, written.counted), (14, 12));
     let why = |trial| {
-        let left = written.left_out.iter().find(|(left, _)| *left == trial);
+        let omitted = written.omitted.iter().find(|(omitted, _)| *omitted == trial);
         left.map(|(_, why)| why.as_str()).unwrap_or_default()
     };
     assert_eq!(why(5), "excluded: the tail was <caught>");
@@ -411,7 +411,7 @@ fn a_trial_whose_record_was_changed_does_not_count_and_the_page_says_so() {
     let written = write(&path, Existing::Keep).expect("written");
     assert_eq!(written.counted, 11);
     let (_, why) = written
-        .left_out
+        .omitted
         .iter()
         .find(|(trial, _)| *trial == 3)
         .expect("left out");

@@ -250,7 +250,7 @@ fn a_stop_while_the_capsule_unfolds_ends_the_session_in_order() {
     let bench = Bench::new(Mishap::Stopped, "Unfold");
     let (shown, at) = session(&bench.connector(), 130, "-60");
     assert!(bench.has_unfolded() && is_done(&at), "{shown}");
-    let left = "left; everything that was entered is in";
+    let left = "aborted; everything that was entered is in";
     let told = "The capsule stands between its ends, and its thread may pull: `retrograde unfold`.";
     for said in [left, told] {
         assert!(shown.contains(said), "{said}: {shown}");

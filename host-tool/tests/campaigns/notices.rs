@@ -101,11 +101,11 @@ fn a_lost_record_of_any_action_counts() {
         fs::write(folder.join(other), "").expect("written");
     }
     let found = html::find(std::slice::from_ref(&folder)).expect("a folder");
-    let records = found.left_out.iter().filter(|left| left.is_record);
-    assert_eq!((found.left_out.len(), records.count()), (9, 7));
+    let records = found.omitted.iter().filter(|omitted| omitted.is_record);
+    assert_eq!((found.omitted.len(), records.count()), (9, 7));
     let page = place.path().join("report.html");
     let (code, _, err) = retrograde(&["report", text(&folder), "--out", text(&page)]);
-    assert!(code == 1 && err.contains("records left out: 7"), "{err}");
+    assert!(code == 1 && err.contains("records omitted: 7"), "{err}");
 }
 
 #[test]

@@ -20,7 +20,7 @@ fn stopped_after(request: &'static str) -> impl Connector {
     })
 }
 
-const LEFT: &str = "left; everything that was entered is in";
+const ABORTED: &str = "aborted; everything that was entered is in";
 
 #[test]
 fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
@@ -28,7 +28,7 @@ fn a_stopped_run_does_not_count_and_the_session_ends_in_order() {
     let trial = [("Trial 1 of 6", "")];
     let lines = [&WIDTH[..], &clamped("20.4"), &trial].concat();
     let shown = at.answered(&stopped_after("Run"), 130, lines);
-    for told in ["  stopped: attempt 1 of trial 1 does not count", LEFT] {
+    for told in ["  stopped: attempt 1 of trial 1 does not count", ABORTED] {
         assert!(shown.contains(told), "{told}: {shown}");
     }
     let campaign = at.whole();

@@ -38,7 +38,7 @@ fn a_path_that_is_not_unicode_ends_no_command() {
     assert!(fetched["rig"].is_string(), "{fetched}");
     let reported = json(&["report", "--out", "page.html"], strange);
     assert_eq!(reported["trials"][0], ran["sidecar"], "{reported}");
-    assert!(reported["left_out"][0]["path"].is_string(), "{reported}");
+    assert!(reported["omitted"][0]["path"].is_string(), "{reported}");
     let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/paper.toml");
     let study = OsStr::from_bytes(b"study-\xff");
     let made = json(&["campaign", "new", examples, "--out"], study);

@@ -18,7 +18,7 @@ use protocol::capsule::{ActuationKind, ActuationOutcome};
 use protocol::rig::{RigState, Run, RunOutcome, RunTiming};
 use protocol::system::{DeviceKind, Urgent};
 use report::html;
-use report::html::LeftOut;
+use report::html::Omitted;
 use simulated_machines::machine::{Script, link};
 
 const SHORT_RUN: Run = Run {
@@ -329,9 +329,9 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     recorded_run(folder.path());
     let found = html::find(&folders).expect("a folder");
     assert_eq!(found.sidecars.len(), 1, "{found:?}");
-    let left = |left: &LeftOut| left.why.contains("nothing was done: ") && !left.is_record;
-    assert_eq!(found.left_out.len(), 2, "{found:?}");
-    assert!(found.left_out.iter().all(left), "{found:?}");
+    let omitted = |omitted: &Omitted| omitted.why.contains("nothing was done: ") && !omitted.is_record;
+    assert_eq!(found.omitted.len(), 2, "{found:?}");
+    assert!(found.omitted.iter().all(omitted), "{found:?}");
     // As the reader in Python counts.
     let package = Path::new(env!("CARGO_MANIFEST_DIR")).join("../python/src");
     let program = "import sys, retrograde.data as data; print(len(data.trials_in(sys.argv[1])))";

@@ -52,7 +52,7 @@ fn trials(folder: &Path) -> [PathBuf; 2] {
 fn found(sidecar: &Path) -> Found {
     Found {
         sidecars: vec![sidecar.to_owned()],
-        left_out: vec![],
+        omitted: vec![],
     }
 }
 
@@ -137,8 +137,8 @@ fn what_is_left_out_is_listed_with_the_reason() {
     let found = html::find(&[folder.path().to_owned()]).expect("a folder");
     assert_eq!(found.sidecars, [run]);
     let why = |name: &str| {
-        let left = found.left_out.iter().find(|left| left.path.ends_with(name));
-        left.map(|left| left.why.clone()).unwrap_or_default()
+        let omitted = found.omitted.iter().find(|omitted| omitted.path.ends_with(name));
+        omitted.map(|omitted| omitted.why.clone()).unwrap_or_default()
     };
     assert!(why("my-fold.json").contains("it was renamed"));
     let telemetry = fold.with_extension("csv");
@@ -148,10 +148,10 @@ fn what_is_left_out_is_listed_with_the_reason() {
     assert!(why("run.json.part").contains("cut off"));
     let fetched = fetched.file_name().expect("a name").to_string_lossy();
     assert!(why(&fetched).contains("fetched"), "{found:?}");
-    assert_eq!(found.left_out.len(), 5, "{found:?}");
+    assert_eq!(found.omitted.len(), 5, "{found:?}");
     let is_record = |name: &str| {
-        let mut left = found.left_out.iter();
-        left.any(|left| left.path.ends_with(name) && left.is_record)
+        let mut omitted = found.omitted.iter();
+        omitted.any(|omitted| omitted.path.ends_with(name) && omitted.is_record)
     };
     assert!(
         ["my-fold.json", "broken.json", &telemetry]
@@ -161,8 +161,8 @@ fn what_is_left_out_is_listed_with_the_reason() {
     let others = ["run.json.part", &fetched];
     assert!(!others.into_iter().any(is_record));
     let html = html::html(&found, &[]).expect("a page").html;
-    for left in &found.left_out {
-        assert!(html.contains(&left.why.replace('"', "&quot;")), "{left}");
+    for omitted in &found.omitted {
+        assert!(html.contains(&omitted.why.replace('"', "&quot;")), "{omitted}");
     }
 }
 
@@ -202,7 +202,7 @@ fn a_report_replaces_nothing_unasked_and_never_a_record() {
         "{err}"
     );
     let said =
-        "is written; trials that contradict themselves or are not whole: 1, records left out: 0";
+        "is written; trials that contradict themselves or are not whole: 1, records omitted: 0";
     assert!(err.contains(said), "{err}");
     assert!(
         fs::read_to_string(&out)
@@ -248,7 +248,7 @@ fn a_virtual_run_cannot_pass_as_a_measurement() {
     let page = |sidecars: &[&PathBuf]| {
         let found = Found {
             sidecars: sidecars.iter().map(|path| (*path).clone()).collect(),
-            left_out: vec![],
+            omitted: vec![],
         };
         html::html(&found, &[]).expect("a page").html
     };

@@ -433,7 +433,7 @@ impl Core {
         Some((number, observes))
     }
 
-    fn left(&self, client: u64) {
+    fn remove(&self, client: u64) {
         self.state().clients.remove(&client);
     }
 }
@@ -538,7 +538,7 @@ pub struct ClientSession {
 
 impl Drop for ClientSession {
     fn drop(&mut self) {
-        self.core.left(self.number);
+        self.core.remove(self.number);
     }
 }
 
@@ -608,8 +608,8 @@ impl ClientSession {
 
     fn frame(&self, frame: &Frame<'_>, now: Instant) -> io::Result<()> {
         let mut asking = self.asking.lock().unwrap_or_else(PoisonError::into_inner);
-        let left = asking.unanswered == Some(frame.header.seq);
-        if (asking.pending || left || !self.observes) && frame.header.kind == Kind::Request {
+        let was_unanswered = asking.unanswered == Some(frame.header.seq);
+        if (asking.pending || was_unanswered || !self.observes) && frame.header.kind == Kind::Request {
             // The question is a repetition of an unanswered one, or the client was told that it can only stop.
             return Ok(());
         }

@@ -91,9 +91,9 @@ impl Link for Shared {
     }
 
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
-        let left = Duration::from_micros(deadline_us.saturating_sub(self.now_us()));
+        let remaining = Duration::from_micros(deadline_us.saturating_sub(self.now_us()));
         // Limit it, so that it can be added to an `Instant`.
-        let deadline = Instant::now() + left.min(Duration::from_secs(60));
+        let deadline = Instant::now() + remaining.min(Duration::from_secs(60));
         self.core
             .receive(buffer, deadline)
             .map_err(|why| self.lost(why))

@@ -58,7 +58,7 @@ pub trait Prompter {
 pub enum Ending {
     Through,
     Enough,
-    Left,
+    Aborted,
 }
 
 /// Why a session cannot continue. Everything reached so far is in the folder.
@@ -300,7 +300,7 @@ impl<'a> Conduct<'a> {
             self.folder.seal()?;
             // A stop since the last question is older than the next one.
             if !self.gone && matches!(self.report_stop()?, Next::Quit) {
-                return Ok(Ending::Left);
+                return Ok(Ending::Aborted);
             }
             let Some(next) = self.folder.campaign().state.next() else {
                 return Ok(Ending::Through);
@@ -315,7 +315,7 @@ impl<'a> Conduct<'a> {
                 match self.set_up(&planned)? {
                     Next::Proceed => match self.ask_ready(&planned, number + 1)? {
                         Next::Proceed => {
-                            attempts = attempts.map(|left| left - 1);
+                            attempts = attempts.map(|remaining| remaining - 1);
                             self.attempt(&planned, number + 1)?
                         }
                         then => then,
@@ -324,7 +324,7 @@ impl<'a> Conduct<'a> {
                 }
             };
             if matches!(then, Next::Quit) {
-                return Ok(Ending::Left);
+                return Ok(Ending::Aborted);
             }
         }
     }
@@ -352,14 +352,14 @@ impl<'a> Conduct<'a> {
     fn undo(&mut self) -> Result<(), Broken> {
         let campaign = self.folder.campaign();
         let not_note = |row: &&LedgerRow| row.event != LedgerEvent::Note;
-        let left_out = (campaign.rows.iter().rfind(not_note))
+        let not_counted = (campaign.rows.iter().rfind(not_note))
             .filter(|row| matches!(row.event, LedgerEvent::Skipped | LedgerEvent::Excluded))
             .and_then(|row| row.trial);
         let last = campaign.state.last_measured(&campaign.rows);
         let excluded = last.map(|(trial, _)| trial).filter(|trial| {
             campaign.state.trial(*trial).map(TrialState::status) == Some(TrialStatus::Excluded)
         });
-        let (row, text) = match (left_out.or(excluded), last) {
+        let (row, text) = match (not_counted.or(excluded), last) {
             (Some(trial), _) => (
                 LedgerRow::of(LedgerEvent::Included, trial, None),
                 format!(
@@ -422,7 +422,7 @@ impl<'a> Conduct<'a> {
             let mut keep_alive = || machines.keep_alive();
             let text = match self.prompter.answer(question, &mut keep_alive) {
                 Ok(text) => text,
-                Err(Halt::Left) => return Ok(None),
+                Err(Halt::Aborted) => return Ok(None),
                 // The operator's stop also ends the waiting.
                 Err(Halt::Client(ClientError::Interrupted { .. })) => return Ok(None),
                 // An answer needs no machine, so what is being typed must not be lost with the line.

@@ -255,7 +255,7 @@ impl TrialState {
         }
     }
 
-    fn left_out(&self) -> Option<&'static str> {
+    fn not_counted(&self) -> Option<&'static str> {
         match self.status() {
             TrialStatus::Skipped => Some("skipped"),
             TrialStatus::Excluded => Some("excluded"),
@@ -371,10 +371,10 @@ impl CampaignState {
                 else {
                     return Err(wrong(format!("there is no trial {trial}")));
                 };
-                let left_out = state
-                    .left_out()
+                let not_counted = state
+                    .not_counted()
                     .filter(|_| row.event == LedgerEvent::Undone);
-                if let Some(how) = left_out {
+                if let Some(how) = not_counted {
                     return Err(wrong(format!(
                         "trial {trial} is {how}: `include {trial}` takes it in again"
                     )));

@@ -12,7 +12,7 @@ use crate::campaign::readings::Quantity;
 
 #[derive(Debug)]
 pub enum Halt {
-    Left,
+    Aborted,
     /// The link to a machine failed while the question waited.
     Client(ClientError),
 }

@@ -7,7 +7,7 @@ use protocol::rig::RigFault;
 
 #[derive(Debug)]
 pub enum Halt {
-    Left,
+    Aborted,
     /// The effect could not be shown, for this reason.
     NotShown(String),
     /// A defect, described by this text.
@@ -20,7 +20,7 @@ pub enum Halt {
 impl From<ClientError> for Halt {
     fn from(error: ClientError) -> Self {
         match error {
-            ClientError::Interrupted { .. } => Self::Left,
+            ClientError::Interrupted { .. } => Self::Aborted,
             ClientError::Refused { refusal, .. } => Self::Defect(refused(&refusal)),
             ClientError::Overdue { .. } => Self::Defect(error.to_string()),
             error => Self::Client(error),

@@ -21,7 +21,7 @@ pub enum Ending {
     /// A step failed: its name, and the defect.
     Defect(&'static str, String),
     /// The operator left. The step in progress, if any, has no result.
-    Left(Option<&'static str>),
+    Aborted(Option<&'static str>),
 }
 
 #[derive(Debug)]
@@ -49,7 +49,7 @@ pub fn carry_out(
             Ok(()) => (StepOutcome::Passed, None),
             Err(Halt::Defect(why)) => (StepOutcome::Failed, Some(why)),
             Err(Halt::NotShown(why)) => (StepOutcome::NotShown, Some(why)),
-            Err(Halt::Left) => return Ok(Ending::Left(Some(step.name))),
+            Err(Halt::Aborted) => return Ok(Ending::Aborted(Some(step.name))),
             Err(Halt::Client(error)) => return Err(Broken::Client(error)),
             Err(Halt::FixtureLost(why)) => return Err(Broken::FixtureLost(why)),
         };
@@ -65,7 +65,7 @@ pub fn carry_out(
             return Ok(Ending::Defect(step.name, reason.unwrap_or_default()));
         }
         if work.unless_left().is_err() {
-            return Ok(Ending::Left(None));
+            return Ok(Ending::Aborted(None));
         }
     }
     Ok(Ending::Through)

@@ -97,7 +97,7 @@ impl<'a> Work<'a> {
     /// Ends a measurement whose operator has left.
     pub fn unless_left(&self) -> Result<(), Halt> {
         match self.device.interrupted() {
-            Some(_) => Err(Halt::Left),
+            Some(_) => Err(Halt::Aborted),
             None => Ok(()),
         }
     }

@@ -166,11 +166,11 @@ fn way_in(
         } else {
             patience.change
         };
-        let left = limit.saturating_sub(begin.elapsed());
-        if left.is_zero() {
+        let remaining = limit.saturating_sub(begin.elapsed());
+        if remaining.is_zero() {
             return Err(silent(line_files, owner));
         }
-        if let Ok(client) = BrokerClient::open(line_files, left) {
+        if let Ok(client) = BrokerClient::open(line_files, remaining) {
             if client.is_full() && purpose != LinkPurpose::Stop {
                 return Err(OpenError {
                     place: line_files.place().to_owned(),

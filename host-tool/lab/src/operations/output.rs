@@ -139,7 +139,7 @@ impl Queue {
             let dropped = std::mem::take(&mut state.dropped);
             drop(state);
             if dropped > 0 {
-                let note = format!("({dropped} lines are left out: nobody read them in time)\n");
+                let note = format!("({dropped} lines are omitted: nobody read them in time)\n");
                 let _ = write(Stream::Err, note.as_bytes());
             }
             let written = write(stream, &text);
@@ -178,10 +178,10 @@ mod tests {
         });
         QUEUE.wait().expect("written");
         let texts: Vec<_> = written.try_iter().collect();
-        let left_out = 2_000 - (texts.len() - 2);
-        let note = format!("({left_out} lines");
+        let omitted = 2_000 - (texts.len() - 2);
+        let note = format!("({omitted} lines");
         assert!(texts[0].1.starts_with(&note), "{:?}", texts[0]);
-        assert_eq!(texts[1], (Stream::Out, line(left_out)));
+        assert_eq!(texts[1], (Stream::Out, line(omitted)));
         assert_eq!(texts[texts.len() - 2].1, line(1_999));
         assert_eq!(texts[texts.len() - 1], (Stream::Err, format!("{ERASE}\n")));
     }

@@ -145,12 +145,12 @@ enum Phase {
 }
 
 /// Why there is no record of the actuation: for its sidecar, and the error if there was one.
-struct Left {
+struct NoRecord {
     ending: Ending,
     error: Option<ClientError>,
 }
 
-impl Left {
+impl NoRecord {
     fn refused(why: &str) -> Self {
         Self {
             ending: Ending::Refused(why.to_owned()),
@@ -300,13 +300,13 @@ impl Partner<'_> {
         self.stop_with(run);
         let mut cue_time = None;
         let phase = std::mem::replace(&mut self.phase, Phase::Waiting);
-        let outcome: Result<ActuationRecord, Left> = match phase {
-            Phase::Waiting => Err(Left::refused(&format!(
+        let outcome: Result<ActuationRecord, NoRecord> = match phase {
+            Phase::Waiting => Err(NoRecord::refused(&format!(
                 "the run ended before cycle {} came to its place",
                 self.cue.cycle
             ))),
             Phase::Cued { asked: false, .. } => {
-                Err(Left::refused("the run ended in the dwell before it"))
+                Err(NoRecord::refused("the run ended in the dwell before it"))
             }
             Phase::Cued {
                 cue_us,
@@ -315,12 +315,12 @@ impl Partner<'_> {
                 ..
             } => {
                 cue_time = Some((cue_us, clock));
-                Err(Left {
+                Err(NoRecord {
                     ending: Ending::Lost("the run ended before the capsule answered".into()),
                     error: None,
                 })
             }
-            Phase::Failed(error) => Err(Left {
+            Phase::Failed(error) => Err(NoRecord {
                 ending: experiment::without_record(&self.recorder, &error),
                 error: Some(error),
             }),
@@ -335,7 +335,7 @@ impl Partner<'_> {
                     began_us: &mut self.began_us,
                 };
                 let ended = self.capsule.wait_actuation(&accepted, &mut noting);
-                ended.map_err(|error| Left {
+                ended.map_err(|error| NoRecord {
                     ending: Ending::Lost(error.to_string()),
                     error: Some(error),
                 })
@@ -357,13 +357,13 @@ impl Partner<'_> {
         }
         let finished = match &outcome {
             Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
-            Err(left) => self.recorder.finish(left.ending.clone(), lost),
+            Err(missing) => self.recorder.finish(missing.ending.clone(), lost),
         };
         let trial = match (finished, outcome) {
             // More urgent than a record that could not be written.
             (
                 _,
-                Err(Left {
+                Err(NoRecord {
                     error: Some(error), ..
                 }),
             ) if error.may_move() => Err(error.into()),

@@ -170,14 +170,14 @@ impl Observer for Live<'_> {
 
 /// Times and place of a run. Beside a bar, leaves out the elapsed time: the bar shows it, and there is no room.
 fn run_text(elapsed_us: u64, total_us: u64, place: &str, beside_bar: bool) -> String {
-    let (total, left) = (
+    let (total, remaining) = (
         tenths(total_us),
         tenths(total_us.saturating_sub(elapsed_us)),
     );
     match beside_bar {
-        true => format!("{left} of {total} s left, {place}"),
+        true => format!("{remaining} of {total} s left, {place}"),
         false => format!(
-            "{} s of {total} s, {place}, {left} s left",
+            "{} s of {total} s, {place}, {remaining} s left",
             tenths(elapsed_us)
         ),
     }

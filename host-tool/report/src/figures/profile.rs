@@ -75,8 +75,8 @@ fn course(screw: &Screw, stroke: &Stroke, home: bool, time_s: f64) -> (f64, f64)
         time if time < r => ramp(time),
         time if time <= t - r => (speed * (time - r / 2.0), speed),
         time => {
-            let (left, speed) = ramp(t - time);
-            (length - left, speed)
+            let (distance, speed) = ramp(t - time);
+            (length - distance, speed)
         }
     };
     match home {

@@ -52,7 +52,7 @@ pub struct Written {
     pub planned: usize,
     /// Trials that count.
     pub counted: usize,
-    pub left_out: Vec<(u32, String)>,
+    pub omitted: Vec<(u32, String)>,
     /// The same as sentences, the trials to come in one.
     #[serde(skip)]
     pub notices: Vec<String>,
@@ -168,7 +168,7 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
     }
     .map_err(failed(PAGE))?;
     files.push(page_path.clone());
-    let left_out = evaluation
+    let omitted = evaluation
         .trials
         .iter()
         .filter_map(|row| Some((row.trial, row.reason.clone()?)));
@@ -177,7 +177,7 @@ pub fn write(folder: &Path, existing: Existing) -> Result<Written, CampaignRepor
         files,
         planned: evaluation.trials.len(),
         counted: evaluation.trials.iter().filter(|row| row.counts).count(),
-        left_out: left_out.collect(),
+        omitted: omitted.collect(),
         notices: stretches(&evaluation).into_iter().map(notice).collect(),
         defects: evaluation
             .trials
@@ -223,7 +223,7 @@ fn html(evaluation: &Evaluation, figures: &Figures) -> Result<String, ReportErro
             (drawn(figures.figure8.as_ref(), "No trial of the fold test counts yet: no figure."))
             (conditions(evaluation, TrialPurpose::FoldTest))
         }
-        section { h2 { "Left out" } (left_out(evaluation)) }
+        section { h2 { "Omitted" } (omitted(evaluation)) }
         section { h2 { "Conditions" } (setting(evaluation)) }
         section { h2 { "Ledger, glitches, energy" } (totals(evaluation)) }
         section { h2 { "All trials" } (all_trials(evaluation)) }
@@ -382,14 +382,14 @@ fn notice((rows, why): (&[TrialRow], &str)) -> String {
     }
 }
 
-fn left_out(evaluation: &Evaluation) -> Markup {
-    let left = stretches(evaluation);
+fn omitted(evaluation: &Evaluation) -> Markup {
+    let omitted = stretches(evaluation);
     let fallen = || evaluation.attempts.iter().filter(|row| !row.stands);
     html! {
-        @if left.is_empty() { p { "Every trial of the plan counts." } }
+        @if omitted.is_empty() { p { "Every trial of the plan counts." } }
         @else { div.wide { table {
             thead { tr { th { "trial" } th { "condition" } th { "why it does not count" } } }
-            tbody { @for (rows, why) in left { tr {
+            tbody { @for (rows, why) in omitted { tr {
                 @match rows {
                     [first, .., last] => {
                         td { (first.trial) " to " (last.trial) }

@@ -316,7 +316,7 @@ fn line(
     let line = FittedLine::through(&clampings(points))?;
     let n = points.len();
     let off = |(a_mm, displacement_mm): &(f64, f64)| displacement_mm - line.at(*a_mm);
-    let left: f64 = points.iter().map(|point| off(point).powi(2)).sum();
+    let residual: f64 = points.iter().map(|point| off(point).powi(2)).sum();
     let values: Vec<f64> = points.iter().map(|(_, value)| *value).collect();
     let spread = Spread::of(&values)?.sd.filter(|sd| *sd > 0.0);
     let row = LineRow {
@@ -324,8 +324,8 @@ fn line(
         n,
         slope: Rounded(line.slope),
         intercept_mm: Rounded(line.intercept),
-        r_squared: spread.map(|sd| Rounded(1.0 - left / (sd.powi(2) * (n - 1) as f64))),
-        residual_sd_mm: (n > 2).then(|| Rounded((left / (n - 2) as f64).sqrt())),
+        r_squared: spread.map(|sd| Rounded(1.0 - residual / (sd.powi(2) * (n - 1) as f64))),
+        residual_sd_mm: (n > 2).then(|| Rounded((residual / (n - 2) as f64).sqrt())),
         origin,
     };
     Some((row, line))
@@ -385,18 +385,18 @@ impl Evaluation {
         };
         if let Some(finding) = self.findings.iter().find(|finding| is_of(&finding.path)) {
             return Some(format!(
-                "left out, its record is not as it was written: {finding}"
+                "omitted, its record is not as it was written: {finding}"
             ));
         }
         // Missing telemetry leaves the record of the motion true.
         let contradictions = parts.iter().flat_map(|part| &part.defects.contradictions);
         if let Some(defect) = contradictions.into_iter().next() {
-            return Some(format!("left out, its record contradicts itself: {defect}"));
+            return Some(format!("omitted, its record contradicts itself: {defect}"));
         }
         match run_of(parts) {
-            None => Some("left out, it has no record of a run".to_owned()),
+            None => Some("omitted, it has no record of a run".to_owned()),
             Some(run) if run.trial.device.origin != self.origin => Some(format!(
-                "left out, its record is of origin {}, the ledger of origin {}",
+                "omitted, its record is of origin {}, the ledger of origin {}",
                 run.trial.device.origin, self.origin
             )),
             Some(_) => None,

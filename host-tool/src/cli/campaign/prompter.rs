@@ -102,14 +102,14 @@ impl Prompter for TerminalPrompter<'_, '_> {
         keep_alive: &mut dyn FnMut() -> Result<(), ClientError>,
     ) -> Result<String, Halt> {
         let lines = match &self.respondent {
-            Respondent::Nobody(_) if (self.interrupt)().is_some() => return Err(Halt::Left),
+            Respondent::Nobody(_) if (self.interrupt)().is_some() => return Err(Halt::Aborted),
             Respondent::Nobody(plan) => return Ok(by_plan(plan, question)),
             Respondent::Person(lines) => lines,
         };
         let asked = Instant::now();
         loop {
             if (self.interrupt)().is_some() {
-                return Err(Halt::Left);
+                return Err(Halt::Aborted);
             }
             let typed = lines
                 .lock()
@@ -118,7 +118,7 @@ impl Prompter for TerminalPrompter<'_, '_> {
             match typed {
                 Ok(TypedLine::Text(line)) => return Ok(line),
                 Ok(TypedLine::TooSoon) => self.screen.say(TOO_SOON),
-                Err(TryRecvError::Disconnected) => return Err(Halt::Left),
+                Err(TryRecvError::Disconnected) => return Err(Halt::Aborted),
                 Err(TryRecvError::Empty) => {
                     thread::sleep(TURN);
                     keep_alive().map_err(Halt::Client)?;

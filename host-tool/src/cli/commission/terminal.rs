@@ -37,14 +37,14 @@ impl Terminal {
     /// Reads the next line after the prompt at `asked`. `q`, the end of the input and Ctrl-C leave; `s` skips the step.
     fn answer(&self, asked: Instant) -> Result<Answer, Halt> {
         if (self.interrupt)().is_some() {
-            return Err(Halt::Left);
+            return Err(Halt::Aborted);
         }
         match self.typed.answer(asked) {
             Err(TryRecvError::Empty) => Ok(Answer::Nothing),
-            Err(TryRecvError::Disconnected) => Err(Halt::Left),
+            Err(TryRecvError::Disconnected) => Err(Halt::Aborted),
             Ok(TypedLine::TooSoon) => Ok(Answer::TooSoon),
             Ok(TypedLine::Text(line)) => match line.trim() {
-                "q" => Err(Halt::Left),
+                "q" => Err(Halt::Aborted),
                 "s" => Err(Halt::NotShown("skipped by the operator".to_owned())),
                 text => Ok(Answer::Text(text.to_owned())),
             },

@@ -44,7 +44,7 @@ pub(crate) fn json(folder: &Path) -> Value {
             next.planned.shape.name()
         )
     });
-    let left = next
+    let remaining = next
         .is_some()
         .then(|| remaining::text(remaining::remaining_s(&campaign)));
     json!({
@@ -53,6 +53,6 @@ pub(crate) fn json(folder: &Path) -> Value {
         "done": done.count(),
         "trials": state.trials.len(),
         "next": next,
-        "left_text": left,
+        "remaining_text": remaining,
     })
 }

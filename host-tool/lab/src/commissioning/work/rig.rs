@@ -99,7 +99,7 @@ impl Work<'_> {
         });
         let forgotten = match ran {
             // From an operator who leaves, the rig takes stops only: the fault stays latched until the next session.
-            Err(Halt::Left) => Ok(self.device.urgent(Urgent::EStop)?),
+            Err(Halt::Aborted) => Ok(self.device.urgent(Urgent::EStop)?),
             _ => self.forget_position(),
         };
         let ran = ran?;
