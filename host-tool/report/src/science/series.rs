@@ -135,14 +135,14 @@ pub fn tube_run(mut params: tube::Params, case: &Case) -> Result<TubeRun, OutOfR
     };
     let mut course = vec![start; tube::steps(&params) as usize + 1];
     let (mut least_mm, mut greatest_mm) = (f64::INFINITY, f64::NEG_INFINITY);
-    let share = 1.0 / f64::from(params.placements);
+    let fraction = 1.0 / f64::from(params.placements);
     for placed in tube::placed(params) {
         let mut tube = tube::Tube::new(placed, case.load)?;
         for moment in &mut course[1..] {
             tube.step()?;
             moment.time_s = tube.time_s();
-            moment.displacement_mm += share * tube.displacement_mm();
-            moment.head_displacement_mm += share * tube.head_displacement_mm();
+            moment.displacement_mm += fraction * tube.displacement_mm();
+            moment.head_displacement_mm += fraction * tube.head_displacement_mm();
         }
         least_mm = least_mm.min(tube.displacement_mm());
         greatest_mm = greatest_mm.max(tube.displacement_mm());
