@@ -27,9 +27,9 @@ use lab::operations::connector::{Candidate, Connector, LinkPurpose};
 use lab::operations::finder::{Beginning, Finder};
 use serve::ORDERS;
 use serve::access::{Access, Peer};
-use serve::shared_state::{SharedState, Machine};
 use serve::direct::{self, DirectRequest};
 use serve::http::{self, App};
+use serve::shared_state::{Machine, SharedState};
 use serve::worker::Worker;
 
 /// The instance of this server: what keys of its commands begin with.

@@ -19,7 +19,7 @@ use client::address::Address;
 use client::decimal;
 use client::identity;
 use client::link::serial::DEFAULT_BAUD;
-use lab::operations::connector::{Connector, Ports, LinkPurpose};
+use lab::operations::connector::{Connector, LinkPurpose, Ports};
 use lab::operations::output::Stream;
 use lab::trials::experiment::{self, PAPER_RUN};
 use lab::trials::progress::Live;
@@ -35,7 +35,12 @@ fn main() -> Result<()> {
         .into_diagnostic()?;
 
     // A session is refused if this is not a rig, or not one that speaks this program's protocol. Nothing moves yet.
-    let link = Ports.open(DeviceKind::Rig, &address, DEFAULT_BAUD, LinkPurpose::Own("run"))?;
+    let link = Ports.open(
+        DeviceKind::Rig,
+        &address,
+        DEFAULT_BAUD,
+        LinkPurpose::Own("run"),
+    )?;
     let mut rig = Device::connect(link, DeviceKind::Rig, Ports.nonce())?;
     if let Some(identity) = rig.identity() {
         println!("{}", identity::line(identity));

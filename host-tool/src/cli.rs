@@ -51,8 +51,8 @@ use lab::operations::arguments::{
 use lab::operations::connector::Connector;
 use lab::operations::delivery::{Delivery, StopReport};
 use lab::operations::failure::{DONE, Failure, USAGE, usage, usage_text};
-use lab::operations::output::Stream;
 use lab::operations::finder::{Beginning, Finder};
+use lab::operations::output::Stream;
 use protocol::capsule::ActuationKind;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;

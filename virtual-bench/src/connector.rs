@@ -7,7 +7,7 @@ use client::address::Address;
 use client::link::{Link, OpenError, Reason};
 use jiff::Timestamp;
 use lab::commissioning::operator::Operator;
-use lab::operations::connector::{Candidate, Connector, Ports, LinkPurpose};
+use lab::operations::connector::{Candidate, Connector, LinkPurpose, Ports};
 use protocol::system::DeviceKind;
 
 use crate::boards::{capsule, rig};

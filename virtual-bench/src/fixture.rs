@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use lab::commissioning::halt::Halt;
-use lab::commissioning::operator::{Act, Operator, Part, Reading, Say, Watch, Instruction};
+use lab::commissioning::operator::{Act, Instruction, Operator, Part, Reading, Say, Watch};
 
 use crate::bench::{Bench, BenchError};
 use crate::boards::capsule::CapsuleBoard;
@@ -195,7 +195,10 @@ impl Operator for Fixture {
 pub(crate) fn converse(stream: &TcpStream, fixture: &Fixture) -> std::io::Result<()> {
     let mut out = stream;
     for line in BufReader::new(stream).lines() {
-        let answer = match line?.parse().and_then(|instruction| fixture.carry_out(instruction)) {
+        let answer = match line?
+            .parse()
+            .and_then(|instruction| fixture.carry_out(instruction))
+        {
             Ok(None) => "done".to_owned(),
             Ok(Some(value)) => format!("value {value}"),
             Err(why) => format!("error {}", why.replace('\n', " ")),

@@ -35,9 +35,9 @@ pub mod shared;
 
 use crate::link::owner::Owner;
 
+pub mod client;
 #[doc(hidden)]
 pub mod stream;
-pub mod client;
 
 use protocol::table::{Impact, Request};
 use serde::{Deserialize, Serialize};

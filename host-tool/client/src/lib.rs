@@ -16,10 +16,10 @@
 #![forbid(unsafe_code)]
 
 pub mod address;
+pub mod broker;
 pub mod decimal;
 mod device;
 pub mod diagnosis;
-pub mod broker;
 pub mod error;
 pub mod exit;
 pub mod identity;

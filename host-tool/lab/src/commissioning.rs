@@ -19,8 +19,8 @@
 pub mod capsule;
 mod device;
 pub mod halt;
-pub mod operator;
 pub mod image;
+pub mod operator;
 pub mod procedure;
 pub mod record;
 pub mod rig;

@@ -12,12 +12,12 @@ use protocol::system::{DeviceKind, Urgent};
 use serde_json::{Value, json};
 use tokio::sync::{OwnedSemaphorePermit, oneshot};
 
-use crate::shared_state::{SharedState, Machine};
+use crate::shared_state::{Machine, SharedState};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{DO_NOW, Delivery, StopReport};
 use lab::operations::failure::Failure;
-use lab::operations::panel::Notice;
 use lab::operations::finder::{Finder, Target, past_owners};
+use lab::operations::panel::Notice;
 use lab::operations::stops::{self, Ask};
 
 /// Time for the worker to confirm a stop that failed on its direct way.
@@ -167,7 +167,11 @@ pub fn stop(
     }
 }
 
-pub fn ask(finder: &Finder<'_>, shared: &SharedState, question: Question) -> Result<Value, Failure> {
+pub fn ask(
+    finder: &Finder<'_>,
+    shared: &SharedState,
+    question: Question,
+) -> Result<Value, Failure> {
     let Some(machine) = shared.machine(question.about()) else {
         let name = kind_name(question.about());
         return Err(Failure::input(

@@ -42,14 +42,14 @@ use tokio::time::{Instant as At, timeout, timeout_at};
 use tower_service::Service as _;
 
 use crate::access::{Access, Demand, Peer, demand};
-use crate::actions::{Action, Arrival, RequestedAction, ActionStatus};
+use crate::actions::{Action, ActionStatus, Arrival, RequestedAction};
 use crate::answers::{Instead, answer, bad, closing, good, refused, status, typed};
-use crate::shared_state::{SharedState, Order};
 use crate::bodies::{LONGEST_BODY, fields, object};
 use crate::direct::{DirectRequest, Question, Wait};
 use crate::open_files::Connections;
 use crate::orders::{self, Work};
 use crate::records::{is_record, list, open};
+use crate::shared_state::{Order, SharedState};
 
 /// The interface description for programs.
 pub const OPENAPI: &str = include_str!("../../../docs/openapi.json");
@@ -363,7 +363,11 @@ fn wait_s(query: &str) -> Result<u64, String> {
 }
 
 /// Waits until an action meets the condition; `None` if the action is unknown.
-async fn wait(shared: &SharedState, number: u64, until: impl Fn(&Action) -> bool) -> Option<Action> {
+async fn wait(
+    shared: &SharedState,
+    number: u64,
+    until: impl Fn(&Action) -> bool,
+) -> Option<Action> {
     let mut changes = shared.actions.changes();
     loop {
         changes.borrow_and_update();
@@ -507,7 +511,10 @@ async fn stop(State(app): Shared, urgent: Urgent, body: Body) -> Answered {
             },
         });
     }
-    if reports.iter().any(|report| report.delivery != Delivery::Stopped) {
+    if reports
+        .iter()
+        .any(|report| report.delivery != Delivery::Stopped)
+    {
         return Err(Failure::Stops { reports }.into());
     }
     let machines: Vec<_> = reports.iter().map(StopReport::json).collect();

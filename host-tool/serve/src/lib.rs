@@ -23,8 +23,6 @@ pub mod access;
 #[doc(hidden)]
 pub mod actions;
 mod answers;
-#[doc(hidden)]
-pub mod shared_state;
 mod bodies;
 #[doc(hidden)]
 pub mod direct;
@@ -33,6 +31,8 @@ mod open_files;
 #[doc(hidden)]
 pub mod orders;
 mod records;
+#[doc(hidden)]
+pub mod shared_state;
 pub mod stream;
 #[doc(hidden)]
 pub mod worker;
@@ -62,10 +62,10 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::time::{interval, sleep, timeout};
 
 use crate::access::{Access, LEAST_TOKEN, new_token};
-use crate::shared_state::{SharedState, Machine};
 use crate::direct::DirectRequest;
 use crate::http::App;
 use crate::open_files::{Connections, LEAST};
+use crate::shared_state::{Machine, SharedState};
 use crate::worker::Worker;
 use lab::operations::failure::Failure;
 use lab::operations::finder::Finder;

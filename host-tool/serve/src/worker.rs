@@ -17,8 +17,8 @@ use lab::operations::arguments::{DATA_FOLDER, RecordArgs};
 use lab::operations::connector::LinkPurpose;
 use lab::operations::delivery::{Delivery, StopReport};
 use lab::operations::failure::{Failure, NO_DEVICE, UNKNOWN};
-use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use lab::operations::finder::{Finder, Target};
+use lab::operations::panel::{self, Contact, MOVES_ALREADY, Notice, TELEMETRY_MS};
 use lab::operations::{ending, reached};
 use lab::trials::experiment::{self, Actuation, ExperimentError};
 use lab::trials::trial::Status;
@@ -28,8 +28,8 @@ use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
-use crate::shared_state::{SharedState, Lease, Machine, Order};
 use crate::orders::Work;
+use crate::shared_state::{Lease, Machine, Order, SharedState};
 use crate::worker::busy::{Busy, Pacing, held};
 
 /// Interval between status requests, us.

@@ -21,10 +21,12 @@ pub(crate) fn acknowledge(
     // Try both machines: one without a fault must not keep the other from being acknowledged.
     for kind in finder.machines(which)? {
         let name = identity::kind_name(kind);
-        let result = finder.connect(kind, LinkPurpose::Observe).and_then(|mut device| {
-            device.acknowledge()?;
-            Ok(device.place())
-        });
+        let result = finder
+            .connect(kind, LinkPurpose::Observe)
+            .and_then(|mut device| {
+                device.acknowledge()?;
+                Ok(device.place())
+            });
         match result {
             Ok(place) => {
                 screen.say(&format!(

@@ -9,11 +9,10 @@ use client::identity::Origin;
 use client::limited;
 use client::named;
 use client::wording::word;
-use prompter::{TerminalPrompter, Respondent};
 use lab::campaign::conduct::{Broken, Conduct, Ending, Machines};
 use lab::campaign::contents::Campaign;
 use lab::campaign::folder::Folder;
-use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, TrialStatus, TrialState};
+use lab::campaign::ledger::{LedgerEvent, LedgerRow, Source, TrialState, TrialStatus};
 use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::readings::Summary;
 use lab::campaign::remaining::{remaining_s, text as time_text};
@@ -27,6 +26,7 @@ use lab::trials::experiment::ExperimentError;
 use lab::trials::plan::REFERENCE_LIMITS;
 use lab::trials::trial::ELSEWHERE;
 use motion::axis::Axis;
+use prompter::{Respondent, TerminalPrompter};
 use protocol::system::DeviceKind;
 use report::html::campaign::{Present, present, report_folder};
 use report::html::{self, Existing};
@@ -295,8 +295,13 @@ fn create(
 }
 
 /// Opens a folder for writing. Reports what a killed session has left.
-fn open(path: &Path, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Folder, Failure> {
-    let (folder, notices) = Folder::resume(path, finder.connector.now()).map_err(failure::campaign)?;
+fn open(
+    path: &Path,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Folder, Failure> {
+    let (folder, notices) =
+        Folder::resume(path, finder.connector.now()).map_err(failure::campaign)?;
     for line in notices {
         screen.say(&line);
     }
@@ -604,7 +609,11 @@ fn summary(campaign: &Campaign) -> Value {
 
 // Edits.
 
-fn edit(args: &EditArgs, finder: &Finder<'_>, screen: &mut Screen<'_>) -> Result<Value, Failure> {
+fn edit(
+    args: &EditArgs,
+    finder: &Finder<'_>,
+    screen: &mut Screen<'_>,
+) -> Result<Value, Failure> {
     let mut folder = open(&args.folder, finder, screen)?;
     let Some(origin) = folder.campaign().origin() else {
         return Err(Failure::input(

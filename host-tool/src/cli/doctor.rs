@@ -148,9 +148,7 @@ pub(crate) fn doctor(
         // A missing machine outweighs a problem that a machine reports.
         let code = codes.filter(|code| *code != DONE).min().unwrap_or(FAILED);
         let help = "each finding above has its remedy";
-        return Err(
-            Failure::new("retrograde::doctor", code, summary(&findings), help).with(value),
-        );
+        return Err(Failure::new("retrograde::doctor", code, summary(&findings), help).with(value));
     }
     Ok(value)
 }
@@ -219,7 +217,10 @@ fn look(place: &Location, finder: &Finder<'_>) -> Vec<Finding> {
 /// A problem that a machine reports itself: keyword, text and remedy.
 type Trouble = Option<(&'static str, String, &'static str)>;
 
-fn examine(place: &Location, finder: &Finder<'_>) -> Result<(Identity, String, Trouble), Failure> {
+fn examine(
+    place: &Location,
+    finder: &Finder<'_>,
+) -> Result<(Identity, String, Trouble), Failure> {
     let address = &place.candidate.address;
     let kind = place.candidate.kind.unwrap_or(DeviceKind::Rig);
     let mut device = finder.open(kind, address, LinkPurpose::Glance)?;

@@ -3,8 +3,8 @@
 use client::decimal;
 use lab::operations::arguments::PartialArgs;
 use lab::operations::failure::Failure;
-use lab::operations::folding::motion;
 use lab::operations::finder::Finder;
+use lab::operations::folding::motion;
 use serde_json::Value;
 
 use crate::cli::actuation::actuate;

@@ -3,8 +3,8 @@
 use lab::operations::connector::LinkPurpose;
 use lab::operations::ending::homed_text;
 use lab::operations::failure::Failure;
-use lab::operations::panel::SETTINGS_UNUSABLE;
 use lab::operations::finder::Finder;
+use lab::operations::panel::SETTINGS_UNUSABLE;
 use lab::trials::experiment;
 use protocol::rig::RigEvent;
 use protocol::system::{DeviceKind, What};

@@ -58,7 +58,11 @@ pub(crate) fn report(args: &ReportArgs, screen: &mut Screen<'_>) -> Result<Value
         "damaged": report.damaged,
         "omitted": found.omitted,
     });
-    let lost = found.omitted.iter().filter(|omitted| omitted.is_record).count();
+    let lost = found
+        .omitted
+        .iter()
+        .filter(|omitted| omitted.is_record)
+        .count();
     match (report.damaged.len(), lost) {
         (0, 0) => Ok(value),
         (damaged, lost) => {

@@ -9,8 +9,8 @@ use std::sync::Arc;
 use clap::Args;
 use lab::operations::arguments::{DATA_FOLDER, Which};
 use lab::operations::failure::Failure;
-use lab::operations::interrupt;
 use lab::operations::finder::Finder;
+use lab::operations::interrupt;
 use serde_json::{Value, json};
 use serve::Options;
 

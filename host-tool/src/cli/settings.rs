@@ -82,7 +82,11 @@ pub(crate) fn settings(
     // Check the arguments before looking for a machine.
     let kind = of.map_or(DeviceKind::Rig, DeviceKind::from);
     match subcommand {
-        SettingsSubcommand::List => list(&mut finder.connect(kind, LinkPurpose::Observe)?, kind, screen),
+        SettingsSubcommand::List => list(
+            &mut finder.connect(kind, LinkPurpose::Observe)?,
+            kind,
+            screen,
+        ),
         SettingsSubcommand::Get { key } => {
             let mut machine = finder.connect(owner(key.0, of)?, LinkPurpose::Observe)?;
             let value = machine.call(GetSetting { key: key.0 })?.value;
@@ -113,7 +117,10 @@ pub(crate) fn settings(
             Ok(json!({ "changed": changed.len() }))
         }
         SettingsSubcommand::Name { name: None } => {
-            let name = finder.connect(kind, LinkPurpose::Observe)?.call(GetName)?.name;
+            let name = finder
+                .connect(kind, LinkPurpose::Observe)?
+                .call(GetName)?
+                .name;
             screen.say(&name);
             Ok(json!({ "name": name.as_str() }))
         }

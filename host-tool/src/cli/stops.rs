@@ -92,10 +92,16 @@ pub(crate) fn stop(
         });
     }
     let reports = tell(urgent, &targets, finder, screen);
-    if reports.iter().any(|report| report.delivery != Delivery::Stopped) {
+    if reports
+        .iter()
+        .any(|report| report.delivery != Delivery::Stopped)
+    {
         return Err(Failure::Stops { reports });
     }
-    let stopped: Vec<_> = reports.iter().map(|report| report.machine.clone()).collect();
+    let stopped: Vec<_> = reports
+        .iter()
+        .map(|report| report.machine.clone())
+        .collect();
     let machines: Vec<_> = reports.iter().map(StopReport::json).collect();
     Ok(json!({ "stopped": stopped, "machines": machines }))
 }

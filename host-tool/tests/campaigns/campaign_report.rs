@@ -249,8 +249,11 @@ fn a_campaign_becomes_a_page_figures_and_tables() {
     assert_eq!(written.findings, Vec::<String>::new());
     assert_eq!((written.planned, written.counted), (14, 12));
     let why = |trial| {
-        let omitted = written.omitted.iter().find(|(omitted, _)| *omitted == trial);
-        left.map(|(_, why)| why.as_str()).unwrap_or_default()
+        let omitted = written
+            .omitted
+            .iter()
+            .find(|(omitted, _)| *omitted == trial);
+        omitted.map(|(_, why)| why.as_str()).unwrap_or_default()
     };
     assert_eq!(why(5), "excluded: the tail was <caught>");
     assert_eq!(why(14), "not done yet");

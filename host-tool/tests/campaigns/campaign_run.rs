@@ -14,7 +14,9 @@ use client::identity::Origin;
 use host_tool::cli::run_on;
 use lab::campaign::contents::Campaign;
 use lab::campaign::form::Form;
-use lab::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, Source, TrialStatus, TrialState};
+use lab::campaign::ledger::{
+    AttemptOutcome, LedgerEvent, LedgerRow, Source, TrialState, TrialStatus,
+};
 use lab::campaign::verify::verify;
 use lab::operations::connector::Connector;
 use locomotion::roller::Params;

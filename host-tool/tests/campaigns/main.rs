@@ -11,10 +11,10 @@ mod campaign_run;
 mod counting;
 mod folded;
 mod gone;
-mod observers;
 #[cfg(unix)]
 mod hostile;
 mod in_python;
+mod notices;
+mod observers;
 mod pictures;
 mod stopped;
-mod notices;

@@ -12,7 +12,7 @@ use client::link::{Link, LinkError};
 use client::subject::Subject;
 use jiff::Timestamp;
 use lab::commissioning::halt::Halt;
-use lab::commissioning::operator::{Act, Operator, Part, Reading, Say, Watch, Instruction};
+use lab::commissioning::operator::{Act, Instruction, Operator, Part, Reading, Say, Watch};
 use lab::commissioning::procedure::{Procedure, StepStatus, open, status};
 use lab::commissioning::record::{Commissioning, Finding, StepOutcome};
 use lab::commissioning::rig::wrong_travel;
@@ -266,7 +266,11 @@ fn wishes_are_read_as_they_are_written() {
     let acts = Part::ALL
         .iter()
         .flat_map(|part| [true, false].map(|on| Instruction::Do(Act { part: *part, on })));
-    for wish in acts.chain(Reading::ALL.iter().map(|reading| Instruction::Read(*reading))) {
+    for wish in acts.chain(
+        Reading::ALL
+            .iter()
+            .map(|reading| Instruction::Read(*reading)),
+    ) {
         assert_eq!(wish.to_string().parse(), Ok(wish));
     }
     for text in [

@@ -329,7 +329,8 @@ fn a_refused_action_leaves_a_record_that_says_so() {
     recorded_run(folder.path());
     let found = html::find(&folders).expect("a folder");
     assert_eq!(found.sidecars.len(), 1, "{found:?}");
-    let omitted = |omitted: &Omitted| omitted.why.contains("nothing was done: ") && !omitted.is_record;
+    let omitted =
+        |omitted: &Omitted| omitted.why.contains("nothing was done: ") && !omitted.is_record;
     assert_eq!(found.omitted.len(), 2, "{found:?}");
     assert!(found.omitted.iter().all(omitted), "{found:?}");
     // As the reader in Python counts.

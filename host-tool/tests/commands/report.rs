@@ -137,8 +137,13 @@ fn what_is_left_out_is_listed_with_the_reason() {
     let found = html::find(&[folder.path().to_owned()]).expect("a folder");
     assert_eq!(found.sidecars, [run]);
     let why = |name: &str| {
-        let omitted = found.omitted.iter().find(|omitted| omitted.path.ends_with(name));
-        omitted.map(|omitted| omitted.why.clone()).unwrap_or_default()
+        let omitted = found
+            .omitted
+            .iter()
+            .find(|omitted| omitted.path.ends_with(name));
+        omitted
+            .map(|omitted| omitted.why.clone())
+            .unwrap_or_default()
     };
     assert!(why("my-fold.json").contains("it was renamed"));
     let telemetry = fold.with_extension("csv");
@@ -162,7 +167,10 @@ fn what_is_left_out_is_listed_with_the_reason() {
     assert!(!others.into_iter().any(is_record));
     let html = html::html(&found, &[]).expect("a page").html;
     for omitted in &found.omitted {
-        assert!(html.contains(&omitted.why.replace('"', "&quot;")), "{omitted}");
+        assert!(
+            html.contains(&omitted.why.replace('"', "&quot;")),
+            "{omitted}"
+        );
     }
 }
 

@@ -9,7 +9,7 @@ use crate::support::tool::{self, Memory, ready};
 use client::address::Address;
 use client::link::{Link, LinkError, OpenError, Reason};
 use jiff::Timestamp;
-use lab::operations::connector::{Candidate, Connector, Ports, LinkPurpose};
+use lab::operations::connector::{Candidate, Connector, LinkPurpose, Ports};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use client::Device;
-use client::broker::server::{Core, ClientSession, WAITING_FRAMES};
+use client::broker::server::{ClientSession, Core, WAITING_FRAMES};
 use client::error::ClientError;
 use client::link::owner::Owner;
 use client::link::{Link, LinkError};

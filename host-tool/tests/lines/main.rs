@@ -5,8 +5,8 @@
 mod support;
 
 mod bad_inputs;
-mod doctor;
 mod broker;
+mod doctor;
 mod held_up;
 mod leaving;
 mod remedies;

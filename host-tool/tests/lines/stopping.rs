@@ -14,8 +14,8 @@ use std::time::{Duration, Instant};
 use crate::support::bench::{Bench, at_a_port, ready, through_the_door_alone};
 use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
-use client::broker::lock::LineFiles;
 use client::broker::client::BrokerClient;
+use client::broker::lock::LineFiles;
 use protocol::frame::{Deframer, Kind};
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
@@ -658,7 +658,8 @@ fn scenario(seed: u64) -> (bool, bool) {
         let address = bench.address.parse().expect("an address");
         let line_files = LineFiles::within(&bench.locks(), &address).expect("a line");
         // Exceed the limit of clients. One that arrives while the line changes hands may fail.
-        let more = (0..dice.below(40)).map(|_| BrokerClient::open(&line_files, Duration::from_secs(1)));
+        let more =
+            (0..dice.below(40)).map(|_| BrokerClient::open(&line_files, Duration::from_secs(1)));
         clients.extend(more);
     }
     let idle: Vec<_> = (0..[0, 0, 100, 200][dice.below(4) as usize])

@@ -13,8 +13,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use client::Device;
-use client::broker::lock::LineFiles;
 use client::broker::client::BrokerClient;
+use client::broker::lock::LineFiles;
 use protocol::settings::SettingKey;
 use protocol::system::{DeviceKind, Urgent};
 use serde_json::Value;

@@ -126,7 +126,11 @@ struct Out {
 
 impl Core {
     /// The owner's side of the line that `line` writes to. With `yields` it gives the line up when somebody wants it.
-    pub fn new(line: Box<dyn Write + Send>, yields: bool, line_files: Option<LineFiles>) -> Arc<Self> {
+    pub fn new(
+        line: Box<dyn Write + Send>,
+        yields: bool,
+        line_files: Option<LineFiles>,
+    ) -> Arc<Self> {
         Arc::new(Self {
             state: Mutex::new(BrokerState::default()),
             woken: Condvar::new(),
@@ -325,7 +329,12 @@ impl Core {
     pub fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
-                for client in self.state().clients.values().filter(|client| client.observes) {
+                for client in self
+                    .state()
+                    .clients
+                    .values()
+                    .filter(|client| client.observes)
+                {
                     // A client that does not read misses frames, as on a bad line.
                     let _ = client.frames.try_send(wire.to_vec());
                 }
@@ -423,7 +432,12 @@ impl Core {
         }
         let number = state.next_client;
         state.next_client += 1;
-        let observes = state.clients.values().filter(|client| client.observes).count() < MAX_CLIENTS;
+        let observes = state
+            .clients
+            .values()
+            .filter(|client| client.observes)
+            .count()
+            < MAX_CLIENTS;
         let client = Client {
             observes,
             frames,
@@ -609,7 +623,9 @@ impl ClientSession {
     fn frame(&self, frame: &Frame<'_>, now: Instant) -> io::Result<()> {
         let mut asking = self.asking.lock().unwrap_or_else(PoisonError::into_inner);
         let was_unanswered = asking.unanswered == Some(frame.header.seq);
-        if (asking.pending || was_unanswered || !self.observes) && frame.header.kind == Kind::Request {
+        if (asking.pending || was_unanswered || !self.observes)
+            && frame.header.kind == Kind::Request
+        {
             // The question is a repetition of an unanswered one, or the client was told that it can only stop.
             return Ok(());
         }

@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 
 use crate::campaign::CampaignError;
 use crate::campaign::folder::Folder;
-use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, TrialStatus, TrialState};
+use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, TrialState, TrialStatus};
 use crate::campaign::prompts::{self, Answer, Halt, Question};
 use crate::campaign::readings::ReadingRow;
 

@@ -188,7 +188,11 @@ impl Folder {
 
     /// Takes up the files of the latest attempt, the only one that can have been under way. Files that were about to
     /// replace others are removed; all others stay unlisted.
-    fn take_up(&mut self, added: Vec<String>, notices: &mut Vec<String>) -> Result<(), CampaignError> {
+    fn take_up(
+        &mut self,
+        added: Vec<String>,
+        notices: &mut Vec<String>,
+    ) -> Result<(), CampaignError> {
         let mut rows = self.campaign.rows.iter().rev();
         let began = rows.find(|row| row.event == LedgerEvent::Began);
         let latest = began.and_then(|row| row.trial.zip(row.attempt));

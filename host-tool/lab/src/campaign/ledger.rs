@@ -506,7 +506,10 @@ impl TrialState {
                 });
             }
             (LedgerEvent::Undone, TrialStatus::Done) => last.displacement = None,
-            (LedgerEvent::Repeated, TrialStatus::Unmeasured | TrialStatus::Done | TrialStatus::Excluded) => {
+            (
+                LedgerEvent::Repeated,
+                TrialStatus::Unmeasured | TrialStatus::Done | TrialStatus::Excluded,
+            ) => {
                 last.given_up = Some(row.text.clone().unwrap_or_default());
                 self.excluded = None;
             }

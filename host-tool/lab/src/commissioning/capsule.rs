@@ -221,8 +221,9 @@ fn thirds(points: &[TracePoint]) -> Result<[StalledReading; 3], Halt> {
         ));
     };
     let of = |third| {
-        let is_in =
-            |point: &&StalledReading| (point.duty_percent - least) * 3 / (most - least + 1) == third;
+        let is_in = |point: &&StalledReading| {
+            (point.duty_percent - least) * 3 / (most - least + 1) == third
+        };
         mean(&readings.iter().filter(is_in).copied().collect::<Vec<_>>())
     };
     match (of(0), of(1), of(2)) {

@@ -203,7 +203,8 @@ impl Operator for RemoteFixture {
 
     fn read(&mut self, reading: Reading, say: &mut Say<'_>) -> Result<i64, Halt> {
         let instruction = Instruction::Read(reading);
-        self.ask(instruction, say)?
-            .ok_or_else(|| Halt::FixtureLost(format!("the fixture at {} measured nothing", self.place)))
+        self.ask(instruction, say)?.ok_or_else(|| {
+            Halt::FixtureLost(format!("the fixture at {} measured nothing", self.place))
+        })
     }
 }

@@ -34,7 +34,9 @@ pub fn status(step: &ProcedureStep, record: &Commissioning, subject: &Subject) -
         let name = key.name();
         result.settings.get(name) != subject.settings.get(name)
     });
-    changed.map_or(StepStatus::Holds, |key| StepStatus::OtherSetting(key.name()))
+    changed.map_or(StepStatus::Holds, |key| {
+        StepStatus::OtherSetting(key.name())
+    })
 }
 
 /// Goes through the steps once. It skips a step whose result holds, and does not repeat a step that was carried out in

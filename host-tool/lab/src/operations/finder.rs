@@ -123,7 +123,7 @@ impl Beginning {
 }
 
 /// The addresses that the user gave, and the connector to open links to them.
-pub struct Places<'a> {
+pub struct Finder<'a> {
     pub rig: Option<Address>,
     pub capsule: Option<Address>,
     pub baud: u32,
@@ -132,7 +132,7 @@ pub struct Places<'a> {
     pub beginning: Beginning,
 }
 
-impl Places<'_> {
+impl Finder<'_> {
     /// The address that the user gave.
     pub fn address(&self, kind: DeviceKind) -> Option<&Address> {
         match kind {
@@ -207,7 +207,8 @@ impl Places<'_> {
                 (result, _) => return result,
             }
         }
-        self.stop_by(kind, address, urgent, LinkPurpose::StopDirectly).0
+        self.stop_by(kind, address, urgent, LinkPurpose::StopDirectly)
+            .0
     }
 
     /// Sends a stop one way; also returns whether it went through the owner of the line.
@@ -253,7 +254,7 @@ impl Places<'_> {
         kinds.into_iter().map(target).collect()
     }
 
-    /// Like [`Places::open_for_command`], which may wait for seconds. Ctrl-C meanwhile stops the machine at once, as
+    /// Like [`Finder::open_for_command`], which may wait for seconds. Ctrl-C meanwhile stops the machine at once, as
     /// `retrograde stop` does: there is no session yet that would send the stop.
     ///
     /// # Errors
@@ -307,11 +308,13 @@ impl Places<'_> {
         let report = target.report(self.urgent(target, urgent));
         match report.delivery {
             Delivery::Stopped => interrupted(need),
-            Delivery::NotConfirmed | Delivery::NotDelivered => Failure::Stops { reports: vec![report] },
+            Delivery::NotConfirmed | Delivery::NotDelivered => Failure::Stops {
+                reports: vec![report],
+            },
         }
     }
 
-    /// Like [`Places::open`]. If the command is for the owner of the line, a present owner that only looks gives the
+    /// Like [`Finder::open`]. If the command is for the owner of the line, a present owner that only looks gives the
     /// line up. The wait for it ends when a stop is `pressed`.
     fn open_for_command(
         &self,

@@ -14,7 +14,9 @@ use protocol::rig::{RigEvent, Run};
 use protocol::system::What;
 use serde::de::DeserializeOwned;
 
-use crate::trials::trial::{Achieved, Action, CapsuleSample, Executed, RigSample, Status, TrialRecord};
+use crate::trials::trial::{
+    Achieved, Action, CapsuleSample, Executed, RigSample, Status, TrialRecord,
+};
 
 /// Tolerance for a late sample, us: the device sends it late when it has something more urgent to do.
 const LATE_US: u64 = 10_000;

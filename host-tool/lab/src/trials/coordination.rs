@@ -266,7 +266,9 @@ impl Partner<'_> {
                 };
             }
         }
-        if !self.capsule.is_posted() && until_us >= self.last_request_us + self.capsule.keep_alive_us() {
+        if !self.capsule.is_posted()
+            && until_us >= self.last_request_us + self.capsule.keep_alive_us()
+        {
             self.last_request_us = until_us;
             self.capsule.post(GetCapsuleStatus)?;
         }

@@ -124,7 +124,9 @@ pub fn figure8(evaluation: &Evaluation) -> Result<Option<Captioned>, FigureError
     for (shape, colour, mark) in shapes {
         let rows = evaluation.trials.iter().zip(&evaluation.parts);
         let rows: Vec<_> = rows
-            .filter(|(row, _)| row.counts && row.purpose == TrialPurpose::FoldTest && row.shape == shape)
+            .filter(|(row, _)| {
+                row.counts && row.purpose == TrialPurpose::FoldTest && row.shape == shape
+            })
             .collect();
         let ends: Vec<(f64, f64)> = rows
             .iter()

@@ -10,7 +10,7 @@ use lab::campaign::CampaignError;
 use lab::campaign::contents::Campaign;
 use lab::campaign::files::ATTEMPTS;
 use lab::campaign::form::Form;
-use lab::campaign::ledger::{Attempt, AttemptOutcome, Source, TrialStatus, TrialState};
+use lab::campaign::ledger::{Attempt, AttemptOutcome, Source, TrialState, TrialStatus};
 use lab::campaign::manifest::{self, Manifest};
 use lab::campaign::order::Condition;
 use lab::campaign::plan::{Lubrication, Millimetres, TrialPurpose};

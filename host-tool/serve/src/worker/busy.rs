@@ -14,8 +14,8 @@ use protocol::system::{Event, What};
 use protocol::table::Telemetry;
 use serde_json::{Value, json};
 
-use crate::shared_state::{SharedState, Machine, Order};
 use crate::orders::Work;
+use crate::shared_state::{Machine, Order, SharedState};
 
 /// A hold or a resume of a run that has not ended yet: its action, its kind, and whether it was sent.
 pub(super) type Pacing = Arc<Mutex<Option<(u64, Pace, bool)>>>;

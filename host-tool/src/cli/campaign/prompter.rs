@@ -12,10 +12,10 @@ use lab::campaign::conduct::Prompter;
 use lab::campaign::plan::{CampaignPlan, Millimetres};
 use lab::campaign::prompts::{Halt, Question};
 use lab::campaign::readings::{Quantity, refusal};
-use lab::operations::interrupt;
 use lab::operations::finder::Finder;
+use lab::operations::interrupt;
 
-use crate::cli::keyboard::{self, TypedLine, Lines, TOO_SOON};
+use crate::cli::keyboard::{self, Lines, TOO_SOON, TypedLine};
 use crate::cli::screen::{Keyboard, Screen};
 
 /// Interval between two polls of the keyboard.
@@ -81,7 +81,11 @@ pub(super) struct TerminalPrompter<'a, 'b> {
 
 impl<'a, 'b> TerminalPrompter<'a, 'b> {
     /// Makes Ctrl-C leave a question, too, from now on.
-    pub(super) fn new(screen: &'a mut Screen<'b>, finder: &'a Finder<'a>, respondent: Respondent) -> Self {
+    pub(super) fn new(
+        screen: &'a mut Screen<'b>,
+        finder: &'a Finder<'a>,
+        respondent: Respondent,
+    ) -> Self {
         Self {
             screen,
             finder,

@@ -10,7 +10,7 @@ use lab::commissioning::halt::Halt;
 use lab::commissioning::operator::{Act, Operator, Part, Reading, Say, Watch};
 use lab::commissioning::session::COLUMNS;
 
-use crate::cli::keyboard::{TypedLine, Lines, TOO_SOON};
+use crate::cli::keyboard::{Lines, TOO_SOON, TypedLine};
 use crate::cli::screen::Keyboard;
 
 /// Interval between two polls of the keyboard.

@@ -240,7 +240,7 @@ fn a_question_without_an_answer_is_not_called_unseen() {
         session: 1,
     });
     let (frames, told) = sync_channel(WAITING_FRAMES);
-    let mut session = ClientSession::new(&core, Box::new(|| {}), frames).expect("a line");
+    let mut client = ClientSession::new(&core, Box::new(|| {}), frames).expect("a line");
     let frame = |session, seq, request: &Request| {
         let header = Header {
             kind: Kind::Request,
@@ -255,15 +255,15 @@ fn a_question_without_an_answer_is_not_called_unseen() {
         nonce: 5,
     });
     let mut now = Instant::now();
-    session.take(&frame(0, 1, &hello), now).expect("taken");
+    client.take(&frame(0, 1, &hello), now).expect("taken");
     let welcome = told.try_recv().expect("told");
     let session = header(&welcome).expect("a frame").session;
     let resume = frame(session, 2, &rig::Resume.into_request());
-    session.take(&resume, now).expect("taken");
+    client.take(&resume, now).expect("taken");
     now += QUESTION_INTERVAL;
     core.question(now).expect("asked").answer(None);
     now += QUESTION_INTERVAL;
-    session.take(&resume, now).expect("taken");
+    client.take(&resume, now).expect("taken");
     now += QUESTION_INTERVAL;
     assert!(core.question(now).is_none());
     assert!(told.try_recv().is_err(), "nothing is known of it");

@@ -19,7 +19,7 @@ use serde_json::json;
 use crate::campaign::conduct::{Broken, Conduct, Next};
 use crate::campaign::files::RUN;
 use crate::campaign::form::Form;
-use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, TrialStatus, TrialState};
+use crate::campaign::ledger::{AttemptOutcome, LedgerEvent, LedgerRow, TrialState, TrialStatus};
 use crate::campaign::order::Planned;
 use crate::campaign::plan::{Millimetres, TrialPurpose};
 use crate::campaign::prompts::{Answer, Question, camera_file, checks};
@@ -29,7 +29,11 @@ use crate::campaign::{remaining, resumption};
 const HOMEWARD_UM_S: u32 = 20_000;
 
 impl Conduct<'_> {
-    pub(super) fn ask_ready(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
+    pub(super) fn ask_ready(
+        &mut self,
+        planned: &Planned,
+        attempt: u32,
+    ) -> Result<Next, Broken> {
         let campaign = self.folder.campaign();
         let of = campaign.order.len();
         let camera = self.camera_for(planned.trial, attempt);
@@ -113,7 +117,11 @@ impl Conduct<'_> {
         (plan.metadata.camera != "none").then(|| self.camera.clone().unwrap_or_else(proposed))
     }
 
-    pub(super) fn attempt(&mut self, planned: &Planned, attempt: u32) -> Result<Next, Broken> {
+    pub(super) fn attempt(
+        &mut self,
+        planned: &Planned,
+        attempt: u32,
+    ) -> Result<Next, Broken> {
         let trial = planned.trial;
         let campaign = self.folder.campaign();
         let set = campaign.readings.clamped().cloned();
