@@ -10,15 +10,14 @@ pub(crate) mod observer;
 mod requests;
 pub(crate) mod waiting;
 
-use std::collections::{BTreeMap, VecDeque};
-
 use protocol::VERSION;
 use protocol::capsule::CapsuleState;
 use protocol::client::{Client, Output};
 use protocol::settings::{GetSetting, SettingKey};
-use protocol::system::{DeviceKind, Event, Identity, Urgent};
-use protocol::table::{Impact, Response, SCHEMA_KEY, Telemetry};
+use protocol::system::{DeviceKind, Identity, Urgent};
+use protocol::table::{Impact, Response, SCHEMA_KEY};
 
+use crate::device::events::Inbox;
 use crate::device::observer::{Clock, Interrupt, Pacer};
 use crate::diagnosis::{self, Sign};
 use crate::error::ClientError;
@@ -52,12 +51,33 @@ pub fn matches(identity: &Identity) -> bool {
     identity.protocol.major == VERSION.major && identity.schema_key == SCHEMA_KEY
 }
 
-/// A request whose answer [`Device::attend`] returns.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Posted {
+/// A request that was sent and is not answered.
+struct Pending {
     name: &'static str,
     impact: Impact,
     at_us: u64,
+    /// A stop came after it: it is not repeated.
+    cancelled: bool,
+    /// The question of another process, which gets the answer.
+    question: Option<Question>,
+}
+
+/// The stop that is sent ahead of everything else.
+#[derive(Default)]
+struct StopState {
+    /// The strongest stop that the operator or another process has requested so far.
+    requested: Option<Urgent>,
+    /// A stop was sent and is not confirmed.
+    unconfirmed: bool,
+}
+
+/// The motion of the machine, as far as it is known.
+#[derive(Default)]
+struct Motion {
+    /// The device's last answer says that something moves.
+    reported: bool,
+    /// An order to move was sent and is not answered.
+    ordered: bool,
 }
 
 pub(crate) enum Turn {
@@ -78,28 +98,12 @@ pub struct Device {
     owner_patience_us: u64,
     interrupt: Option<Interrupt>,
     pacer: Option<Pacer>,
-    /// The strongest urgent stop that the interrupt has returned so far.
-    interrupted: Option<Urgent>,
-    urgent_pending: bool,
-    /// A command is pending that must not be repeated after a stop.
-    commanding: bool,
-    /// A request sent by [`Device::post`], whose answer is still to come.
-    posted: Option<Posted>,
-    /// The client's question that was posted.
-    asked_by: Option<Question>,
+    stop: StopState,
+    pending: Option<Pending>,
     /// The relation of the two clocks, from the last exchange that contained the device's time.
     clock: Option<Clock>,
-    /// Whether something moves, according to the device's last answer.
-    moves: bool,
-    /// An order to move was sent and is not answered.
-    ordered: bool,
-    /// Index of the next event to deliver.
-    next_event: u32,
-    /// Events that arrived before an earlier one.
-    early: BTreeMap<u32, Event>,
-    events: VecDeque<Event>,
-    lost_events: u32,
-    telemetry: VecDeque<(u16, Telemetry)>,
+    motion: Motion,
+    inbox: Inbox,
     /// Bytes received since Hello was sent, until it is answered.
     overheard: Option<Vec<u8>>,
 }
@@ -117,19 +121,11 @@ impl Device {
             owner_patience_us: OWNER_PATIENCE_US,
             interrupt: None,
             pacer: None,
-            interrupted: None,
-            urgent_pending: false,
-            commanding: false,
-            posted: None,
-            asked_by: None,
+            stop: StopState::default(),
+            pending: None,
             clock: None,
-            moves: false,
-            ordered: false,
-            next_event: 0,
-            early: BTreeMap::new(),
-            events: VecDeque::new(),
-            lost_events: 0,
-            telemetry: VecDeque::new(),
+            motion: Motion::default(),
+            inbox: Inbox::default(),
             overheard: None,
         }
     }
@@ -169,14 +165,11 @@ impl Device {
         };
         self.identity = Some(identity);
         self.link.introduce(&identity);
-        self.early.clear();
+        self.inbox.forget_early();
         if matches(&identity) {
             // Events from before this session are not reported.
-            self.next_event = self.events(u32::MAX)?.next;
-            // Forget events from before the answer: they would be reported twice, or wait for earlier ones for ever.
-            let next = self.next_event;
-            self.events.retain(|event| event.index < next);
-            self.early = self.early.split_off(&next);
+            let next = self.events(u32::MAX)?.next;
+            self.inbox.begin_at(next);
             self.keep_alive_us = self.asked_keep_alive_us()?;
         }
         Ok(identity)
@@ -253,7 +246,7 @@ impl Device {
     /// Drops the link, so that another one can be opened to the same port. Afterwards everything fails as with a
     /// pulled cable. The operator's stop is still noticed, and so is one that only the old link knew of.
     pub fn hang_up(&mut self) {
-        self.ask_interrupt();
+        self.poll_interrupt();
         let gone = Gone {
             place: self.link.place(),
             now_us: self.link.now_us(),
@@ -297,7 +290,7 @@ impl Device {
     /// The strongest stop that the interrupt has returned so far.
     #[must_use]
     pub fn interrupted(&self) -> Option<Urgent> {
-        self.interrupted
+        self.stop.requested
     }
 
     /// Number of received blocks of bytes that were not valid frames.
@@ -308,7 +301,7 @@ impl Device {
 
     /// Number of events that the device had already dropped when they were to be fetched, since the last call.
     pub fn take_lost_events(&mut self) -> u32 {
-        std::mem::take(&mut self.lost_events)
+        std::mem::take(&mut self.inbox.lost)
     }
 
     /// Longest time between two requests while this device moves, us.

@@ -6,10 +6,10 @@ use protocol::rig::{RigState, RunOutcome};
 use protocol::system::DeviceKind;
 use protocol::table::{Endpoint, Impact, Reply, Request, Response};
 
-use crate::device::observer::{Clock, Observer};
-use crate::device::{Device, Posted, Turn, moves};
-use crate::diagnosis::{OVERHEARD, Sign};
 use crate::broker;
+use crate::device::observer::{Clock, Observer};
+use crate::device::{Device, Pending, Turn, moves};
+use crate::diagnosis::{OVERHEARD, Sign};
 use crate::error::{ClientError, Missing};
 use crate::link::LinkError;
 use crate::link::owner::Question;
@@ -45,9 +45,6 @@ fn is_abandonable(impact: Impact) -> bool {
     !matches!(impact, Impact::None | Impact::Pace)
 }
 
-/// Telemetry samples kept until they are taken; beyond that the oldest are dropped, and count as missed.
-const TELEMETRY_INBOX: usize = 4_096;
-
 impl Device {
     /// Sends a request whose answer [`Device::attend`] returns. Only one at a time, and no other request before its
     /// answer.
@@ -59,29 +56,38 @@ impl Device {
     }
 
     fn post_request(&mut self, request: &Request) -> Result<(), ClientError> {
-        self.ask_interrupt();
+        self.poll_interrupt();
         self.admit(request)?;
-        let (name, impact) = (request.name(), request.impact());
-        if impact != Impact::None && self.interrupted.is_some() {
-            return Err(ClientError::Interrupted { request: name });
+        if request.impact() != Impact::None && self.stop.requested.is_some() {
+            return Err(ClientError::Interrupted {
+                request: request.name(),
+            });
         }
-        self.commanding = is_abandonable(impact);
-        self.note_order(request);
+        self.note_request(request);
         if self.client.request(request).is_err() {
+            self.pending = None;
             return Err(self.session_lost());
         }
-        self.posted = Some(Posted {
-            name,
+        Ok(())
+    }
+
+    /// Notes a request before it is sent.
+    fn note_request(&mut self, request: &Request) {
+        let impact = request.impact();
+        self.motion.ordered |= impact == Impact::Motion;
+        self.pending = Some(Pending {
+            name: request.name(),
             impact,
             at_us: self.now_us(),
+            cancelled: false,
+            question: None,
         });
-        Ok(())
     }
 
     /// Whether a posted request has no answer yet: this process's, or that of a client.
     #[must_use]
     pub fn is_posted(&self) -> bool {
-        self.posted.is_some()
+        self.pending.is_some()
     }
 
     /// Sends and receives until `until_us` on the link's clock, or once if that time is past. Delivers everything that
@@ -96,94 +102,84 @@ impl Device {
     ) -> Result<Option<Response>, ClientError> {
         // Post a client's question as well: a machine that does not answer it must not block a caller that serves two
         // machines.
-        if self.posted.is_none()
+        if self.pending.is_none()
             && let Some(question) = self.question()
         {
             match self.post_request(&question.request) {
-                Ok(()) => self.asked_by = Some(question),
+                Ok(()) => {
+                    if let Some(pending) = &mut self.pending {
+                        pending.question = Some(question);
+                    }
+                }
                 Err(error) => reply(question, Err(error))?,
             }
         }
         let answer = match self.posted_answer(until_us) {
             Ok(answer) => answer,
             Err(error) => {
-                self.posted = None;
-                if let Some(question) = self.asked_by.take() {
+                if let Some(question) = self.pending.take().and_then(|pending| pending.question) {
                     question.answer(None);
                 }
                 return Err(error);
             }
         };
         self.hand_out(observer);
-        let Some((posted, answer)) = answer else {
+        let Some(answer) = answer else {
             return Ok(None);
         };
-        self.posted = None;
-        let answer = self.answered(posted, answer);
-        match self.asked_by.take() {
+        let Some(mut pending) = self.pending.take() else {
+            return Ok(None);
+        };
+        let question = pending.question.take();
+        let answer = self.answered(pending, answer);
+        match question {
             Some(question) => reply(question, answer).map(|()| None),
             None => answer.map(Some),
         }
     }
 
-    /// Sends and receives until `until_us`, or until the posted request is answered or certain to stay unanswered.
-    fn posted_answer(
-        &mut self,
-        until_us: u64,
-    ) -> Result<Option<(Posted, Option<Output>)>, ClientError> {
+    /// Sends and receives until `until_us`, or until the posted request is answered or certain to stay unanswered,
+    /// which is `Some(None)`.
+    fn posted_answer(&mut self, until_us: u64) -> Result<Option<Option<Output>>, ClientError> {
         // Take one more turn after the deadline: a turn either sends or receives.
         let mut last = false;
         while !last {
             last = self.now_us() >= until_us;
-            let pending = self.posted;
-            match (self.turn(until_us)?, pending) {
-                (Turn::UrgentUnanswered, _) => return Err(self.stop_unconfirmed()),
-                (Turn::Answered(output), Some(posted)) => {
-                    return Ok(Some((posted, Some(output))));
-                }
-                (Turn::Unanswered, Some(posted)) => return Ok(Some((posted, None))),
-                // Give up this request only after the stop that cancels it.
-                (Turn::Nothing, Some(posted))
-                    if is_abandonable(posted.impact)
-                        && !self.commanding
-                        && !self.urgent_pending =>
-                {
-                    return Ok(Some((posted, None)));
-                }
+            let is_posted = self.pending.is_some();
+            match self.turn(until_us)? {
+                Turn::UrgentUnanswered => return Err(self.stop_unconfirmed()),
+                Turn::Answered(output) if is_posted => return Ok(Some(Some(output))),
+                Turn::Unanswered if is_posted => return Ok(Some(None)),
+                Turn::Nothing if self.is_given_up() => return Ok(Some(None)),
                 _ => {}
             }
         }
         Ok(None)
     }
 
+    /// Whether a stop has cancelled the pending request, and was sent before it was given up.
+    fn is_given_up(&self) -> bool {
+        let cancelled = |pending: &Pending| pending.cancelled;
+        self.pending.as_ref().is_some_and(cancelled) && !self.stop.unconfirmed
+    }
+
     pub(crate) fn exchange(&mut self, request: &Request) -> Result<Response, ClientError> {
-        let (name, impact) = (request.name(), request.impact());
-        self.ask_interrupt();
-        let command = impact != Impact::None;
+        self.poll_interrupt();
+        let command = request.impact() != Impact::None;
         self.admit(request)?;
-        if command && self.interrupted.is_some() {
-            while self.urgent_pending {
-                self.step(u64::MAX)?;
-            }
-            return Err(ClientError::Interrupted { request: name });
+        if command && self.stop.requested.is_some() {
+            self.settle()?;
+            return Err(ClientError::Interrupted {
+                request: request.name(),
+            });
         }
-        self.commanding = is_abandonable(impact);
-        self.note_order(request);
-        let at_us = self.now_us();
+        self.note_request(request);
         let answer = self.asked(!command, |client| client.request(request));
-        let answer = match answer {
-            Ok(answer) => answer,
-            Err(error) => {
-                self.commanding = false;
-                return Err(error);
-            }
-        };
-        let posted = Posted {
-            name,
-            impact,
-            at_us,
-        };
-        self.answered(posted, answer)
+        match (answer, self.pending.take()) {
+            (Ok(answer), Some(pending)) => self.answered(pending, answer),
+            (Ok(_), None) => Err(self.wrong_response(request.name())),
+            (Err(error), _) => Err(error),
+        }
     }
 
     /// Refuses requests that the owner of the line would not send for this process.
@@ -200,31 +196,26 @@ impl Device {
     }
 
     /// Converts the answer to a request, or its absence, to a result.
-    pub(crate) fn answered(
+    fn answered(
         &mut self,
-        posted: Posted,
+        pending: Pending,
         answer: Option<Output>,
     ) -> Result<Response, ClientError> {
-        let Posted {
-            name: request_name,
-            impact,
-            at_us,
-        } = posted;
+        let (request_name, impact) = (pending.name, pending.impact);
         let place = self.place();
         let (command, has_owner) = (impact != Impact::None, self.link.owner().is_some());
-        let abandoned = is_abandonable(impact) && !std::mem::take(&mut self.commanding);
         match answer {
-            _ if abandoned => Err(ClientError::Interrupted {
+            _ if pending.cancelled => Err(ClientError::Interrupted {
                 request: request_name,
             }),
             Some(Output::Accepted(response)) => {
-                self.note_clock(at_us, &response);
+                self.note_clock(pending.at_us, &response);
                 self.note_motion(impact, &response);
-                self.ordered = false;
+                self.motion.ordered = false;
                 Ok(response)
             }
             Some(Output::Refused(refusal)) => {
-                self.ordered = false;
+                self.motion.ordered = false;
                 Err(ClientError::Refused {
                     place,
                     request: request_name,
@@ -240,7 +231,7 @@ impl Device {
                 })
             }
             Some(Output::Rejected(error)) if error != WireError::Stale || !has_owner => {
-                self.ordered = false;
+                self.motion.ordered = false;
                 Err(ClientError::NotUnderstood {
                     place,
                     request: request_name,
@@ -249,7 +240,7 @@ impl Device {
             }
             Some(Output::Rejected(_)) => Err(self.no_answer(request_name, Sign::Silence)),
             _ if !command && has_owner => Err(self.no_answer(request_name, Sign::Silence)),
-            _ => Err(match (command, self.moves) {
+            _ => Err(match (command, self.motion.reported) {
                 // A silent machine may still be moving, whatever was asked last.
                 (false, true) => self.unanswered("a motion", Missing::End),
                 (false, false) => self.unanswered(request_name, Missing::Reply),
@@ -266,17 +257,10 @@ impl Device {
         }
     }
 
-    /// Notes an order to move before it is sent.
-    fn note_order(&mut self, request: &Request) {
-        if request.impact() == Impact::Motion {
-            self.ordered = true;
-        }
-    }
-
     /// The error of a link that has failed. A line that its owner has given up is free, and no machine is lost.
     fn cut(&self, link: LinkError) -> ClientError {
         match link {
-            LinkError::Lost { place, why } if self.moves || self.ordered => {
+            LinkError::Lost { place, why } if self.motion.reported || self.motion.ordered => {
                 LinkError::Cut { place, why }.into()
             }
             link => link.into(),
@@ -295,7 +279,7 @@ impl Device {
 
     /// Notes whether the machine moves, if an answer says so.
     fn note_motion(&mut self, impact: Impact, response: &Response) {
-        self.moves = match response {
+        self.motion.reported = match response {
             Response::GetRigStatus(status) => matches!(
                 status.state,
                 RigState::Homing | RigState::Running | RigState::Moving | RigState::Stopping
@@ -303,7 +287,7 @@ impl Device {
             Response::GetCapsuleStatus(status) => moves(status.state),
             Response::GetRunRecord(record) => record.outcome == RunOutcome::Running,
             Response::Resume(_) => true,
-            _ => self.moves || impact == Impact::Motion,
+            _ => self.motion.reported || impact == Impact::Motion,
         };
     }
 
@@ -343,7 +327,7 @@ impl Device {
             let waited_us = self.link.now_us() - begin_us;
             if !repeat
                 || self.link.owner().is_none()
-                || self.interrupted.is_some()
+                || self.stop.requested.is_some()
                 || waited_us >= self.owner_patience_us
             {
                 return Ok(answer);
@@ -353,15 +337,12 @@ impl Device {
 
     /// Waits for the answer to the pending request; `None` if there was none, or if a stop has cancelled the request.
     pub(crate) fn answer(&mut self) -> Result<Option<Output>, ClientError> {
-        let commanding = self.commanding;
         loop {
             match self.turn(u64::MAX)? {
                 Turn::Answered(output) => return Ok(Some(output)),
                 Turn::Unanswered => return Ok(None),
                 Turn::UrgentUnanswered => return Err(self.stop_unconfirmed()),
-                Turn::Nothing if commanding && !self.commanding && !self.urgent_pending => {
-                    return Ok(None);
-                }
+                Turn::Nothing if self.is_given_up() => return Ok(None),
                 Turn::Nothing => {}
             }
         }
@@ -369,7 +350,7 @@ impl Device {
 
     /// The question of another process, if it can be sent now.
     fn question(&mut self) -> Option<Question> {
-        if self.urgent_pending || !self.client.is_open() {
+        if self.stop.unconfirmed || !self.client.is_open() {
             return None;
         }
         self.link.question()
@@ -395,7 +376,7 @@ impl Device {
 
     /// Sends what is due, or receives for at most [`SLICE_US`] and not beyond `deadline_us`.
     pub(crate) fn turn(&mut self, deadline_us: u64) -> Result<Turn, ClientError> {
-        self.ask_interrupt();
+        self.poll_interrupt();
         let now_us = self.link.now_us();
         let until_us = match self.client.poll(now_us) {
             Poll::Transmit(frame) => {
@@ -404,8 +385,8 @@ impl Device {
                 return Ok(Turn::Nothing);
             }
             // A pending request waits until the urgent stop is done, so this time-out is the stop's.
-            Poll::TimedOut if self.urgent_pending => {
-                self.urgent_pending = false;
+            Poll::TimedOut if self.stop.unconfirmed => {
+                self.stop.unconfirmed = false;
                 return Ok(Turn::UrgentUnanswered);
             }
             Poll::TimedOut => return Ok(Turn::Unanswered),
@@ -425,17 +406,11 @@ impl Device {
             match self.client.receive(*byte) {
                 None => {}
                 Some(Output::Telemetry { missed, sample }) => {
-                    self.telemetry.push_back((missed, sample));
-                    if self.telemetry.len() > TELEMETRY_INBOX
-                        && let Some((before, _)) = self.telemetry.pop_front()
-                        && let Some((missed, _)) = self.telemetry.front_mut()
-                    {
-                        *missed = missed.saturating_add(before).saturating_add(1);
-                    }
+                    self.inbox.sample(missed, sample);
                 }
                 Some(Output::Event(event)) => self.note_event(event),
                 Some(Output::UrgentDone(_)) => {
-                    self.urgent_pending = false;
+                    self.stop.unconfirmed = false;
                 }
                 // Only one request is pending at a time, so there is only one answer.
                 Some(output) => turn = Turn::Answered(output),
@@ -444,21 +419,24 @@ impl Device {
         Ok(turn)
     }
 
-    pub(super) fn ask_interrupt(&mut self) {
+    pub(super) fn poll_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
         // A stop sent by another process counts as the operator's. Sending it again does no harm.
         let wanted = wanted.max(self.link.stopped());
         if let Some(urgent) = wanted
-            && wanted > self.interrupted
+            && wanted > self.stop.requested
         {
-            self.interrupted = wanted;
-            if std::mem::take(&mut self.commanding) {
+            self.stop.requested = wanted;
+            if let Some(pending) = &mut self.pending
+                && is_abandonable(pending.impact)
+                && !std::mem::replace(&mut pending.cancelled, true)
+            {
                 // If repeated after the stop, the command would start again what the operator has just stopped. The
                 // session goes on: whoever stopped wants to know what became of the motion.
                 self.client.forget();
             }
             self.client.urgent(urgent);
-            self.urgent_pending = true;
+            self.stop.unconfirmed = true;
         }
     }
 

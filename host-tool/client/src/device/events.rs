@@ -1,5 +1,7 @@
 //! Delivers events without gaps, and telemetry.
 
+use std::collections::{BTreeMap, VecDeque};
+
 use protocol::capsule::CapsuleEvent;
 use protocol::rig::RigEvent;
 use protocol::system::{Event, What};
@@ -25,13 +27,76 @@ fn is_end(event: &Event) -> bool {
 /// Most events that are kept until an earlier one has come, more than a device keeps. Others are fetched later.
 const MOST_EARLY: usize = 256;
 
+/// Telemetry samples kept until they are taken; beyond that the oldest are dropped, and count as missed.
+const TELEMETRY_INBOX: usize = 4_096;
+
 /// Maximum number of successive fetches. Fetching all that the device keeps takes 11; more events may come meanwhile.
 const MOST_PIECES: usize = 1_000;
+
+/// Events and telemetry that were received and not yet taken.
+#[derive(Default)]
+pub(crate) struct Inbox {
+    /// Index of the next event to deliver.
+    pub(crate) next: u32,
+    /// Events that arrived before an earlier one.
+    pub(crate) early: BTreeMap<u32, Event>,
+    pub(crate) events: VecDeque<Event>,
+    /// Events that the device had dropped before they were fetched.
+    pub(crate) lost: u32,
+    telemetry: VecDeque<(u16, Telemetry)>,
+}
+
+impl Inbox {
+    pub(crate) fn forget_early(&mut self) {
+        self.early.clear();
+    }
+
+    /// Delivers events from index `next` on. Forgets the later ones that have arrived: they would be reported twice,
+    /// or wait for earlier ones for ever.
+    pub(crate) fn begin_at(&mut self, next: u32) {
+        self.events.retain(|event| event.index < next);
+        self.continue_at(next);
+    }
+
+    /// Delivers no event before index `next`.
+    fn continue_at(&mut self, next: u32) {
+        self.next = next;
+        self.early = self.early.split_off(&next);
+    }
+
+    /// Takes an event in. Returns whether a motion has ended.
+    pub(crate) fn event(&mut self, event: Event) -> bool {
+        // The largest index belongs to no event: asking from there returns none.
+        let is_new = event.index >= self.next && event.index != u32::MAX;
+        let is_next = event.index == self.next;
+        if is_new && (is_next || self.early.len() < MOST_EARLY) {
+            self.early.insert(event.index, event);
+        }
+        let mut ended = false;
+        while let Some(event) = self.early.remove(&self.next) {
+            self.next += 1;
+            ended |= is_end(&event);
+            self.events.push_back(event);
+        }
+        ended
+    }
+
+    /// Takes a sample in, before which `missed` others were lost.
+    pub(crate) fn sample(&mut self, missed: u16, sample: Telemetry) {
+        self.telemetry.push_back((missed, sample));
+        if self.telemetry.len() > TELEMETRY_INBOX
+            && let Some((before, _)) = self.telemetry.pop_front()
+            && let Some((missed, _)) = self.telemetry.front_mut()
+        {
+            *missed = missed.saturating_add(before).saturating_add(1);
+        }
+    }
+}
 
 impl Device {
     /// Telemetry since the last call, oldest first, each sample with the number of those lost before it.
     pub fn take_telemetry(&mut self) -> Vec<(u16, Telemetry)> {
-        self.telemetry.drain(..).collect()
+        self.inbox.telemetry.drain(..).collect()
     }
 
     /// Events since the last call, in order and without gaps.
@@ -40,7 +105,7 @@ impl Device {
     /// As [`Device::call`]: missing events are fetched again.
     pub fn take_events(&mut self) -> Result<Vec<Event>, ClientError> {
         self.fetch_events()?;
-        Ok(self.events.drain(..).collect())
+        Ok(self.inbox.events.drain(..).collect())
     }
 
     /// The events that the device keeps, and the number of those that it has lost.
@@ -66,14 +131,14 @@ impl Device {
     }
 
     pub(crate) fn hand_out(&mut self, observer: &mut dyn Observer) {
-        for event in self.events.drain(..) {
+        for event in self.inbox.events.drain(..) {
             observer.event(&event);
         }
         self.hand_out_telemetry(observer);
     }
 
     pub(crate) fn hand_out_telemetry(&mut self, observer: &mut dyn Observer) {
-        for (missed, sample) in self.telemetry.drain(..) {
+        for (missed, sample) in self.inbox.telemetry.drain(..) {
             observer.telemetry(&sample, missed);
         }
     }
@@ -87,35 +152,23 @@ impl Device {
     }
 
     pub(crate) fn note_event(&mut self, event: Event) {
-        // The largest index belongs to no event: asking from there returns none.
-        let is_new = event.index >= self.next_event && event.index != u32::MAX;
-        let is_next = event.index == self.next_event;
-        if is_new && (is_next || self.early.len() < MOST_EARLY) {
-            self.early.insert(event.index, event);
-        }
-        while let Some(event) = self.early.remove(&self.next_event) {
-            self.next_event += 1;
-            self.moves &= !is_end(&event);
-            self.events.push_back(event);
-        }
+        self.motion.reported &= !self.inbox.event(event);
     }
 
     /// Fetches all events that the device has and this client lacks.
     pub(crate) fn fetch_events(&mut self) -> Result<(), ClientError> {
         for _ in 0..MOST_PIECES {
-            let from = self.next_event;
+            let from = self.inbox.next;
             let piece = self.events(from)?;
-            if piece.oldest > self.next_event {
-                self.lost_events = self
-                    .lost_events
-                    .saturating_add(piece.oldest - self.next_event);
-                self.next_event = piece.oldest;
-                self.early = self.early.split_off(&piece.oldest);
+            let next = self.inbox.next;
+            if piece.oldest > next {
+                self.inbox.lost = self.inbox.lost.saturating_add(piece.oldest - next);
+                self.inbox.continue_at(piece.oldest);
             }
             for event in &piece.events {
                 self.note_event(*event);
             }
-            if self.next_event >= piece.next || self.next_event == from {
+            if self.inbox.next >= piece.next || self.inbox.next == from {
                 return Ok(());
             }
         }
@@ -138,10 +191,10 @@ mod tests {
             what: What::LinkLost,
         };
         (1..100_000).for_each(|index| device.note_event(event(index)));
-        assert_eq!(device.early.len(), MOST_EARLY);
+        assert_eq!(device.inbox.early.len(), MOST_EARLY);
         device.note_event(event(0));
         assert_eq!(
-            (device.early.len(), device.events.len()),
+            (device.inbox.early.len(), device.inbox.events.len()),
             (0, MOST_EARLY + 1)
         );
     }

@@ -106,10 +106,7 @@ impl Device {
     /// [`crate::error::Missing::Stop`] if the device did not confirm, or the link's.
     pub fn urgent(&mut self, urgent: Urgent) -> Result<(), ClientError> {
         self.client.urgent(urgent);
-        self.urgent_pending = true;
-        while self.urgent_pending {
-            self.step(u64::MAX)?;
-        }
-        Ok(())
+        self.stop.unconfirmed = true;
+        self.settle()
     }
 }

@@ -1,12 +1,13 @@
 //! The host beside a line that is dead, and beside a machine that answers as it is told.
 
+use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
 use protocol::frame::{Deframer, Header, Kind, encode};
 use protocol::rig::{self, RigEvent};
 use protocol::session::{Decision, Session};
 use protocol::settings::Setting;
-use protocol::system::{BuildProfile, Done, Events, KeepAlive, ResetCause, Revision, What};
+use protocol::system::{BuildProfile, Done, Event, Events, KeepAlive, ResetCause, Revision, What};
 use protocol::table::{Endpoint, Reply, Request};
 
 use super::*;
@@ -252,20 +253,20 @@ fn an_event_that_is_no_end_leaves_a_machine_moving() {
         let (mut device, answers) = connected(true, None);
         *answers.lock().expect("no panic") = resumed;
         device.call(rig::Resume).expect("resumed");
-        let index = device.next_event;
+        let index = device.inbox.next;
         device.note_event(Event {
             index,
             time_us: 0,
             what,
         });
-        assert_eq!(device.moves, moves, "{what:?}");
+        assert_eq!(device.motion.reported, moves, "{what:?}");
         // An event that has been delivered is not delivered again.
         device.note_event(Event {
             index,
             time_us: 0,
             what,
         });
-        assert_eq!(device.events.len(), 1);
+        assert_eq!(device.inbox.events.len(), 1);
     }
 }
 
@@ -291,11 +292,11 @@ fn a_command_that_a_stop_cancels_ends_with_the_confirmation() {
         let (mut device, answers) = connected(true, None);
         *answers.lock().expect("no panic") = |_| None;
         // The operator stops when the order is out.
-        let looks = Arc::new(Mutex::new(0));
+        let polls = Arc::new(Mutex::new(0));
         device.set_interrupt(Arc::new(move || {
-            let mut looks = looks.lock().expect("no panic");
-            *looks += 1;
-            (*looks > 3).then_some(Urgent::Stop)
+            let mut polls = polls.lock().expect("no panic");
+            *polls += 1;
+            (*polls > 3).then_some(Urgent::Stop)
         }));
         let error = if is_posted {
             device.post(rig::Home).expect("sent");
@@ -308,7 +309,7 @@ fn a_command_that_a_stop_cancels_ends_with_the_confirmation() {
             matches!(error, Some(ClientError::Interrupted { request: "Home" })),
             "{error:?}"
         );
-        assert!(!device.urgent_pending && !device.commanding);
+        assert!(!device.stop.unconfirmed && device.pending.is_none());
     }
 }
 
@@ -335,10 +336,10 @@ fn a_question_of_another_process_waits_for_a_session_and_for_a_stop() {
     let mut device = Device::new(Box::new(machine), 1);
     device.serve().expect("nothing to do yet");
     // The stop goes first, also before the session.
-    device.urgent_pending = true;
+    device.stop.unconfirmed = true;
     device.serve().expect("nothing to do yet");
     assert_eq!(answered.try_iter().count(), 0);
-    device.urgent_pending = false;
+    device.stop.unconfirmed = false;
     device.hello(9).expect("it answers");
     device.serve().expect("answered");
     let reply = Reply::Accepted(Response::KeepAlive(Done));

@@ -411,7 +411,7 @@ impl Device {
         let end_us = self.now_us().saturating_add(duration_us);
         while self.now_us() < end_us {
             self.step(end_us)?;
-            if !self.early.is_empty() {
+            if !self.inbox.early.is_empty() {
                 self.fetch_events()?;
             }
             self.hand_out(observer);
@@ -424,7 +424,7 @@ impl Device {
     /// # Errors
     /// [`Missing::Stop`] if the device did not confirm, or the link's.
     pub fn settle(&mut self) -> Result<(), ClientError> {
-        while self.urgent_pending {
+        while self.stop.unconfirmed {
             self.step(u64::MAX)?;
         }
         Ok(())
@@ -433,7 +433,7 @@ impl Device {
     /// Forgets the stop requested by the interrupt or by another process, so that commands are sent again. For a
     /// process that continues after a stop, once it is settled.
     pub fn forget_stop(&mut self) {
-        self.interrupted = None;
+        self.stop.requested = None;
         self.link.forget_stop();
     }
 
@@ -476,10 +476,10 @@ impl Device {
         let mut asked_us = start_us;
         let mut over = false;
         loop {
-            if !self.early.is_empty() {
+            if !self.inbox.early.is_empty() {
                 self.fetch_events()?;
             }
-            while let Some(event) = self.events.pop_front() {
+            while let Some(event) = self.inbox.events.pop_front() {
                 observer.event(&event);
                 match state(self, Some(&event), observer)?.into() {
                     ActionState::Ended => over = true,
