@@ -438,7 +438,7 @@ fn a_run_that_was_to_finish_without_its_host_finishes() {
 }
 
 #[test]
-fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
+fn an_emergency_stop_passes_a_broker_that_is_full_of_clients() {
     // The stop uses the broker: another connection breaks the owner's.
     through_the_door_alone(|| {
         let bench = Bench::on_tcp(DeviceKind::Rig);
@@ -459,7 +459,7 @@ fn an_emergency_stop_passes_a_door_that_is_full_of_guests() {
 /// Cleaners of `/tmp` delete old files: the file with the owner's name, or its lock. Without the lock, a later command
 /// once made a new one for itself and removed the socket. A serial port has no second way in.
 #[test]
-fn a_stop_finds_the_door_without_its_owner_file() {
+fn a_stop_finds_the_socket_without_its_owner_file() {
     for gone in ["owner", "lock"] {
         at_a_port(DeviceKind::Rig, |bench| {
             let run = bench.run(&[]);
