@@ -310,7 +310,7 @@ fn commission_rig(path: &Path) -> [&str; 8] {
 }
 
 #[test]
-fn without_hands_what_needs_them_is_not_shown() {
+fn without_an_operator_what_needs_one_is_not_shown() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("record.json");
     let memory = Memory::with(vec![Script::new(DeviceKind::Rig)]);

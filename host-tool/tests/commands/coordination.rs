@@ -257,7 +257,7 @@ fn the_run_goes_on_whatever_becomes_of_the_capsule() {
 
 /// Meanwhile the rig would hear nothing, not even a stop.
 #[test]
-fn the_host_does_not_wait_for_the_answer_to_a_guest() {
+fn the_host_does_not_wait_for_the_answer_to_a_client() {
     for dead in [true, false] {
         let (link, _) = link(Script {
             deaf_to: vec![("GetActuationRecord", if dead { 1_000 } else { 0 })],

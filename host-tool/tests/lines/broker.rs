@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, at_a_port, read, ready, through_the_door_alone};
+use crate::support::bench::{Bench, at_a_port, read, ready, through_the_broker_alone};
 use crate::support::server::Killed;
 use crate::support::signal::{Signal, kill};
 use client::broker::client::BrokerClient;
@@ -30,7 +30,7 @@ fn end(child: Child) -> (Option<i32>, String, String) {
 const SHORT: [&str; 6] = ["--cycles", "1", "--stroke-mm", "40", "--duration-s", "12"];
 
 #[test]
-fn others_look_while_a_run_goes_on_and_it_is_not_disturbed() {
+fn others_observe_while_a_run_goes_on_and_it_is_not_disturbed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&SHORT);
     let begin = Instant::now();
@@ -185,7 +185,7 @@ fn a_question_that_the_machine_does_not_answer_does_not_end_the_run() {
 }
 
 #[test]
-fn a_window_knows_of_stops_that_are_newer_than_its_orders() {
+fn a_client_knows_of_stops_that_are_newer_than_its_orders() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let run = bench.run(&SHORT);
     let address = bench.address.parse().expect("an address");
@@ -236,8 +236,8 @@ fn a_stop_that_does_not_get_past_a_frozen_owner_of_a_port_says_so() {
 }
 
 #[test]
-fn the_capsule_has_a_door_of_its_own() {
-    through_the_door_alone(|| {
+fn the_capsule_has_a_broker_of_its_own() {
+    through_the_broker_alone(|| {
         let bench = Bench::on_tcp(DeviceKind::Capsule);
         let cycles = bench
             .command(&["capsule", "cycle", "--count", "50"])
@@ -265,7 +265,7 @@ fn the_capsule_has_a_door_of_its_own() {
 }
 
 #[test]
-fn a_guest_learns_at_once_that_the_owner_was_killed() {
+fn a_client_learns_at_once_that_the_owner_was_killed() {
     let bench = Bench::on_tcp(DeviceKind::Rig);
     let mut run = bench.run(&SHORT);
     let mut rig = bench.broker_client();
@@ -361,7 +361,7 @@ fn what_moves_is_refused_and_names_the_owner() {
 #[test]
 fn a_stop_from_another_process_stops_the_run_and_the_owner_records_it() {
     for (stop, ends) in [("stop", 130), ("estop", 6)] {
-        through_the_door_alone(|| {
+        through_the_broker_alone(|| {
             let bench = Bench::on_tcp(DeviceKind::Rig);
             let run = bench.run(&SHORT);
             thread::sleep(Duration::from_millis(300));

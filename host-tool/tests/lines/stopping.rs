@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::support::bench::{Bench, at_a_port, ready, through_the_door_alone};
+use crate::support::bench::{Bench, at_a_port, ready, through_the_broker_alone};
 use crate::support::server::{self, Killed};
 use crate::support::signal::kill;
 use client::broker::client::BrokerClient;
@@ -440,7 +440,7 @@ fn a_run_that_was_to_finish_without_its_host_finishes() {
 #[test]
 fn an_emergency_stop_passes_a_broker_that_is_full_of_clients() {
     // The stop uses the broker: another connection breaks the owner's.
-    through_the_door_alone(|| {
+    through_the_broker_alone(|| {
         let bench = Bench::on_tcp(DeviceKind::Rig);
         let mut run = bench.run(&[]);
         let clients: Vec<_> = (0..32).map(|_| bench.broker_client()).collect();

@@ -348,7 +348,7 @@ pub fn limited(command: &Command, limit: &str) -> Command {
 
 /// Tries until a stop has used the broker alone. One that a busy computer does not answer within 250 ms, or whose owner
 /// leaves before it has answered, also goes the direct way, as it should, and shows nothing of the broker.
-pub fn through_the_door_alone(stop: impl Fn() -> Bench) {
+pub fn through_the_broker_alone(stop: impl Fn() -> Bench) {
     assert!(
         (0..25).any(|_| stop().connections() == 1),
         "each of 25 stops went the direct way as well"

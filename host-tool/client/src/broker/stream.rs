@@ -47,7 +47,7 @@ mod tests {
     /// Regression: beside an owner that was frozen for hours a stop waited here for ever, instead of going past it.
     #[cfg(target_os = "linux")]
     #[test]
-    fn a_full_queue_of_guests_is_an_error_at_once() {
+    fn a_full_queue_of_clients_is_an_error_at_once() {
         let folder = tempfile::tempdir().expect("a folder");
         let socket = folder.path().join("socket");
         let frozen = UnixListener::bind(&socket).expect("bound");

@@ -75,7 +75,7 @@ fn begin(work: &mut Work<'_>, step: &ProcedureStep) -> Result<(), Halt> {
     work.take_measured();
     // Also notices an operator who has left.
     work.pause(0)?;
-    if step.needs_operator && !work.has_hands() {
+    if step.needs_operator && !work.has_operator() {
         return Err(needs_operator());
     }
     (step.check)(work)

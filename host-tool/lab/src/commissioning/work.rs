@@ -63,7 +63,7 @@ impl<'a> Work<'a> {
         }
     }
 
-    pub fn has_hands(&self) -> bool {
+    pub fn has_operator(&self) -> bool {
         self.operator.present()
     }
 

@@ -371,7 +371,7 @@ mod tests {
 
     /// A slow disk or port may delay an owner between writing its name and listening.
     #[test]
-    fn an_owner_without_a_door_is_waited_for_longer_than_one_that_does_not_answer() {
+    fn an_owner_without_a_socket_is_waited_for_longer_than_one_that_does_not_answer() {
         let folder = tempfile::tempdir().expect("a folder");
         let line_files = LineFiles::new(folder.path().to_owned(), "line", "line".to_owned());
         let owned = line_files.claim().expect("possible").expect("free");

@@ -270,7 +270,7 @@ fn a_question_without_an_answer_is_not_called_unseen() {
 }
 
 #[test]
-fn a_line_that_is_lost_ends_its_guests_and_says_why_to_its_owner() {
+fn a_line_that_is_lost_ends_its_clients_and_says_why_to_its_owner() {
     let (core, _written) = core();
     let (shut, ended) = channel();
     let admit = || {
