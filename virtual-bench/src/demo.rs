@@ -140,7 +140,7 @@ pub fn run(options: &DemoOptions, terminal: bool) -> Result<(), DemoError> {
     let page = options.out.join("report.html");
     let found = Found {
         sidecars,
-        left_out: vec![],
+        omitted: vec![],
     };
     // The page of the demo before it, if there is one.
     html::write(&found, &remarks, &page, Existing::Replace)?;

@@ -4,7 +4,6 @@ use std::convert::Infallible;
 use std::fmt;
 use std::str::FromStr;
 
-/// Address of a machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Address {
     /// The one board of the wanted kind among the ST-LINK ports.
@@ -60,12 +59,11 @@ impl FromStr for Address {
     }
 }
 
-/// An address as the user gave it. One that cannot be read must not keep a stop from the other machine, so it is kept
-/// beside the reason.
+/// An address as the user gave it, or the reason why it cannot be read. The error is reported later, so that a mistyped
+/// address of one machine does not prevent a stop of the other.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Given {
     pub text: String,
-    /// The address, or the reason why it is none.
     pub address: Result<Address, AddressError>,
 }
 
@@ -80,7 +78,8 @@ impl FromStr for Given {
     }
 }
 
-/// `HOST:PORT` without its `tcp:`. No name of a machine and no serial port ends in a colon and a number, but for paths.
+/// `HOST:PORT` without its `tcp:`. Apart from paths, neither names of machines nor serial ports end in a colon and a
+/// number.
 fn server(text: &str) -> Option<&str> {
     let (host, port) = text.rsplit_once(':')?;
     let number = !port.is_empty() && port.bytes().all(|byte| byte.is_ascii_digit());

@@ -1,12 +1,12 @@
 //! Broker: one owner of a line, many clients.
 //!
 //! The process that opens a line (a serial port or a TCP server) takes the line's lock and starts a *broker* for it.
-//! Any other process of the same user finds the broker's socket through the lock and connects to it: a [`client::BrokerClient`] is a
-//! [`crate::link::Link`], so that the whole client works over it.
+//! Any other process of the same user finds the broker's socket beside the lock and connects to it: a
+//! [`client::BrokerClient`] is a [`crate::link::Link`], so that the whole client works over it.
 //!
 //! Traffic through a broker:
 //!
-//! * A stop is written to the line at once by the broker's own thread, whatever the owner is doing.
+//! * The broker's own thread writes a stop to the line at once, whatever the owner is doing.
 //! * Reading, holding, resuming and acknowledging are questions. The owner sends them between two requests of its own,
 //!   in its own session, so that nothing is executed twice and the owner's requests keep their answers.
 //! * Telemetry and events are passed on as they come.
@@ -15,16 +15,16 @@
 //! # The broker's protocol
 //!
 //! Its version is [`VERSION`]. Each side first sends one line of JSON that ends with a line feed: the client a
-//! [`Greeting`], the broker a [`Welcome`]. From then on both send frames of the machines' protocol ([`protocol::frame`]),
-//! and the broker acts as the device's end of a separate session. It rejects requests that are not allowed with
-//! [`protocol::error::WireError::Malformed`]. It answers a question that its owner could not send in time, or that a stop
-//! has overtaken, with [`protocol::error::WireError::Stale`]: the machine has not seen it. A client need not wait for the welcome before it
-//! sends a stop.
+//! [`Greeting`], the broker a [`Welcome`]. From then on both send frames of the machines' protocol
+//! ([`protocol::frame`]), and the broker acts as the device's end of a separate session. It rejects requests that are
+//! not allowed with [`protocol::error::WireError::Malformed`]. It answers a question that its owner could not send in
+//! time, or that a stop has overtaken, with [`protocol::error::WireError::Stale`]: the machine has not seen it. A
+//! client may send a stop before the welcome arrives.
 //!
 //! Once the limit of clients is reached, a further one can stop the machine and nothing else: [`Welcome::full`] says
 //! so.
 //!
-//! An owner that only looks at the machine offers its line. A client that greets with [`Greeting::wants_line`] gets it:
+//! An owner that only observes the machine offers its line. A client that greets with [`Greeting::wants_line`] gets it:
 //! the owner closes line and socket, the client opens the line, and the former owner comes back as a client.
 //!
 //! New versions only add fields to the two lines. Stops work between all versions.
@@ -53,7 +53,7 @@ pub const LONGEST_LINE: usize = 2_048;
 pub struct Greeting {
     /// [`VERSION`] of the client.
     pub retrograde_client: u32,
-    /// The client wants the line for itself if the owner gives it up. The client then has to open the line itself.
+    /// The client wants the line if the owner gives it up. The client then has to open the line itself.
     #[serde(default)]
     pub wants_line: bool,
 }
@@ -65,7 +65,7 @@ pub struct Welcome {
     pub retrograde_broker: u32,
     /// The process that owns the line.
     pub owner: Owner,
-    /// The owner only looks: it gives the line up to a client that wants it.
+    /// The owner only observes: it gives the line up to a client that wants it.
     #[serde(default)]
     pub yields: bool,
     /// The limit of clients is reached: this one can only stop the machine.

@@ -1,5 +1,5 @@
-//! Reads decimal numbers as people write them, exactly, into integers of the smallest unit. Without floats there is no
-//! NaN, no infinity and no rounding.
+//! Reads decimal numbers exactly, into integers of the smallest unit. Without floats there is no NaN, no infinity and
+//! no rounding.
 
 use std::str::FromStr;
 
@@ -122,7 +122,7 @@ pub fn write(value: u64, decimals: u32) -> String {
     Decimal { value, decimals }.to_string()
 }
 
-/// Writes `value / 10^decimals` with all decimals, so that the resolution can be seen.
+/// Writes `value / 10^decimals` with all decimals, to show the resolution.
 #[must_use]
 pub fn fixed(value: i64, decimals: u32) -> String {
     let sign = if value < 0 { "-" } else { "" };

@@ -25,12 +25,12 @@ use crate::identity::Origin;
 use crate::link::owner::{Owner, Question, StopMark};
 use crate::link::{Link, LinkError};
 
-/// Longest time between two requests while waiting, us. A moving device stops after 1 s without one, or after the
-/// rig's `link_timeout_ms`; a third of that is used if it is shorter than this.
+/// Longest time between two requests while waiting, us. A moving device stops after 1 s without a request, or after the
+/// rig's `link_timeout_ms`; a third of that applies if it is shorter than this.
 pub const KEEP_ALIVE_US: u64 = 250_000;
 
-/// Time for the owner of a line to answer before a broker client gives up, us. Its broker has answered, so the owner is alive:
-/// it may be setting up, or its computer may be busy.
+/// Time for the owner of a line to answer a broker client's question, us. Its broker has answered, so the owner is
+/// alive: it may be starting, or its computer may be busy.
 const OWNER_PATIENCE_US: u64 = 3_000_000;
 
 /// Whether a capsule in this state moves.
@@ -56,25 +56,25 @@ struct Pending {
     name: &'static str,
     impact: Impact,
     at_us: u64,
-    /// A stop came after it: it is not repeated.
+    /// A stop came after the request, so it must not be repeated.
     cancelled: bool,
-    /// The question of another process, which gets the answer.
+    /// The question of another process, if the request is one; it gets the answer.
     question: Option<Question>,
 }
 
-/// The stop that is sent ahead of everything else.
+/// The stop to send ahead of everything else.
 #[derive(Default)]
 struct StopState {
     /// The strongest stop that the operator or another process has requested so far.
     requested: Option<Urgent>,
-    /// A stop was sent and is not confirmed.
+    /// A stop was sent and not confirmed yet.
     unconfirmed: bool,
 }
 
-/// The motion of the machine, as far as it is known.
+/// Known motion of the machine.
 #[derive(Default)]
 struct Motion {
-    /// The device's last answer says that something moves.
+    /// According to the device's last answer, something moves.
     reported: bool,
     /// An order to move was sent and is not answered.
     ordered: bool,
@@ -100,7 +100,7 @@ pub struct Device {
     pacer: Option<Pacer>,
     stop: StopState,
     pending: Option<Pending>,
-    /// The relation of the two clocks, from the last exchange that contained the device's time.
+    /// Relation of the two clocks, from the last exchange that contained the device's time.
     clock: Option<Clock>,
     motion: Motion,
     inbox: Inbox,
@@ -237,13 +237,13 @@ impl Device {
         self.link.is_line_wanted()
     }
 
-    /// Offers the line to other processes, or withdraws the offer. For an owner that alternates between looking and
+    /// Offers the line to other processes, or withdraws the offer. For an owner that alternates between observing and
     /// working.
     pub fn offer_line(&mut self, offered: bool) {
         self.link.offer_line(offered);
     }
 
-    /// Drops the link, so that another one can be opened to the same port. Afterwards everything fails as with a
+    /// Drops the link, so that another one can be opened to the same port. Afterwards every request fails as with a
     /// pulled cable. The operator's stop is still noticed, and so is one that only the old link knew of.
     pub fn hang_up(&mut self) {
         self.poll_interrupt();
@@ -266,8 +266,8 @@ impl Device {
         self.link.now_us()
     }
 
-    /// Sets the last stop that was known when the next orders were given. After a newer stop they are not sent:
-    /// commands end with [`ClientError::Interrupted`].
+    /// Sets the last stop known when the next orders were given. After a newer stop they are not sent: commands end
+    /// with [`ClientError::Interrupted`].
     pub fn ordered_at(&mut self, mark: StopMark) {
         self.link.ordered_at(mark);
     }
@@ -299,7 +299,7 @@ impl Device {
         self.client.rejected_frames()
     }
 
-    /// Number of events that the device had already dropped when they were to be fetched, since the last call.
+    /// Takes the number of events that the device had dropped before they were fetched.
     pub fn take_lost_events(&mut self) -> u32 {
         std::mem::take(&mut self.inbox.lost)
     }

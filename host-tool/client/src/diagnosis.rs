@@ -1,4 +1,4 @@
-//! Identifies the other end when nothing answers Hello, from the bytes that came.
+//! Identifies the other end from its bytes when no machine answers Hello.
 
 use std::fmt;
 
@@ -7,20 +7,20 @@ use protocol::frame::{Deframer, Kind};
 /// Bytes kept for a diagnosis.
 pub(crate) const OVERHEARD: usize = 1_024;
 
-/// Longest excerpt of a text that is shown, characters.
+/// Longest excerpt of a text in a message, characters.
 const EXCERPT: usize = 40;
 
 /// Presumed kind of the other end.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Sign {
     Silence,
-    /// The bytes that were sent come back.
+    /// The sent bytes come back.
     Echo,
-    /// A machine that sends but does not hear.
+    /// A machine that sends but does not receive.
     Deaf,
     Web,
     Ssh,
-    /// Some other instrument that sends text; the beginning of the text.
+    /// Another instrument that sends text; the beginning of the text.
     Text(String),
     /// Bytes that are neither text nor frames; their number.
     Noise(usize),
@@ -34,7 +34,7 @@ pub fn sign(bytes: &[u8]) -> Sign {
     let mut deframer = Deframer::new();
     for byte in bytes {
         match deframer.push(*byte).map(|frame| frame.header.kind) {
-            // Only hosts send these, so they are our own.
+            // Only hosts send these, so they are an echo of our own.
             Some(Kind::Request | Kind::Urgent) => return Sign::Echo,
             Some(Kind::Reply | Kind::Telemetry | Kind::Event) => return Sign::Deaf,
             None => {}
@@ -49,7 +49,7 @@ pub fn sign(bytes: &[u8]) -> Sign {
     }
     let printable = |byte: &&u8| matches!(byte, b' '..=b'~' | b'\r' | b'\n' | b'\t');
     let readable = bytes.iter().filter(printable).count();
-    // Demand 90 %: of random bytes, two in five are printable.
+    // Require 90 %: two in five random bytes are printable.
     if bytes.len() >= 4 && readable * 10 >= bytes.len() * 9 {
         let text = String::from_utf8_lossy(bytes);
         let words: Vec<_> = text.split_whitespace().collect();

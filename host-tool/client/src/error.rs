@@ -23,8 +23,7 @@ pub enum ClientError {
     Link(#[from] LinkError),
     /// No machine answered Hello.
     NoAnswer { place: String, sign: Sign },
-    /// The machine is of another kind, or was built from another protocol: then only identity, last words and stops
-    /// work.
+    /// The machine is of another kind, or uses another protocol; only identity, last words and stops work then.
     WrongMachine {
         place: String,
         wanted: DeviceKind,
@@ -79,19 +78,19 @@ pub enum ClientError {
 /// Consequence of a missing answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Missing {
-    /// Nothing was changed by asking.
+    /// The unanswered request changes nothing.
     Reply,
-    /// Something moved when the link fell silent.
+    /// Something was moving when the link fell silent.
     End,
     /// A command may or may not have been carried out.
     Outcome,
     /// An urgent stop may not have arrived.
     Stop,
-    /// The machine has begun run `last` since, so it no longer has the record of `run`.
+    /// The machine has since begun run `last`, so it no longer has the record of `run`.
     Record { run: u32, last: u32 },
 }
 
-/// Alarm for a machine of which nothing is known.
+/// Warning when the state of the machine is unknown.
 const MAY_MOVE: &str = ": it MAY BE MOVING";
 
 /// One row of the table of errors.
@@ -248,7 +247,7 @@ impl ClientError {
         self.to_string().replace(MAY_MOVE, "")
     }
 
-    /// The machine may be moving: it has not confirmed a stop, or is no longer heard in a motion.
+    /// Whether the machine may be moving: it has not confirmed a stop, or fell silent during a motion.
     #[must_use]
     pub const fn may_move(&self) -> bool {
         matches!(
@@ -260,7 +259,7 @@ impl ClientError {
         )
     }
 
-    /// The owner of the line has ended or given it up, so the line is free.
+    /// Whether the owner of the line has ended or given it up, so that the line is free.
     #[must_use]
     pub const fn is_owner_gone(&self) -> bool {
         matches!(self, Self::Link(LinkError::OwnerGone { .. }))

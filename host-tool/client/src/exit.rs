@@ -8,13 +8,13 @@ pub const FAILED: u8 = 1;
 pub const USAGE: u8 = 2;
 /// Refused by the check or by the device; nothing moved.
 pub const REFUSED: u8 = 3;
-/// No device, the wrong one, several, or the link was lost.
+/// No device, the wrong one or several, or the link was lost.
 pub const NO_DEVICE: u8 = 4;
 /// Firmware and host tool do not match.
 pub const MISMATCH: u8 = 5;
 /// The device latched a fault, or ended the action by itself.
 pub const FAULT: u8 = 6;
-/// Whether the command was carried out is unknown: look at the machine.
+/// Unknown whether the command was carried out: check the machine.
 pub const UNKNOWN: u8 = 7;
 /// A stop did not reach a machine.
 pub const NOT_DELIVERED: u8 = 8;

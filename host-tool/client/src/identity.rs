@@ -1,6 +1,6 @@
 //! Names of machines, images and versions, for people and for records, and whether a machine is real.
 //!
-//! [`Origin`] is decided here and nowhere else.
+//! Only this module decides an [`Origin`].
 
 use protocol::system::{DeviceKind, Identity, ResetCause, Revision};
 use serde::{Deserialize, Serialize};
@@ -36,23 +36,23 @@ pub const fn reset_cause(cause: ResetCause) -> &'static str {
     }
 }
 
-/// Whether a record is from a real machine. A virtual run must never pass as a measurement. So an unknown origin never
+/// Whether a record is from a real machine. A virtual run must never pass as a measurement, so an unknown origin never
 /// counts as `board`, and any sign of `virtual` outweighs all signs of a board.
 #[derive(
     Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
-    /// A board measured it.
+    /// Measured on a board.
     Board,
     /// The record does not say; older tools did not write it.
     #[default]
     Unknown,
-    /// A simulated machine produced it.
+    /// Produced by a simulated machine.
     Virtual,
 }
 
-/// Prefix of a virtual machine's UID, in ASCII; no wafer is numbered like this.
+/// Prefix of a virtual machine's UID, in ASCII; no real microcontroller has it.
 const VIRTUAL_UID: &[u8] = b"virtual";
 /// Prefix of the virtual bench's places: `virtual`, `virtual rig`.
 const VIRTUAL_PLACE: &str = "virtual";
@@ -69,7 +69,7 @@ impl Origin {
         }
     }
 
-    /// Origin of a record from its own statement and from its hexadecimal UID, which is harder to leave out.
+    /// Origin of a record from its own statement and from its hexadecimal UID, which is harder to remove.
     #[must_use]
     pub fn of_record(says: Self, uid: &str) -> Self {
         let virtual_uid: String = VIRTUAL_UID
@@ -83,7 +83,7 @@ impl Origin {
         }
     }
 
-    /// Meaning, for people.
+    /// Meaning in words.
     #[must_use]
     pub const fn meaning(self) -> &'static str {
         match self {
@@ -126,7 +126,7 @@ pub fn line(identity: &Identity) -> String {
     )
 }
 
-/// An identity as it is written to records and `--json`. 64-bit numbers are hex text, because many JSON readers round
+/// An identity as written to records and `--json`. 64-bit numbers are hexadecimal text, because many JSON readers round
 /// them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct IdentityRecord {

@@ -1,5 +1,5 @@
-//! Reads whole files that the user names, up to a size limit: an endless one would take all memory. Files that are
-//! found in a folder are read by [`crate::plain`].
+//! Reads whole files that the user names, up to a size limit: an endless one would take all memory. [`crate::plain`]
+//! reads files found in a folder.
 
 use std::io::{self, Read};
 use std::os::unix::fs::FileTypeExt;
@@ -10,7 +10,7 @@ use crate::named;
 /// Limit for settings and other files that people write by hand, bytes.
 pub const BY_HAND: u64 = 64 << 10;
 
-/// Limit for files that this program writes for itself (sidecars, records of commissioning), bytes.
+/// Limit for files that this program writes (sidecars, records of commissioning), bytes.
 pub const RECORD: u64 = 64 << 20;
 
 /// Limit for an image, bytes: enough for a board of 512 KiB with debug information.
@@ -55,10 +55,10 @@ fn not_text(why: impl Into<String>) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, why.into())
 }
 
-/// Text without the byte order mark that some editors write before it.
+/// Strips the byte order mark that some editors write.
 ///
 /// # Errors
-/// It is UTF-16.
+/// The text is UTF-16.
 pub fn utf8(bytes: &[u8]) -> Result<&[u8], &'static str> {
     let text = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(bytes);
     match text {
@@ -69,7 +69,7 @@ pub fn utf8(bytes: &[u8]) -> Result<&[u8], &'static str> {
     }
 }
 
-/// What a spreadsheet has made of a table, by its beginning; none if commas separate its columns.
+/// What a spreadsheet has done to a table, judged from its beginning; none if commas separate its columns.
 pub fn foreign_table(text: &str) -> Option<String> {
     let header = text.lines().next()?;
     let mut signs = [(';', "`;`"), ('\t', "tabs")].into_iter();

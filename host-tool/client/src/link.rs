@@ -1,7 +1,7 @@
-//! A byte link to one machine, with a clock of its own: serial port, TCP, memory pipe or virtual bench.
+//! A byte link to one machine: serial port, TCP, memory pipe or virtual bench.
 //!
-//! The clock comes from the link, so that the same client runs against a port in real time and
-//! against the virtual bench in virtual time.
+//! The link provides the clock, so that the same client runs against a port in real time and against the virtual bench
+//! in virtual time.
 
 pub mod halves;
 pub mod owner;
@@ -27,7 +27,7 @@ pub enum Reason {
     NoPort,
     /// No server listens there.
     Unreachable,
-    /// Something else, such as the folder of the locks.
+    /// Anything else, such as a problem with the folder of the locks.
     Other,
 }
 
@@ -50,14 +50,13 @@ pub enum LinkError {
     #[error("the link to {place} was lost: {why}")]
     Lost {
         place: String,
-        /// The operating system's or the bench's reason.
+        /// Reported by the operating system or the bench.
         why: String,
     },
     /// [`LinkError::Lost`] while something moved, or after an order to move was sent.
     #[error("the link to {place} was lost: {why}: it MAY BE MOVING")]
     Cut {
         place: String,
-        /// The reason.
         why: String,
     },
     /// The process that owned the line has ended or given the line up, so its socket is closed.
@@ -111,21 +110,20 @@ pub trait Link: Send {
         false
     }
 
-    // Tasks of a line's owner for other processes that look at the machine through it; see `crate::broker`.
+    // Methods for the owner of a line, on behalf of other processes that observe the machine; see `crate::broker`.
 
     /// Notes the machine that has answered Hello.
     fn introduce(&mut self, identity: &Identity) {
         let _ = identity;
     }
 
-    /// Sets the last stop that was known when the next orders were given. A later stop counts as one that has just
-    /// come.
+    /// Sets the last stop known when the next orders were given. A later stop counts as new.
     fn ordered_at(&mut self, mark: StopMark) {
         let _ = mark;
     }
 
-    /// Whether a stop was ordered on this line since the orders were given. Only a broker client says so here: the owner
-    /// learns it from [`Link::stopped`].
+    /// Whether a stop was requested on this line since the orders were given. Only a broker client answers here: the
+    /// owner learns it from [`Link::stopped`].
     fn is_overtaken(&self) -> bool {
         false
     }

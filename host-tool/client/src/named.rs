@@ -1,4 +1,4 @@
-//! Files that the user names: also links, pipes and devices, none of which is waited for.
+//! Files that the user names, including links, pipes and devices. Opening never waits.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, ErrorKind, Write};
@@ -54,22 +54,22 @@ pub(crate) fn open(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     Ok(file)
 }
 
-/// Opens a file for reading. A pipe that nobody writes to is at its end.
+/// Opens a file for reading. A pipe without a writer reads as empty.
 pub(crate) fn open_to_read(path: &Path) -> io::Result<File> {
     open(path, OpenOptions::new().read(true))
 }
 
-/// Whether the path leads to a terminal, a pipe or a device, such as /dev/stdout: there is nothing to replace.
+/// Whether the path leads to a terminal, a pipe or a device, such as /dev/stdout, where no file is replaced.
 #[must_use]
 pub fn is_device(path: &Path) -> bool {
     fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir())
 }
 
-/// Writes a file: a plain one wholly or not at all, and an existing one with `force` only. A device is written to, and a
-/// pipe until its reader has read enough.
+/// Writes a file: a plain one completely or not at all, and an existing one only with `force`. A device or a pipe is
+/// written to directly.
 ///
 /// # Errors
-/// Those of the file, with [`ErrorKind::AlreadyExists`] without `force`; then nothing is changed.
+/// Those of the file, with [`ErrorKind::AlreadyExists`] without `force`; nothing has changed then.
 pub fn write(
     path: &Path,
     force: bool,

@@ -12,7 +12,7 @@ impl Pairs {
     /// The members as a map.
     ///
     /// # Errors
-    /// The name of a member that is there twice.
+    /// A name that occurs twice.
     pub fn once(self) -> Result<Map<String, Value>, String> {
         let mut map = Map::new();
         for (name, value) in self.0 {

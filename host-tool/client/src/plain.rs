@@ -1,5 +1,5 @@
-//! Plain files of a folder that somebody else may have made: a link is never followed, a FIFO never waited for, a
-//! device never opened, and no file is read beyond its limit.
+//! Plain files of a folder that may come from somebody else: links are not followed, FIFOs not waited for, devices not
+//! opened, and no file is read beyond its limit.
 
 use std::ffi::OsString;
 use std::fs::{self, File, TryLockError};
@@ -13,7 +13,7 @@ use tempfile::{Builder, NamedTempFile, TempDir};
 
 use crate::limited;
 
-/// Most rows of the telemetry of one trial: 27 h at 10 ms. Longer runs are refused, and no further row is recorded.
+/// Maximum rows in the telemetry of one trial: 27 h at 10 ms. Longer runs are refused, and no further row is recorded.
 pub const ROWS: u64 = 10_000_000;
 
 /// Longest row of telemetry, bytes.
@@ -28,7 +28,7 @@ pub const LINE: usize = 64 << 10;
 /// Suffix of a file that is about to replace another one.
 pub const PART: &str = ".part";
 
-/// The error for a path that names something else than a plain file.
+/// The error for a path that is not a plain file.
 fn not_plain() -> io::Error {
     let why = "it is no plain file, and links, pipes and devices are not opened here";
     io::Error::new(io::ErrorKind::InvalidInput, why)
@@ -37,7 +37,7 @@ fn not_plain() -> io::Error {
 /// Opens a plain file for reading.
 ///
 /// # Errors
-/// Those of the file; it is a link, or something else that is no plain file.
+/// Those of the file, or the path is a link or not a plain file.
 pub fn open(path: &Path) -> io::Result<File> {
     opened(path, fs::OpenOptions::new().read(true))
 }
@@ -54,12 +54,12 @@ pub fn open_or_create(path: &Path) -> io::Result<File> {
 }
 
 fn opened(path: &Path, options: &mut fs::OpenOptions) -> io::Result<File> {
-    // A special file must not even be opened: that alone may wait, or have an effect.
+    // Do not even open a special file: opening may wait, or have an effect.
     match fs::symlink_metadata(path) {
         Ok(found) if !found.is_file() => return Err(not_plain()),
         _ => {}
     }
-    // The path may have become another file since it was looked at.
+    // The path may have been replaced since the check above.
     let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::NOCTTY;
     options.custom_flags(i32::try_from(flags.bits()).unwrap_or_default());
     let file = options.open(path)?;
@@ -95,7 +95,7 @@ impl Deref for Locked {
 
 impl Drop for Locked {
     fn drop(&mut self) {
-        // Closing the file is not enough: a child process has a copy of it until it has started its program.
+        // Closing the file is not enough: a child process keeps a copy of it until it has started its program.
         let _ = self.0.unlock();
     }
 }
@@ -117,7 +117,7 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     limited::text(read(path, limit)?)
 }
 
-/// Opens a plain file of at most `limit` bytes. A reader should still not read on without end: the file may grow.
+/// Opens a plain file of at most `limit` bytes. The reader still needs a limit, because the file may grow.
 pub fn open_within(path: &Path, limit: u64) -> io::Result<io::Take<File>> {
     let file = open(path)?;
     if file.metadata()?.len() > limit {
@@ -129,7 +129,8 @@ pub fn open_within(path: &Path, limit: u64) -> io::Result<io::Take<File>> {
 /// Opens the rows of a table, such as telemetry, of at most [`TELEMETRY`] bytes in lines of at most [`LINE`].
 ///
 /// # Errors
-/// As [`open_within`], and another program has saved it in a form of its own; reading ends with [`io::ErrorKind::FileTooLarge`] at a longer line.
+/// As [`open_within`], or a spreadsheet has changed the format; reading ends with [`io::ErrorKind::FileTooLarge`] at a
+/// longer line.
 pub fn rows(path: &Path) -> io::Result<impl Read + use<>> {
     let mut file = open_within(path, TELEMETRY)?;
     let mut head = vec![];
@@ -161,17 +162,17 @@ impl<R: Read> Read for Rows<R> {
     }
 }
 
-/// Whether the path names a plain file, itself and not by a link.
+/// Whether the path itself is a plain file, not a link to one.
 pub fn is_file(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|found| found.is_file())
 }
 
-/// Whether the path names a folder, itself and not by a link.
+/// Whether the path itself is a folder, not a link to one.
 pub fn is_folder(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|found| found.is_dir())
 }
 
-/// Whether the text names a file in its own folder, and none elsewhere.
+/// Whether the text is a bare file name, without a path.
 pub fn is_name(text: &str) -> bool {
     let odd = |c: char| matches!(c, '/' | '\\' | ':') || c.is_control();
     !matches!(text, "" | "." | "..") && !text.chars().any(odd)
@@ -197,8 +198,8 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
 /// Number of random letters in the name of a part.
 const RANDOM: usize = 16;
 
-/// Makes something with a name that nothing else beside `path` has: its own with some random letters. The system takes
-/// its mask from `mode`.
+/// Creates something beside `path`, named after it with random letters appended. `mode` is subject to the system's
+/// umask.
 fn beside<T>(
     path: &Path,
     mode: u32,
@@ -211,14 +212,14 @@ fn beside<T>(
     builder.permissions(fs::Permissions::from_mode(mode));
     let parent = path.parent().filter(|parent| *parent != Path::new(""));
     make(&builder, parent.unwrap_or(Path::new("."))).map_err(|io| {
-        // Without the random name, which says nothing to the user.
+        // Omit the random name, which means nothing to the user.
         let text = io.to_string();
         let why = text.split(" at path ").next().unwrap_or_default();
         io::Error::new(io.kind(), why)
     })
 }
 
-/// A new file that is about to replace `path`, and is removed if it does not. No link can lead its bytes elsewhere.
+/// A new file to replace `path`; it is removed unless it does. No link can redirect its bytes.
 pub fn part_of(path: &Path) -> io::Result<NamedTempFile> {
     beside(path, 0o666, |builder, parent| builder.tempfile_in(parent))
 }
@@ -228,7 +229,7 @@ pub fn part_of_folder(path: &Path) -> io::Result<TempDir> {
     beside(path, 0o777, |builder, parent| builder.tempdir_in(parent))
 }
 
-/// Name of the file that `part` was about to replace, if it has the form of [`part_of`].
+/// Name of the file that `part` was to replace, if it has the form of [`part_of`].
 pub fn of_part(part: &str) -> Option<&str> {
     let (name, random) = part.strip_suffix(PART)?.rsplit_once('.')?;
     let is_random =
@@ -236,11 +237,11 @@ pub fn of_part(part: &str) -> Option<&str> {
     (is_random && !name.is_empty()).then_some(name)
 }
 
-/// The folder `name` in `parent`, created if it is missing. `parent` is where the user points, and may be reached through
+/// The folder `name` in `parent`, created if it is missing. The user chooses `parent`, which may be reached through
 /// links.
 ///
 /// # Errors
-/// `name` is a link or no folder, or it cannot be created.
+/// `name` is a link or not a folder, or it cannot be created.
 pub fn folder_below(parent: &Path, name: &str) -> io::Result<PathBuf> {
     let path = parent.join(name);
     match fs::create_dir(&path) {
@@ -254,7 +255,7 @@ pub fn folder_below(parent: &Path, name: &str) -> io::Result<PathBuf> {
     Ok(path)
 }
 
-/// Removes a file; one that is missing is no error.
+/// Removes a file if it exists.
 pub fn remove(path: &Path) -> io::Result<()> {
     match fs::remove_file(path) {
         Err(io) if io.kind() != io::ErrorKind::NotFound => Err(io),
@@ -262,7 +263,7 @@ pub fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Writes a file wholly or not at all, in place of an old one or only if there is none.
+/// Writes a file completely or not at all, replacing an old one or only if there is none.
 pub(crate) fn put(
     path: &Path,
     replaces: bool,
@@ -278,11 +279,11 @@ pub(crate) fn put(
     sync_folder_of(path)
 }
 
-/// Replaces a file by renaming: a reader finds the old one or the new one, never a part of it. A link of the target's own
-/// name is replaced, not followed. The new name is on the disk when this returns.
+/// Replaces a file by renaming: a reader finds the old one or the new one, never a part. A link with the target's name
+/// is replaced, not followed. The new name is on the disk when this returns.
 ///
 /// # Errors
-/// It cannot be written; the old one is still there.
+/// The file cannot be written; the old one is unchanged.
 pub fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
     put(path, true, |mut file| file.write_all(bytes))
 }
@@ -295,11 +296,11 @@ pub fn create(path: &Path, bytes: &[u8]) -> io::Result<()> {
     put(path, false, |mut file| file.write_all(bytes))
 }
 
-/// Brings the names in the folder of this path to the disk: without this a power cut may undo a rename.
+/// Writes the names in the folder of this path to the disk: without this a power cut may undo a rename.
 pub fn sync_folder_of(path: &Path) -> io::Result<()> {
     let parent = path.parent().filter(|parent| *parent != Path::new(""));
     match File::open(parent.unwrap_or(Path::new(".")))?.sync_all() {
-        // Some network file systems cannot do it.
+        // Some network file systems do not support this.
         Err(io)
             if matches!(
                 io.kind(),

@@ -1,4 +1,4 @@
-//! The machine that results are about, with everything that the results depend on.
+//! The machine that produced a result, and everything the result depends on.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::diagnosis::Sign;
 use crate::error::ClientError;
 use crate::identity::{IdentityRecord, Origin, kind_name};
 
-/// The machine that results are about.
+/// The machine that produced a result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Subject {
     pub machine: DeviceKind,
@@ -19,7 +19,7 @@ pub struct Subject {
     pub uid: String,
     /// Whether it is a real machine.
     pub origin: Origin,
-    /// Fingerprint of the rig's image, 8 hex digits; of the capsule, which has none, the commit.
+    /// Fingerprint of the rig's image, 8 hex digits; for the capsule, which has none, the commit.
     pub image: String,
     pub firmware: String,
     pub protocol: String,
@@ -75,14 +75,14 @@ impl Subject {
         known.unwrap_or(key.range().default)
     }
 
-    /// Name of the record's file.
+    /// File name of the record.
     #[must_use]
     pub fn file_name(&self) -> String {
         file_name(self.machine, &self.uid)
     }
 }
 
-/// Name of the record of a board's commissioning.
+/// File name of a board's commissioning record.
 #[must_use]
 pub fn file_name(machine: DeviceKind, uid: &str) -> String {
     format!("commissioning-{}-{uid}.json", kind_name(machine))

@@ -4,11 +4,11 @@
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// Whether a terminal shows the character as itself, and leaves the others where they are.
+/// Whether a terminal shows the character as itself and keeps the position of the others.
 fn is_visible(c: char) -> bool {
     let is_hidden = matches!(c,
         '\u{00AD}' | '\u{061C}' | '\u{180E}' | '\u{FEFF}'
-        // Widths of zero, marks and embeddings of direction, separators of lines, invisible operators.
+        // Zero-width characters, directional marks and embeddings, line separators, invisible operators.
         | '\u{200B}'..='\u{200F}' | '\u{2028}'..='\u{202E}' | '\u{2060}'..='\u{206F}'
         | '\u{FFF9}'..='\u{FFFB}' | '\u{E0000}'..='\u{E0FFF}');
     !c.is_control() && !is_hidden
@@ -28,14 +28,14 @@ fn replaced<'a>(text: &'a str, stays: fn(char) -> bool, shown: fn(u32) -> String
     Cow::Owned(clean)
 }
 
-/// Text of several lines: all that a terminal would obey is shown by its number, such as `<U+001B>`.
+/// Text of several lines, with everything that a terminal would obey shown by its number, such as `<U+001B>`.
 #[must_use]
 pub fn lines(text: &str) -> Cow<'_, str> {
     let stays = |c| is_visible(c) || matches!(c, '\n' | '\t');
     replaced(text, stays, |code| format!("<U+{code:04X}>"))
 }
 
-/// Text of one line: as [`lines`], and a break is shown by its number, too.
+/// Text of one line: as [`lines`], with line breaks shown by their number, too.
 #[must_use]
 pub fn line(text: &str) -> Cow<'_, str> {
     replaced(text, is_visible, |code| format!("<U+{code:04X}>"))
@@ -59,14 +59,14 @@ pub fn wrapped(text: &str, width: usize, indent: &str) -> Vec<String> {
     lines
 }
 
-/// An HTML document: what a reader would not see is shown by its number, as in [`lines`].
+/// An HTML document with invisible characters shown by their number, as in [`lines`].
 #[must_use]
 pub fn html(document: &str) -> Cow<'_, str> {
     let stays = |c| is_visible(c) || matches!(c, '\n' | '\t');
     replaced(document, stays, |code| format!("&lt;U+{code:04X}&gt;"))
 }
 
-/// A JSON document that means the same and holds nothing that a terminal would obey.
+/// An equivalent JSON document without anything that a terminal would obey.
 #[must_use]
 pub fn json(document: &str) -> Cow<'_, str> {
     let stays = |c| is_visible(c) || c == '\n';

@@ -1,5 +1,5 @@
-//! Words refusals in the units in which people type: mm, mm/s, s. The wire and the firmware's own texts use
-//! micrometres and microseconds.
+//! Words refusals in the units that people type: mm, mm/s, s. The wire and the firmware's own texts use micrometres and
+//! microseconds.
 
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ pub fn paths<S: Serializer>(paths: &[PathBuf], serializer: S) -> Result<S::Ok, S
     serializer.collect_seq(paths.iter().map(|path| path.display().to_string()))
 }
 
-/// A path as one word of a command line that a person copies.
+/// A path quoted as one word of a command line.
 pub fn word(path: &Path) -> String {
     let text = match path.display().to_string() {
         option if option.starts_with('-') => format!("./{option}"),
@@ -97,7 +97,7 @@ fn accel(um_s2: u64) -> String {
     format!("{} mm/s2", decimal::write(um_s2, 3))
 }
 
-/// Name of the value, number of decimals by which the displayed unit exceeds the wire's, and the displayed unit.
+/// Name of the value, number of decimals between the wire's unit and the displayed one, and the displayed unit.
 fn named(field: Field) -> (&'static str, u32, &'static str) {
     match field {
         Field::Cycles => ("the number of cycles", 0, ""),
@@ -116,7 +116,7 @@ fn named(field: Field) -> (&'static str, u32, &'static str) {
     }
 }
 
-/// Text of a file that cannot be read as JSON or TOML, without the names of Rust's types.
+/// Error of a file that cannot be parsed as JSON or TOML, without the names of Rust's types.
 pub fn unreadable(error: &impl ToString) -> String {
     let mut text = error.to_string().trim_end().to_owned();
     for (jargon, words) in [

@@ -11,7 +11,7 @@ use crate::link::halves::{nothing_yet, timeout, wall_us};
 use crate::link::owner::{Owner, StopMark};
 use crate::link::{Link, LinkError};
 
-/// A link through another process. Stops are sent at once; reading goes between the owner's requests.
+/// A link through another process. Stops are sent at once; questions go between the owner's requests.
 /// [`crate::device::Device`] refuses everything that is for the owner alone, before it is sent.
 #[derive(Debug)]
 pub struct BrokerClient {
@@ -22,16 +22,16 @@ pub struct BrokerClient {
     line_files: LineFiles,
     stream: UnixStream,
     start: Instant,
-    /// The last stop that was known when the orders were given.
+    /// The last stop known when the orders were given.
     ordered_at: StopMark,
 }
 
 impl BrokerClient {
-    /// Connects to the socket and introduces itself; the owner has `limit` to answer. A [full](BrokerClient::is_full) client
-    /// only passes stops.
+    /// Connects to the socket and sends the greeting; the owner has `limit` to answer. A [full](BrokerClient::is_full)
+    /// client only passes stops.
     ///
     /// # Errors
-    /// There is no socket, nobody answers, or something else answers.
+    /// Nothing listens at the socket, the owner does not answer, or another program answers.
     pub fn open(line_files: &LineFiles, limit: Duration) -> io::Result<Self> {
         Self::greet(line_files, limit, false)
     }

@@ -1,10 +1,10 @@
-//! The lock of a line, and its files.
+//! The files of a line: lock, owner, socket, and marks of stops.
 //!
 //! All files are in one folder of the user's, by default `/tmp/retrograde-UID`. It is not below `XDG_RUNTIME_DIR`,
 //! because that differs in a `cron` job or after `su`, and a stop has to find the socket from everywhere. A line has
 //! five files there, named by a hash of the device or address that it resolves to. The owner keeps `.lock` locked as
 //! long as it lives; `.owner` describes the owner; `.socket` is the socket. The modification times of `.stop` and
-//! `.estop` tell each process that a stop was requested since it last looked.
+//! `.estop` show whether a stop was requested since a process last read them.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write};
@@ -26,7 +26,7 @@ use crate::plain::{self, Locked};
 /// Environment variable that names another folder for locks and sockets.
 const FOLDER_VARIABLE: &str = "RETROGRADE_RUNTIME_DIR";
 
-/// Location of lock and socket of one line.
+/// Location of a line's files.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LineFiles {
     folder: PathBuf,
@@ -44,15 +44,15 @@ pub struct Lock {
 }
 
 impl LineFiles {
-    /// The last stops on this line; empty without a line_files, where no other process can send one.
+    /// The last stops on this line; empty without files, because no other process can then send one.
     pub fn last_stops(line_files: Option<&Self>) -> StopMark {
         line_files.map_or_else(StopMark::default, Self::stop_mark)
     }
 
-    /// Locates lock and socket of the line behind an address; `None` if there is no line to own.
+    /// Locates the files of the line behind an address; `None` if there is no line to own.
     ///
     /// # Errors
-    /// The folder cannot be made, or belongs to somebody else.
+    /// The folder cannot be created, or belongs to another user.
     pub fn of(address: &Address) -> Result<Option<Self>, OpenError> {
         let Some(line) = line(address) else {
             return Ok(None);
@@ -78,9 +78,9 @@ impl LineFiles {
         ))
     }
 
-    /// The line_files of a line, with its lock in this folder.
+    /// The files of a line in this folder.
     pub fn new(folder: PathBuf, line: &str, place: String) -> Self {
-        // A hash that is the same in every build, and short: the path of a socket may have at most 107 bytes.
+        // The hash is the same in every build, and short: the path of a socket may have at most 107 bytes.
         let hash = fnv1a(line.as_bytes());
         Self {
             folder,
@@ -112,10 +112,10 @@ impl LineFiles {
     pub fn claim(&self) -> Result<Option<Lock>, OpenError> {
         let file = plain::open_or_create(&self.file("lock")).map_err(|why| self.error(why))?;
         match Locked::new(file) {
-            // Somebody listens at the socket, so the line is theirs, even if a cleaner of `/tmp` has removed their lock.
+            // A process listens at the socket, so the line is taken, even if a cleaner of `/tmp` has removed the lock.
             Ok(_) if self.is_attended() => Ok(None),
             Ok(locked) => {
-                // Left by an owner that was killed.
+                // Remains of an owner that was killed.
                 let _ = fs::remove_file(self.file("socket"));
                 let _ = fs::remove_file(self.file("owner"));
                 Ok(Some(Lock {
@@ -142,15 +142,15 @@ impl LineFiles {
         }
     }
 
-    /// Tells all processes that a stop is being sent. Only the modification time of a file changes, which works on a
-    /// full disk. The stop is sent even if this fails.
+    /// Marks for all processes that a stop is being sent. Only the modification time of a file changes, which works on
+    /// a full disk. The stop is sent even if this fails.
     ///
     /// Call this before sending the stop. If called later, orders given after the stop was confirmed would be refused.
     pub fn mark_stop(&self, urgent: Urgent) {
         let path = self.file(stop_file(urgent));
         let mark = || plain::open_or_create(&path)?.set_modified(SystemTime::now());
         if mark().is_err() {
-            // A link, a pipe or a file that cannot be written: it is not ours.
+            // A link, a pipe or a file that cannot be written: not created by this program.
             let _ = fs::remove_file(&path);
             let _ = mark();
         }
@@ -161,13 +161,13 @@ impl LineFiles {
         serde_json::from_slice(&text.ok()?).ok()
     }
 
-    /// Whether the owner seems to listen. It does not if there is a description but no socket: the owner is setting up
-    /// or leaving.
+    /// Whether the owner seems to listen. A description without a socket belongs to an owner that is starting or
+    /// exiting.
     pub fn is_open(&self) -> bool {
         self.file("socket").exists()
     }
 
-    /// Whether somebody listens at the socket, taking clients in or not.
+    /// Whether a process listens at the socket, even if it does not accept connections.
     fn is_attended(&self) -> bool {
         match self.connect() {
             Ok(_) => true,
@@ -175,14 +175,14 @@ impl LineFiles {
         }
     }
 
-    /// Connects to the socket. Its path is fixed: it works even if somebody has removed the owner's description.
+    /// Connects to the socket. Its path is fixed, so this works even if the owner's description was removed.
     pub fn connect(&self) -> io::Result<UnixStream> {
         stream::connect(&self.file("socket"))
     }
 }
 
 impl Lock {
-    /// Opens the socket and publishes its owner.
+    /// Binds the socket and publishes its owner.
     pub fn listen(&self) -> Result<UnixListener, OpenError> {
         let listener = UnixListener::bind(self.line_files.file("socket"));
         let listener = listener.map_err(|why| self.line_files.error(why))?;
@@ -195,7 +195,7 @@ impl Lock {
         // Write and rename, so that a reader finds the old file or the new one, never a part.
         let (new, file) = (line_files.file("new"), line_files.file("owner"));
         let text = serde_json::to_vec(&self.owner).map_err(|why| line_files.error(why))?;
-        // Left by an owner that was killed. Whatever it is, it is not opened.
+        // Remains of an owner that was killed. It is removed without being opened, whatever it is.
         let _ = fs::remove_file(&new);
         File::create_new(&new)
             .and_then(|mut part| part.write_all(&text))
@@ -205,7 +205,7 @@ impl Lock {
 
     /// Publishes the owner before its socket is open.
     pub fn announce(&self) -> Result<(), OpenError> {
-        // Remove the socket of an owner that was killed: nobody answers there.
+        // Remove the socket of an owner that was killed: no process listens there.
         let _ = fs::remove_file(self.line_files.file("socket"));
         self.publish()
     }
@@ -221,7 +221,7 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // The lock itself stays: another process may be about to take it.
+        // Keep the lock file: another process may be about to lock it.
         let _ = fs::remove_file(self.line_files.file("socket"));
         let _ = fs::remove_file(self.line_files.file("owner"));
     }
@@ -250,8 +250,8 @@ fn line(address: &Address) -> Option<String> {
     }
 }
 
-/// Gives `localhost` in IPv4 and IPv6 the same name. Other loopback addresses are apart: each may be a tunnel to another
-/// machine, and a stop must not use the broker of the wrong one.
+/// Gives `localhost` in IPv4 and IPv6 the same name. Other loopback addresses stay distinct: each may be a tunnel to
+/// another machine, and a stop must not use the broker of the wrong one.
 fn host(at: SocketAddr) -> String {
     let is_local = match at.ip().to_canonical() {
         IpAddr::V4(ip) => ip == Ipv4Addr::LOCALHOST,
@@ -263,7 +263,7 @@ fn host(at: SocketAddr) -> String {
     }
 }
 
-/// The folder, created if necessary, and safe from other users.
+/// The folder, created if necessary, and inaccessible to other users.
 pub fn folder() -> Result<PathBuf, String> {
     let folder = match std::env::var_os(FOLDER_VARIABLE) {
         Some(folder) if !folder.is_empty() => PathBuf::from(folder),
@@ -282,7 +282,7 @@ fn make(folder: &Path) -> Result<(), String> {
         Err(why) if why.kind() != io::ErrorKind::AlreadyExists => return Err(why.to_string()),
         _ => {}
     }
-    // Do not follow a link: in /tmp anybody may have made one.
+    // Do not follow a link: anybody may create one in /tmp.
     let found = fs::symlink_metadata(folder).map_err(|why| why.to_string())?;
     if !found.is_dir() {
         return Err("it is no folder".to_owned());

@@ -22,39 +22,39 @@ use crate::broker::stream::read_line;
 use crate::broker::{Greeting, LONGEST_LINE, VERSION, Welcome, admits};
 use crate::link::owner::{Owner, Question, StopMark};
 
-/// Buffer for an owner that does not read, bytes: 90 s of a full line. Beyond that new bytes are lost.
+/// Buffer for an owner that does not read, bytes: 90 s of a fully used line. New bytes beyond that are lost.
 const UNREAD: usize = 1 << 20;
 
-/// Forget a question that the owner has not taken for this long: the client no longer waits for it, unless the whole
-/// computer stood still.
+/// Maximum age of a question before the owner sends it. The client has then stopped waiting, unless the whole computer
+/// was suspended.
 const STALE: Duration = Duration::from_millis(600);
 
 /// Minimum time between two questions, so that clients cannot saturate the line.
 const QUESTION_INTERVAL: Duration = Duration::from_millis(10);
 
-/// Maximum clients that may look. Clients that only stop are not limited.
+/// Maximum clients that observe. Clients that only stop are not limited.
 pub const MAX_CLIENTS: usize = 32;
 
-/// Frames buffered for a client that does not read; beyond that it misses some.
+/// Frames buffered for a client that does not read; it misses those beyond this number.
 pub const WAITING_FRAMES: usize = 512;
 
-/// Time for a client to introduce itself, and longest silence of a client that can only stop.
+/// Time limit for a client's greeting, and longest silence of a client that can only stop.
 const GREETING_TIME: Duration = Duration::from_secs(2);
 
-/// Stack of a client's thread, bytes; small, because many clients may come at once.
+/// Stack of a client's thread, bytes; small, because many clients may connect at once.
 const CLIENT_STACK: usize = 256 * 1024;
 
-/// State shared by owner, pump and clients.
+/// State shared by the owner, the thread that reads the line, and the clients.
 pub struct Core {
     state: Mutex<BrokerState>,
     woken: Condvar,
     out: Mutex<Out>,
     closing: AtomicBool,
-    /// The owner gives the line up to anybody who wants it.
+    /// The owner gives the line up to any process that wants it.
     yields: AtomicBool,
-    /// Somebody wants the line.
+    /// Another process wants the line.
     wanted: AtomicBool,
-    /// Where processes announce stops that do not come through this broker.
+    /// Where processes mark stops that do not go through this broker.
     line_files: Option<LineFiles>,
 }
 
@@ -104,14 +104,14 @@ struct Stop {
 }
 
 struct Client {
-    /// May receive the machine's messages and ask questions.
+    /// Receives the machine's messages and may ask questions.
     observes: bool,
     frames: SyncSender<Vec<u8>>,
-    /// Ends its connection.
+    /// Ends the client's connection.
     shut: Box<dyn Fn() + Send>,
 }
 
-/// Output side of the line. A thread locks it while it writes a frame.
+/// Output side of the line. A thread locks it while writing a frame.
 struct Out {
     line: Box<dyn Write + Send>,
     /// Sequence number of the clients' next stop. It begins at random: a late answer to a stop that went out before this
@@ -125,7 +125,8 @@ struct Out {
 }
 
 impl Core {
-    /// The owner's side of the line that `line` writes to. With `yields` it gives the line up when somebody wants it.
+    /// The owner's side of the line that `line` writes to. With `yields` it gives the line up when another process
+    /// wants it.
     pub fn new(
         line: Box<dyn Write + Send>,
         yields: bool,
@@ -148,7 +149,7 @@ impl Core {
         })
     }
 
-    // No code panics while holding these locks; if it did, a stop must still go out.
+    // No code panics while holding these locks; if it did, a stop must still be sent.
     fn state(&self) -> MutexGuard<'_, BrokerState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -157,7 +158,7 @@ impl Core {
         self.out.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Whether the owner is leaving.
+    /// Whether the owner is closing the broker.
     pub fn is_closing(&self) -> bool {
         self.closing.load(Ordering::Relaxed)
     }
@@ -165,7 +166,7 @@ impl Core {
     /// Ends all threads that wait for clients.
     pub fn close(&self) {
         self.closing.store(true, Ordering::Relaxed);
-        // Threads of clients may live on for a moment. Close the line now: somebody is about to open it.
+        // Client threads may run for a moment longer. Close the line now, because another process is about to open it.
         self.out().line = Box::new(Closed);
         for client in self.state().clients.values() {
             (client.shut)();
@@ -186,8 +187,7 @@ impl Core {
         out.line.write_all(bytes)
     }
 
-    /// Sets the last stop known when the next orders were given; a later stop is one that the owner has not noticed
-    /// yet.
+    /// Sets the last stop known when the next orders were given. The owner has not noticed later stops yet.
     pub fn ordered_at(&self, mark: StopMark) {
         self.out().mark = mark;
     }
@@ -222,7 +222,7 @@ impl Core {
         self.state().identity = Some(*identity);
     }
 
-    /// The strongest stop that others have sent so far: clients, and processes that bypassed this broker.
+    /// The strongest stop sent so far by clients, and by processes that bypassed this broker.
     pub fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
         out.noticed = out.stops;
@@ -250,7 +250,7 @@ impl Core {
         }
     }
 
-    /// Notes that somebody wants the line; false if it is not offered.
+    /// Notes that a client wants the line; false if it is not offered.
     fn want_line(&self) -> bool {
         let mut state = self.state();
         let offered = self.yields.load(Ordering::Relaxed);
@@ -262,8 +262,8 @@ impl Core {
         offered
     }
 
-    /// Forgets the stops that the owner has noticed; others remain. Orders of clients that waited meanwhile are not sent:
-    /// a client whose order is younger than the stop asks again.
+    /// Forgets the stops that the owner has noticed; others remain. Clients' orders that are still queued are not sent:
+    /// a client whose order is newer than the stop asks again.
     pub fn forget_stop(&self) {
         let out = self.out();
         if out.stops != out.noticed {
@@ -297,7 +297,7 @@ impl Core {
         state.last_question = Some(now);
         drop(state);
         for question in stale {
-            // The machine has not seen it. A client that is still there may ask again.
+            // The machine has not seen it. A client that still waits may ask again.
             question.answer(Some(Reply::Wire(WireError::Stale)));
         }
         question
@@ -314,18 +314,18 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Disconnects all clients: the line is lost.
+    /// Disconnects all clients, because the line is lost.
     pub fn lost(&self, why: String) {
         let mut state = self.state();
         state.lost.get_or_insert(why);
-        // Without the line a client has nothing to look at.
+        // Without the line a client has nothing to observe.
         for client in state.clients.values() {
             (client.shut)();
         }
         self.woken.notify_all();
     }
 
-    /// Passes a frame of the machine to everybody concerned; `wire` is its encoded form.
+    /// Passes a frame of the machine to every client concerned; `wire` is its encoded form.
     pub fn passed(&self, frame: &Frame<'_>, wire: &[u8]) {
         match frame.header.kind {
             Kind::Telemetry | Kind::Event => {
@@ -406,8 +406,8 @@ impl Core {
         drop(out);
         self.woken.notify_all();
         for question in older {
-            // It was not sent. Say so only if the mark of the stop is there: a client that does not see the mark would
-            // send it again.
+            // It was not sent. Say so only if the mark of the stop is visible: a client that does not see the mark
+            // would send it again.
             question.answer(is_marked.map(|_| Reply::Wire(WireError::Stale)));
         }
         written
@@ -420,7 +420,7 @@ impl Core {
         self.woken.notify_all();
     }
 
-    /// Admits a client, if only to stop; `None` if the line is gone.
+    /// Admits a client, even if only for stops; `None` if the line is lost.
     fn admit(
         &self,
         shut: Box<dyn Fn() + Send>,
@@ -473,7 +473,7 @@ pub fn serve(listener: &UnixListener, owner: &Owner, core: &Arc<Core>) {
             return;
         }
         let Ok((stream, _)) = stream else {
-            // Most likely too many open files; wait until some are closed.
+            // Most likely there are too many open files; wait until some are closed.
             thread::sleep(Duration::from_millis(50));
             continue;
         };
@@ -481,9 +481,9 @@ pub fn serve(listener: &UnixListener, owner: &Owner, core: &Arc<Core>) {
         let host = thread::Builder::new()
             .name("client".to_owned())
             .stack_size(CLIENT_STACK);
-        // If there is no thread for it, the client finds its connection closed.
+        // Without a thread for it, the client's connection closes.
         let _ = host.spawn(move || {
-            // A client that leaves or breaks the rules affects nobody else.
+            // A client that disconnects or breaks the protocol affects no other.
             let _ = receive_client(stream, &owner, &core);
         });
     }
@@ -495,7 +495,7 @@ fn receive_client(mut stream: UnixStream, owner: &Owner, core: &Arc<Core>) -> io
     let greeting = serde_json::from_slice(&read_line(&mut stream, LONGEST_LINE)?)?;
     let (frames, waiting) = sync_channel::<Vec<u8>>(WAITING_FRAMES);
     let shut = stream.try_clone()?;
-    // Admit the client before the welcome: once welcomed, it has to be able to stop the machine.
+    // Admit the client before the welcome: after the welcome it must be able to stop the machine.
     let Some(mut session) = ClientSession::new(core, Box::new(move || close(&shut)), frames) else {
         return Ok(());
     };
@@ -504,7 +504,7 @@ fn receive_client(mut stream: UnixStream, owner: &Owner, core: &Arc<Core>) -> io
         stream.set_read_timeout(None)?;
     }
     let mut to_client = stream.try_clone()?;
-    // Ends when the last sender is dropped: core, session and open questions hold one each.
+    // Ends when the last sender is dropped: core, session and pending questions hold one each.
     let writer = thread::Builder::new()
         .name("client's frames".to_owned())
         .stack_size(CLIENT_STACK);
@@ -525,21 +525,21 @@ fn receive_client(mut stream: UnixStream, owner: &Owner, core: &Arc<Core>) -> io
     result
 }
 
-/// It is no error if the connection is already gone.
+/// An error means that the connection is already closed.
 fn close(stream: &UnixStream) {
     let _ = stream.shutdown(Shutdown::Both);
 }
 
-/// A client's session with the broker.
+/// Protocol state of a client's session.
 struct SessionState {
     session: Session,
     /// The owner is working on a question.
     pending: bool,
-    /// Sequence number of the last question that the owner left unanswered. Its repetitions get no answer either.
+    /// Sequence number of the last question that the owner left unanswered. Repetitions of it get no answer either.
     unanswered: Option<u16>,
 }
 
-/// A client that was admitted; it leaves when this value is dropped.
+/// An admitted client; dropping this value removes it.
 pub struct ClientSession {
     core: Arc<Core>,
     number: u64,
@@ -557,7 +557,7 @@ impl Drop for ClientSession {
 }
 
 impl ClientSession {
-    /// `None` if the line is gone.
+    /// `None` if the line is lost.
     pub fn new(
         core: &Arc<Core>,
         shut: Box<dyn Fn() + Send>,
@@ -626,7 +626,7 @@ impl ClientSession {
         if (asking.pending || was_unanswered || !self.observes)
             && frame.header.kind == Kind::Request
         {
-            // The question is a repetition of an unanswered one, or the client was told that it can only stop.
+            // Either the question repeats an unanswered one, or the welcome said that this client can only stop.
             return Ok(());
         }
         let header = |session, seq| Header {
@@ -639,7 +639,7 @@ impl ClientSession {
                 drop(asking);
                 return self.core.stop(self.number, frame.header, urgent);
             }
-            // Until the owner knows the machine's identity, the client has to ask again.
+            // Until the owner knows the machine's identity, the client has to repeat its Hello.
             Decision::Greet { session, seq } => {
                 let identity = self.core.state().identity;
                 if let Some(identity) = identity {
@@ -713,7 +713,7 @@ fn reply(header: Header, reply: &Reply) -> Option<Encoded> {
         kind: Kind::Reply,
         ..header
     };
-    // The messages of the protocol all fit.
+    // Every message of the protocol fits into a frame.
     encode(header, reply).ok()
 }
 

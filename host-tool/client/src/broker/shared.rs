@@ -15,7 +15,6 @@ use crate::link::halves::{Halves, nothing_yet, wall_us};
 use crate::link::owner::{Question, StopMark};
 use crate::link::{Link, LinkError, OpenError, Reason};
 
-/// A link with a broker.
 pub struct Shared {
     place: String,
     start: Instant,
@@ -69,7 +68,7 @@ impl Shared {
 impl Drop for Shared {
     fn drop(&mut self) {
         self.core.close();
-        // Wake the broker's thread with a connection; otherwise it would not see the end until somebody connects.
+        // Wake the broker's thread by connecting; it would otherwise wait for the next client.
         let _ = self.lock.line_files().connect();
         if let Some(pump) = self.pump.take() {
             let _ = pump.join();
@@ -92,7 +91,7 @@ impl Link for Shared {
 
     fn receive(&mut self, buffer: &mut [u8], deadline_us: u64) -> Result<usize, LinkError> {
         let remaining = Duration::from_micros(deadline_us.saturating_sub(self.now_us()));
-        // Limit it, so that it can be added to an `Instant`.
+        // Limit the wait, so that it can be added to an `Instant`.
         let deadline = Instant::now() + remaining.min(Duration::from_secs(60));
         self.core
             .receive(buffer, deadline)
@@ -136,7 +135,6 @@ pub struct Pump {
 }
 
 impl Pump {
-    /// Passes on bytes of the machine.
     pub fn take(&mut self, core: &Core, bytes: &[u8]) {
         core.arrived(bytes);
         for byte in bytes {

@@ -4,8 +4,8 @@ use std::io::{self, Read};
 use std::os::unix::net::UnixStream;
 use std::path::Path;
 
-/// Connects to the socket. Never waits: clients that nobody has taken in fill the queue of an owner that is frozen, and
-/// behind a full one the system would wait for ever.
+/// Connects to the socket without waiting. The queue of a suspended owner fills with clients that it does not accept,
+/// and the system would wait for ever behind a full queue.
 ///
 /// # Errors
 /// [`io::ErrorKind::WouldBlock`] if the queue is full; the system's if no owner listens.

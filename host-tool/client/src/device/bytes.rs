@@ -14,7 +14,7 @@ use crate::error::{ClientError, Missing};
 use crate::link::LinkError;
 use crate::link::owner::Question;
 
-/// Answers the question of another process. Returns the errors that concern this one, too.
+/// Answers the question of another process. Also returns errors that concern this process.
 fn reply(question: Question, answer: Result<Response, ClientError>) -> Result<(), ClientError> {
     let (reply, result) = match answer {
         Ok(response) => (Some(Reply::Accepted(response)), Ok(())),
@@ -22,7 +22,7 @@ fn reply(question: Question, answer: Result<Response, ClientError>) -> Result<()
         Err(ClientError::NotUnderstood {
             error: Some(error), ..
         }) => (Some(Reply::Wire(error)), Ok(())),
-        // The other process gets no answer. If the silence lasts, this one will notice as well.
+        // The other process gets no answer. If the machine stays silent, this process notices it as well.
         Err(
             ClientError::Unanswered {
                 missing: Missing::Reply | Missing::End | Missing::Outcome,
@@ -39,15 +39,13 @@ fn reply(question: Question, answer: Result<Response, ClientError>) -> Result<()
 /// Longest wait for bytes before the [`Interrupt`] is polled again, us.
 const SLICE_US: u64 = 20_000;
 
-/// Whether a stop cancels a pending request: one that moves something must not be repeated after the operator has
-/// stopped.
+/// Whether a stop cancels a pending request: one that moves something must not be repeated after a stop.
 fn is_abandonable(impact: Impact) -> bool {
     !matches!(impact, Impact::None | Impact::Pace)
 }
 
 impl Device {
-    /// Sends a request whose answer [`Device::attend`] returns. Only one at a time, and no other request before its
-    /// answer.
+    /// Sends a request whose answer [`Device::attend`] returns. Send no other request before its answer.
     ///
     /// # Errors
     /// [`ClientError::Owned`], [`ClientError::Interrupted`] or [`ClientError::SessionLost`]; the request was not sent.
@@ -138,8 +136,8 @@ impl Device {
         }
     }
 
-    /// Sends and receives until `until_us`, or until the posted request is answered or certain to stay unanswered,
-    /// which is `Some(None)`.
+    /// Sends and receives until `until_us`, or until the posted request is answered. `Some(None)` if it will not be
+    /// answered.
     fn posted_answer(&mut self, until_us: u64) -> Result<Option<Option<Output>>, ClientError> {
         // Take one more turn after the deadline: a turn either sends or receives.
         let mut last = false;
@@ -157,7 +155,7 @@ impl Device {
         Ok(None)
     }
 
-    /// Whether a stop has cancelled the pending request, and was sent before it was given up.
+    /// Whether a stop has cancelled the pending request and is itself confirmed.
     fn is_given_up(&self) -> bool {
         let cancelled = |pending: &Pending| pending.cancelled;
         self.pending.as_ref().is_some_and(cancelled) && !self.stop.unconfirmed
@@ -224,7 +222,7 @@ impl Device {
                 })
             }
             Some(Output::Rejected(WireError::NoSession)) => Err(self.session_lost()),
-            // The owner has not sent it: a stop came after it.
+            // A stop came after it, so the owner has not sent it.
             Some(Output::Rejected(WireError::Stale)) if command && self.link.is_overtaken() => {
                 Err(ClientError::Interrupted {
                     request: request_name,
@@ -257,7 +255,7 @@ impl Device {
         }
     }
 
-    /// The error of a link that has failed. A line that its owner has given up is free, and no machine is lost.
+    /// The error of a failed link. After the owner has given its line up, the line is free and the machine is not lost.
     fn cut(&self, link: LinkError) -> ClientError {
         match link {
             LinkError::Lost { place, why } if self.motion.reported || self.motion.ordered => {
@@ -267,7 +265,7 @@ impl Device {
         }
     }
 
-    /// Notes the device's time if an answer contains it. Always use the latest: clocks drift.
+    /// Notes the device's time if an answer contains it. The latest is best, because clocks drift.
     fn note_clock(&mut self, asked_us: u64, response: &Response) {
         let device_us = match response {
             Response::GetRigStatus(status) => status.time_us,
@@ -291,8 +289,8 @@ impl Device {
         };
     }
 
-    /// Returns the fault that is latched once every stop of the operator has been sent. Another stop may go out while
-    /// the device answers, and an emergency stop loses the position even of a machine that stands.
+    /// Returns the latched fault after sending every stop of the operator. Another stop may be sent while the device
+    /// answers, and an emergency stop loses the position even of a machine at rest.
     pub fn latched_fault(&mut self) -> Result<Option<String>, ClientError> {
         loop {
             let asked = self.interrupted();
@@ -306,8 +304,8 @@ impl Device {
         }
     }
 
-    /// Sends a request and waits for the answer as [`Device::answer`] does. Asks again while the owner of the line is
-    /// busy: if `may_repeat` is set, or if the machine has certainly not seen the request and nobody has stopped it.
+    /// Sends a request and waits for the answer as [`Device::answer`] does. Repeats it while the owner of the line is
+    /// busy: if `may_repeat` is set, or if the machine has certainly not seen the request and no stop came.
     pub(crate) fn asked<E>(
         &mut self,
         may_repeat: bool,
@@ -356,7 +354,7 @@ impl Device {
         self.link.question()
     }
 
-    /// Sends the question of another process, while no request is pending.
+    /// Sends the question of another process. Call it only while no request is pending.
     pub(crate) fn serve(&mut self) -> Result<(), ClientError> {
         let Some(question) = self.question() else {
             return Ok(());
@@ -365,7 +363,7 @@ impl Device {
         reply(question, answer)
     }
 
-    /// Like [`Device::turn`], while no request is pending.
+    /// As [`Device::turn`], while no request is pending.
     pub(crate) fn step(&mut self, deadline_us: u64) -> Result<(), ClientError> {
         self.serve()?;
         match self.turn(deadline_us)? {
@@ -374,7 +372,7 @@ impl Device {
         }
     }
 
-    /// Sends what is due, or receives for at most [`SLICE_US`] and not beyond `deadline_us`.
+    /// Sends the next frame that is due, or receives for at most [`SLICE_US`] and not beyond `deadline_us`.
     pub(crate) fn turn(&mut self, deadline_us: u64) -> Result<Turn, ClientError> {
         self.poll_interrupt();
         let now_us = self.link.now_us();
@@ -384,7 +382,7 @@ impl Device {
                 sent.map_err(|link| self.cut(link))?;
                 return Ok(Turn::Nothing);
             }
-            // A pending request waits until the urgent stop is done, so this time-out is the stop's.
+            // A pending request waits for the urgent stop, so this time-out is the stop's.
             Poll::TimedOut if self.stop.unconfirmed => {
                 self.stop.unconfirmed = false;
                 return Ok(Turn::UrgentUnanswered);
@@ -421,7 +419,7 @@ impl Device {
 
     pub(super) fn poll_interrupt(&mut self) {
         let wanted = self.interrupt.as_ref().and_then(|interrupt| interrupt());
-        // A stop sent by another process counts as the operator's. Sending it again does no harm.
+        // A stop sent by another process counts as the operator's. Repeating it does no harm.
         let wanted = wanted.max(self.link.stopped());
         if let Some(urgent) = wanted
             && wanted > self.stop.requested
@@ -431,8 +429,8 @@ impl Device {
                 && is_abandonable(pending.impact)
                 && !std::mem::replace(&mut pending.cancelled, true)
             {
-                // If repeated after the stop, the command would start again what the operator has just stopped. The
-                // session goes on: whoever stopped wants to know what became of the motion.
+                // A repetition after the stop would restart what the operator has just stopped. The session continues:
+                // the operator still needs the result of the motion.
                 self.client.forget();
             }
             self.client.urgent(urgent);
@@ -446,7 +444,7 @@ impl Device {
         }
     }
 
-    /// No answer to Hello, or to the request of a client whose owner is busy.
+    /// Error for a missing answer to Hello, or to a broker client's request whose owner is busy.
     pub(crate) fn no_answer(&self, request: &'static str, sign: Sign) -> ClientError {
         let place = self.place();
         match self.link.owner() {

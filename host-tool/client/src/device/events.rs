@@ -24,16 +24,16 @@ fn is_end(event: &Event) -> bool {
     )
 }
 
-/// Most events that are kept until an earlier one has come, more than a device keeps. Others are fetched later.
+/// Maximum events kept until an earlier one arrives, more than a device keeps. Further ones are fetched later.
 const MOST_EARLY: usize = 256;
 
-/// Telemetry samples kept until they are taken; beyond that the oldest are dropped, and count as missed.
+/// Telemetry samples kept until they are taken. Beyond that the oldest are dropped and count as missed.
 const TELEMETRY_INBOX: usize = 4_096;
 
-/// Maximum number of successive fetches. Fetching all that the device keeps takes 11; more events may come meanwhile.
+/// Maximum successive fetches. Fetching all that the device keeps takes 11; more events may occur meanwhile.
 const MOST_PIECES: usize = 1_000;
 
-/// Events and telemetry that were received and not yet taken.
+/// Received events and telemetry that were not taken yet.
 #[derive(Default)]
 pub(crate) struct Inbox {
     /// Index of the next event to deliver.
@@ -51,8 +51,8 @@ impl Inbox {
         self.early.clear();
     }
 
-    /// Delivers events from index `next` on. Forgets the later ones that have arrived: they would be reported twice,
-    /// or wait for earlier ones for ever.
+    /// Delivers events from index `next` on. Forgets later ones that have already arrived: they would be reported
+    /// twice, or wait for earlier ones for ever.
     pub(crate) fn begin_at(&mut self, next: u32) {
         self.events.retain(|event| event.index < next);
         self.continue_at(next);
@@ -64,9 +64,9 @@ impl Inbox {
         self.early = self.early.split_off(&next);
     }
 
-    /// Takes an event in. Returns whether a motion has ended.
+    /// Adds an event. Returns whether it ends a motion.
     pub(crate) fn event(&mut self, event: Event) -> bool {
-        // The largest index belongs to no event: asking from there returns none.
+        // The largest index belongs to no event: a request from there returns none.
         let is_new = event.index >= self.next && event.index != u32::MAX;
         let is_next = event.index == self.next;
         if is_new && (is_next || self.early.len() < MOST_EARLY) {
@@ -81,7 +81,7 @@ impl Inbox {
         ended
     }
 
-    /// Takes a sample in, before which `missed` others were lost.
+    /// Adds a sample, before which `missed` others were lost.
     pub(crate) fn sample(&mut self, missed: u16, sample: Telemetry) {
         self.telemetry.push_back((missed, sample));
         if self.telemetry.len() > TELEMETRY_INBOX

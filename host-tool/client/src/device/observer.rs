@@ -1,4 +1,4 @@
-//! Reports a motion to the caller, and takes the operator's wishes meanwhile.
+//! Reports a motion to the caller, and polls the operator's requests during it.
 
 use std::sync::Arc;
 
@@ -9,8 +9,8 @@ use protocol::system::{Event, Urgent};
 use protocol::table::Telemetry;
 use serde::Serialize;
 
-/// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge:
-/// once it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
+/// Returns the stop that the operator wants; polled at least every 20 ms of link time. It is a level, not an edge: once
+/// it has returned a stop it keeps doing so, and may only escalate to an emergency stop.
 pub type Interrupt = Arc<dyn Fn() -> Option<Urgent> + Send + Sync>;
 
 /// A request of the operator during a run.
@@ -20,8 +20,8 @@ pub enum Pace {
     Resume,
 }
 
-/// Returns what the operator wants next; polled at least every 20 ms of link time while waiting. Each answer is sent
-/// once, and the device accepts or refuses it.
+/// Returns the operator's next request; polled at least every 20 ms of link time while waiting. Each one is sent once,
+/// and the device accepts or refuses it.
 pub type Pacer = Box<dyn FnMut() -> Option<Pace> + Send>;
 
 /// An action that was accepted and has begun.
@@ -43,7 +43,7 @@ pub enum Progress {
     Homing {
         /// Time since its acceptance, us.
         elapsed_us: u64,
-        /// It ends within this time, us, successfully or with a fault.
+        /// Longest possible duration, us, whether it succeeds or ends in a fault.
         #[serde(rename = "total_us")]
         at_most_us: u64,
         /// Position, um; meaningful only if the rig was homed before.
@@ -51,8 +51,8 @@ pub enum Progress {
     },
     /// A run; a move is one stroke.
     Run {
-        /// Time into the run, us, without holds; at most `total_us`, although a hold and a resume make the run a
-        /// little longer.
+        /// Time into the run without holds, us; at most `total_us`, although a hold and a resume make the run a little
+        /// longer.
         elapsed_us: u64,
         /// Duration of the whole run, us.
         total_us: u64,
@@ -62,14 +62,13 @@ pub enum Progress {
         strokes: u32,
         /// Position by the read-back counter, um.
         position_um: i32,
-        /// Whether it is held at this position.
         held: bool,
     },
     /// Referencing, folding or unfolding.
     Actuation {
         /// Time since its acceptance, us.
         elapsed_us: u64,
-        /// It ends within this time, us, successfully or with a fault.
+        /// Longest possible duration, us, whether it succeeds or ends in a fault.
         #[serde(rename = "total_us")]
         at_most_us: u64,
         /// Thread wound up, um.
@@ -89,11 +88,11 @@ pub trait Observer {
     fn telemetry(&mut self, sample: &Telemetry, missed: u16) {
         let _ = (sample, missed);
     }
-    /// An event. Each comes once and in order; events lost on the link are fetched again.
+    /// An event. Each is delivered once and in order; events lost on the link are fetched again.
     fn event(&mut self, event: &Event) {
         let _ = event;
     }
-    /// Called about four times a second, or more often if the rig wants to hear the host more often.
+    /// Called about four times a second, or more often if the rig's link timeout is short.
     fn progress(&mut self, progress: &Progress) {
         let _ = progress;
     }
@@ -106,7 +105,7 @@ pub trait Observer {
         let _ = (pace, refusal);
     }
     /// Called in each turn of the wait for a run or an actuation, at least every 20 ms while no request is pending,
-    /// with the link's clock. It must return quickly: meanwhile nothing is received from the device.
+    /// with the link's clock. It must return quickly: nothing is received from the device during the call.
     fn turn(&mut self, now_us: u64, clock: Option<Clock>) {
         let _ = (now_us, clock);
     }
@@ -115,13 +114,13 @@ pub trait Observer {
 /// Relation of a device's clock to that of its link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Clock {
-    /// Link's time minus device's, us: lower and upper bound. The device has read its clock between a request and its
-    /// answer.
+    /// Link's time minus device's, us: lower and upper bound, because the device reads its clock between a request and
+    /// its answer.
     pub ahead_us: (i64, i64),
 }
 
 impl Clock {
-    /// The relation shown by one exchange, in which the device reported `device_us`.
+    /// The relation shown by one exchange in which the device reported `device_us`.
     pub(crate) fn of(asked_us: u64, device_us: u64, answered_us: u64) -> Self {
         // Saturate: a device that claims to have run for 300,000 years must not crash the host.
         let ahead = |link_us: u64| {

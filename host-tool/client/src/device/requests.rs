@@ -30,7 +30,7 @@ impl Device {
         }
     }
 
-    /// Tells the device that the host is still there.
+    /// Keeps the session alive: a moving device stops without requests.
     pub fn keep_alive(&mut self) -> Result<(), ClientError> {
         self.call(KeepAlive).map(|_| ())
     }
@@ -65,7 +65,7 @@ impl Device {
         self.call(rig::Home)
     }
 
-    /// Begins a run; [`Device::wait_run`] waits for its end. The host checks nothing here: the device decides.
+    /// Begins a run; [`Device::wait_run`] waits for its end. The device checks it, not the host.
     pub fn run(&mut self, run: rig::Run) -> Result<RunAccepted, ClientError> {
         self.call(run)
     }
@@ -80,7 +80,7 @@ impl Device {
         self.call(capsule::GetCapsuleStatus)
     }
 
-    /// Begins the search for the thread's zero; [`Device::wait_actuation`] waits for its end.
+    /// Begins the search for the folded end of the thread; [`Device::wait_actuation`] waits for its end.
     pub fn reference(&mut self) -> Result<ActuationAccepted, ClientError> {
         self.call(capsule::Reference)
     }

@@ -18,7 +18,7 @@ const POLL_US: u64 = 50_000;
 /// Interval between reads of the record after an actuation has ended, us: several readings of the capsule.
 const BRAKING_US: u64 = 20_000;
 
-/// Longest time in which any rig brakes, us: from the highest speed with the least deceleration that it can be set to.
+/// Longest braking time of any rig, us: from the highest speed with the least deceleration that settings allow.
 const LONGEST_STOP_US: u64 = 1_000_000 * SettingKey::MaxSpeedUmS.range().max as u64
     / SettingKey::StopAccelUmS2.range().min as u64;
 
@@ -32,8 +32,8 @@ const SLOWEST: u64 = 20;
 /// is not from a capsule.
 const MOST_POINTS: usize = 10_000;
 
-/// Converts an error that occurred while something may be moving. A request without an answer changes nothing, but the
-/// state of the machine is unknown.
+/// Converts an error that occurred while something may be moving: an unanswered request changes nothing, but the state
+/// of the machine is unknown.
 pub fn while_moving(action: &'static str, error: ClientError) -> ClientError {
     match error {
         ClientError::Unanswered {
@@ -209,7 +209,7 @@ impl Device {
         if record.run != accepted.run || record.outcome != RunOutcome::Complete {
             self.hand_out_the_last(observer);
         }
-        // While this process was suspended, the start button may have begun another one.
+        // While this process was suspended, the start button may have begun another run.
         if record.run != accepted.run {
             let (run, last) = (accepted.run, record.run);
             return Err(self.unanswered("the run", Missing::Record { run, last }));
@@ -230,15 +230,15 @@ impl Device {
     }
 
     /// Delivers the events after the end of a motion: the rig reports the end first, then its cause, such as a fault.
-    /// If the machine no longer answers, the next request notices it.
+    /// An error is left to the next request.
     fn hand_out_the_last(&mut self, observer: &mut dyn Observer) {
         let _ = self.fetch_events();
         self.hand_out(observer);
     }
 
-    /// Waits until a move ends, successfully or not, and returns its result and the rig's status. It has arrived only if
-    /// nothing else has moved the carriage since: while this process was suspended, the rig may have stopped, and its
-    /// start button may have homed it.
+    /// Waits until a move ends, successfully or not, and returns its result and the rig's status. The move is complete
+    /// only if nothing has moved the carriage since: while this process was suspended, the rig may have stopped, and
+    /// its start button may have homed it.
     ///
     /// # Errors
     /// [`ClientError::Overdue`], or as [`Device::call`].
@@ -303,7 +303,8 @@ impl Device {
         self.rig_status()
     }
 
-    /// Fetches the recording of the capsule's last actuation, after the actuation has ended: until then it grows.
+    /// Fetches the recording of the capsule's last actuation. Waits for the end of the actuation, because the recording
+    /// grows until then.
     pub fn trace(&mut self) -> Result<Recorded, ClientError> {
         let mut recorded = Recorded::default();
         while moves(self.capsule_status()?.state) {
@@ -327,7 +328,7 @@ impl Device {
         }
     }
 
-    /// Waits until an actuation of the capsule has ended, successfully or not, and its motor stands. Returns the
+    /// Waits until an actuation of the capsule has ended, successfully or not, and its motor is at rest. Returns the
     /// device's record of it.
     ///
     /// # Errors
@@ -366,8 +367,8 @@ impl Device {
             .map_err(|error| while_moving("the actuation", error))
     }
 
-    /// Returns the record of the actuation that has just ended, once it no longer changes. While the motor is braked
-    /// it still winds a tenth of a millimetre of thread.
+    /// Returns the record of the actuation that has just ended, once it no longer changes: while braking, the motor
+    /// still winds a tenth of a millimetre of thread.
     fn final_record(
         &mut self,
         observer: &mut dyn Observer,
@@ -419,7 +420,7 @@ impl Device {
         Ok(())
     }
 
-    /// Waits until the stop that was sent is confirmed, if one was.
+    /// Waits until the last stop, if any, is confirmed.
     ///
     /// # Errors
     /// [`Missing::Stop`] if the device did not confirm, or the link's.
@@ -437,8 +438,7 @@ impl Device {
         self.link.forget_stop();
     }
 
-    /// Sends nothing for `duration_us` of link time, as if the host were gone. The operator's stop is sent
-    /// nevertheless.
+    /// Sends nothing for `duration_us` of link time, as if the host had disappeared, except the operator's stop.
     ///
     /// # Errors
     /// The link's, or [`Missing::Stop`].
@@ -446,7 +446,7 @@ impl Device {
         self.listen(self.now_us().saturating_add(duration_us))
     }
 
-    /// Like [`Device::wait_for`]; here a silent link is reported as a machine that may be moving.
+    /// As [`Device::wait_for`], but reports a silent link as a machine that may be moving.
     fn wait<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
@@ -455,14 +455,14 @@ impl Device {
         state: impl FnMut(&mut Self, Option<&Event>, &mut dyn Observer) -> Result<C, ClientError>,
     ) -> Result<(), ClientError> {
         let waited = self.wait_for(action, at_most_us, observer, state);
-        // What came before an error is recorded, too.
+        // Record what came before an error, too.
         self.hand_out_telemetry(observer);
         waited.map_err(|error| while_moving(action, error))
     }
 
     /// Waits until `state` returns [`ActionState::Ended`]. It is called with each event, and every `keep_alive_us`
-    /// without one. In the latter case it requests the device's status. That is also the keep-alive, and it shows the
-    /// end even if its event was lost.
+    /// without one, when it requests the device's status. The request is also the keep-alive, and shows the end even if
+    /// its event was lost.
     fn wait_for<C: Into<ActionState>>(
         &mut self,
         action: &'static str,
@@ -508,7 +508,7 @@ impl Device {
                 }
                 asked_us = now_us;
                 start_clock = start_clock.or(self.clock);
-                // By the time of the question: the observer may have taken long since the answer.
+                // Compare the time of the request: the observer may have taken long since the answer.
                 if self.passed_us(start_us, start_clock, now_us) > limit_us {
                     self.urgent(Urgent::Stop)?;
                     return Err(ClientError::Overdue {
@@ -523,8 +523,8 @@ impl Device {
     }
 
     /// Time until `now_us` since the link's clock was at `start_us` and the device's at `start_clock`, us. It counts by
-    /// the device's clock, so that an emulated device that cannot keep up is not overdue. A clock slower than
-    /// [`SLOWEST`] counts as broken.
+    /// the device's clock, so that a slow emulated device is not overdue. A clock slower than [`SLOWEST`] counts as
+    /// broken.
     fn passed_us(&self, start_us: u64, start_clock: Option<Clock>, now_us: u64) -> u64 {
         let passed_us = now_us - start_us;
         let behind_us = start_clock

@@ -5,20 +5,17 @@ use std::time::{Duration, Instant};
 
 use crate::link::{Link, LinkError};
 
-/// Longest wait of a read. A reader notices the end of the link only after it.
+/// Longest wait of a read. A reader notices the end of the link only after this time.
 pub const READ: Duration = Duration::from_millis(10);
 
-/// Time limit for a write. A frame of 170 bytes takes 15 ms, so a line that takes longer than this is stuck.
+/// Time limit for a write. A frame of 170 bytes takes 15 ms, so a slower line is stuck.
 pub const WRITE: Duration = Duration::from_secs(1);
 
-/// Both directions of a line, each usable by a thread of its own. A read returns within [`READ`], with or without
-/// bytes.
+/// Both directions of a line, each usable by its own thread. A read returns within [`READ`], with or without bytes.
 pub struct Halves {
-    /// Reads from the line.
     pub reader: Box<dyn Read + Send>,
-    /// Writes to the line.
     pub writer: Box<dyn Write + Send>,
-    /// The reason why no more bytes come, when a read returns none.
+    /// Reason for the end of the line, when a read returns no bytes.
     pub end: &'static str,
 }
 
@@ -30,7 +27,6 @@ pub struct Direct {
 }
 
 impl Direct {
-    /// The link of the line at this place.
     #[must_use]
     pub fn new(place: String, halves: Halves) -> Self {
         let start = Instant::now();
@@ -81,12 +77,12 @@ pub(crate) fn wall_us(start: Instant) -> u64 {
     u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX)
 }
 
-/// Time to a deadline: never zero, which would mean "forever", and bounded for the operating system.
+/// Time to a deadline: never zero, which would mean "forever", and limited for the operating system.
 pub(crate) fn timeout(now_us: u64, deadline_us: u64) -> Duration {
     Duration::from_micros(deadline_us.saturating_sub(now_us).clamp(1_000, 60_000_000))
 }
 
-/// Whether a read merely ended without bytes.
+/// Whether a read ended without bytes but without a failure.
 pub(crate) fn nothing_yet(kind: ErrorKind) -> bool {
     matches!(
         kind,

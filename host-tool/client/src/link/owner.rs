@@ -1,4 +1,4 @@
-//! Shared knowledge of a line's owner and its clients: the owner, the stops, the clients' questions.
+//! What owner and clients of a line share: the owner's description, the stops, and the clients' questions.
 
 use std::fmt;
 use std::time::{Duration, Instant, SystemTime};
@@ -16,7 +16,7 @@ const LONGEST_COMMAND: usize = 200;
 pub struct Owner {
     pub pid: u32,
     pub command: String,
-    /// Time at which it took the line.
+    /// Time at which the process took the line.
     pub since: Timestamp,
 }
 
@@ -68,7 +68,7 @@ pub struct StopMark {
 }
 
 impl StopMark {
-    /// The mark as of the beginning of a process, without later stops.
+    /// The mark as of the start of a process, without later stops.
     #[must_use]
     pub fn before(self, began: Began) -> Self {
         let (elapsed, now) = (began.at.elapsed(), SystemTime::now());
@@ -79,8 +79,8 @@ impl StopMark {
         }
     }
 
-    /// The strongest stop between an earlier mark and this one. A mark that is gone was removed as an old temporary
-    /// file: that is no stop.
+    /// The strongest stop between an earlier mark and this one. A missing mark was removed as an old temporary file and
+    /// is not a stop.
     #[must_use]
     pub fn since(self, earlier: Self) -> Option<Urgent> {
         let new = |mark: Option<SystemTime>, before| mark.is_some() && mark != before;
@@ -91,7 +91,7 @@ impl StopMark {
     }
 }
 
-/// Start of a process, by two clocks: the computer's clock may be set meanwhile.
+/// Start of a process by two clocks, because the computer's clock may be set afterwards.
 #[derive(Clone, Copy, Debug)]
 pub struct Began {
     time: SystemTime,
@@ -109,7 +109,7 @@ impl Began {
     }
 
     /// Whether the process began after a stop, as seen `elapsed` later, when the clock shows `now`. In doubt it did
-    /// not, and the stop counts for it.
+    /// not, so that the stop applies to it.
     fn is_after(&self, stop: SystemTime, elapsed: Duration, now: SystemTime) -> bool {
         // Start of the process, by the clock as it is set now.
         let began = now.checked_sub(elapsed).unwrap_or(self.time);
@@ -128,7 +128,7 @@ pub struct Question {
 }
 
 impl Question {
-    /// A question that is asked now. `answer` gets the reply, or none if there was none.
+    /// A question asked now. `answer` gets the reply, or `None` if there was none.
     pub fn new(request: Request, answer: impl FnOnce(Option<Reply>) + Send + 'static) -> Self {
         Self {
             request,

@@ -1,4 +1,4 @@
-//! A line to a machine at a serial port, which this process opens exclusively.
+//! A serial port of a machine, opened exclusively.
 
 use std::path::Path;
 use std::{fs, io};
@@ -18,11 +18,11 @@ const STMICROELECTRONICS: u16 = 0x0483;
 /// Opens a port exclusively. Sends nothing.
 ///
 /// # Errors
-/// [`OpenError`], which tells missing, forbidden and busy ports apart and says what to do.
+/// [`OpenError`], which distinguishes missing, forbidden and busy ports and names the remedy.
 pub fn open(path: &str, baud: u32) -> Result<Halves, OpenError> {
     let halves = || {
         let port = serialport::new(path, baud).timeout(WRITE).open()?;
-        // Drop old bytes: they belong to no session of this process.
+        // Discard old bytes: they belong to another session.
         let _ = port.clear(ClearBuffer::Input);
         let mut reader = port.try_clone()?;
         reader.set_timeout(READ)?;
@@ -42,7 +42,7 @@ pub struct Port {
     pub path: String,
     /// The system's description of it.
     pub description: String,
-    /// Belongs to an ST-LINK, so that Hello cannot disturb some other instrument.
+    /// Belongs to an ST-LINK, so that Hello cannot disturb another instrument.
     pub stlink: bool,
 }
 
@@ -82,7 +82,7 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
             Reason::Permission,
             "no permission".to_owned(),
             match group(path) {
-                // A user cannot join that group.
+                // A user cannot join this group.
                 Some(group) if group == "root" => "the port belongs to the administrator alone: a udev rule that gives it to a group of yours (`dialout`), or `sudo setfacl -m u:$USER:rw` on the port until it is unplugged".to_owned(),
                 Some(group) => format!(
                     "the port belongs to the group `{group}`: run `sudo usermod -aG {group} $USER`, then log out and in again"
@@ -123,7 +123,7 @@ fn explain(path: &str, error: &serialport::Error) -> OpenError {
     }
 }
 
-/// Whether a path may be a port: neither a file nor a folder, nor a device without a line.
+/// Whether a path may be a port: neither a file nor a folder, nor a device that is not a terminal.
 fn is_a_device(path: &str) -> bool {
     use std::io::IsTerminal;
     use std::os::unix::fs::FileTypeExt;

@@ -10,7 +10,7 @@ use crate::link::{OpenError, Reason};
 /// Connects to `HOST:PORT`, with a time limit for each address of the host.
 ///
 /// # Errors
-/// [`OpenError`] if the name is unknown or nobody listens there.
+/// [`OpenError`] if the name is unknown or no server listens there.
 pub fn open(host_port: &str, limit: Duration) -> Result<Halves, OpenError> {
     let connected = host_port.to_socket_addrs().and_then(|mut addresses| {
         let none = "the host name has no address";
@@ -31,7 +31,7 @@ pub fn open(host_port: &str, limit: Duration) -> Result<Halves, OpenError> {
 }
 
 fn halves(stream: TcpStream) -> io::Result<Halves> {
-    // Small frames must leave at once: a stop must not wait for more data.
+    // Send small frames at once: a stop must not wait for more data.
     stream.set_nodelay(true)?;
     stream.set_read_timeout(Some(READ))?;
     stream.set_write_timeout(Some(WRITE))?;
