@@ -1,5 +1,7 @@
 //! The owner's side of a broker: clients, their stops and questions, and the traffic passed on to them.
 
+mod stops;
+
 use std::collections::{HashMap, VecDeque};
 use std::hash::{BuildHasher, RandomState};
 use std::io::{self, Read, Write};
@@ -18,6 +20,7 @@ use protocol::system::{Done, Identity, Urgent};
 use protocol::table::{Impact, Reply, Request, Response};
 
 use crate::broker::lock::LineFiles;
+use crate::broker::server::stops::StopBook;
 use crate::broker::stream::read_line;
 use crate::broker::{Greeting, LONGEST_LINE, VERSION, Welcome, admits};
 use crate::link::owner::{Owner, Question, StopMark};
@@ -68,22 +71,12 @@ struct BrokerState {
     identity: Option<Identity>,
     questions: VecDeque<Question>,
     last_question: Option<Instant>,
-    stopped: Option<Urgent>,
-    /// Stops that clients have sent on the line, newest last.
-    stops: VecDeque<Stop>,
+    stops: StopBook,
     clients: HashMap<u64, Client>,
     next_client: u64,
 }
 
 impl BrokerState {
-    /// Notes a stop that somebody else has sent.
-    fn stop(&mut self, urgent: Urgent) {
-        self.stopped = match self.stopped {
-            Some(Urgent::EStop) => Some(Urgent::EStop),
-            _ => Some(urgent),
-        };
-    }
-
     /// Removes and returns the clients' commands when a stop comes: executed later, they would undo the stop.
     fn take_orders(&mut self) -> VecDeque<Question> {
         let observes = |question: &Question| question.request.impact() == Impact::None;
@@ -91,16 +84,6 @@ impl BrokerState {
         self.questions = look;
         orders
     }
-}
-
-/// A stop that a client has sent.
-struct Stop {
-    client: u64,
-    /// The client's own header, for the answer.
-    header: Header,
-    urgent: Urgent,
-    /// Its sequence number on the line.
-    seq: u16,
 }
 
 struct Client {
@@ -114,12 +97,6 @@ struct Client {
 /// Output side of the line. A thread locks it while writing a frame.
 struct Out {
     line: Box<dyn Write + Send>,
-    /// Sequence number of the clients' next stop. It begins at random: a late answer to a stop that went out before this
-    /// line was opened confirms no other.
-    next_seq: u16,
-    /// Number of stops that clients have sent, and how many of them the owner has noticed.
-    stops: u32,
-    noticed: u32,
     /// The last stop that the owner knows of, among those of all processes on this line.
     mark: StopMark,
 }
@@ -133,13 +110,14 @@ impl Core {
         line_files: Option<LineFiles>,
     ) -> Arc<Self> {
         Arc::new(Self {
-            state: Mutex::new(BrokerState::default()),
+            state: Mutex::new(BrokerState {
+                // Random: a late answer to a stop that was sent before this line was opened confirms no other.
+                stops: StopBook::numbering_from(RandomState::new().hash_one(0) as u16),
+                ..BrokerState::default()
+            }),
             woken: Condvar::new(),
             out: Mutex::new(Out {
                 line,
-                next_seq: RandomState::new().hash_one(0) as u16,
-                stops: 0,
-                noticed: 0,
                 mark: LineFiles::last_stops(line_files.as_ref()),
             }),
             closing: AtomicBool::new(false),
@@ -181,7 +159,7 @@ impl Core {
     pub fn send(&self, bytes: &[u8]) -> io::Result<()> {
         let request = header(bytes).is_some_and(|header| header.kind == Kind::Request);
         let mut out = self.out();
-        if request && out.stops != out.noticed {
+        if request && !self.state().stops.is_noticed() {
             return Ok(());
         }
         out.line.write_all(bytes)
@@ -225,15 +203,9 @@ impl Core {
     /// The strongest stop sent so far by clients, and by processes that bypassed this broker.
     pub fn stopped(&self) -> Option<Urgent> {
         let mut out = self.out();
-        out.noticed = out.stops;
         let mark = LineFiles::last_stops(self.line_files.as_ref());
         let elsewhere = mark.since(std::mem::replace(&mut out.mark, mark));
-        drop(out);
-        let mut state = self.state();
-        if let Some(urgent) = elsewhere {
-            state.stop(urgent);
-        }
-        state.stopped
+        self.state().stops.notice(elsewhere)
     }
 
     /// Whether a client wants the line.
@@ -265,14 +237,12 @@ impl Core {
     /// Forgets the stops that the owner has noticed; others remain. Clients' orders that are still queued are not sent:
     /// a client whose order is newer than the stop asks again.
     pub fn forget_stop(&self) {
-        let out = self.out();
-        if out.stops != out.noticed {
+        let mut state = self.state();
+        if !state.stops.forget() {
             return;
         }
-        let mut state = self.state();
-        state.stopped = None;
         let older = state.take_orders();
-        drop((state, out));
+        drop(state);
         for question in older {
             question.answer(Some(Reply::Wire(WireError::Stale)));
         }
@@ -350,11 +320,7 @@ impl Core {
 
     fn confirmed(&self, seq: u16, urgent: Urgent) {
         let state = self.state();
-        let stop = state
-            .stops
-            .iter()
-            .find(|stop| stop.seq == seq && stop.urgent == urgent);
-        if let Some(stop) = stop
+        if let Some(stop) = state.stops.find(seq, urgent)
             && let Some(client) = state.clients.get(&stop.client)
             && let Some(frame) = reply(stop.header, &Reply::Urgent(urgent))
         {
@@ -368,32 +334,10 @@ impl Core {
     fn stop(&self, client: u64, header: Header, urgent: Urgent) -> io::Result<()> {
         let mut out = self.out();
         let mut state = self.state();
-        let known = state
-            .stops
-            .iter()
-            .find(|stop| (stop.client, stop.header, stop.urgent) == (client, header, urgent));
-        let seq = match known {
-            Some(stop) => stop.seq,
-            None => {
-                let seq = out.next_seq;
-                out.next_seq = seq.wrapping_add(1);
-                if state.stops.len() == MAX_CLIENTS {
-                    state.stops.pop_front();
-                }
-                state.stops.push_back(Stop {
-                    client,
-                    header,
-                    urgent,
-                    seq,
-                });
-                seq
-            }
-        };
-        state.stop(urgent);
+        let seq = state.stops.send(client, header, urgent);
         let older = state.take_orders();
         state.nudged = true;
         drop(state);
-        out.stops = out.stops.wrapping_add(1);
         // Stops need no session.
         let header = Header {
             kind: Kind::Urgent,

@@ -1,0 +1,91 @@
+//! The stops that clients have sent on a line: their numbers, and whether the owner has noticed them. It uses neither
+//! lock, clock nor thread.
+
+use std::collections::VecDeque;
+
+use protocol::frame::Header;
+use protocol::system::Urgent;
+
+/// Stops whose confirmation is still passed on to their client.
+const RECENT: usize = 32;
+
+/// A stop that a client has sent.
+pub(super) struct ClientStop {
+    pub(super) client: u64,
+    /// The client's own header, for the answer.
+    pub(super) header: Header,
+    urgent: Urgent,
+    /// Its sequence number on the line.
+    seq: u16,
+}
+
+#[derive(Default)]
+pub(super) struct StopBook {
+    /// Sequence number of the next stop.
+    next_seq: u16,
+    /// Newest last.
+    recent: VecDeque<ClientStop>,
+    /// A client has sent a stop that the owner has not noticed.
+    unnoticed: bool,
+    /// The strongest stop since [`StopBook::forget`], from clients or elsewhere.
+    strongest: Option<Urgent>,
+}
+
+impl StopBook {
+    pub(super) fn numbering_from(next_seq: u16) -> Self {
+        Self {
+            next_seq,
+            ..Self::default()
+        }
+    }
+
+    /// Notes a client's stop and returns its sequence number on the line; a repetition has the same number.
+    pub(super) fn send(&mut self, client: u64, header: Header, urgent: Urgent) -> u16 {
+        self.unnoticed = true;
+        self.strongest = self.strongest.max(Some(urgent));
+        let is_known = |stop: &&ClientStop| {
+            (stop.client, stop.header, stop.urgent) == (client, header, urgent)
+        };
+        if let Some(known) = self.recent.iter().find(is_known) {
+            return known.seq;
+        }
+        let seq = self.next_seq;
+        self.next_seq = seq.wrapping_add(1);
+        if self.recent.len() == RECENT {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(ClientStop {
+            client,
+            header,
+            urgent,
+            seq,
+        });
+        seq
+    }
+
+    /// The stop that the machine confirms with this number.
+    pub(super) fn find(&self, seq: u16, urgent: Urgent) -> Option<&ClientStop> {
+        let is_it = |stop: &&ClientStop| (stop.seq, stop.urgent) == (seq, urgent);
+        self.recent.iter().find(is_it)
+    }
+
+    /// Whether the owner has noticed every client's stop.
+    pub(super) fn is_noticed(&self) -> bool {
+        !self.unnoticed
+    }
+
+    /// Notes that the owner learns of all stops, and of one from `elsewhere`. Returns the strongest.
+    pub(super) fn notice(&mut self, elsewhere: Option<Urgent>) -> Option<Urgent> {
+        self.unnoticed = false;
+        self.strongest = self.strongest.max(elsewhere);
+        self.strongest
+    }
+
+    /// Forgets the stops, unless the owner has not noticed one. Returns whether it did.
+    pub(super) fn forget(&mut self) -> bool {
+        if self.is_noticed() {
+            self.strongest = None;
+        }
+        self.is_noticed()
+    }
+}
