@@ -144,6 +144,9 @@ enum Phase {
     Failed(ClientError),
 }
 
+/// Time of the cue by the rig's clock, us, and that clock's relation to the rig's link.
+type CueTime = (u64, Option<Clock>);
+
 /// Why there is no record of the actuation: for its sidecar, and the error if there was one.
 struct NoRecord {
     ending: Ending,
@@ -300,68 +303,75 @@ impl Partner<'_> {
             self.turn(rig_us + on_us, None);
         }
         self.stop_with(run);
-        let mut cue_time = None;
-        let phase = std::mem::replace(&mut self.phase, Phase::Waiting);
-        let outcome: Result<ActuationRecord, NoRecord> = match phase {
-            Phase::Waiting => Err(NoRecord::refused(&format!(
-                "the run ended before cycle {} came to its place",
-                self.cue.cycle
-            ))),
+        let (outcome, cue_time) = self.wait();
+        let coordination = self.coordination(run.map(|run| &*run.sidecar), cue_time);
+        (self.record(outcome, coordination.clone()), coordination)
+    }
+
+    /// Waits for the end of an actuation that has begun. Returns its record, and the time of the cue with the clock.
+    fn wait(&mut self) -> (Result<ActuationRecord, NoRecord>, Option<CueTime>) {
+        match std::mem::replace(&mut self.phase, Phase::Waiting) {
+            Phase::Waiting => {
+                let why = format!("the run ended before cycle {} came to its place", self.cue.cycle);
+                (Err(NoRecord::refused(&why)), None)
+            }
             Phase::Cued { asked: false, .. } => {
-                Err(NoRecord::refused("the run ended in the dwell before it"))
+                let why = "the run ended in the dwell before it";
+                (Err(NoRecord::refused(why)), None)
             }
-            Phase::Cued {
-                cue_us,
-                clock,
-                asked: true,
-                ..
-            } => {
-                cue_time = Some((cue_us, clock));
-                Err(NoRecord {
-                    ending: Ending::Lost("the run ended before the capsule answered".into()),
-                    error: None,
-                })
+            Phase::Cued { cue_us, clock, .. } => {
+                let ending = Ending::Lost("the run ended before the capsule answered".into());
+                let error = None;
+                (Err(NoRecord { ending, error }), Some((cue_us, clock)))
             }
-            Phase::Failed(error) => Err(NoRecord {
-                ending: experiment::without_record(&self.recorder, &error),
-                error: Some(error),
-            }),
+            Phase::Failed(error) => {
+                let ending = experiment::without_record(&self.recorder, &error);
+                let error = Some(error);
+                (Err(NoRecord { ending, error }), None)
+            }
             Phase::Accepted {
                 cue_us,
                 clock,
                 accepted,
             } => {
-                cue_time = Some((cue_us, clock));
                 let mut noting = Noting {
                     recorder: &mut self.recorder,
                     began_us: &mut self.began_us,
                 };
                 let ended = self.capsule.wait_actuation(&accepted, &mut noting);
-                ended.map_err(|error| NoRecord {
+                let outcome = ended.map_err(|error| NoRecord {
                     ending: Ending::Lost(error.to_string()),
                     error: Some(error),
-                })
+                });
+                (outcome, Some((cue_us, clock)))
             }
-        };
-        let coordination = self.coordination(run.map(|run| &*run.sidecar), cue_time);
-        let (csv, sidecar) = (
-            self.recorder.csv().to_owned(),
-            self.recorder.sidecar().to_owned(),
-        );
-        self.recorder.coordinated(coordination.clone());
+        }
+    }
+
+    /// Completes the record of the actuation, or of its absence, and reports it.
+    fn record(
+        mut self,
+        outcome: Result<ActuationRecord, NoRecord>,
+        coordination: Coordination,
+    ) -> Result<ActuationTrial, ExperimentError> {
+        let csv = self.recorder.csv().to_owned();
+        let sidecar = self.recorder.sidecar().to_owned();
+        self.recorder.coordinated(coordination);
         let lost = self.capsule.take_lost_events();
         // Discard what it still sends.
         let _ = self.capsule.set_telemetry(0);
-        // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the record.
-        if let Ok(record) = &outcome {
-            let ending = Ending::Actuation(*record);
-            self.recorder.latched(after_stops(self.capsule, &ending));
-        }
-        let finished = match &outcome {
-            Ok(record) => self.recorder.finish(Ending::Actuation(*record), lost),
-            Err(missing) => self.recorder.finish(missing.ending.clone(), lost),
+        let ending = match &outcome {
+            Ok(record) => {
+                let ending = Ending::Actuation(*record);
+                // Make this the last exchange: an emergency stop may go out with any earlier one, and must be in the
+                // record.
+                self.recorder.latched(after_stops(self.capsule, &ending));
+                ending
+            }
+            Err(missing) => missing.ending.clone(),
         };
-        let trial = match (finished, outcome) {
+        let finished = self.recorder.finish(ending, lost);
+        match (finished, outcome) {
             // More urgent than a record that could not be written.
             (
                 _,
@@ -382,8 +392,7 @@ impl Partner<'_> {
                 reason: trial.error,
                 sidecar,
             }),
-        };
-        (trial, coordination)
+        }
     }
 
     /// Stops the actuation if its run has ended early, or the rig was lost: whatever stopped the rig stops both.
@@ -406,7 +415,7 @@ impl Partner<'_> {
         }
     }
 
-    fn coordination(&self, run: Option<&Path>, cue: Option<(u64, Option<Clock>)>) -> Coordination {
+    fn coordination(&self, run: Option<&Path>, cue: Option<CueTime>) -> Coordination {
         let clocks = cue.and_then(|(_, rig)| Some((rig?.ahead_us, self.capsule.clock()?.ahead_us)));
         let (rig_us, capsule_us) = self.together_us;
         let apart_us = capsule_us.cast_signed() - rig_us.cast_signed();
