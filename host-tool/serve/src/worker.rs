@@ -303,58 +303,21 @@ impl Worker<'_> {
 
     /// Executes an order. An error means that the connection has to be made again.
     fn carry_out(&self, device: &mut Device, order: Order) -> Result<(), Failure> {
-        let waited = order.waited();
-        let Order {
-            action,
-            work,
-            after: (stop, mark),
-            ..
-        } = order;
-        let stops = &self.machine.stops;
-        let (_, last) = self.machine.last_stop();
-        if stops.with(|stops| stops.since(stop)).is_some() || last.since(mark).is_some() {
-            let failure = overtaken();
-            self.shared.ended(action, Value::Null, Some(&failure));
+        if let Some(failure) = self.overtaken(&order) {
+            self.refuse(&order, &failure);
             return Ok(());
         }
-        if waited > STALE {
-            let failure = Failure::refused(
-                format!(
-                    "the order came too late: the server was busy with the line for {} s",
-                    waited.as_secs()
-                ),
-                "nothing was moved by this order; look at the machine, then again",
-            );
-            self.shared.ended(action, Value::Null, Some(&failure));
-            return Ok(());
-        }
-        let acting = work.is_for_owner();
+        let acting = order.work.is_for_owner();
         // A motion that this server began before may go on, whatever becomes of this order.
         let goes_on = self.machine.acting.load(Ordering::SeqCst);
         if acting {
             device.offer_line(false);
             self.machine.begin();
         }
-        let kind = work.kind();
-        // From here on, a stop is noticed between any two frames.
-        stops.with(|stops| stops.order(Some(stop)));
-        device.ordered_at(mark);
-        // Repeat questions to a busy owner: somebody waits for this result. A missed status request does not matter.
-        device.ask_once(false);
-        let result = self.act(device, action, &work);
-        device.ask_once(true);
-        stops.with(|stops| stops.order(None));
-        let (outcome, lost) = match result {
-            Ok(outcome) => (outcome, false),
-            Err(failure) => {
-                let lost = matches!(failure.exit_code(), NO_DEVICE | UNKNOWN);
-                (ActionResult::failed(Value::Null, failure), lost)
-            }
-        };
-        let notice = match &outcome.failure {
-            None => Notice::Done(format!("{kind}: done")),
-            Some(failure) => Notice::Bad(failure.in_one_line()),
-        };
+        let result = self.wait(device, &order);
+        let lost = (result.as_ref().err())
+            .is_some_and(|failure| matches!(failure.exit_code(), NO_DEVICE | UNKNOWN));
+        let outcome = result.unwrap_or_else(|failure| ActionResult::failed(Value::Null, failure));
         // Send all samples first, so that the readers' picture is complete when the action ends.
         self.shared.flush(self.machine, true);
         let settled = match lost {
@@ -365,15 +328,7 @@ impl Worker<'_> {
                 self.ask(device)
             }),
         };
-        self.shared.actions.update(action, |action| {
-            if !outcome.files.is_null() {
-                action.files.clone_from(&outcome.files);
-            }
-        });
-        // First the notice, so that no state after the end has the one before.
-        self.shared.notice(self.machine, notice);
-        self.shared
-            .ended(action, outcome.result, outcome.failure.as_ref());
+        self.report(&order, &outcome);
         settled?;
         if lost {
             return Err(outcome.failure.unwrap_or_else(server_ends));
@@ -385,6 +340,64 @@ impl Worker<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Why an order must not be executed any more: a stop came after it, or it has waited too long.
+    fn overtaken(&self, order: &Order) -> Option<Failure> {
+        let (stop, mark) = order.after;
+        let (_, last) = self.machine.last_stop();
+        let stopped = self.machine.stops.with(|stops| stops.since(stop)).is_some();
+        if stopped || last.since(mark).is_some() {
+            return Some(Failure::refused(
+                "a stop came after this order",
+                "nothing was moved by this order; look at the machine, then order it again",
+            ));
+        }
+        let waited = order.waited();
+        (waited > STALE).then(|| {
+            Failure::refused(
+                format!(
+                    "the order came too late: the server was busy with the line for {} s",
+                    waited.as_secs()
+                ),
+                "nothing was moved by this order; look at the machine, then again",
+            )
+        })
+    }
+
+    /// Sends an order to the machine and waits for its end.
+    fn wait(&self, device: &mut Device, order: &Order) -> Result<ActionResult, Failure> {
+        let (stop, mark) = order.after;
+        let stops = &self.machine.stops;
+        // From here on, a stop is noticed between any two frames.
+        stops.with(|stops| stops.order(Some(stop)));
+        device.ordered_at(mark);
+        // Repeat questions to a busy owner: somebody waits for this result. A missed status request does not matter.
+        device.ask_once(false);
+        let result = self.act(device, order.action, &order.work);
+        device.ask_once(true);
+        stops.with(|stops| stops.order(None));
+        result
+    }
+
+    /// Reports how an order ended.
+    fn report(&self, order: &Order, outcome: &ActionResult) {
+        let (action, kind) = (order.action, order.work.kind());
+        self.shared.actions.update(action, |action| {
+            if !outcome.files.is_null() {
+                action.files.clone_from(&outcome.files);
+            }
+        });
+        // First the notice, so that no state after the end has the one before.
+        self.shared.notice(
+            self.machine,
+            match &outcome.failure {
+                None => Notice::Done(format!("{kind}: done")),
+                Some(failure) => Notice::Bad(failure.in_one_line()),
+            },
+        );
+        self.shared
+            .ended(action, outcome.result.clone(), outcome.failure.as_ref());
     }
 
     fn act(&self, device: &mut Device, action: u64, work: &Work) -> Result<ActionResult, Failure> {
@@ -624,14 +637,6 @@ fn lost(failure: &Failure) -> Failure {
         why: format!("nothing was sent, there is no contact: {failure}"),
         help: failure.remedy(),
     }
-}
-
-/// Failure of an order that is older than a stop.
-fn overtaken() -> Failure {
-    Failure::refused(
-        "a stop came after this order",
-        "nothing was moved by this order; look at the machine, then order it again",
-    )
 }
 
 /// Failure of an order when the server shuts down.
